@@ -1,0 +1,56 @@
+"""Time as a parameter. Only the real clock sleeps; the virtual one makes a 14-hour plan take seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Monotonic seconds since the run began, and a way to let time pass."""
+
+    def now_s(self) -> float:
+        """Seconds since the run began."""
+        ...
+
+    def sleep(self, duration_s: float) -> None:
+        """Let `duration_s` seconds pass."""
+        ...
+
+
+class RealClock:
+    """Host monotonic time; immune to NTP steps of the wall clock."""
+
+    def __init__(self, offset_s: float = 0.0) -> None:
+        self._zero_s = time.monotonic() - offset_s
+
+    def now_s(self) -> float:
+        """Seconds since the run began."""
+        return time.monotonic() - self._zero_s
+
+    def sleep(self, duration_s: float) -> None:
+        """Sleep; the only place in the package that does."""
+        time.sleep(max(0.0, duration_s))
+
+
+class VirtualClock:
+    """Time that passes at once; what lives in it is told of every step through `advance`."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now_s = start_s
+        self._listeners: list[Callable[[float], None]] = []
+
+    def now_s(self) -> float:
+        """Seconds since the run began."""
+        return self._now_s
+
+    def sleep(self, duration_s: float) -> None:
+        """Pass `duration_s` seconds: listeners first, so that they can look up to the new time."""
+        self._now_s += max(0.0, duration_s)
+        for listener in self._listeners:
+            listener(self._now_s)
+
+    def subscribe(self, advance_to: Callable[[float], None]) -> None:
+        """Call `advance_to(now_s)` after every step."""
+        self._listeners.append(advance_to)

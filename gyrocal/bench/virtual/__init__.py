@@ -1,0 +1,1 @@
+"""The virtual bench: one physical model behind virtual devices."""

@@ -1,0 +1,1 @@
+"""The paper's calibration: data sets, surface, noise, and what they can carry."""

@@ -1,0 +1,243 @@
+"""The coefficient file, ``gyrocal-coefficients/1``: what `fit` writes and the runtime reads."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gyrocal.errors import CoefficientError, InputError
+from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Surface
+
+Floats = NDArray[np.float64]
+
+SCHEMA_NAME = "gyrocal-coefficients"
+SCHEMA_VERSION = 1
+
+#: Flags of `Coefficients.flags`: 0 is inside the valid range.
+FLAG_RATE = 1
+FLAG_TEMPERATURE = 2
+FLAG_NOT_FINITE = 4
+
+_TERMS = SHAPE[0] * SHAPE[1]
+
+
+@dataclass(frozen=True)
+class Valid:
+    """Range that the calibration data cover; outside it the runtime flags."""
+
+    rate_dps: tuple[float, float]
+    temp_c: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise figures, each ``(value, low, high)`` with a 95 % interval; None where the record carries none."""
+
+    angle_random_walk_deg_per_rt_h: tuple[float, float, float] | None = None
+    bias_instability_deg_per_h: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Term:
+    """Physics that `diagnose` added to the surface: an effect of the catalogue with its parameters."""
+
+    effect: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    runtime: bool
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """A calibration: surface, its covariance, where it holds, and where it comes from.
+
+    Attributes
+    ----------
+    covariance_dps2 : ndarray, shape (12, 12), (deg/s)^2
+        Covariance of the coefficients, row-major over (i, j).
+    """
+
+    sensor: Mapping[str, Any]
+    surface: Surface
+    covariance_dps2: Floats
+    valid: Valid
+    noise: Noise = Noise()
+    terms: tuple[Term, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        covariance = np.asarray(self.covariance_dps2, dtype=np.float64)
+        if covariance.shape != (_TERMS, _TERMS):
+            msg = f"the covariance is {_TERMS} x {_TERMS}, and {covariance.shape} was given"
+            raise ValueError(msg)
+        object.__setattr__(self, "covariance_dps2", covariance)
+
+    def correct(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
+        """Corrected rate ``gyro - error`` by the surface (paper eqs. 1 and 5), deg/s; scalar in, float out."""
+        gyro = np.asarray(gyro_dps, dtype=np.float64)
+        corrected = gyro - self.surface.error_dps(gyro, temp_c)
+        return float(corrected) if corrected.ndim == 0 else corrected
+
+    def sigma_dps(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
+        """Standard deviation of the predicted error (coefficient uncertainty only), deg/s."""
+        gyro, temp = np.broadcast_arrays(
+            np.asarray(gyro_dps, dtype=np.float64), np.asarray(temp_c, dtype=np.float64)
+        )
+        design = self.surface.design(gyro.ravel(), temp.ravel())
+        variance = np.einsum("ij,jk,ik->i", design, self.covariance_dps2, design)
+        sigma = np.sqrt(np.maximum(variance, 0.0)).reshape(gyro.shape)
+        return float(sigma) if sigma.ndim == 0 else sigma
+
+    def flags(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> NDArray[np.int64]:
+        """Bits: 1 rate outside the valid range, 2 temperature outside, 4 not finite. 0 is good."""
+        gyro, temp = np.broadcast_arrays(
+            np.asarray(gyro_dps, dtype=np.float64), np.asarray(temp_c, dtype=np.float64)
+        )
+        rate = (gyro < self.valid.rate_dps[0]) | (gyro > self.valid.rate_dps[1])
+        temperature = (temp < self.valid.temp_c[0]) | (temp > self.valid.temp_c[1])
+        finite = np.isfinite(gyro) & np.isfinite(temp)
+        return np.asarray(
+            FLAG_RATE * rate + FLAG_TEMPERATURE * temperature + FLAG_NOT_FINITE * ~finite, dtype=np.int64
+        )
+
+    def to_text(self) -> str:
+        """The file's text, indented for people, with the sha256 over its canonical form."""
+        body: dict[str, Any] = {
+            "schema": f"{SCHEMA_NAME}/{SCHEMA_VERSION}",
+            "sensor": dict(self.sensor),
+            "surface": self.surface.to_json() | {"covariance_dps2": self.covariance_dps2.tolist()},
+            "valid": {"rate_dps": list(self.valid.rate_dps), "temp_c": list(self.valid.temp_c)},
+            "terms": [
+                {
+                    "effect": t.effect,
+                    "parameters": {k: dict(v) for k, v in t.parameters.items()},
+                    "runtime": t.runtime,
+                }
+                for t in self.terms
+            ],
+            "noise": {
+                "angle_random_walk_deg_per_rt_h": _interval_to_json(
+                    self.noise.angle_random_walk_deg_per_rt_h
+                ),
+                "bias_instability_deg_per_h": _interval_to_json(self.noise.bias_instability_deg_per_h),
+            },
+            "figures": dict(self.figures),
+            "provenance": dict(self.provenance),
+        }
+        return json.dumps(body | {"sha256": _digest(body)}, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def _interval_to_json(interval: tuple[float, float, float] | None) -> dict[str, Any] | None:
+    return None if interval is None else {"value": interval[0], "interval_95": [interval[1], interval[2]]}
+
+
+def _interval_from_json(raw: Any) -> tuple[float, float, float] | None:
+    return (
+        None
+        if raw is None
+        else (float(raw["value"]), float(raw["interval_95"][0]), float(raw["interval_95"][1]))
+    )
+
+
+def _digest(body: Mapping[str, Any]) -> str:
+    canonical = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def load_coefficients(path: str | Path) -> Coefficients:
+    """Read and check a coefficient file.
+
+    Raises
+    ------
+    InputError
+        Missing or unreadable file.
+    CoefficientError
+        Truncated, edited, newer than this program, or malformed.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise CoefficientError(f"{path}: is not a coefficient file (not UTF-8 text).") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}). Check the path.") from error
+    return parse_coefficients(text, str(path))
+
+
+def parse_coefficients(text: str, name: str) -> Coefficients:
+    """Check and decode the text of a coefficient file; `name` stands in the messages."""
+    try:
+        body = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise CoefficientError(
+            f"{name}, line {error.lineno}: is not JSON ({error.msg}); the file is truncated or damaged. Fit again."
+        ) from error
+    _check_schema(body, name)
+    stated = body.pop("sha256", None)
+    if stated is None:
+        raise CoefficientError(f"{name}: sha256 is missing; the file was edited or cut. Fit again.")
+    try:
+        actual = _digest(body)
+    except ValueError as error:
+        raise CoefficientError(f"{name}: holds NaN or infinity; the file was edited. Fit again.") from error
+    if stated != actual:
+        raise CoefficientError(
+            f"{name}: its sha256 does not fit its contents; the file was edited. Use the original or fit again."
+        )
+    try:
+        return _decode(body)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise CoefficientError(
+            f"{name}: is malformed ({type(error).__name__}: {error}). Fit again."
+        ) from error
+
+
+def _check_schema(body: Any, name: str) -> None:
+    schema = str(body.get("schema", "")) if isinstance(body, dict) else ""
+    family, _, version = schema.partition("/")
+    if family != SCHEMA_NAME or not version.isdigit():
+        raise CoefficientError(
+            f"{name}: is not a coefficient file (schema {schema!r}, wanted {SCHEMA_NAME}/{SCHEMA_VERSION})."
+        )
+    if int(version) > SCHEMA_VERSION:
+        raise CoefficientError(
+            f"{name}: schema {schema} is newer than this program reads ({SCHEMA_NAME}/{SCHEMA_VERSION}). Update gyrocal."
+        )
+
+
+def _decode(body: dict[str, Any]) -> Coefficients:
+    raw = body["surface"]
+    if (raw["rate_order"], raw["temperature_order"]) != (RATE_ORDER, TEMPERATURE_ORDER):
+        msg = f"the surface is of order {raw['rate_order']} x {raw['temperature_order']}, and {RATE_ORDER} x {TEMPERATURE_ORDER} is read"
+        raise ValueError(msg)
+    surface = Surface(
+        np.array(raw["coefficients_dps"], dtype=np.float64),
+        float(raw["rate"]["center_dps"]),
+        float(raw["rate"]["scale_dps"]),
+        float(raw["temperature"]["center_c"]),
+        float(raw["temperature"]["scale_c"]),
+    )
+    valid = body["valid"]
+    noise = body.get("noise") or {}
+    return Coefficients(
+        sensor=body["sensor"],
+        surface=surface,
+        covariance_dps2=np.array(raw["covariance_dps2"], dtype=np.float64).reshape(_TERMS, _TERMS),
+        valid=Valid(
+            (float(valid["rate_dps"][0]), float(valid["rate_dps"][1])),
+            (float(valid["temp_c"][0]), float(valid["temp_c"][1])),
+        ),
+        noise=Noise(
+            _interval_from_json(noise.get("angle_random_walk_deg_per_rt_h")),
+            _interval_from_json(noise.get("bias_instability_deg_per_h")),
+        ),
+        terms=tuple(Term(t["effect"], t["parameters"], bool(t["runtime"])) for t in body.get("terms", [])),
+        figures=body.get("figures") or {},
+        provenance=body.get("provenance") or {},
+    )

@@ -1,0 +1,1 @@
+"""Drive logs through the runtime: four conditions, alignment with truth, Monte Carlo."""

@@ -1,0 +1,134 @@
+"""Strict numeric CSV: a header of known columns, numbers or empty cells below it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from gyrocal.errors import InputError
+from gyrocal.records.files import reading
+
+Floats = NDArray[np.float64]
+
+
+def read_header(path: Path) -> list[str]:
+    """Column names of the CSV file `path`.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, binary, or still being written (``.part``).
+    """
+    if path.suffix == ".part":
+        raise InputError(
+            f"{path}: is still being written or was left by a crash (.part). Resume or redo its run."
+        )
+    with reading(path), path.open(encoding="utf-8-sig", newline="") as f:
+        line = f.readline()
+    if "\0" in line:
+        raise InputError(f"{path}: is not a text file. Check that it is the right file.")
+    header = [name.strip() for name in line.strip().split(",")]
+    if header == [""]:
+        raise InputError(f"{path}: is empty. Check that it was written to its end.")
+    return header
+
+
+def require_columns(path: Path, header: Sequence[str], required: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse a header that lacks a required column, repeats one, or has one nobody knows.
+
+    A column with a known quantity but another unit (``rate_rad_s`` for ``rate_dps``) falls under
+    "nobody knows": its unit would otherwise be guessed.
+    """
+    repeated = sorted({name for name in header if list(header).count(name) > 1})
+    if repeated:
+        raise InputError(f"{path}, line 1: column {repeated[0]} stands twice. Remove one.")
+    missing = [name for name in required if name not in header]
+    if missing:
+        msg = f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). Names carry the unit; known: {', '.join(known)}."
+        raise InputError(msg)
+    unknown = [name for name in header if name not in known]
+    if unknown:
+        msg = (
+            f"{path}, line 1: unknown column {unknown[0]!r}. Names carry the unit; known: {', '.join(known)}."
+        )
+        raise InputError(msg)
+
+
+def iterate_columns(
+    path: Path, header: Sequence[str], chunk_rows: int
+) -> Iterator[tuple[int, dict[str, Floats]]]:
+    """Yield ``(number of the first line, columns)`` for blocks of at most `chunk_rows` rows.
+
+    Empty cells become NaN. Memory is bounded by the block.
+
+    Raises
+    ------
+    InputError
+        A cell is not a number, or a row has too many or too few cells; the line is named.
+    """
+    first_line = 2
+    try:
+        with (
+            reading(path),
+            pd.read_csv(
+                path,
+                header=0,
+                names=list(header),
+                dtype=np.float64,
+                encoding="utf-8-sig",
+                skip_blank_lines=False,
+                index_col=False,
+                chunksize=chunk_rows,
+                engine="c",
+            ) as blocks,
+        ):
+            for block in blocks:
+                yield first_line, {name: block[name].to_numpy() for name in header}
+                first_line += len(block)
+    except (ValueError, pd.errors.ParserError) as error:
+        _raise_at_bad_line(path, header, error)
+
+
+def read_columns(path: Path, header: Sequence[str]) -> dict[str, Floats]:
+    """All columns of `path` as float arrays, shape (rows,); see `iterate_columns`."""
+    blocks = [columns for _, columns in iterate_columns(path, header, 1 << 20)]
+    if not blocks:
+        return {name: np.empty(0) for name in header}
+    if len(blocks) == 1:
+        return blocks[0]
+    return {name: np.concatenate([block[name] for block in blocks]) for name in header}
+
+
+def _raise_at_bad_line(path: Path, header: Sequence[str], cause: Exception) -> None:
+    with reading(path), path.open(encoding="utf-8-sig", newline="") as f:
+        for number, row in enumerate(csv.reader(f), start=1):
+            if number == 1:
+                continue
+            if len(row) != len(header):
+                msg = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. The file may be truncated; repair or remove the line."
+                raise InputError(msg) from cause
+            for name, cell in zip(header, row, strict=True):
+                try:
+                    float(cell or "nan")
+                except ValueError:
+                    msg = (
+                        f"{path}, line {number}: {name} is {cell!r}, not a number. Repair or remove the line."
+                    )
+                    raise InputError(msg) from cause
+    raise InputError(f"{path}: cannot be parsed as CSV ({cause}).") from cause
+
+
+def format_columns(columns: dict[str, tuple[Floats, str]]) -> str:
+    """CSV text of equally long columns, each with its format (``%.6f``); NaN becomes an empty cell."""
+    text = io.StringIO()
+    text.write(",".join(columns) + "\n")
+    cells = [np.where(np.isnan(v), "", np.char.mod(fmt, v)) for v, fmt in columns.values()]
+    for row in zip(*cells, strict=True):
+        text.write(",".join(row) + "\n")
+    return text.getvalue()

@@ -1,0 +1,101 @@
+"""Table of data sets: what other loggers can hand to `fit` and `diagnose`. One row a data set, in time order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrocal.errors import InputError
+from gyrocal.records.csvio import Floats, format_columns, read_columns, read_header, require_columns
+
+COLUMNS = ("rate_dps", "gyro_dps", "gyro_counts", "temp_c", "gyro_std_dps", "n", "t_s", "temp_rate_c_per_min")
+
+
+@dataclass(frozen=True)
+class DataSetTable:
+    """Data sets as arrays, shape (n,); an optional column that the file does not have is None.
+
+    ``rate_dps`` is the reference, ``gyro_dps`` the mean output, ``temp_c`` the mean gyro temperature.
+    """
+
+    source: Path
+    rate_dps: Floats
+    gyro_dps: Floats
+    temp_c: Floats
+    gyro_std_dps: Floats | None = None
+    n: Floats | None = None
+    t_s: Floats | None = None
+    temp_rate_c_per_min: Floats | None = None
+    counts_per_dps: float | None = None
+
+
+def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTable:
+    """Read a table of data sets.
+
+    Parameters
+    ----------
+    counts_per_dps : float, optional
+        Nominal scale; needed when, and only when, the file has ``gyro_counts`` for ``gyro_dps``.
+
+    Raises
+    ------
+    InputError
+        A missing or unknown column, a cell that is empty, infinite or text, time going backwards,
+        no rows, or counts without their scale.
+    """
+    header = read_header(path)
+    counts = "gyro_counts" in header
+    require_columns(path, header, ("rate_dps", "gyro_counts" if counts else "gyro_dps", "temp_c"), COLUMNS)
+    if counts and "gyro_dps" in header:
+        raise InputError(f"{path}, line 1: has both gyro_dps and gyro_counts. Remove one of them.")
+    if counts and not counts_per_dps:
+        raise InputError(
+            f"{path}: is in counts; give the nominal scale with --counts-per-dps (its sign included)."
+        )
+    if not counts and counts_per_dps is not None:
+        raise InputError(
+            f"{path}: is in deg/s already; --counts-per-dps is for a gyro_counts column. Leave it out."
+        )
+    columns = read_columns(path, header)
+    if columns["rate_dps"].size == 0:
+        raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            msg = f"{path}, line {bad[0] + 2}: {name} is empty or not finite ({bad.size} such cells). Repair or remove the row."
+            raise InputError(msg)
+    if "t_s" in columns:
+        back = np.flatnonzero(np.diff(columns["t_s"]) < 0)
+        if back.size:
+            raise InputError(f"{path}, line {back[0] + 3}: time goes backwards. Rows must be in time order.")
+    gyro_dps = columns["gyro_counts"] / counts_per_dps if counts and counts_per_dps else columns["gyro_dps"]
+    return DataSetTable(
+        path,
+        columns["rate_dps"],
+        gyro_dps,
+        columns["temp_c"],
+        columns.get("gyro_std_dps"),
+        columns.get("n"),
+        columns.get("t_s"),
+        columns.get("temp_rate_c_per_min"),
+        counts_per_dps,
+    )
+
+
+def format_data_sets(table: DataSetTable) -> str:
+    """CSV text of a table of data sets, always in deg/s."""
+    columns: dict[str, tuple[Floats, str]] = {
+        "rate_dps": (table.rate_dps, "%.6f"),
+        "gyro_dps": (table.gyro_dps, "%.8f"),
+        "temp_c": (table.temp_c, "%.4f"),
+    }
+    optional = (
+        ("gyro_std_dps", table.gyro_std_dps, "%.8f"),
+        ("n", table.n, "%.0f"),
+        ("t_s", table.t_s, "%.3f"),
+        ("temp_rate_c_per_min", table.temp_rate_c_per_min, "%.5f"),
+    )
+    columns |= {name: (values, fmt) for name, values, fmt in optional if values is not None}
+    return format_columns(columns)

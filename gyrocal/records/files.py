@@ -1,0 +1,113 @@
+"""Files that are either wholly there or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NoReturn
+
+from gyrocal.errors import InputError, OutputError
+
+_NO_SPACE = {errno.ENOSPC, errno.EDQUOT}
+
+
+def raise_output_error(path: Path, error: OSError) -> NoReturn:
+    """Turn an ``OSError`` met while writing `path` into one sentence with a remedy."""
+    if error.errno in _NO_SPACE:
+        msg = f"{path}: the disk is full; nothing was left half-written. Free some space and run it again."
+    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        msg = f"{path}: cannot write here ({error.strerror}). Choose another place or change its permissions."
+    else:
+        msg = f"{path}: cannot write ({error.strerror or error}). Choose another place."
+    raise OutputError(msg) from error
+
+
+def fsync_directory(path: Path) -> None:
+    """Make a rename or a new name in directory `path` survive a power cut (POSIX; no-op elsewhere)."""
+    if os.name != "posix":
+        return
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """Write `data` to `path`: temporary file in the same directory, fsync, rename.
+
+    Raises
+    ------
+    OutputError
+        The directory is missing, read-only, or the disk is full. `path` is then as it was before.
+    """
+    raw = data.encode() if isinstance(data, str) else data
+    try:
+        fd, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        try:
+            with os.fdopen(fd, "wb") as f:
+                f.write(raw)
+                f.flush()
+                os.fsync(f.fileno())
+            umask = os.umask(0)
+            os.umask(umask)
+            Path(temporary).chmod(0o666 & ~umask)
+            Path(temporary).replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                Path(temporary).unlink()
+            raise
+        fsync_directory(path.parent)
+    except OSError as error:
+        raise_output_error(path, error)
+
+
+def make_output_directory(path: Path, *, may_hold_files: bool = False) -> None:
+    """Create the directory `path`; refuse one that already holds files unless `may_hold_files`."""
+    try:
+        if path.exists() and not path.is_dir():
+            msg = f"{path}: is a file, and a directory is wanted here. Choose another --out."
+            raise OutputError(msg)
+        if path.is_dir() and not may_hold_files and any(path.iterdir()):
+            msg = f"{path}: exists and is not empty; nothing was overwritten. Choose another --out or remove it."
+            raise OutputError(msg)
+        path.mkdir(parents=True, exist_ok=True)
+        # A directory may exist and still refuse files: better to learn it before the work than after.
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise_output_error(path, error)
+
+
+def sha256_of_file(path: Path) -> str:
+    """Hex digest of a file's bytes, read in blocks."""
+    digest = hashlib.sha256()
+    with path.open("rb") as f:
+        for block in iter(lambda: f.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn what the operating system says about reading `path` into an ``InputError`` with a remedy."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file or directory. Check the path.") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a directory, and a file is wanted here.") from error
+    except PermissionError as error:
+        raise InputError(f"{path}: may not be read (permission denied). Change its permissions.") from error
+    except UnicodeDecodeError as error:
+        msg = (
+            f"{path}: is not a text file (byte {error.start} is not UTF-8). Check that it is the right file."
+        )
+        raise InputError(msg) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error

@@ -1,0 +1,328 @@
+"""The run directory, ``gyrocal-run/1``: what `acquire` writes and `fit`, `report`, `diagnose` read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.errors import InputError
+from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
+from gyrocal.records.files import reading, sha256_of_file
+
+SCHEMA = "gyrocal-run/1"
+COLUMNS = (
+    "t_s",
+    "gyro_dps",
+    "gyro_temp_c",
+    "status",
+    "table_rate_dps",
+    "table_angle_deg",
+    "chamber_temp_c",
+    "supply_v",
+)
+KINDS = ("rate", "static", "ramp", "soak")
+OUTCOMES = ("ok", "unsettled", "failed")
+
+_CHUNK_ROWS = 500_000
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Who the gyro is; None where the logger did not say."""
+
+    model: str
+    serial: str | None = None
+    rate_range_dps: tuple[float, float] | None = None
+    temp_range_c: tuple[float, float] | None = None
+    sample_rate_hz: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for ``run.json`` and the coefficient file; unknown entries are left out."""
+        entries: dict[str, Any] = {
+            "model": self.model,
+            "serial": self.serial,
+            "rate_range_dps": list(self.rate_range_dps) if self.rate_range_dps else None,
+            "temp_range_c": list(self.temp_range_c) if self.temp_range_c else None,
+            "sample_rate_hz": self.sample_rate_hz,
+        }
+        return {key: value for key, value in entries.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class SegmentRecord:
+    """A segment's line in the journal."""
+
+    id: int
+    kind: str
+    rate_dps: float
+    chamber_c: float
+    t_start_s: float
+    t_end_s: float
+    n: int
+    averaging_s: float | None
+    outcome: str
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A segment's samples. Gyro rows and bench rows keep their own times; NaN is an empty cell.
+
+    Attributes
+    ----------
+    t_s, gyro_dps, gyro_temp_c, status : ndarray, shape (n,)
+        Gyro samples, s, deg/s, deg C; status 0 is good.
+    bench_t_s, table_rate_dps, table_angle_deg, chamber_temp_c, supply_v : ndarray, shape (m,)
+        Bench readings, s, deg/s, deg (unwrapped), deg C, V.
+    """
+
+    record: SegmentRecord
+    t_s: Floats
+    gyro_dps: Floats
+    gyro_temp_c: Floats
+    status: Floats
+    bench_t_s: Floats
+    table_rate_dps: Floats
+    table_angle_deg: Floats
+    chamber_temp_c: Floats
+    supply_v: Floats
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Mask, shape (n,): finite rate and status 0. The rest is counted by whoever uses the segment."""
+        return np.asarray(np.isfinite(self.gyro_dps) & (self.status == 0))
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory, opened: identity and journal in memory, samples read a segment at a time."""
+
+    path: Path
+    sensor: Sensor
+    bench: Mapping[str, Any]
+    power_on_t_s: float | None
+    profile: Mapping[str, Any] | None
+    profile_sha256: str | None
+    created_utc: str | None
+    software: Any
+    segments: tuple[SegmentRecord, ...]
+    events: tuple[Mapping[str, Any], ...]
+    notes: tuple[str, ...]
+
+    def segment(self, record: SegmentRecord, *, verify: bool = True) -> Segment:
+        """Read one segment whole; `verify` compares its sha256 with the journal.
+
+        Raises
+        ------
+        InputError
+            Missing, edited, truncated, or malformed segment file, or time going backwards in it.
+        """
+        if verify:
+            self.verify(record)
+        parts = list(self.iterate_segment(record))
+        if len(parts) == 1:
+            return parts[0]
+        names = [name for name in Segment.__dataclass_fields__ if name != "record"]
+        joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+        return Segment(record=record, **joined)
+
+    def verify(self, record: SegmentRecord) -> None:
+        """Compare a segment file's sha256 with its journal line."""
+        path = self.path / record.file
+        with reading(path):
+            digest = sha256_of_file(path)
+        if digest != record.sha256:
+            msg = (
+                f"{path}: differs from what the journal sealed (sha256). It was edited, truncated or damaged: "
+                "restore it, or remove its line and acquire the segment again with --resume."
+            )
+            raise InputError(msg)
+
+    def iterate_segment(self, record: SegmentRecord, chunk_rows: int = _CHUNK_ROWS) -> Iterator[Segment]:
+        """Yield a segment in blocks of at most `chunk_rows` rows, in bounded memory."""
+        path = self.path / record.file
+        header = read_header(path)
+        require_columns(path, header, ("t_s", "gyro_dps"), COLUMNS)
+        last_t_s = -np.inf
+        for first_line, columns in iterate_columns(path, header, chunk_rows):
+            t_s = columns["t_s"]
+            _check_time(path, first_line, t_s, last_t_s)
+            last_t_s = t_s[-1] if t_s.size else last_t_s
+            yield _split_rows(record, columns)
+
+    def __iter__(self) -> Iterator[Segment]:
+        return (self.segment(record) for record in self.segments)
+
+
+def _check_time(path: Path, first_line: int, t_s: Floats, before_s: float) -> None:
+    bad = np.flatnonzero(~np.isfinite(t_s))
+    if bad.size:
+        raise InputError(f"{path}, line {first_line + bad[0]}: t_s is empty or not finite. Repair the line.")
+    steps = np.diff(t_s, prepend=before_s)
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        line = first_line + int(back[0])
+        msg = f"{path}, line {line}: time goes backwards by {-steps[back[0]]:.6g} s. Rows must be in time order; repair the log."
+        raise InputError(msg)
+
+
+def _split_rows(record: SegmentRecord, columns: dict[str, Floats]) -> Segment:
+    empty = np.full(columns["t_s"].shape, np.nan)
+    c = {name: columns.get(name, empty) for name in COLUMNS}
+    bench = (
+        np.isfinite(c["table_rate_dps"])
+        | np.isfinite(c["table_angle_deg"])
+        | np.isfinite(c["chamber_temp_c"])
+        | np.isfinite(c["supply_v"])
+    )
+    gyro = np.isfinite(c["gyro_dps"]) | np.isfinite(c["status"]) | ~bench
+    status = c["status"][gyro] if "status" in columns else np.zeros(int(gyro.sum()))
+    return Segment(
+        record,
+        c["t_s"][gyro],
+        c["gyro_dps"][gyro],
+        c["gyro_temp_c"][gyro],
+        status,
+        c["t_s"][bench],
+        c["table_rate_dps"][bench],
+        c["table_angle_deg"][bench],
+        c["chamber_temp_c"][bench],
+        c["supply_v"][bench],
+    )
+
+
+def is_run_directory(path: Path) -> bool:
+    """Whether `path` looks like a run directory."""
+    return path.is_dir() and (path / "run.json").exists()
+
+
+def read_run(path: Path) -> Run:
+    """Open the run directory `path`.
+
+    Raises
+    ------
+    InputError
+        No ``run.json``, another schema, no sensor, or a damaged journal.
+    """
+    source = path / "run.json"
+    with reading(source):
+        text = source.read_text(encoding="utf-8")
+    try:
+        head = json.loads(text)
+    except json.JSONDecodeError as error:
+        msg = f"{source}, line {error.lineno}: is not JSON ({error.msg}). The file may be truncated."
+        raise InputError(msg) from error
+    found = head.get("schema") if isinstance(head, dict) else None
+    if found != SCHEMA:
+        raise InputError(
+            f"{source}: schema is {found!r}, and this program reads {SCHEMA!r}. Check the path or update gyrocal."
+        )
+    notes = [
+        f"run.json does not say {key}"
+        for key in ("created_utc", "power_on_t_s", "profile")
+        if key not in head
+    ]
+    segments, events = _read_journal(path, notes)
+    return Run(
+        path=path,
+        sensor=_read_sensor(source, head),
+        bench=head.get("bench") or {},
+        power_on_t_s=head.get("power_on_t_s"),
+        profile=head.get("profile"),
+        profile_sha256=head.get("profile_sha256"),
+        created_utc=head.get("created_utc"),
+        software=head.get("software"),
+        segments=segments,
+        events=events,
+        notes=tuple(notes),
+    )
+
+
+def _read_sensor(source: Path, head: dict[str, Any]) -> Sensor:
+    raw = head.get("sensor")
+    if not isinstance(raw, dict) or not raw.get("model"):
+        raise InputError(f"{source}: sensor.model is missing. Write at least the model of the gyro there.")
+
+    def pair(key: str) -> tuple[float, float] | None:
+        value = raw.get(key)
+        if value is None:
+            return None
+        if not (
+            isinstance(value, list) and len(value) == 2 and all(isinstance(v, int | float) for v in value)
+        ):
+            raise InputError(f"{source}: sensor.{key} is {value!r}, and a list of two numbers is wanted.")
+        return float(value[0]), float(value[1])
+
+    return Sensor(
+        str(raw["model"]),
+        raw.get("serial"),
+        pair("rate_range_dps"),
+        pair("temp_range_c"),
+        raw.get("sample_rate_hz"),
+    )
+
+
+def _read_journal(
+    path: Path, notes: list[str]
+) -> tuple[tuple[SegmentRecord, ...], tuple[Mapping[str, Any], ...]]:
+    source = path / "journal.jsonl"
+    with reading(source):
+        lines = source.read_text(encoding="utf-8").splitlines()
+    events: list[Mapping[str, Any]] = []
+    sealed: dict[int, SegmentRecord] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            event = json.loads(line)
+        except json.JSONDecodeError as error:
+            if number == len(lines):
+                # A crash can tear the line that was being written; the segment it spoke of is redone by --resume.
+                notes.append(f"journal.jsonl, line {number} was cut off by a crash and is ignored")
+                break
+            msg = (
+                f"{source}, line {number}: is not JSON ({error.msg}). The journal is append-only: restore it."
+            )
+            raise InputError(msg) from error
+        events.append(event)
+        if event.get("event") == "segment":
+            record = _segment_record(source, number, event)
+            sealed[record.id] = record
+    return tuple(sorted(sealed.values(), key=lambda r: (r.t_start_s, r.id))), tuple(events)
+
+
+def _segment_record(source: Path, number: int, event: dict[str, Any]) -> SegmentRecord:
+    fields = SegmentRecord.__dataclass_fields__
+    missing = [name for name in fields if name not in event and name != "averaging_s"]
+    if missing:
+        raise InputError(
+            f"{source}, line {number}: the segment's {missing[0]} is missing. The journal is damaged: restore it."
+        )
+    for key, allowed in (("kind", KINDS), ("outcome", OUTCOMES)):
+        if event[key] not in allowed:
+            raise InputError(
+                f"{source}, line {number}: {key} is {event[key]!r}; allowed: {', '.join(allowed)}."
+            )
+    try:
+        return SegmentRecord(
+            id=int(event["id"]),
+            kind=str(event["kind"]),
+            rate_dps=float(event["rate_dps"]),
+            chamber_c=float(event["chamber_c"]),
+            t_start_s=float(event["t_start_s"]),
+            t_end_s=float(event["t_end_s"]),
+            n=int(event["n"]),
+            averaging_s=None if event.get("averaging_s") is None else float(event["averaging_s"]),
+            outcome=str(event["outcome"]),
+            file=str(event["file"]),
+            sha256=str(event["sha256"]),
+        )
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{source}, line {number}: a segment's number is not a number ({error}).") from error

@@ -1,0 +1,26 @@
+"""Constants with their units. One definition each, used everywhere."""
+
+#: Seconds in an hour, minutes in an hour, seconds in a minute.
+S_PER_H = 3600.0
+S_PER_MIN = 60.0
+MIN_PER_H = 60.0
+
+#: Turn rate of the Earth relative to the stars, deg/h (IERS: 7.292115e-5 rad/s).
+EARTH_RATE_DPH = 15.04106864
+
+#: deg/h to deg/s, and back.
+DPH_TO_DPS = 1.0 / S_PER_H
+DPS_TO_DPH = S_PER_H
+
+#: Angle random walk: deg/sqrt(h) to deg/sqrt(s), that is deg/s/sqrt(Hz). N_s = N_h / sqrt(3600 s/h).
+DEG_PER_RT_H_TO_DPS_PER_RT_HZ = 1.0 / 60.0
+
+#: Degrees to radians and back.
+DEG_TO_RAD = 0.017453292519943295
+RAD_TO_DEG = 57.29577951308232
+
+#: Arc-seconds to degrees.
+ARCSEC_TO_DEG = 1.0 / 3600.0
+
+#: Standard gravity, m/s^2.
+G_MPS2 = 9.80665
