@@ -62,7 +62,9 @@ class Conditions:
 
     def cut(self, rows: slice) -> Conditions:
         """The same, for some of the rows."""
-        arrays = {f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)}
+        arrays: dict[str, Any] = {
+            f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)
+        }
         return replace(self, **arrays)
 
 
