@@ -1,0 +1,294 @@
+"""The house rules of design.md, read from the source with `ast`: who may import whom, sizes, docstrings, habits."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import gyrocal.errors
+from gyrocal.cli import COMMANDS
+from gyrocal.errors import EXIT_CODES, GyrocalError, exit_code
+
+PACKAGE = Path(__file__).parents[1] / "gyrocal"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+_BASE = {"units", "errors"}
+_TOOLS = {"physics", "fusion", "records"}
+#: design.md, "Rooms": room -> rooms that it may import (its own always).
+MAY_IMPORT: dict[str, set[str]] = {
+    "units": set(),
+    "errors": set(),
+    "physics": _BASE,
+    "fusion": _BASE | {"physics"},
+    "records": _BASE,
+    "bench": _BASE | {"records", "physics"},
+    "calibration": _BASE | _TOOLS,
+    "diagnosis": _BASE | _TOOLS | {"calibration"},
+    "navigation": _BASE | _TOOLS,
+    "report": _BASE | _TOOLS | {"bench", "calibration", "diagnosis", "navigation"},
+    "cli": _BASE | _TOOLS | {"bench", "calibration", "diagnosis", "navigation", "report"},
+}
+#: Modules with one import more than their room: a simulation is made on the virtual bench.
+ALSO: dict[str, set[str]] = {
+    "gyrocal.diagnosis.blind": {"bench"},
+    "gyrocal.diagnosis.experiment": {"bench"},
+    "gyrocal.navigation.simulate": {"bench"},
+}
+#: What each room may take from outside the package, beside the standard library; None: any dependency.
+LIGHT_ROOMS: dict[str, set[str]] = {
+    "units": set(),
+    "errors": set(),
+    "physics": {"numpy", "numba"},
+    "fusion": {"numpy", "numba"},
+}
+#: Only the clock sleeps.
+MAY_SLEEP = {"gyrocal.bench.clock"}
+#: What the top level of a command's file may import: everything else waits until the command runs.
+CLI_TOP_LEVEL = {"click", "gyrocal", "gyrocal.errors", "gyrocal.cli"}
+
+
+def module_name(path: Path) -> str:
+    """Dotted name of a source file of the package."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def room(name: str) -> str:
+    """Second part of a dotted name; empty for ``gyrocal`` itself."""
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 else ""
+
+
+def tree_of(path: Path) -> ast.Module:
+    """Parsed source."""
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def imports(nodes: Iterator[ast.AST], module: str, is_package: bool) -> Iterator[tuple[int, str]]:
+    """``(line, dotted name)`` of everything imported by `nodes`, relative imports resolved."""
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parent = module.split(".")[: None if is_package and node.level == 1 else -node.level]
+                base = ".".join([*parent, base]).rstrip(".")
+            if base == "gyrocal":
+                for alias in node.names:
+                    yield node.lineno, f"gyrocal.{alias.name}"
+            else:
+                yield node.lineno, base
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    """Whether `node` is ``if TYPE_CHECKING:``."""
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+
+
+def runtime_nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """All nodes but those under ``if TYPE_CHECKING:``."""
+    for child in ast.iter_child_nodes(tree):
+        if is_type_checking(child):
+            continue
+        yield child
+        yield from runtime_nodes(child)
+
+
+def top_level_nodes(tree: ast.Module) -> Iterator[ast.AST]:
+    """Nodes that run when the module is imported."""
+    for child in tree.body:
+        if is_type_checking(child):
+            continue
+        yield child
+        if isinstance(child, ast.If | ast.Try):
+            yield from ast.walk(child)
+
+
+def imports_of(path: Path) -> list[tuple[int, str]]:
+    """Everything a source file imports, wherever in it."""
+    return list(imports(runtime_nodes(tree_of(path)), module_name(path), path.name == "__init__.py"))
+
+
+def numba_is_optional(path: Path) -> bool:
+    """Whether every import of numba in the file stands under ``try``."""
+    tree = tree_of(path)
+    guarded = {id(n) for t in ast.walk(tree) if isinstance(t, ast.Try) for n in ast.walk(t)}
+    for node in ast.walk(tree):
+        names = list(imports(iter([node]), module_name(path), False))
+        if any(name.split(".")[0] == "numba" for _, name in names) and id(node) not in guarded:
+            return False
+    return True
+
+
+def definitions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
+    """Every function and class, nested ones included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node
+
+
+def public_definitions(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Public functions and classes of a module, and the public methods of its public classes."""
+    for node in body:
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            continue
+        if node.name.startswith("_"):
+            continue
+        yield node
+        if isinstance(node, ast.ClassDef):
+            yield from public_definitions(node.body)
+
+
+def ids(path: Path) -> str:
+    """Readable test id."""
+    return module_name(path)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_import_table(path: Path) -> None:
+    name = module_name(path)
+    here = room(name)
+    if here in ("", "__main__"):
+        allowed = {"cli"}
+    else:
+        allowed = MAY_IMPORT[here] | {here} | ALSO.get(name, set())
+    for line, imported in imports_of(path):
+        if imported.split(".")[0] == "gyrocal" and room(imported) not in ("", "__version__"):
+            assert room(imported) in allowed, f"{path}:{line}: {here or name} may not import {imported}"
+
+
+@pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) in LIGHT_ROOMS], ids=ids)
+def test_light_rooms_need_numpy_only(path: Path) -> None:
+    allowed = LIGHT_ROOMS[room(module_name(path))] | {"gyrocal"} | set(sys.stdlib_module_names)
+    for line, imported in imports_of(path):
+        assert imported.split(".")[0] in allowed, f"{path}:{line}: imports {imported}"
+    assert numba_is_optional(path), f"{path}: numba must be imported under try"
+
+
+CLI = [p for p in MODULES if room(module_name(p)) == "cli"]
+
+
+@pytest.mark.parametrize("path", CLI, ids=ids)
+def test_command_files_are_thin(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").count("\n")
+    assert lines < 150, f"{path}: {lines} lines; a command is options, one library call, render"
+    for line, imported in imports_of(path):
+        assert imported.split(".")[0] != "numpy", f"{path}:{line}: no numpy in cli"
+
+
+@pytest.mark.parametrize("path", CLI, ids=ids)
+def test_commands_import_late(path: Path) -> None:
+    nodes = top_level_nodes(tree_of(path))
+    for line, imported in imports(nodes, module_name(path), path.name == "__init__.py"):
+        light = imported in CLI_TOP_LEVEL or imported.startswith("gyrocal.cli.")
+        light |= imported.split(".")[0] in sys.stdlib_module_names
+        assert light, f"{path}:{line}: import {imported} inside the command"
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom gyrocal.cli import gyrocal_command\n"
+        "try:\n    gyrocal_command(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print(','.join(sorted({m.split('.')[0] for m in sys.modules})), file=sys.stderr)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stderr.strip().split(","))
+    assert "click" in loaded
+    heavy = {"numpy", "scipy", "pandas", "matplotlib", "numba", "jinja2", "rich", "serial", "allantools"}
+    assert not loaded & heavy
+    for command in COMMANDS:
+        assert command in done.stdout
+
+
+def test_runtime_needs_neither_scipy_nor_pandas() -> None:
+    code = "import sys, gyrocal.fusion\nprint(','.join(sorted({m.split('.')[0] for m in sys.modules})))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.strip().split(","))
+    assert "numpy" in loaded
+    assert not loaded & {"scipy", "pandas", "matplotlib", "click", "rich", "jinja2"}
+
+
+def test_runtime_is_small() -> None:
+    lines = sum(p.read_text(encoding="utf-8").count("\n") for p in (PACKAGE / "fusion").glob("*.py"))
+    assert lines < 1000, f"gyrocal.fusion has {lines} lines; a robot imports it, so it stays under 1,000"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_sizes(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").count("\n")
+    assert lines <= 500, f"{path}: {lines} lines"
+    for node in definitions(tree_of(path)):
+        if not isinstance(node, ast.ClassDef):
+            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            assert length <= 60, f"{path}:{node.lineno}: {node.name} has {length} lines"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_public_things_have_docstrings(path: Path) -> None:
+    tree = tree_of(path)
+    assert ast.get_docstring(tree), f"{path}: no module docstring"
+    for node in public_definitions(tree.body):
+        assert isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+        assert ast.get_docstring(node), f"{path}:{node.lineno}: {node.name} has no docstring"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_habits(path: Path) -> None:
+    name = module_name(path)
+    for node in ast.walk(tree_of(path)):
+        where = f"{path}:{getattr(node, 'lineno', 0)}"
+        assert not isinstance(node, ast.Assert), f"{where}: assert vanishes under python -O; raise"
+        if isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            assert called != "print", f"{where}: print; use click.echo in cli"
+            if name not in MAY_SLEEP:
+                assert called not in ("time.sleep", "sleep"), f"{where}: pass in a clock"
+            assert not called.startswith("np.random.") or called in (
+                "np.random.default_rng",
+                "np.random.Generator",
+                "np.random.SeedSequence",
+                "np.random.PCG64",
+            ), f"{where}: {called} is global random state; pass in a Generator"
+        if isinstance(node, ast.ExceptHandler):
+            assert node.type is not None, f"{where}: bare except"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_nothing_unfinished(path: Path) -> None:
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        for word in ("TODO", "FIXME", "XXX", "NotImplementedError"):
+            assert word not in line, f"{path}:{number}: {line.strip()}"
+
+
+def error_classes() -> list[type[GyrocalError]]:
+    """Every error class of errors.py but the base."""
+    found = vars(gyrocal.errors).values()
+    return [c for c in found if isinstance(c, type) and issubclass(c, GyrocalError) and c is not GyrocalError]
+
+
+def test_every_error_has_its_own_exit_code() -> None:
+    assert set(error_classes()) == set(EXIT_CODES)
+    codes = list(EXIT_CODES.values())
+    assert len(codes) == len(set(codes)), "two errors share an exit code"
+    # 0 is success, 1 a bug, 2 click's usage error.
+    assert not set(codes) & {0, 1, 2}
+    assert exit_code(GyrocalError("x")) == 1
+
+
+@pytest.mark.parametrize("cls", error_classes())
+def test_error_classes_live_in_one_place(cls: type[GyrocalError]) -> None:
+    assert exit_code(cls("x")) == EXIT_CODES[cls]
+    for path in MODULES:
+        if path.name == "errors.py" and path.parent == PACKAGE:
+            continue
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.ClassDef):
+                bases = {ast.unparse(b).split(".")[-1] for b in node.bases}
+                assert cls.__name__ not in bases, f"{path}:{node.lineno}: define errors in errors.py"
