@@ -155,10 +155,7 @@ def ids(path: Path) -> str:
 def test_import_table(path: Path) -> None:
     name = module_name(path)
     here = room(name)
-    if here in ("", "__main__"):
-        allowed = {"cli"}
-    else:
-        allowed = MAY_IMPORT[here] | {here} | ALSO.get(name, set())
+    allowed = {"cli"} if here in ("", "__main__") else MAY_IMPORT[here] | {here} | ALSO.get(name, set())
     for line, imported in imports_of(path):
         if imported.split(".")[0] == "gyrocal" and room(imported) not in ("", "__version__"):
             assert room(imported) in allowed, f"{path}:{line}: {here or name} may not import {imported}"

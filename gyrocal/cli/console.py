@@ -1,0 +1,97 @@
+"""What every command shares: results on stdout, progress on stderr; rich on a terminal, plain lines when piped."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+#: Say how far a piece of work is: share done, 0 to 1, and what is being done now.
+Report = Callable[[float, str], None]
+
+#: ``--json``, the same in every command.
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
+
+#: Shares done at which a piped progress says a line.
+_PLAIN_STEP = 0.25
+
+
+def emit_json(data: Mapping[str, Any]) -> None:
+    """Print `data` as one JSON document on stdout; NaN and infinity become null."""
+    click.echo(json.dumps(_finite(data), indent=1, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not abs(value) < float("inf"):
+        return None
+    return value
+
+
+def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
+    """Print a table of ready-made cells: ruled on a terminal, aligned plain text when piped."""
+    if sys.stdout.isatty():
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table(title=title or None, title_justify="left")
+        for index, name in enumerate(columns):
+            table.add_column(name, justify="left" if index == 0 else "right")
+        for row in rows:
+            table.add_row(*row)
+        Console().print(table)
+        return
+    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+    if title:
+        click.echo(title)
+    for row in (columns, *rows):
+        cells = [
+            c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        click.echo("  ".join(cells).rstrip())
+
+
+@contextmanager
+def progress(title: str, *, quiet: bool = False) -> Iterator[Report]:
+    """Yield a `Report`: a bar with the time left on a terminal, a line a quarter when piped, nothing if `quiet`."""
+    if quiet:
+        yield lambda share, what: None
+    elif sys.stderr.isatty():
+        yield from _rich_bar(title)
+    else:
+        said = [-1]
+
+        def report(share: float, what: str) -> None:
+            step = int(share / _PLAIN_STEP)
+            if step > said[0]:
+                said[0] = step
+                click.echo(f"{title}: {share:.0%}{', ' + what if what else ''}", err=True)
+
+        yield report
+
+
+def _rich_bar(title: str) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[what]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=1.0, what="")
+
+        def report(share: float, what: str) -> None:
+            bar.update(task, completed=min(share, 1.0), what=what)
+
+        yield report

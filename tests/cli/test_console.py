@@ -1,0 +1,57 @@
+"""Rendering that commands share: plain when piped, JSON that any parser reads."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from gyrocal.cli.console import emit_json, emit_table, progress
+
+
+def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
+    emit_json({"a": float("nan"), "b": [float("inf"), 1.5], "c": {"d": None, "e": "x"}})
+    text = capsys.readouterr().out
+
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    parsed = json.loads(text, parse_constant=refuse)
+    assert parsed == {"a": None, "b": [None, 1.5], "c": {"d": None, "e": "x"}}
+
+
+def test_table_is_aligned_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
+    emit_table(("name", "value"), (("a", "1.0"), ("long name", "12.25")), title="Numbers")
+    assert capsys.readouterr().out.splitlines() == [
+        "Numbers",
+        "name       value",
+        "a            1.0",
+        "long name  12.25",
+    ]
+
+
+def test_table_without_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    emit_table(("name", "value"), ())
+    assert capsys.readouterr().out.splitlines() == ["name  value"]
+
+
+def test_piped_progress_says_a_line_a_quarter_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("acquire") as report:
+        for i in range(101):
+            report(i / 100, f"segment {i}")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.splitlines() == [
+        "acquire: 0%, segment 0",
+        "acquire: 25%, segment 25",
+        "acquire: 50%, segment 50",
+        "acquire: 75%, segment 75",
+        "acquire: 100%, segment 100",
+    ]
+
+
+def test_quiet_progress_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("acquire", quiet=True) as report:
+        report(1.0, "x")
+    captured = capsys.readouterr()
+    assert captured.out + captured.err == ""
