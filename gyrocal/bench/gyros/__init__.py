@@ -1,0 +1,1 @@
+"""Gyros: one file a device, a pure codec beside a thin driver."""

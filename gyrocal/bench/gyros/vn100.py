@@ -1,0 +1,97 @@
+"""VectorNav VN-100, ``$VNIMU`` ASCII messages at 115200 8N1 (protocols.md 1.7): uncompensated rates in rad/s.
+
+The check field is the XOR of all characters between ``$`` and ``*`` in two hexadecimal digits, or a CRC-16 in four.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import reduce
+
+from gyrocal.bench.gyros.codec import Frame, LineDecoder
+from gyrocal.units import RAD_TO_DEG
+
+_FIELDS = 11
+_AXES = {"x": 6, "y": 7, "z": 8}
+_TEMPERATURE = 9
+_MESSAGE = re.compile(rb"\$(VNIMU,([^*$]*))\*([0-9A-Fa-f]{4}|[0-9A-Fa-f]{2})")
+_NUMBER = re.compile(rb"[+-]?\d+(\.\d+)?")
+
+#: Texts of ``$VNERR`` codes.
+ERRORS = {
+    1: "hard fault", 2: "serial buffer overflow", 3: "bad checksum", 4: "bad command", 5: "too few parameters",
+    6: "too many parameters", 7: "bad parameter", 8: "bad register", 9: "unauthorised", 10: "watchdog reset",
+    11: "output buffer overflow", 12: "baud too low",
+}  # fmt: skip
+
+
+def xor8(data: bytes) -> int:
+    """XOR of all bytes."""
+    return reduce(lambda a, b: a ^ b, data, 0)
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/XMODEM (CCITT, start 0), as VectorNav uses it."""
+    crc = 0
+    for byte in data:
+        crc = (crc >> 8 | crc << 8 & 0xFF00) ^ byte
+        crc ^= (crc & 0xFF) >> 4
+        crc ^= crc << 12 & 0xFFFF
+        crc ^= (crc & 0xFF) << 5 & 0xFFFF
+    return crc
+
+
+@dataclass(frozen=True)
+class Options:
+    """Axis on the table and its sign as mounted."""
+
+    axis: str = "z"
+    counter_clockwise_positive: bool = True
+
+
+class Vn100Decoder(LineDecoder):
+    """Bytes of a VN-100 to frames; lines other than VNIMU (register answers) are stepped over as damaged."""
+
+    max_line = 256
+
+    def __init__(self, options: Options = Options()) -> None:
+        super().__init__()
+        self._index = _AXES[options.axis]
+        self._scale = RAD_TO_DEG if options.counter_clockwise_positive else -RAD_TO_DEG
+
+    def _parse(self, line: bytes) -> Frame | None:
+        match = _MESSAGE.fullmatch(line)
+        if match is None:
+            return None
+        body, content, check = match[1], match[2], match[3]
+        if int(check, 16) != (xor8(body) if len(check) == 2 else crc16(body)):
+            return None
+        cells = content.split(b",")
+        if len(cells) != _FIELDS or not all(_NUMBER.fullmatch(cell) for cell in cells):
+            return None
+        return Frame(float(cells[self._index]) * self._scale, float(cells[_TEMPERATURE]), raw=line)
+
+
+def encode(rate_dps: float, temp_c: float, options: Options = Options()) -> bytes:
+    """``$VNIMU`` line of a rate on the configured axis and a temperature.
+
+    Raises
+    ------
+    ValueError
+        A value is not finite.
+    """
+    if not (math.isfinite(rate_dps) and math.isfinite(temp_c)):
+        raise ValueError("a VNIMU message carries finite numbers only")
+    rates = [0.0, 0.0, 0.0]
+    sign = 1.0 if options.counter_clockwise_positive else -1.0
+    rates[_AXES[options.axis] - _AXES["x"]] = sign * rate_dps / RAD_TO_DEG
+    numbers = ",".join(f"{value:+010.6f}" for value in rates)
+    body = f"VNIMU,+00.2000,+00.0000,+00.4000,+00.000,+00.000,-09.807,{numbers},{temp_c:+05.2f},+101.325".encode()
+    return b"$" + body + f"*{xor8(body):02X}\r\n".encode()
+
+
+def command(body: str) -> bytes:
+    """Command such as ``VNWRG,06,19`` with its check field and line end."""
+    return f"${body}*{xor8(body.encode()):02X}\r\n".encode()
