@@ -13,11 +13,14 @@ from functools import reduce
 from gyrocal.bench.gyros.codec import Frame, LineDecoder
 from gyrocal.units import RAD_TO_DEG
 
-_FIELDS = 11
 _AXES = {"x": 6, "y": 7, "z": 8}
 _TEMPERATURE = 9
 _MESSAGE = re.compile(rb"\$(VNIMU,([^*$]*))\*([0-9A-Fa-f]{4}|[0-9A-Fa-f]{2})")
-_NUMBER = re.compile(rb"[+-]?\d+(\.\d+)?")
+#: Three magnetic, three acceleration, three rate fields, temperature, pressure. The widths are fixed, and holding
+#: them catches what the XOR cannot: two equal characters lost together.
+_CONTENT = re.compile(
+    rb"([+-]\d{2}\.\d{4},){3}([+-]\d{2}\.\d{3},){3}([+-]\d{2}\.\d{6},){3}[+-]\d{2}\.\d,[+-]\d{3}\.\d{3}"
+)
 
 #: Texts of ``$VNERR`` codes.
 ERRORS = {
@@ -68,9 +71,9 @@ class Vn100Decoder(LineDecoder):
         body, content, check = match[1], match[2], match[3]
         if int(check, 16) != (xor8(body) if len(check) == 2 else crc16(body)):
             return None
-        cells = content.split(b",")
-        if len(cells) != _FIELDS or not all(_NUMBER.fullmatch(cell) for cell in cells):
+        if _CONTENT.fullmatch(content) is None:
             return None
+        cells = content.split(b",")
         return Frame(float(cells[self._index]) * self._scale, float(cells[_TEMPERATURE]), raw=line)
 
 
@@ -88,7 +91,7 @@ def encode(rate_dps: float, temp_c: float, options: Options = Options()) -> byte
     sign = 1.0 if options.counter_clockwise_positive else -1.0
     rates[_AXES[options.axis] - _AXES["x"]] = sign * rate_dps / RAD_TO_DEG
     numbers = ",".join(f"{value:+010.6f}" for value in rates)
-    body = f"VNIMU,+00.2000,+00.0000,+00.4000,+00.000,+00.000,-09.807,{numbers},{temp_c:+05.2f},+101.325".encode()
+    body = f"VNIMU,+00.2000,+00.0000,+00.4000,+00.000,+00.000,-09.807,{numbers},{temp_c:+05.1f},+101.325".encode()
     return b"$" + body + f"*{xor8(body):02X}\r\n".encode()
 
 
