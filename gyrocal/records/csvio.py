@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Literal, NoReturn
 
 import numpy as np
 import pandas as pd
@@ -15,6 +17,14 @@ from gyrocal.errors import InputError
 from gyrocal.records.files import reading
 
 Floats = NDArray[np.float64]
+
+_BLOCK_BYTES = 1 << 22
+_NUMBER = re.compile(
+    r"\s*([+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|nan)?\s*", re.IGNORECASE | re.ASCII
+)
+#: Bytes that a row of numbers can hold; a look-up table is the fastest way to meet every byte of a long file.
+_ALLOWED = np.zeros(256, dtype=np.bool_)
+_ALLOWED[list(b"0123456789+-.,eE \t\r\nnaifityNAIFTY")] = True
 
 
 def read_header(path: Path) -> list[str]:
@@ -61,17 +71,20 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
 
 
 def iterate_columns(
-    path: Path, header: Sequence[str], chunk_rows: int
+    path: Path, header: Sequence[str], chunk_rows: int, only: Sequence[str] | None = None
 ) -> Iterator[tuple[int, dict[str, Floats]]]:
     """Yield ``(number of the first line, columns)`` for blocks of at most `chunk_rows` rows.
 
-    Empty cells become NaN. Memory is bounded by the block.
+    Empty cells become NaN. Memory is bounded by the block. `only` reads those columns and leaves the
+    others, which need not be numbers, alone (logs of other programs).
 
     Raises
     ------
     InputError
         A cell is not a number, or a row has too many or too few cells; the line is named.
     """
+    wanted = list(header if only is None else only)
+    _check_shape(path, header, wanted)
     first_line = 2
     try:
         with (
@@ -80,19 +93,22 @@ def iterate_columns(
                 path,
                 header=0,
                 names=list(header),
+                usecols=wanted,
                 dtype=np.float64,
                 encoding="utf-8-sig",
                 skip_blank_lines=False,
                 index_col=False,
+                keep_default_na=False,
+                na_values=["", "nan", "NaN"],
                 chunksize=chunk_rows,
                 engine="c",
             ) as blocks,
         ):
             for block in blocks:
-                yield first_line, {name: block[name].to_numpy() for name in header}
+                yield first_line, {name: block[name].to_numpy() for name in wanted}
                 first_line += len(block)
     except (ValueError, pd.errors.ParserError) as error:
-        _raise_at_bad_line(path, header, error)
+        _raise_at_bad_line(path, header, wanted, error)
 
 
 def read_columns(path: Path, header: Sequence[str]) -> dict[str, Floats]:
@@ -105,23 +121,60 @@ def read_columns(path: Path, header: Sequence[str]) -> dict[str, Floats]:
     return {name: np.concatenate([block[name] for block in blocks]) for name in header}
 
 
-def _raise_at_bad_line(path: Path, header: Sequence[str], cause: Exception) -> None:
-    with reading(path), path.open(encoding="utf-8-sig", newline="") as f:
-        for number, row in enumerate(csv.reader(f), start=1):
+def _check_shape(path: Path, header: Sequence[str], wanted: Sequence[str]) -> None:
+    """Refuse a row with another number of cells than the header, or a byte that no number has.
+
+    The parser would fill short rows and cut long ones without a word.
+    """
+    tail = b""
+    lines_before = 0
+    with reading(path), path.open("rb") as f:
+        while block := f.read(_BLOCK_BYTES):
+            whole, newline, rest = block.rpartition(b"\n")
+            if newline:
+                lines_before = _check_lines(path, header, wanted, tail + whole + newline, lines_before)
+                tail = rest
+            else:
+                tail += block
+    if tail:
+        _check_lines(path, header, wanted, tail + b"\n", lines_before)
+
+
+def _check_lines(
+    path: Path, header: Sequence[str], wanted: Sequence[str], text: bytes, lines_before: int
+) -> int:
+    raw = np.frombuffer(text, dtype=np.uint8)
+    ends = np.flatnonzero(raw == ord("\n"))
+    commas = np.searchsorted(np.flatnonzero(raw == ord(",")), ends)
+    body = 0 if lines_before else int(ends[0]) + 1
+    every_column = len(wanted) == len(header)
+    expected = (len(header) - 1) * np.arange(1, ends.size + 1)
+    # Columns of other programs may hold quoted text, and commas in it.
+    sound = np.array_equal(commas, expected) or (not every_column and b'"' in text)
+    if not sound or (every_column and not _ALLOWED[raw[body:]].all()):
+        _raise_at_bad_line(path, header, wanted, None)
+    return lines_before + int(ends.size)
+
+
+def _raise_at_bad_line(
+    path: Path, header: Sequence[str], wanted: Sequence[str], cause: Exception | None
+) -> NoReturn:
+    with reading(path), path.open(encoding="utf-8-sig", errors="replace", newline="") as f:
+        for number, row in enumerate(csv.reader(f, quoting=_quoting(header, wanted)), start=1):
             if number == 1:
                 continue
             if len(row) != len(header):
                 msg = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. The file may be truncated; repair or remove the line."
                 raise InputError(msg) from cause
             for name, cell in zip(header, row, strict=True):
-                try:
-                    float(cell or "nan")
-                except ValueError:
-                    msg = (
-                        f"{path}, line {number}: {name} is {cell!r}, not a number. Repair or remove the line."
-                    )
+                if name in wanted and not _NUMBER.fullmatch(cell):
+                    msg = f"{path}, line {number}: {name} is {cell[:40]!r}, not a number. Repair or remove the line."
                     raise InputError(msg) from cause
-    raise InputError(f"{path}: cannot be parsed as CSV ({cause}).") from cause
+    raise InputError(f"{path}: cannot be parsed as CSV ({cause or 'unexpected bytes'}).") from cause
+
+
+def _quoting(header: Sequence[str], wanted: Sequence[str]) -> Literal[0, 3]:
+    return csv.QUOTE_NONE if len(wanted) == len(header) else csv.QUOTE_MINIMAL
 
 
 def format_columns(columns: dict[str, tuple[Floats, str]]) -> str:
