@@ -1,0 +1,175 @@
+"""Sums over samples that merge: exact means and variances in one pass (Chan, Golub, LeVeque 1983)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.records.run import Segment
+from gyrocal.units import S_PER_MIN
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Number, mean, centred sum of squares and extremes of values; ``whole``: all are whole numbers."""
+
+    n: int = 0
+    mean: float = math.nan
+    squares: float = 0.0
+    low: float = math.inf
+    high: float = -math.inf
+    n_low: int = 0
+    n_high: int = 0
+    whole: bool = True
+
+    @property
+    def peak(self) -> float:
+        """Largest distance of a value from the mean."""
+        return max(self.high - self.mean, self.mean - self.low)
+
+    def std(self) -> float:
+        """Sample standard deviation; NaN for fewer than two values."""
+        return math.sqrt(self.squares / (self.n - 1)) if self.n > 1 else math.nan
+
+    def merge(self, other: Sums) -> Sums:
+        """Sums of both groups of values together."""
+        if self.n == 0 or other.n == 0:
+            return self if other.n == 0 else other
+        n = self.n + other.n
+        step = other.mean - self.mean
+        low, high = min(self.low, other.low), max(self.high, other.high)
+        return Sums(
+            n=n,
+            mean=self.mean + step * other.n / n,
+            squares=self.squares + other.squares + step * step * self.n * other.n / n,
+            low=low,
+            high=high,
+            n_low=sum(s.n_low for s in (self, other) if s.low == low),
+            n_high=sum(s.n_high for s in (self, other) if s.high == high),
+            whole=self.whole and other.whole,
+        )
+
+
+def sums_of(values: Floats, *, integers: bool = False) -> Sums:
+    """Sums of finite `values`; `integers` asks whether all are whole numbers (a pass more)."""
+    if values.size == 0:
+        return Sums()
+    low, high = float(values.min()), float(values.max())
+    # The sum is taken of the distance from one value: a mean far from zero costs no digits.
+    centred = values - values[0]
+    offset = float(centred.mean())
+    centred -= offset
+    return Sums(
+        n=int(values.size),
+        mean=float(values[0]) + offset,
+        squares=float(centred @ centred),
+        low=low,
+        high=high,
+        n_low=int(np.count_nonzero(values == low)),
+        n_high=int(np.count_nonzero(values == high)),
+        whole=bool(np.all(values == np.rint(values))) if integers else False,
+    )
+
+
+@dataclass(frozen=True)
+class SegmentSums:
+    """What remains of a segment: sums of gyro, temperature and table, and its ends in time and angle."""
+
+    gyro: Sums = Sums()
+    temp: Sums = Sums()
+    table_rate: Sums = Sums()
+    time: Sums = Sums()
+    time_temp: float = 0.0
+    t_first_s: float = math.nan
+    t_last_s: float = math.nan
+    angle_first: tuple[float, float] | None = None
+    angle_last: tuple[float, float] | None = None
+    bad_status: int = 0
+    non_finite: int = 0
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first good sample to the last."""
+        return self.t_last_s - self.t_first_s
+
+    @property
+    def angle_span_s(self) -> float:
+        """Time from the first angle to the last; 0 without two angles."""
+        if self.angle_first is None or self.angle_last is None:
+            return 0.0
+        return self.angle_last[0] - self.angle_first[0]
+
+    def angle_rate_dps(self) -> float | None:
+        """Increment of the table angle over its time, deg/s; None without two angles."""
+        if self.angle_first is None or self.angle_last is None or not self.angle_span_s > 0:
+            return None
+        return (self.angle_last[1] - self.angle_first[1]) / self.angle_span_s
+
+    def temp_rate_c_per_min(self) -> float:
+        """Slope of the temperature over time by least squares; NaN where all samples share one time."""
+        return self.time_temp / self.time.squares * S_PER_MIN if self.time.squares > 0 else math.nan
+
+    def merge(self, after: SegmentSums) -> SegmentSums:
+        """Sums of this block and the one `after` it in time."""
+        both = self.temp.n * after.temp.n
+        cross = (
+            (after.time.mean - self.time.mean)
+            * (after.temp.mean - self.temp.mean)
+            * both
+            / (self.temp.n + after.temp.n)
+            if both
+            else 0.0
+        )
+        return SegmentSums(
+            gyro=self.gyro.merge(after.gyro),
+            temp=self.temp.merge(after.temp),
+            table_rate=self.table_rate.merge(after.table_rate),
+            time=self.time.merge(after.time),
+            time_temp=self.time_temp + after.time_temp + cross,
+            t_first_s=after.t_first_s if math.isnan(self.t_first_s) else self.t_first_s,
+            t_last_s=self.t_last_s if math.isnan(after.t_last_s) else after.t_last_s,
+            angle_first=self.angle_first or after.angle_first,
+            angle_last=after.angle_last or self.angle_last,
+            bad_status=self.bad_status + after.bad_status,
+            non_finite=self.non_finite + after.non_finite,
+        )
+
+
+#: A segment of no samples.
+EMPTY = SegmentSums()
+
+
+def sums_of_block(block: Segment) -> SegmentSums:
+    """Reduce one block of a segment. Samples of bad status or not finite are counted and left out."""
+    finite, status_good = np.isfinite(block.gyro_dps), block.status == 0
+    good = finite & status_good
+    everything = bool(good.all())
+    t_s, gyro_dps, temp_c = (
+        v if everything else v[good] for v in (block.t_s, block.gyro_dps, block.gyro_temp_c)
+    )
+    warm = np.isfinite(temp_c)
+    temp, temp_t_s = (temp_c, t_s) if warm.all() else (temp_c[warm], t_s[warm])
+    temp_sums, time_sums = sums_of(temp, integers=True), sums_of(temp_t_s)
+    angle = np.flatnonzero(np.isfinite(block.table_angle_deg))
+
+    def reading(row: int) -> tuple[float, float]:
+        return float(block.bench_t_s[angle[row]]), float(block.table_angle_deg[angle[row]])
+
+    return SegmentSums(
+        gyro=sums_of(gyro_dps),
+        temp=temp_sums,
+        table_rate=sums_of(block.table_rate_dps[np.isfinite(block.table_rate_dps)]),
+        time=time_sums,
+        time_temp=float((temp_t_s - time_sums.mean) @ (temp - temp_sums.mean)) if temp.size else 0.0,
+        t_first_s=float(t_s[0]) if t_s.size else math.nan,
+        t_last_s=float(t_s[-1]) if t_s.size else math.nan,
+        angle_first=reading(0) if angle.size else None,
+        angle_last=reading(-1) if angle.size else None,
+        bad_status=int(np.count_nonzero(~status_good)),
+        non_finite=int(np.count_nonzero(~finite & status_good)),
+    )
