@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.errors import DataError, InputError
 from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -26,10 +27,17 @@ FAMILIES = (
     "sampling",
 )
 
+#: mdeg/s to deg/s, parts per million to a share.
+MDPS = 1e-3
+PPM = 1e-6
+
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: unit, physical bounds, and the size that is usual for an RD2100-class gyro."""
+    """A parameter of an effect: unit, physical bounds, and the size that is usual for an RD2100-class gyro.
+
+    `linear`: the error is proportional to it. The linear strength is always called ``amplitude``.
+    """
 
     name: str
     unit: str
@@ -45,6 +53,22 @@ class Conditions:
     """What an effect may depend on, sample by sample, in time order. None: that channel is not known.
 
     Every array has shape (n,).
+
+    Attributes
+    ----------
+    t_s : s since the record began
+    rate_dps : true rate (on the bench the table's), deg/s
+    temp_c : gyro temperature as reported, deg C; NaN where it was not reported
+    dt_s : averaging time of a sample, s
+    angle_deg : table angle, deg
+    supply_v : supply, V
+    since_power_on_s : s since the gyro was switched on
+    since_step_s, step_dps : s since the last change of rate, and its size, deg/s
+    gyro_dps : the output before this effect, deg/s; given by whoever injects an effect, never by
+        whoever analyses (the recorded output has the effect in it already)
+    command_dps : commanded rate, where it differs from `rate_dps`, deg/s
+    temp_rate_c_per_s : temperature rate, where the record states it; otherwise the effects derive it
+    data_set_index : number of the data set in the record
     """
 
     t_s: Floats
@@ -56,6 +80,10 @@ class Conditions:
     since_power_on_s: Floats | None = None
     since_step_s: Floats | None = None
     step_dps: Floats | None = None
+    gyro_dps: Floats | None = None
+    command_dps: Floats | None = None
+    temp_rate_c_per_s: Floats | None = None
+    data_set_index: Floats | None = None
 
     def __len__(self) -> int:
         return int(self.t_s.size)
@@ -66,6 +94,19 @@ class Conditions:
             f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)
         }
         return replace(self, **arrays)
+
+    def need(self, channel: str) -> Floats:
+        """An optional channel that a law cannot do without.
+
+        Raises
+        ------
+        DataError
+            The record has no such channel.
+        """
+        values: Floats | None = getattr(self, channel)
+        if values is None:
+            raise DataError(f"The effect depends on {channel}, and this record does not have it.")
+        return values
 
 
 #: What an effect remembers between blocks of samples (low-passed temperature, play positions, ...).
@@ -81,6 +122,28 @@ class Response(Protocol):
     def __call__(
         self, c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
     ) -> tuple[Floats, Memory]: ...
+
+
+#: A law without memory.
+Law = Callable[[Conditions, Mapping[str, float], Surface | None], Floats]
+
+
+def memoryless(law: Law) -> Response:
+    """The response of a law that looks at each sample alone."""
+
+    def response(
+        c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
+    ) -> tuple[Floats, Memory]:
+        return law(c, p, surface), None
+
+    return response
+
+
+def need_surface(surface: Surface | None, effect: str) -> Surface:
+    """The surface, for an effect that acts through it."""
+    if surface is None:
+        raise DataError(f"{effect} acts through the error surface, and none was given. Fit one first.")
+    return surface
 
 
 @dataclass(frozen=True)
@@ -103,6 +166,8 @@ class Effect:
         Whether a robot can evaluate it (from gyro, temperature and its history, time since power-on).
     error_dps : Response
         ``(error in deg/s, memory)`` of a block; `memory` None at the start.
+    has_memory : bool
+        Whether the error depends on earlier samples.
     """
 
     id: str
@@ -116,7 +181,41 @@ class Effect:
     reference: str
     runtime: bool
     error_dps: Response = field(repr=False)
+    has_memory: bool = False
 
     def typical(self) -> dict[str, float]:
         """The usual size of each parameter."""
         return {p.name: p.typical for p in self.parameters}
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter called `name`."""
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        known = ", ".join(p.name for p in self.parameters)
+        raise InputError(f"Effect {self.id} has no parameter {name!r}; it has {known}.")
+
+    def complete(self, given: Mapping[str, float]) -> dict[str, float]:
+        """All parameters: those given, checked, and the usual size of the rest.
+
+        Raises
+        ------
+        InputError
+            An unknown name, or a value that is not finite or outside its physical bounds.
+        """
+        for name, value in given.items():
+            p = self.parameter(name)
+            if not p.low <= value <= p.high:
+                msg = f"Effect {self.id}: {name} is {value:g} {p.unit}; allowed is {p.low:g} to {p.high:g}."
+                raise InputError(msg)
+        return self.typical() | {name: float(value) for name, value in given.items()}
+
+
+def amplitude(unit: str, bound: float, typical: float, meaning: str, *, linear: bool = True) -> Parameter:
+    """The strength of an effect, of either sign."""
+    return Parameter("amplitude", unit, -bound, bound, typical, linear, meaning)
+
+
+def shape(name: str, unit: str, low: float, high: float, typical: float, meaning: str) -> Parameter:
+    """A parameter in which the error is not linear."""
+    return Parameter(name, unit, low, high, typical, False, meaning)

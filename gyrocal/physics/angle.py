@@ -1,0 +1,89 @@
+"""Effects of the table angle: once or twice a turn, constant in size or growing with rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.surface import Surface
+from gyrocal.units import ARCSEC_TO_DEG, DEG_TO_RAD
+
+_PHASE = shape("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "table angle of the maximum")
+
+
+def _once_a_turn(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    angle_rad = DEG_TO_RAD * c.need("angle_deg")
+    return np.asarray(MDPS * p["amplitude"] * np.cos(angle_rad - p["phase_rad"]))
+
+
+def _eccentricity(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    # The reference is wrong, not the gyro: this is the error as seen against that reference.
+    k = round(p["harmonic"])
+    epsilon_rad = p["amplitude"] * ARCSEC_TO_DEG * DEG_TO_RAD
+    angle_rad = DEG_TO_RAD * c.need("angle_deg")
+    return np.asarray(epsilon_rad * k * c.rate_dps * np.cos(k * angle_rad + p["phase_rad"]))
+
+
+EARTH_RATE_TILT = Effect(
+    id="earth_rate_tilt",
+    family="angle, constant",
+    equation="e = k cos(theta - phi), k = Omega_E cos(latitude) sin(tilt)",
+    statement="The table's axis is off vertical and turns the gyro through the horizontal part of the Earth's rate.",
+    parameters=(amplitude("mdeg/s", 4.2, 0.5, "horizontal Earth rate on the input axis"), _PHASE),
+    needs=("angle_deg",),
+    seen_in="table_angle",
+    looks_like=("magnetic", "g_sensitivity"),
+    reference="IEEE Std 952, Earth rate on a tilted table; physics-report.md B1",
+    runtime=False,
+    error_dps=memoryless(_once_a_turn),
+)
+
+MAGNETIC = Effect(
+    id="magnetic",
+    family="angle, constant",
+    equation="e = k B_h cos(theta - phi)",
+    statement="The coil turns in the Earth's magnetic field (Faraday effect).",
+    parameters=(amplitude("mdeg/s", 100.0, 1.0, "bias in the horizontal field"), _PHASE),
+    needs=("angle_deg",),
+    seen_in="table_angle",
+    looks_like=("earth_rate_tilt", "g_sensitivity"),
+    reference="Hotate and Tabe: drift of a fiber gyro by the Faraday effect",
+    runtime=False,
+    error_dps=memoryless(_once_a_turn),
+)
+
+G_SENSITIVITY = Effect(
+    id="g_sensitivity",
+    family="angle, constant",
+    equation="e = k g sin(tilt) cos(theta - phi)",
+    statement="Gravity across a tilted table changes the bias once a turn (MEMS).",
+    parameters=(amplitude("mdeg/s", 100.0, 1.0, "bias by gravity across the tilted table"), _PHASE),
+    needs=("angle_deg",),
+    seen_in="table_angle",
+    looks_like=("earth_rate_tilt", "magnetic"),
+    reference="physics-report.md G15",
+    runtime=False,
+    error_dps=memoryless(_once_a_turn),
+)
+
+TABLE_ECCENTRICITY = Effect(
+    id="table_eccentricity",
+    family="angle, with rate",
+    equation="e = eps k w cos(k theta + phi), k = 1, 2, ...",
+    statement="The table's angle reference is off centre, so that the reference rate is wrong once or twice a turn.",
+    parameters=(
+        amplitude("arcsec", 3600.0, 5.0, "error of the reference angle"),
+        shape("harmonic", "1", 1.0, 64.0, 1.0, "periods a turn"),
+        shape("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "phase phi"),
+    ),
+    needs=("angle_deg", "rate_dps"),
+    seen_in="table_angle",
+    looks_like=("earth_rate_tilt",),
+    reference="physics-report.md B3",
+    runtime=False,
+    error_dps=memoryless(_eccentricity),
+)
+
+EFFECTS = (EARTH_RATE_TILT, MAGNETIC, G_SENSITIVITY, TABLE_ECCENTRICITY)

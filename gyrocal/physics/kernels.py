@@ -1,0 +1,130 @@
+"""Recursions over irregular time steps, and random draws that any split of a record repeats.
+
+The loops are plain Python; long blocks run compiled where numba is installed, with the same arithmetic
+in the same order and so the same numbers.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+#: Blocks shorter than this are not worth the import of numba.
+_LONG_BLOCK = 2000
+
+
+@functools.cache
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function` compiled by numba where it is installed, itself otherwise."""
+    try:
+        import numba
+    except ImportError:
+        return function
+    try:
+        machine: Callable[..., Any] = numba.njit(cache=True)(function)
+    except RuntimeError:  # nowhere to keep the cache: a read-only installation
+        machine = numba.njit(function)
+    return machine
+
+
+def _run(loop: Callable[..., Any], block: int, *arguments: Any) -> Any:
+    return compiled(loop)(*arguments) if block >= _LONG_BLOCK else loop(*arguments)
+
+
+def _lag_loop(decay: Floats, gain: Floats, values: Floats, last: float, behind: float, out: Floats) -> Any:
+    for k in range(values.size):
+        if np.isnan(values[k]):
+            out[k] = np.nan
+        else:
+            behind = decay[k] * behind + gain[k] * (values[k] - last)
+            last = values[k]
+            out[k] = behind
+    return last, behind
+
+
+#: Time and value of the last good sample, and how far the low-passed value is behind it.
+LagMemory = tuple[float, float, float]
+
+
+def lag(
+    t_s: Floats, values: Floats, tau_s: float, memory: LagMemory | None
+) -> tuple[Floats, LagMemory | None]:
+    """How far a first-order lag follows behind: ``x - y`` with ``tau dy/dt = x - y``.
+
+    Exact for an input that is linear between samples, whatever their spacing; so it is right for samples at
+    100 Hz and for a table with a row a minute alike. At rest at the start. NaN values are passed over (NaN
+    out), and the recursion goes on at the next good one.
+
+    Parameters
+    ----------
+    t_s, values : ndarray, shape (n,)
+    tau_s : float, s
+    memory : what the call before returned, None at the start
+
+    Returns
+    -------
+    behind : ndarray, shape (n,)
+    memory : for the next block
+    """
+    good = np.flatnonzero(~np.isnan(values))
+    if good.size == 0:
+        return np.full(values.size, np.nan), memory
+    start_t, last, behind = (t_s[good[0]], values[good[0]], 0.0) if memory is None else memory
+    step = np.zeros(values.size)
+    step[good] = np.maximum(np.diff(t_s[good], prepend=start_t), 0.0) / tau_s
+    decay = np.exp(-step)
+    safe = np.where(step > 0, step, 1.0)
+    gain = np.where(step > 0, -np.expm1(-step) / safe, 1.0)
+    out = np.empty(values.size)
+    last, behind = _run(_lag_loop, values.size, decay, gain, values, float(last), float(behind), out)
+    return out, (float(t_s[good[-1]]), float(last), float(behind))
+
+
+def _play_loop(values: Floats, half_width: float, position: float, out: Floats) -> Any:
+    for k in range(values.size):
+        if np.isnan(values[k]):
+            out[k] = np.nan
+        else:
+            position = max(values[k] - half_width, min(values[k] + half_width, position))
+            out[k] = position
+    return position
+
+
+def play(values: Floats, half_width: float, position: float | None) -> tuple[Floats, float | None]:
+    """Play operator (backlash) of the given half width, at rest in its middle at the start.
+
+    NaN values are passed over, as in `lag`. Returns the positions, shape (n,), and the last one.
+    """
+    good = np.flatnonzero(~np.isnan(values))
+    if good.size == 0:
+        return np.full(values.size, np.nan), position
+    out = np.empty(values.size)
+    first = float(values[good[0]]) if position is None else position
+    return out, float(_run(_play_loop, values.size, values, half_width, first, out))
+
+
+def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Steele, Lea and Flood's splitmix64 finaliser: 64 well-mixed bits from a counter."""
+    x = x + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(x ^ (x >> np.uint64(31)))
+
+
+def uniform(seed: float, stream: int, keys: Floats) -> Floats:
+    """A draw in (0, 1) for each key (rounded to whole numbers): the same key, the same draw, in any order."""
+    start = _mix(np.array([int(seed)], dtype=np.int64).view(np.uint64)) ^ np.uint64(stream)
+    bits = _mix(_mix(start) ^ _mix(np.rint(keys).astype(np.int64).view(np.uint64)))
+    return np.asarray(((bits >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
+
+
+def normal(seed: float, stream: int, keys: Floats) -> Floats:
+    """A standard normal draw for each key, by Box and Muller's transform of two `uniform` ones."""
+    radius = np.sqrt(-2.0 * np.log(uniform(seed, 2 * stream, keys)))
+    return np.asarray(radius * np.cos(2.0 * np.pi * uniform(seed, 2 * stream + 1, keys)))

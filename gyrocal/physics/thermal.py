@@ -1,0 +1,168 @@
+"""Effects of temperature and of its history.
+
+The temperature rate is derived causally from the reported temperature, as the lag of a first-order low-pass
+divided by its time constant. `SMOOTHING_S` is a compromise stated once: short against any ramp of a chamber
+(minutes), long enough that 0.02 degC of thermistor noise at 10 Hz is 0.04 degC/min of rate noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gyrocal.physics.effect import (
+    MDPS,
+    Conditions,
+    Effect,
+    Floats,
+    Memory,
+    amplitude,
+    memoryless,
+    need_surface,
+    shape,
+)
+from gyrocal.physics.kernels import lag, play
+from gyrocal.physics.surface import Surface
+from gyrocal.units import S_PER_MIN
+
+#: Time constant of the low-pass in the causal temperature rate, s.
+SMOOTHING_S = 30.0
+
+
+def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Memory]:
+    """Temperature rate, deg C/s: as stated by the record, else low-passed by `SMOOTHING_S`."""
+    if c.temp_rate_c_per_s is not None:
+        return c.temp_rate_c_per_s, None
+    behind_c, memory = lag(c.t_s, c.temp_c, SMOOTHING_S, memory)
+    return behind_c / SMOOTHING_S, memory
+
+
+def _shupe(
+    c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
+) -> tuple[Floats, Memory]:
+    rate, memory = temperature_rate_c_per_s(c, memory)
+    return MDPS * p["amplitude"] * S_PER_MIN * rate, memory
+
+
+def _shupe_gradient(
+    c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
+) -> tuple[Floats, Memory]:
+    behind_c, memory = lag(c.t_s, c.temp_c, p["tau_s"], memory)
+    return MDPS * p["amplitude"] * behind_c, memory
+
+
+def _thermal_lag(
+    c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
+) -> tuple[Floats, Memory]:
+    surface = need_surface(surface, "thermal_lag")
+    behind_c, memory = lag(c.t_s, c.temp_c, p["tau_s"], memory)
+    # The surface is a function of the output. Its first-order inverse is enough for a difference of two
+    # nearby temperatures.
+    output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
+    at_coil = surface.error_dps(output, c.temp_c - behind_c)
+    return p["amplitude"] * (at_coil - surface.error_dps(output, c.temp_c)), memory
+
+
+def _hysteresis(
+    c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
+) -> tuple[Floats, Memory]:
+    position, memory = play(c.temp_c, p["width_c"], memory)
+    # The play minus the temperature itself: that part is the surface's, and without it the error is bounded.
+    return MDPS * p["amplitude"] * (position - c.temp_c), memory
+
+
+def _temperature_order(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    v = (c.temp_c - p["center_c"]) / p["scale_c"]
+    return np.asarray(MDPS * p["amplitude"] * v ** round(p["order"]))
+
+
+SHUPE = Effect(
+    id="shupe",
+    family="thermal transient",
+    equation="e = k dT/dt",
+    statement="The bias follows the rate of change of temperature: the two halves of the coil warm unequally (Shupe effect).",
+    parameters=(amplitude("mdeg/s per degC/min", 100.0, 3.0, "bias per temperature rate"),),
+    needs=("t_s", "temp_c"),
+    seen_in="temperature_rate",
+    looks_like=("shupe_gradient", "thermal_lag"),
+    reference="Shupe, Applied Optics 19(5), 654-655 (1980)",
+    runtime=True,
+    error_dps=_shupe,
+    has_memory=True,
+)
+
+SHUPE_GRADIENT = Effect(
+    id="shupe_gradient",
+    family="thermal transient",
+    equation="e = k (T - T_in), tau dT_in/dt = T - T_in",
+    statement="The bias follows the temperature difference between outside and inside of the coil, and decays after a ramp.",
+    parameters=(
+        amplitude("mdeg/s per degC", 100.0, 1.0, "bias per degree of difference"),
+        shape("tau_s", "s", 30.0, 3600.0, 400.0, "time constant of the inside"),
+    ),
+    needs=("t_s", "temp_c"),
+    seen_in="temperature_rate",
+    looks_like=("shupe", "thermal_hysteresis", "thermal_lag"),
+    reference="IEEE Std 952, temperature-gradient sensitivity",
+    runtime=True,
+    error_dps=_shupe_gradient,
+    has_memory=True,
+)
+
+THERMAL_LAG = Effect(
+    id="thermal_lag",
+    family="thermal transient",
+    equation="e = a (S(T_c) - S(T)), tau dT_c/dt = T - T_c, S the error surface",
+    statement="The coil follows the temperature sensor with a lag, so that bias and scale factor belong to an earlier temperature.",
+    parameters=(
+        amplitude("1", 3.0, 1.0, "share of the full lag"),
+        shape("tau_s", "s", 15.0, 1800.0, 300.0, "time constant of the coil"),
+    ),
+    needs=("t_s", "temp_c"),
+    seen_in="temperature_rate",
+    looks_like=("shupe", "shupe_gradient"),
+    reference="first-order heat flow between sensor and coil; physics-report.md G4",
+    runtime=True,
+    error_dps=_thermal_lag,
+    has_memory=True,
+)
+
+THERMAL_HYSTERESIS = Effect(
+    id="thermal_hysteresis",
+    family="thermal transient",
+    equation="e = k (P_r[T] - T), P_r the play operator of half width r",
+    statement="Heating and cooling give different biases at the same temperature, after any soak (hysteresis).",
+    parameters=(
+        amplitude("mdeg/s per degC", 100.0, 1.0, "bias per degree of play"),
+        shape("width_c", "degC", 0.2, 60.0, 5.0, "half width of the play"),
+    ),
+    needs=("t_s", "temp_c"),
+    seen_in="temperature_branch",
+    looks_like=("shupe_gradient", "bias_drift"),
+    reference="Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): play operator",
+    runtime=True,
+    error_dps=_hysteresis,
+    has_memory=True,
+)
+
+TEMPERATURE_ORDER = Effect(
+    id="temperature_order",
+    family="temperature shape",
+    equation="e = k ((T - T_m)/T_s)^n, n = 3, 4, ...",
+    statement="The bias bends more with temperature than a quadratic can.",
+    parameters=(
+        amplitude("mdeg/s", 1000.0, 5.0, "size at T_m + T_s"),
+        shape("order", "1", 3.0, 9.0, 3.0, "power"),
+        shape("center_c", "degC", -100.0, 150.0, 20.0, "temperature T_m where it vanishes"),
+        shape("scale_c", "degC", 1.0, 200.0, 30.0, "scale T_s"),
+    ),
+    needs=("temp_c",),
+    seen_in="temperature",
+    looks_like=(),
+    reference="next order of the paper's eq. 3",
+    runtime=True,
+    error_dps=memoryless(_temperature_order),
+)
+
+EFFECTS = (SHUPE, SHUPE_GRADIENT, THERMAL_LAG, THERMAL_HYSTERESIS, TEMPERATURE_ORDER)

@@ -1,0 +1,109 @@
+"""Effects of time: since power-on, slow drifts, steps at an instant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gyrocal.physics.effect import MDPS, PPM, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.surface import Surface
+from gyrocal.units import S_PER_H
+
+_AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record's clock")
+
+
+def _warm_up(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    return np.asarray(MDPS * p["amplitude"] * np.exp(-c.need("since_power_on_s") / p["tau_s"]))
+
+
+def _bias_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    return np.asarray(MDPS * p["amplitude"] * c.t_s / S_PER_H)
+
+
+def _scale_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    return np.asarray(PPM * p["amplitude"] * c.t_s / S_PER_H * c.rate_dps)
+
+
+def _bias_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    return np.asarray(MDPS * p["amplitude"] * (c.t_s >= p["at_s"]))
+
+
+def _scale_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    return np.asarray(PPM * p["amplitude"] * c.rate_dps * (c.t_s >= p["at_s"]))
+
+
+WARM_UP = Effect(
+    id="warm_up",
+    family="time",
+    equation="e = k exp(-(t - t_on)/tau)",
+    statement="The bias settles exponentially after power-on.",
+    parameters=(
+        amplitude("mdeg/s", 1000.0, 10.0, "bias at power-on"),
+        shape("tau_s", "s", 60.0, 7200.0, 1200.0, "time constant"),
+    ),
+    needs=("since_power_on_s",),
+    seen_in="time_since_power_on",
+    looks_like=("bias_drift",),
+    reference="IEEE Std 952, warm-up time; physics-report.md G5",
+    runtime=True,
+    error_dps=memoryless(_warm_up),
+)
+
+BIAS_DRIFT = Effect(
+    id="bias_drift",
+    family="time",
+    equation="e = k t",
+    statement="The bias drifts slowly, all the run long (ageing, rate ramp).",
+    parameters=(amplitude("mdeg/s/h", 100.0, 1.0, "drift"),),
+    needs=("t_s",),
+    seen_in="time",
+    looks_like=("warm_up", "thermal_hysteresis"),
+    reference="IEEE Std 952, rate ramp",
+    runtime=False,
+    error_dps=memoryless(_bias_drift),
+)
+
+SCALE_DRIFT = Effect(
+    id="scale_drift",
+    family="time",
+    equation="e = k t w",
+    statement="The scale factor drifts slowly, all the run long.",
+    parameters=(amplitude("ppm/h", 10000.0, 50.0, "drift"),),
+    needs=("t_s", "rate_dps"),
+    seen_in="time",
+    looks_like=("scale_step", "thermal_lag"),
+    reference="physics-report.md G24 (wavelength of the source)",
+    runtime=False,
+    error_dps=memoryless(_scale_drift),
+)
+
+BIAS_STEP = Effect(
+    id="bias_step",
+    family="time",
+    equation="e = k for t >= t_1",
+    statement="The bias jumps at an instant.",
+    parameters=(amplitude("mdeg/s", 10000.0, 5.0, "jump"), _AT),
+    needs=("t_s",),
+    seen_in="time",
+    looks_like=("bias_drift",),
+    reference="changes in level; physics-report.md B.1",
+    runtime=False,
+    error_dps=memoryless(_bias_step),
+)
+
+SCALE_STEP = Effect(
+    id="scale_step",
+    family="time",
+    equation="e = k w for t >= t_1",
+    statement="The scale factor jumps at an instant: gears, a re-mount, a restart.",
+    parameters=(amplitude("ppm", 100000.0, 300.0, "jump"), _AT),
+    needs=("t_s", "rate_dps"),
+    seen_in="time",
+    looks_like=("bias_step", "scale_drift"),
+    reference="changes in level; physics-report.md B.1",
+    runtime=False,
+    error_dps=memoryless(_scale_step),
+)
+
+EFFECTS = (WARM_UP, BIAS_DRIFT, SCALE_DRIFT, BIAS_STEP, SCALE_STEP)

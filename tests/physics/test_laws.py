@@ -1,0 +1,226 @@
+"""Each law against numbers worked out by hand, and the recursions against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrocal.physics import kernels
+from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.kernels import lag, normal, play, uniform
+from gyrocal.physics.surface import Surface
+
+SURFACE = Surface(
+    np.array([[0.0, 0.3, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [-0.5, 0.0, 0.0]]), 0, 100, 20, 30
+)
+
+
+def error(effect_id: str, c: Conditions, surface: Surface | None = None, **p: float) -> Floats:
+    effect = find_effect(effect_id)
+    return effect.error_dps(c, effect.complete(p), surface, None)[0]
+
+
+def at(rate: Floats | list[float], **channels: Floats) -> Conditions:
+    n = len(rate)
+    bare = Conditions(np.arange(n) * 1.0, np.asarray(rate, dtype=np.float64), np.full(n, 20.0))
+    given: dict[str, Any] = dict(channels)
+    return replace(bare, **given)
+
+
+def test_lag_of_a_ramp_is_exact_at_any_spacing() -> None:
+    tau, slope = 300.0, 0.025
+    for step in (0.1, 7.0, 900.0):
+        t = np.arange(0.0, 3000.0, step)
+        behind, _ = lag(t, 20.0 + slope * t, tau, None)
+        np.testing.assert_allclose(behind, slope * tau * (1 - np.exp(-t / tau)), atol=1e-12)
+
+
+def test_lag_passes_over_nan_and_takes_a_jump_at_once() -> None:
+    t = np.array([0.0, 1.0, 1.0, 2.0])
+    behind, memory = lag(t, np.array([5.0, np.nan, 6.0, 6.0]), 10.0, None)
+    mean = -np.expm1(-0.1) / 0.1
+    np.testing.assert_allclose(behind, [0.0, np.nan, mean, mean * np.exp(-0.1)])
+    jump, _ = lag(np.array([2.0]), np.array([8.0]), 10.0, memory)
+    assert jump[0] == pytest.approx(behind[-1] + 2.0)
+    assert lag(t[:1], np.array([np.nan]), 10.0, None)[1] is None
+
+
+def test_compiled_loops_give_the_same_numbers_as_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.random(5000))
+    x = np.cumsum(rng.normal(size=5000))
+    x[7] = np.nan
+    fast = lag(t, x, 40.0, None), play(x, 3.0, None)
+    monkeypatch.setattr(kernels, "compiled", lambda function: function)
+    slow = lag(t, x, 40.0, None), play(x, 3.0, None)
+    for a, b in zip(fast, slow, strict=True):
+        np.testing.assert_array_equal(a[0], b[0])
+        assert a[1] == b[1]
+
+
+def test_play_follows_the_branches() -> None:
+    up_down = np.array([0.0, 5.0, 20.0, 12.0, 9.0, 0.0])
+    position, last = play(up_down, 5.0, None)
+    np.testing.assert_array_equal(position, [0, 0, 15, 15, 14, 5])
+    assert last == 5.0
+
+
+def test_draws_are_uniform_normal_and_repeatable() -> None:
+    keys = np.arange(-20_000.0, 20_000.0)
+    u, z = uniform(7, 1, keys), normal(7, 1, keys)
+    # Kolmogorov's bound at a false-alarm rate of 1e-6: 2.69 / sqrt(n).
+    grid = (np.arange(u.size) + 0.5) / u.size
+    assert np.max(np.abs(np.sort(u) - grid)) < 2.69 / np.sqrt(u.size)
+    assert abs(z.mean()) < 4.9 / np.sqrt(z.size)
+    assert abs(z.var() - 1) < 4.9 * np.sqrt(2 / z.size)
+    np.testing.assert_array_equal(normal(7, 1, keys[::-1]), z[::-1])
+    assert abs(np.corrcoef(z, normal(8, 1, keys))[0, 1]) < 4.9 / np.sqrt(z.size)
+    assert abs(np.corrcoef(z, normal(7, 2, keys))[0, 1]) < 4.9 / np.sqrt(z.size)
+
+
+def test_shupe_on_a_ramp_and_with_a_stated_temperature_rate() -> None:
+    t = np.arange(0.0, 600.0)
+    ramp = at(np.zeros(600), t_s=t, temp_c=20 + 1.5 / 60 * t)
+    assert error("shupe", ramp, amplitude=2.0)[-1] == pytest.approx(3e-3, rel=1e-6)
+    stated = at([0.0, 0.0], temp_rate_c_per_s=np.array([1.5 / 60, -0.5 / 60]))
+    np.testing.assert_allclose(error("shupe", stated, amplitude=2.0), [3e-3, -1e-3])
+
+
+def test_thermal_lag_moves_bias_and_scale_together() -> None:
+    t = np.arange(0.0, 6000.0, 10.0)
+    slope, tau = 0.01, 200.0
+    for rate in (0.0, 80.0):
+        c = at(np.full(t.size, rate), t_s=t, temp_c=slope * t)
+        last = error("thermal_lag", c, SURFACE, amplitude=1.0, tau_s=tau)[-1]
+        output = rate + float(SURFACE.error_dps(rate, c.temp_c[-1]))
+        behind = slope * tau / 30.0
+        assert last == pytest.approx(-behind * (0.3 + output / 100.0), rel=1e-6)
+
+
+def test_laws_by_hand() -> None:
+    assert error("warm_up", at([0.0], since_power_on_s=np.array([600.0])), amplitude=10.0, tau_s=600.0)[
+        0
+    ] == pytest.approx(10e-3 / np.e)
+    t = np.array([0.0, 3600.0, 7200.0])
+    np.testing.assert_allclose(error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0), [0, 2e-3, 4e-3])
+    np.testing.assert_allclose(error("scale_drift", at([50.0] * 3, t_s=t), amplitude=10.0), [0, 5e-4, 1e-3])
+    np.testing.assert_allclose(
+        error("bias_step", at([1.0] * 3, t_s=t), amplitude=3.0, at_s=3600.0), [0, 3e-3, 3e-3]
+    )
+    np.testing.assert_allclose(
+        error("scale_step", at([-50.0] * 3, t_s=t), amplitude=100.0, at_s=3601.0), [0, 0, -5e-3]
+    )
+    rates = [-100.0, 0.0, 0.005, 100.0]
+    np.testing.assert_allclose(error("scale_asymmetry", at(rates), amplitude=200.0), [0, 0, 1e-6, 0.02])
+    np.testing.assert_allclose(error("dead_zone", at(rates), amplitude=2.8), [0, -2.8e-3, -2.8e-3, 0])
+    np.testing.assert_allclose(error("truncation", at(rates), amplitude=1.5), [1.5e-3, 0, -1.5e-3, -1.5e-3])
+    np.testing.assert_allclose(
+        error("saturation", at(rates), amplitude=0.01, knee_dps=80.0), [0.2, 0, 0, -0.2]
+    )
+    np.testing.assert_allclose(
+        error("sagnac_sine", at([100.0]), amplitude=1.0, phase_rad_per_dps=0.005), np.sin(0.5) / 0.005 - 100
+    )
+    np.testing.assert_allclose(error("rate_order", at([-50.0]), amplitude=32.0, order=5.0), -1e-3)
+    np.testing.assert_allclose(
+        error("temperature_order", at([0.0], temp_c=np.array([-10.0])), amplitude=7.0), -7e-3
+    )
+    np.testing.assert_allclose(
+        error("supply_voltage", at([0.0], supply_v=np.array([11.5])), amplitude=2.0), -1e-3
+    )
+    np.testing.assert_allclose(error("time_base", at([100.0]), amplitude=1000.0), 0.1)
+
+
+def test_angle_laws_by_hand() -> None:
+    theta = np.array([0.0, 90.0, 180.0])
+    for effect_id in ("earth_rate_tilt", "magnetic", "g_sensitivity"):
+        np.testing.assert_allclose(
+            error(effect_id, at([5.0] * 3, angle_deg=theta), amplitude=1.0, phase_rad=np.pi / 2),
+            [0, 1e-3, 0],
+            atol=1e-15,
+        )
+    arcsec_rad = np.pi / 180 / 3600
+    np.testing.assert_allclose(
+        error("table_eccentricity", at([100.0] * 3, angle_deg=theta), amplitude=1.0, harmonic=2.0),
+        200 * arcsec_rad * np.array([1, -1, 1]),
+    )
+
+
+def test_table_eccentricity_is_the_derivative_of_the_angle_error() -> None:
+    t = np.linspace(0.0, 10.0, 20001)
+    theta = 37.0 * t
+    epsilon_deg, k, phi = 20.0 / 3600, 2, 0.7
+    reading_error = epsilon_deg * np.sin(k * np.deg2rad(theta) + phi)
+    law = error(
+        "table_eccentricity", at(np.full(t.size, 37.0), angle_deg=theta),
+        amplitude=20.0, harmonic=2.0, phase_rad=phi,
+    )  # fmt: skip
+    np.testing.assert_allclose(law[1:-1], np.gradient(reading_error, t)[1:-1], atol=1e-8)
+
+
+def test_step_response_rings_and_decays() -> None:
+    since = np.array([-1.0, 0.0, 2.0])
+    c = at([0.0] * 3, since_step_s=since, step_dps=np.full(3, 20.0))
+    np.testing.assert_allclose(
+        error("step_response", c, amplitude=5.0, tau_s=2.0, frequency_hz=0.25),
+        [0, 10e-3, -10e-3 / np.e],
+        atol=1e-15,
+    )
+
+
+def test_fit_direction_makes_the_output_a_cubic_of_the_input() -> None:
+    rate = np.linspace(-100, 100, 21)
+    output = SURFACE.output_dps(rate, 35.0) + error(
+        "fit_direction", at(rate, temp_c=np.full(21, 35.0)), SURFACE, amplitude=1.0
+    )
+    np.testing.assert_allclose(output, rate + SURFACE.error_dps(rate, 35.0), atol=1e-10)
+
+
+def test_output_steps() -> None:
+    output = np.array([-0.0125, 0.004, 0.0061])
+    c = at([0.0, 0.0, 0.0], gyro_dps=output)
+    np.testing.assert_allclose(
+        output + error("quantisation", c, amplitude=4.0), [-0.012, 0.004, 0.008], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        output + error("truncation", c, amplitude=2.0), [-0.012, 0.004, 0.004], atol=1e-15
+    )
+
+
+def test_truncation_of_a_noisy_output_has_the_stated_mean() -> None:
+    rng = np.random.default_rng(5)
+    output = 30.0 + rng.uniform(-1.0, 1.0, 20_000)
+    c = at(np.full(output.size, 30.0), gyro_dps=output)
+    cut = error("truncation", c, amplitude=1.5)
+    mean = error("truncation", at([30.0]), amplitude=1.5)[0]
+    # Uniform in (-q, 0): standard deviation q / sqrt(12); 4.9 sigma is a false-alarm rate of 1e-6.
+    assert abs(cut.mean() - mean) < 4.9 * 3e-3 / np.sqrt(12 * output.size)
+
+
+def test_reference_error_belongs_to_the_commanded_rate() -> None:
+    c = at([60.0, -60.0, 60.0004, 30.0], command_dps=np.array([60.0, -60.0, 60.0, 30.0]))
+    e = error("reference_rate_error", c, amplitude=50.0) / c.rate_dps
+    assert e[0] == pytest.approx(e[1])
+    assert e[0] == pytest.approx(e[2])
+    assert abs(e[0] - e[3]) > 1e-7
+
+
+def test_bursts_fill_their_share_of_time() -> None:
+    t = np.arange(0.0, 20_000.0, 0.1)
+    e = error("bursts", at(np.zeros(t.size), t_s=t), amplitude=50.0, share=0.2, duration_s=0.5)
+    windows = t.size / 5
+    inside = e != 0
+    assert abs(inside.mean() - 0.2) < 4.9 * np.sqrt(0.2 * 0.8 / windows)
+    assert abs(e[inside].std() - 0.05) < 4.9 * 0.05 / np.sqrt(2 * inside.sum())
+
+
+def test_resonance_is_local_and_scatters() -> None:
+    rates = np.concatenate([np.full(2000, 60.0), np.full(2000, -60.0), np.full(2000, 20.0)])
+    c = at(rates)
+    e = error("mechanical_resonance", c, amplitude=5.0, center_dps=60.0, width_dps=2.0, scatter=0.5)
+    assert abs(e[:4000].mean() - 5e-3) < 4.9 * 2.5e-3 / np.sqrt(4000)
+    assert np.abs(e[4000:]).max() < 1e-4
