@@ -1,0 +1,432 @@
+"""A recording as rows with coordinates: what the tests for missing physics look at.
+
+Rows are means over short bins: short enough that nothing an effect can do is lost (a bin turns the table by at
+most `_BIN_TURN_DEG`, the first seconds after a rate step stay sample by sample), long enough that the tests on
+hundreds of columns take seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.history import TemperatureHistory, fill_gaps, temperature_history
+from gyrocal.errors import DataError
+from gyrocal.records.datasets import DataSetTable
+from gyrocal.records.run import Run, Segment
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+_BIN_TURN_DEG = 20.0
+_BIN_SET_S = 1.0
+_BIN_LONG_S = 5.0
+_BINS_PER_SEGMENT = 1500
+_LONG_SEGMENT_S = 120.0
+_HEAD_S = 4.0
+#: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
+#: a Gaussian gives one in 5e8.
+OUTLIER_SIGMAS = 6.0
+#: Stand-in for the time between data sets where a table has no time stamps.
+SURROGATE_PERIOD_S = 20.0
+
+
+@dataclass(frozen=True)
+class Raw:
+    """Facts about single samples that bins cannot carry."""
+
+    outliers_t_s: Floats
+    outliers_dps: Floats
+    samples: int
+    lattice_dps: float | None = None
+    lattice_temp_c: float | None = None
+    interval_ratio: float | None = None
+    interval_ratio_std: float | None = None
+
+
+@dataclass(frozen=True)
+class Series:
+    """Rows in time order; every array has shape (n,). None: the record does not carry that channel.
+
+    Attributes
+    ----------
+    rate_dps, temp_c : ndarray
+        Reference rate that the table reported; gyro temperature, smoothed over some seconds.
+    white_std_dps : ndarray
+        Relative size of the white noise of a row; its level is estimated with the model.
+    averaging_s : ndarray
+        Time that a row averages over.
+    set_index : ndarray of int
+        Segment (of a run) or data set (of a table) that the row belongs to.
+    is_set : ndarray of bool
+        Whether the row belongs to a data set of the paper (not to a ramp or soak).
+    since_set_s, step_dps : ndarray
+        Time since the segment began; the rate step that led to it.
+    untestable : mapping
+        Coordinate to the reason why this record cannot show it.
+    """
+
+    name: str
+    t_s: Floats
+    gyro_dps: Floats
+    rate_dps: Floats
+    temp_c: Floats
+    white_std_dps: Floats
+    averaging_s: Floats
+    set_index: Ints
+    is_set: Bools
+    temp_rate_c_per_min: Floats
+    history: TemperatureHistory
+    raw: Raw
+    chamber_c: Floats | None = None
+    angle_deg: Floats | None = None
+    turn_deg: Floats | None = None
+    supply_v: Floats | None = None
+    since_power_on_s: Floats | None = None
+    since_set_s: Floats | None = None
+    step_dps: Floats | None = None
+    untestable: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    has_time: bool = True
+    #: Rows were averages already (white noise has no stated averaging time).
+    is_table: bool = False
+
+    def __len__(self) -> int:
+        return int(self.t_s.size)
+
+    @property
+    def n_sets(self) -> int:
+        """Number of data sets: the n of BIC. A record without any counts its blocks of a minute."""
+        sets = np.unique(self.set_index[self.is_set]).size
+        if sets >= 10 and not (self.is_table and np.ptp(self.rate_dps) == 0):
+            return int(sets)
+        return max(10, int(np.ptp(self.t_s) / 60.0))
+
+    def take(self, rows: Bools | Ints) -> Series:
+        """The same, for some of the rows; the temperature history stays whole."""
+        arrays: dict[str, Any] = {
+            f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), np.ndarray)
+        }
+        return replace(self, **arrays)
+
+
+def series_of_run(run: Run) -> Series:
+    """Rows of a run directory: every segment, rate sets, ramps and soaks.
+
+    Raises
+    ------
+    DataError
+        Nothing usable in it.
+    """
+    parts: list[dict[str, Floats]] = []
+    raws: list[dict[str, Any]] = []
+    notes = list(run.notes)
+    failed, previous_rate, unusable = 0, 0.0, 0
+    for number, record in enumerate(run.segments):
+        if record.outcome == "failed":
+            failed += 1
+            continue
+        segment = run.segment(record)
+        good = segment.good
+        unusable += int((~good).sum())
+        if good.sum() < 3:
+            continue
+        rows, raw = _segment_rows(segment, number, previous_rate)
+        previous_rate = float(rows["rate_dps"][0])
+        parts.append(rows)
+        raws.append(raw)
+    if not parts:
+        raise DataError(f"{run.path}: no segment has usable samples. Check the run with `gyrocal report`.")
+    if failed:
+        notes.append(f"{failed} segments are marked failed in the journal and are left out")
+    if unusable:
+        notes.append(f"{unusable} gyro samples are empty or of bad status and are left out")
+    columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
+    return _assemble_run(run, columns, raws, notes)
+
+
+def _segment_rows(
+    segment: Segment, number: int, previous_rate: float
+) -> tuple[dict[str, Floats], dict[str, Any]]:
+    good = segment.good
+    t, gyro = segment.t_s[good], segment.gyro_dps[good]
+    reported = segment.table_rate_dps[np.isfinite(segment.table_rate_dps)]
+    rate = float(np.mean(reported)) if reported.size else segment.record.rate_dps
+    step_s = float(np.median(np.diff(t)))
+    averaging_s = segment.record.averaging_s or step_s
+    outlier = _outliers(gyro)
+    bins = _bin_numbers(t, rate, step_s, float(segment.record.t_end_s - segment.record.t_start_s))
+    keep = ~outlier
+    count = np.bincount(bins[keep], minlength=bins[-1] + 1).astype(np.float64)
+    filled = count > 0
+
+    def mean(values: Floats) -> Floats:
+        total = np.bincount(bins[keep], weights=values[keep], minlength=bins[-1] + 1)
+        return np.asarray(total[filled] / count[filled])
+
+    size = int(filled.sum())
+    rows = {
+        "t_s": mean(t),
+        "gyro_dps": mean(gyro),
+        "temp_raw_c": mean(segment.gyro_temp_c[good]),
+        "rate_dps": np.full(size, rate),
+        "count": count[filled],
+        "sample_s": np.full(size, averaging_s),
+        "set_index": np.full(size, float(number)),
+        "is_set": np.full(size, float(segment.record.kind == "rate")),
+        "since_set_s": mean(t) - segment.record.t_start_s,
+        "step_dps": np.full(size, rate - previous_rate),
+        "turn_deg": count[filled] * abs(rate) * step_s,
+        "angle_deg": mean(_at(segment.bench_t_s, segment.table_angle_deg, t, rate)),
+        "supply_v": mean(_at(segment.bench_t_s, _smooth(segment.supply_v, segment.bench_t_s), t, 0.0)),
+        "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),
+    }
+    raw = {
+        "averaging_s": averaging_s,
+        "gyro": gyro[keep],
+        "temp": segment.gyro_temp_c[good],
+        "outliers_t_s": t[outlier],
+        "outliers_dps": gyro[outlier] - np.median(gyro),
+        "step_s": step_s,
+        "span_s": float(t[-1] - t[0]),
+        "n": t.size,
+        "is_set": segment.record.kind == "rate",
+        "difference_std": float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
+    }
+    return rows, raw
+
+
+def _outliers(gyro: Floats) -> Bools:
+    """Samples that stand out from the median of their five neighbours, shape (n,)."""
+    if gyro.size < 7:
+        return np.zeros(gyro.size, dtype=bool)
+    padded = np.pad(gyro, 2, mode="reflect")
+    local = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    deviation = gyro - local
+    # The median of five takes part of the noise with it; the robust spread of what is left sets the scale.
+    spread = 1.4826 * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
+    return np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * 1.25 * spread) if spread > 0 else np.zeros(gyro.size, bool)
+
+
+def _bin_numbers(t: Floats, rate: float, step_s: float, duration_s: float) -> Ints:
+    longest = _BIN_SET_S
+    if duration_s > _LONG_SEGMENT_S:
+        longest = max(_BIN_LONG_S, duration_s / _BINS_PER_SEGMENT)
+    length = min(longest, _BIN_TURN_DEG / max(abs(rate), 1e-9))
+    per_bin = max(1, int(length / step_s + 1e-6))
+    if per_bin == 1:
+        return np.arange(t.size)
+    head = int(np.searchsorted(t, t[0] + _HEAD_S)) if duration_s <= _LONG_SEGMENT_S else 0
+    body = np.arange(t.size - head) // per_bin + head
+    return np.concatenate([np.arange(head), body]).astype(np.int64)
+
+
+def _at(bench_t_s: Floats, values: Floats, t_s: Floats, slope: float) -> Floats:
+    """A bench reading at the gyro's own times; beyond the readings it goes on at `slope` a second."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(t_s.size, np.nan)
+    times, v = bench_t_s[known], values[known]
+    inside = np.interp(t_s, times, v)
+    inside = inside + slope * np.minimum(t_s - times[0], 0.0)
+    return np.asarray(inside + slope * np.maximum(t_s - times[-1], 0.0))
+
+
+def _smooth(values: Floats, bench_t_s: Floats, seconds: float = 7.0) -> Floats:
+    """Running mean over some seconds of readings, so that their noise does not thin out what they explain."""
+    known = np.isfinite(values)
+    if known.sum() < 3:
+        return values
+    width = max(1, int(seconds / max(float(np.median(np.diff(bench_t_s[known]))), 1e-3)) // 2 * 2 + 1)
+    kernel = np.ones(min(width, int(known.sum()) // 2 * 2 - 1))
+    smooth = np.array(values)
+    v = values[known]
+    smooth[known] = np.convolve(v, kernel, "same") / np.convolve(np.ones(v.size), kernel, "same")
+    return smooth
+
+
+def _assemble_run(
+    run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[str]
+) -> Series:
+    untestable: dict[str, str] = {}
+
+    def channel(key: str, coordinate: str, reason: str) -> Floats | None:
+        values = c[key]
+        if np.isfinite(values).all():
+            return values
+        untestable[coordinate] = reason
+        return None
+
+    if np.isnan(c["temp_raw_c"]).all():
+        raise DataError(f"{run.path}: no gyro temperature was logged, so no surface can be evaluated.")
+    temp_raw = fill_gaps(c["t_s"], c["temp_raw_c"])
+    history = temperature_history(c["t_s"], temp_raw)
+    angle = channel("angle_deg", "table_angle", "the table angle was not logged with every segment")
+    supply = channel("supply_v", "supply", "the supply voltage was not logged with every segment")
+    chamber = c["chamber_c"] if np.isfinite(c["chamber_c"]).all() else None
+    since_on = None
+    if run.power_on_t_s is None:
+        untestable["time_since_power_on"] = "run.json does not say when the gyro was powered on"
+    else:
+        since_on = _since_power_on(run, c["t_s"])
+    kinds = {record.kind for record in run.segments}
+    if "ramp" not in kinds:
+        untestable["temperature_rate"] = "no temperature ramp was logged"
+    if supply is not None and np.ptp(supply) < 0.02:
+        untestable["supply"] = "the supply voltage did not change"
+    averaging = c["count"] * c["sample_s"]
+    return Series(
+        name=run.path.name,
+        t_s=c["t_s"],
+        gyro_dps=c["gyro_dps"],
+        rate_dps=c["rate_dps"],
+        temp_c=history.temp_at(c["t_s"]),
+        white_std_dps=_white_std(c, raws),
+        averaging_s=averaging,
+        set_index=c["set_index"].astype(np.int64),
+        is_set=c["is_set"] > 0,
+        temp_rate_c_per_min=history.rate_at(c["t_s"]),
+        history=history,
+        raw=_raw_facts(run, raws),
+        chamber_c=chamber,
+        angle_deg=angle,
+        turn_deg=c["turn_deg"],
+        supply_v=supply,
+        since_power_on_s=since_on,
+        since_set_s=c["since_set_s"],
+        step_dps=c["step_dps"],
+        untestable=untestable,
+        notes=tuple(notes),
+    )
+
+
+def _since_power_on(run: Run, t_s: Floats) -> Floats:
+    """Time since the last power-on; a run may cycle the power on purpose (journal event ``power_on``)."""
+    starts = [float(run.power_on_t_s or 0.0)]
+    starts += [float(e["t_s"]) for e in run.events if e.get("event") == "power_on" and "t_s" in e]
+    on = np.sort(np.array(starts))
+    return np.asarray(t_s - on[np.maximum(np.searchsorted(on, t_s, side="right") - 1, 0)])
+
+
+def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]]) -> Floats:
+    """Relative white noise of each row: from the averaging times where they agree with the samples' scatter."""
+    times = np.array([r["averaging_s"] for r in raws])
+    scatter = np.array([r["difference_std"] for r in raws])
+    counts = np.array([r["n"] for r in raws], dtype=np.float64)
+    level = {}
+    for averaging in np.unique(times):
+        chosen = times == averaging
+        level[averaging] = float(np.median(np.repeat(scatter[chosen], np.maximum(counts[chosen] // 10, 1).astype(int))))
+    walk = np.array([level[a] * np.sqrt(a) for a in level])
+    reference = float(np.median(walk))
+    std = np.empty(c["count"].size)
+    for averaging, sigma in level.items():
+        rows = c["sample_s"] == averaging
+        stated = reference / np.sqrt(averaging)
+        # Logged samples may be points rather than means (aliasing): then the scatter itself is right.
+        std[rows] = (stated if 0.9 < sigma / stated < 1.1 else sigma) / np.sqrt(c["count"][rows])
+    return np.asarray(np.maximum(std, 1e-9))
+
+
+def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
+    sets = [r for r in raws if r["is_set"]] or raws
+    values = np.concatenate([r["gyro"] for r in sets])
+    temps = np.concatenate([r["temp"] for r in sets])
+    ratio = ratio_std = None
+    if run.sensor.sample_rate_hz:
+        spans = np.array([r["span_s"] / max(r["n"] - 1, 1) for r in sets])
+        nominal = np.array([r["averaging_s"] for r in sets])
+        native = np.isclose(nominal, 1.0 / run.sensor.sample_rate_hz, rtol=0.2)
+        if native.sum() >= 3:
+            each = spans[native] * run.sensor.sample_rate_hz - 1.0
+            ratio = float(np.median(each))
+            ratio_std = float(1.4826 * np.median(np.abs(each - ratio)) / np.sqrt(native.sum()))
+    return Raw(
+        outliers_t_s=np.concatenate([r["outliers_t_s"] for r in raws]),
+        outliers_dps=np.concatenate([r["outliers_dps"] for r in raws]),
+        samples=int(sum(r["n"] for r in raws)),
+        lattice_dps=lattice(values),
+        lattice_temp_c=lattice(temps[np.isfinite(temps)]),
+        interval_ratio=ratio,
+        interval_ratio_std=ratio_std,
+    )
+
+
+def lattice(values: Floats) -> float | None:
+    """Step of the lattice that values lie on; None where they are as good as continuous.
+
+    The candidate is the least distance between distinct values; at least 98 % of all distances must be whole
+    multiples of it, which continuous values would not do by chance.
+    """
+    distinct = np.unique(np.round(values, 9))
+    if distinct.size < 5 or values.size < 50:
+        return None
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 2e-7]
+    if gaps.size < 4:
+        return None
+    small = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    multiples = gaps / small
+    off = np.abs(multiples - np.round(multiples))
+    if np.mean(off < 0.02 + 2e-6 / small) < 0.98 or small < 5e-6:
+        return None
+    return float(np.sum(gaps) / np.sum(np.round(multiples)))
+
+
+def series_of_table(table: DataSetTable) -> Series:
+    """Rows of a table of data sets; without time stamps the row number stands for time."""
+    n = table.rate_dps.size
+    untestable = {
+        "table_angle": "a table of data sets carries no table angle",
+        "supply": "a table of data sets carries no supply voltage",
+        "time_since_power_on": "a table of data sets does not say when the gyro was powered on",
+        "time_since_step": "a table of data sets carries no samples",
+    }
+    t_s = table.t_s if table.t_s is not None else SURROGATE_PERIOD_S * np.arange(n)
+    one_rate = np.ptp(table.rate_dps) == 0
+    groups = np.arange(n)
+    if one_rate and table.t_s is not None and n > 1000:
+        groups = ((t_s - t_s[0]) // _BIN_LONG_S).astype(np.int64)
+        groups = np.unique(groups, return_inverse=True)[1]
+    count = np.bincount(groups).astype(np.float64)
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(np.bincount(groups, weights=values) / count)
+
+    times = mean(t_s)
+    history = temperature_history(times, mean(table.temp_c), smooth=one_rate)
+    white = np.ones(n)
+    if table.gyro_std_dps is not None and table.n is not None:
+        white = np.maximum(table.gyro_std_dps / np.sqrt(np.maximum(table.n, 1.0)), 1e-7)
+    if table.t_s is None:
+        untestable["time"] = "the table has no t_s; the order of the data sets stands for time"
+        untestable["temperature_rate"] = "the table has no t_s, so temperature rates are per data set only"
+    temp = history.temp_at(times) if one_rate else mean(table.temp_c)
+    temp_rate = history.rate_at(times)
+    if table.temp_rate_c_per_min is not None:
+        temp_rate = mean(table.temp_rate_c_per_min)
+    gyro = table.gyro_dps
+    step = np.diff(table.rate_dps, prepend=table.rate_dps[0])
+    return Series(
+        name=table.source.name,
+        t_s=times,
+        gyro_dps=mean(gyro),
+        rate_dps=mean(table.rate_dps),
+        temp_c=temp,
+        white_std_dps=np.sqrt(mean(white**2) / count),
+        averaging_s=np.zeros(times.size),
+        set_index=np.arange(times.size),
+        is_set=np.ones(times.size, dtype=bool),
+        temp_rate_c_per_min=temp_rate,
+        history=history,
+        raw=Raw(np.empty(0), np.empty(0), n, lattice(gyro), lattice(table.temp_c)),
+        step_dps=mean(step) if not one_rate else None,
+        untestable=untestable,
+        has_time=table.t_s is not None,
+        is_table=True,
+    )
