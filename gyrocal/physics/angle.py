@@ -19,11 +19,11 @@ def _once_a_turn(c: Conditions, p: Mapping[str, float], surface: Surface | None)
 
 
 def _eccentricity(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    # The reference is wrong, not the gyro: this is the error as seen against that reference.
+    # The reference reads too fast where its angle error grows: gyro minus reference is then too small.
     k = round(p["harmonic"])
     epsilon_rad = p["amplitude"] * ARCSEC_TO_DEG * DEG_TO_RAD
     angle_rad = DEG_TO_RAD * c.need("angle_deg")
-    return np.asarray(epsilon_rad * k * c.rate_dps * np.cos(k * angle_rad + p["phase_rad"]))
+    return np.asarray(-epsilon_rad * k * c.rate_dps * np.cos(k * angle_rad + p["phase_rad"]))
 
 
 EARTH_RATE_TILT = Effect(
@@ -71,7 +71,7 @@ G_SENSITIVITY = Effect(
 TABLE_ECCENTRICITY = Effect(
     id="table_eccentricity",
     family="angle, with rate",
-    equation="e = eps k w cos(k theta + phi), k = 1, 2, ...",
+    equation="reference angle off by eps sin(k theta + phi): e = -eps k w cos(k theta + phi), k = 1, 2, ...",
     statement="The table's angle reference is off centre, so that the reference rate is wrong once or twice a turn.",
     parameters=(
         amplitude("arcsec", 3600.0, 5.0, "error of the reference angle"),

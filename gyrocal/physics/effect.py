@@ -1,4 +1,10 @@
-"""What an effect is: one small object that the bench injects, `diagnose` proposes and the runtime compensates."""
+"""What an effect is: one small object that the bench injects, `diagnose` proposes and the runtime compensates.
+
+How effects and surface compose, everywhere in gyrocal: effects add to the output of a gyro that has the surface
+alone, ``g = g0 + sum e(w, T, ...)`` with ``g0 - S(g0, T) = w``. So the surface is a function of ``g - e``, and
+``w = (g - e) - S(g - e, T)``. The difference to ``S(g, T)`` is the effect times the slope of the surface, about
+one percent of the effect, and matters for the strong ones.
+"""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def error(effect_id: str, c: Conditions, surface: Surface | None = None, **p: fl
 
 def at(rate: Floats | list[float], **channels: Floats) -> Conditions:
     n = len(rate)
-    bare = Conditions(np.arange(n) * 1.0, np.asarray(rate, dtype=np.float64), np.full(n, 20.0))
+    bare = Conditions(np.arange(n, dtype=np.float64), np.asarray(rate, dtype=np.float64), np.full(n, 20.0))
     given: dict[str, Any] = dict(channels)
     return replace(bare, **given)
 
@@ -146,11 +146,11 @@ def test_angle_laws_by_hand() -> None:
     arcsec_rad = np.pi / 180 / 3600
     np.testing.assert_allclose(
         error("table_eccentricity", at([100.0] * 3, angle_deg=theta), amplitude=1.0, harmonic=2.0),
-        200 * arcsec_rad * np.array([1, -1, 1]),
+        200 * arcsec_rad * np.array([-1, 1, -1]),
     )
 
 
-def test_table_eccentricity_is_the_derivative_of_the_angle_error() -> None:
+def test_table_eccentricity_is_a_true_gyro_minus_the_derivative_of_the_reading() -> None:
     t = np.linspace(0.0, 10.0, 20001)
     theta = 37.0 * t
     epsilon_deg, k, phi = 20.0 / 3600, 2, 0.7
@@ -159,7 +159,7 @@ def test_table_eccentricity_is_the_derivative_of_the_angle_error() -> None:
         "table_eccentricity", at(np.full(t.size, 37.0), angle_deg=theta),
         amplitude=20.0, harmonic=2.0, phase_rad=phi,
     )  # fmt: skip
-    np.testing.assert_allclose(law[1:-1], np.gradient(reading_error, t)[1:-1], atol=1e-8)
+    np.testing.assert_allclose(law[1:-1], -np.gradient(reading_error, t)[1:-1], atol=1e-8)
 
 
 def test_step_response_rings_and_decays() -> None:
