@@ -8,5 +8,22 @@ from gyrocal.fusion.coefficients import (
     load_coefficients,
     parse_coefficients,
 )
+from gyrocal.fusion.navigator import STATES, Counts, NavigationState, Navigator, Trajectory
+from gyrocal.fusion.robot import FilterNoise, InitialStd, RobotParameters
 
-__all__ = ["Coefficients", "Noise", "Term", "Valid", "load_coefficients", "parse_coefficients"]
+__all__ = [
+    "STATES",
+    "Coefficients",
+    "Counts",
+    "FilterNoise",
+    "InitialStd",
+    "NavigationState",
+    "Navigator",
+    "Noise",
+    "RobotParameters",
+    "Term",
+    "Trajectory",
+    "Valid",
+    "load_coefficients",
+    "parse_coefficients",
+]
