@@ -1,0 +1,95 @@
+"""What the figures show, gathered once: data sets with what the coefficients leave, and the run's course in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.calibration.datasets import DataSets
+from gyrocal.records.run import Run, Segment
+
+Floats = NDArray[np.float64]
+
+#: Points of a curve over time that a page can still show.
+_CURVE_POINTS = 4000
+
+
+@dataclass(frozen=True)
+class Examined:
+    """Data sets in time order and the error that the coefficients leave in them; arrays of shape (n,).
+
+    Attributes
+    ----------
+    residual_dps : ndarray
+        Corrected output minus reference rate.
+    sigma_dps : ndarray
+        Standard deviation expected of the residual; NaN is unknown.
+    marked : ndarray of bool
+        Outliers and unsettled data sets: drawn hollow, never dropped.
+    """
+
+    sets: DataSets
+    residual_dps: Floats
+    sigma_dps: Floats
+    marked: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Span:
+    """A segment on the time axis."""
+
+    start_s: float
+    end_s: float
+    rate_dps: float
+    kind: str
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The course of a run. Curves are thinned to what a page shows; NaN separates gaps."""
+
+    gyro_temp_t_s: Floats
+    gyro_temp_c: Floats
+    chamber_t_s: Floats
+    chamber_temp_c: Floats
+    supply_t_s: Floats
+    supply_v: Floats
+    spans: tuple[Span, ...]
+
+
+def read_timeline(run: Run) -> Timeline:
+    """Read a run once more for its course: temperatures, supply and segments, in bounded memory."""
+    samples = sum(record.n for record in run.segments)
+    step = max(1, samples // _CURVE_POINTS)
+    parts: list[Segment] = []
+    for record in run.segments:
+        parts += [_thinned(block, step) for block in run.iterate_segment(record)]
+
+    def curve(time: str, value: str) -> tuple[Floats, Floats]:
+        t = np.concatenate([getattr(p, time) for p in parts])
+        v = np.concatenate([getattr(p, value) for p in parts])
+        known = np.isfinite(v)
+        return t[known], v[known]
+
+    spans = tuple(Span(r.t_start_s, r.t_end_s, r.rate_dps, r.kind, r.outcome) for r in run.segments)
+    return Timeline(
+        *curve("t_s", "gyro_temp_c"),
+        *curve("bench_t_s", "chamber_temp_c"),
+        *curve("bench_t_s", "supply_v"),
+        spans,
+    )
+
+
+def _thinned(block: Segment, step: int) -> Segment:
+    """Every `step`-th gyro sample of a block, and about as many bench readings."""
+    bench_step = max(1, step * block.bench_t_s.size // max(1, block.t_s.size))
+    gyro = ("t_s", "gyro_dps", "gyro_temp_c", "status")
+    bench = ("bench_t_s", "table_rate_dps", "table_angle_deg", "chamber_temp_c", "supply_v")
+    return Segment(
+        block.record,
+        *(getattr(block, name)[::step] for name in gyro),
+        *(getattr(block, name)[::bench_step] for name in bench),
+    )

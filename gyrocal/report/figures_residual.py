@@ -1,0 +1,210 @@
+"""What the coefficients leave: over rate and temperature, over time, and its scatter by rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy import stats
+
+from gyrocal.report import style
+from gyrocal.report.data import Examined
+from gyrocal.report.levels import Floats, Level, cell_edges, levels
+from gyrocal.report.scatter import RateScatter, scatter_trend
+from gyrocal.units import DPS_TO_DPH, S_PER_H
+
+_MOST_RATES = 64
+_MOST_TEMPERATURES = 12
+_RUNNING = 15
+#: A step in time this many times the usual one is a gap, over which no line is drawn.
+_GAP = 5.0
+_MEANS: dict[str, Any] = {
+    "fmt": "o",
+    "markersize": 2.5,
+    "color": style.BLUE,
+    "ecolor": "#9BC4DE",
+    "elinewidth": 0.8,
+}
+
+
+def residual_cells(data: Examined) -> tuple[Floats, Floats, Floats, Floats]:
+    """Mean residual of the data sets in each cell of rate and temperature.
+
+    Returns
+    -------
+    rate_edges, temp_edges : ndarray, shape (r + 1,), (t + 1,)
+    mean_dps, count : ndarray, shape (t, r); NaN where a cell is empty
+    """
+    rates, _ = levels(data.sets.rate_dps, most=_MOST_RATES, bins=24)
+    temps, _ = levels(data.sets.temp_c, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    row, column = np.empty(len(data.sets), dtype=int), np.empty(len(data.sets), dtype=int)
+    for i, level in enumerate(temps):
+        row[level.rows] = i
+    for i, level in enumerate(rates):
+        column[level.rows] = i
+    cell = row * len(rates) + column
+    count = np.bincount(cell, minlength=len(rates) * len(temps)).astype(float)
+    total = np.bincount(cell, weights=data.residual_dps, minlength=count.size)
+    mean = np.divide(total, count, out=np.full(count.size, np.nan), where=count > 0)
+    shape = len(temps), len(rates)
+    return cell_edges(rates), cell_edges(temps), mean.reshape(shape), count.reshape(shape)
+
+
+@style.styled
+def residual_map(data: Examined) -> Figure:
+    """Mean residual over rate and temperature, with its means by rate (above) and by temperature (right)."""
+    rate_edges, temp_edges, mean, _ = residual_cells(data)
+    limit = style.symmetric_limit(mean) * DPS_TO_DPH
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 4.0)
+    axes = figure.subplots(2, 2, width_ratios=(4, 1), height_ratios=(1, 2.6))
+    above, corner, centre, right = axes.ravel()
+    corner.set_visible(False)
+    signed = centre.pcolormesh(
+        rate_edges, temp_edges, mean * DPS_TO_DPH, cmap=style.DIVERGING, vmin=-limit, vmax=limit
+    )
+    centre.plot(data.sets.rate_dps, data.sets.temp_c, ".", color=style.INK, markersize=0.8, alpha=0.6)
+    beyond = np.nanmax(np.abs(mean)) * DPS_TO_DPH > limit
+    figure.colorbar(
+        signed,
+        ax=[centre, right],
+        location="bottom",
+        label="Mean residual, deg/h (dots: where the data sets lie)",
+        extend="both" if beyond else "neither",
+        aspect=50,
+        pad=0.02,
+    )
+    rates, _ = levels(data.sets.rate_dps, most=_MOST_RATES, bins=24)
+    temps, _ = levels(data.sets.temp_c, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    above.errorbar(*_level_means(data, rates), **_MEANS)
+    above.axhline(0.0, color=style.GREY, linewidth=0.6)
+    above.set_ylabel("deg/h")
+    above.set_title("Mean residual by rate, 95 % interval", fontsize=7.5, fontweight="normal")
+    value, mean_dph, half = _level_means(data, temps)
+    right.errorbar(mean_dph, value, xerr=half, **_MEANS)
+    right.axvline(0.0, color=style.GREY, linewidth=0.6)
+    right.set_title("by temperature, deg/h", fontsize=7.5, fontweight="normal")
+    above.sharex(centre)
+    right.sharey(centre)
+    centre.set_xlabel("Table rate, deg/s")
+    centre.set_ylabel("Gyro temperature, °C")
+    centre.set_facecolor("#EFEFEF")
+    centre.grid(visible=False)
+    return figure
+
+
+def _level_means(data: Examined, found: list[Level]) -> tuple[Floats, Floats, Floats]:
+    """Value of each level, mean residual there, and half its 95 % interval (Student's t), deg/h."""
+    value = np.array([level.value for level in found])
+    groups = [data.residual_dps[level.rows] * DPS_TO_DPH for level in found]
+    half = [
+        stats.t.ppf(0.975, g.size - 1) * g.std(ddof=1) / np.sqrt(g.size) if g.size > 1 else np.nan
+        for g in groups
+    ]
+    return value, np.array([g.mean() for g in groups]), np.array(half)
+
+
+@style.styled
+def residual_over_time(data: Examined) -> Figure:
+    """Residual of each data set over time, or over its number where the recording has no times."""
+    sets = data.sets
+    x: Floats = sets.t_s / S_PER_H if sets.timed else np.arange(1.0, len(sets) + 1)
+    residual = data.residual_dps * DPS_TO_DPH
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 3.6)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    upper.axhline(0.0, color=style.GREY, linewidth=0.6)
+    if np.isfinite(data.sigma_dps).any():
+        upper.errorbar(
+            x, residual, yerr=1.96 * data.sigma_dps * DPS_TO_DPH, fmt="none", ecolor="#BBBBBB", elinewidth=0.5
+        )
+    points = _by_temperature(upper, x, residual, data)
+    figure.colorbar(points, ax=upper, label="Gyro temp., °C", pad=0.01)
+    window = min(_RUNNING, max(3, len(sets) // 8))
+    if len(sets) >= 2 * window:
+        upper.plot(
+            *_running_median(x, residual, window),
+            color=style.ORANGE,
+            linewidth=1.2,
+            label=f"running median of {window}",
+        )
+    if data.marked.any():
+        upper.plot(
+            x[data.marked],
+            residual[data.marked],
+            "o",
+            markersize=7,
+            markerfacecolor="none",
+            markeredgecolor=style.ORANGE,
+            markeredgewidth=0.8,
+            label="outlier or unsettled",
+        )
+    if upper.get_legend_handles_labels()[0]:
+        upper.legend(loc="upper right", ncols=2)
+    upper.set_ylabel("Residual, deg/h")
+    lower.plot(x, sets.rate_dps, ".", color=style.BLUE, markersize=2.2)
+    lower.set_ylabel("Rate, deg/s")
+    lower.set_xlabel("Time since the run began, h" if sets.timed else "Number of the data set, in time order")
+    return figure
+
+
+def _by_temperature(axes: Any, x: Floats, residual: Floats, data: Examined) -> Any:
+    return axes.scatter(
+        x,
+        residual,
+        c=data.sets.temp_c,
+        cmap=style.SEQUENTIAL,
+        s=9,
+        linewidths=0.2,
+        edgecolors="white",
+        zorder=3,
+    )
+
+
+def _running_median(x: Floats, values: Floats, window: int) -> tuple[Floats, Floats]:
+    """Running median over `window` neighbours, with a NaN wherever nothing was recorded for long."""
+    half = window // 2
+    padded = np.pad(values, half, mode="reflect")
+    trend = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
+    steps = np.diff(x)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
+    return np.insert(x, gaps, np.nan), np.insert(trend, gaps, np.nan)
+
+
+@style.styled
+def scatter_figure(scatter: RateScatter) -> Figure:
+    """Scatter between data sets by rate, with its trend; rates that stand out from their neighbours are marked."""
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 3.4)
+    axes = figure.add_subplot()
+    rate, between = scatter.rate_dps, scatter.between_dps * DPS_TO_DPH
+    bars = (
+        np.stack(
+            (scatter.between_dps - scatter.between_low_dps, scatter.between_high_dps - scatter.between_dps)
+        )
+        * DPS_TO_DPH
+    )
+    axes.errorbar(rate, between, yerr=bars, label="between data sets at one rate, 95 % interval", **_MEANS)
+    trend = scatter_trend(rate, scatter.between_dps) * DPS_TO_DPH
+    axes.plot(rate, trend, color=style.GREY, linestyle="--", label="trend with |rate|")
+    if scatter.expected_dps is not None:
+        axes.plot(
+            rate,
+            scatter.expected_dps * DPS_TO_DPH,
+            "^",
+            color=style.GREEN,
+            markerfacecolor="none",
+            label="expected from the noise inside the data sets",
+        )
+    sizes = scatter.size_dps[scatter.local]
+    odd = np.isclose(np.abs(rate)[:, None], sizes, rtol=1e-3, atol=1e-3).any(axis=1)
+    if odd.any():
+        ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgecolor": style.ORANGE}
+        axes.plot(rate[odd], between[odd], "o", label="more than the neighbouring rates", **ring)
+    for x, y in zip(rate[odd], between[odd], strict=True):
+        axes.annotate(
+            f"{x:+.1f}", (x, y), textcoords="offset points", xytext=(6, 4), fontsize=7, color=style.ORANGE
+        )
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("Table rate, deg/s")
+    axes.set_ylabel("Standard deviation, deg/h")
+    figure.legend(loc="outside upper center", ncols=2)
+    return figure

@@ -1,0 +1,61 @@
+"""One self-contained HTML page: verdict, figures with captions, tables, provenance. No network, no scripts."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+
+import jinja2
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the page: its PNG, or the reason why the record carries none."""
+
+    name: str
+    title: str
+    caption: str
+    png: bytes | None = None
+    missing: str = ""
+
+    @property
+    def source(self) -> str:
+        """The picture itself, as a data address that needs no file beside the page."""
+        return "data:image/png;base64," + base64.b64encode(self.png or b"").decode()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of ready-made cells; `csv` is what stands in the CSV file, with all digits."""
+
+    name: str
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    csv: str
+    note: str = ""
+    on_page: bool = True
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a report says, verdict first."""
+
+    title: str
+    verdict: str
+    key_figures: Sequence[tuple[str, str]]
+    remarks: Sequence[str]
+    pictures: Sequence[Picture]
+    tables: Sequence[Table]
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+
+def render_page(page: Page) -> str:
+    """HTML text of a page; the same page gives the same text."""
+    template = resources.files("gyrocal.report").joinpath("page.html.j2").read_text(encoding="utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(template).render(page=page) + "\n"
