@@ -1,0 +1,183 @@
+"""A simulated skid-steer robot with the virtual bench's gyro on it. Nothing here is seen by filter or calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.navigation.path import Motion, TruePath, drive, square_via_points
+from gyrocal.physics.gyro import GyroModel, GyroStream
+from gyrocal.records.drive import DriveBlock
+from gyrocal.units import DEG_TO_RAD, DPH_TO_DPS, EARTH_RATE_DPH, S_PER_MIN
+
+Floats = NDArray[np.float64]
+
+CW, CCW = -1, 1
+
+#: Names of the random streams of an experiment: what is drawn for one purpose never shifts another.
+_STREAM_ROBOT, _STREAM_DAY, _STREAM_RUN = 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What is known of the robot beforehand: nominal values, and how far a real one may be from them.
+
+    Attributes
+    ----------
+    wheel_separation_m : float
+        Nominal effective separation: a skid steer turns as if its wheels stood wider apart than they do.
+    separation_std, separation_run_std : float
+        Relative error of the effective separation: of the robot, and from run to run (surface).
+    wheel_scale_std : float
+        Relative error of each side's wheel radius.
+    metres_per_tick : float
+    turn_slip_std, turn_slip_s : float
+        Relative wander of the effective separation within a run, and its correlation time.
+    bumps_per_m, bump_m : float
+        Bumps a metre on each side, and the mean distance that one adds to the count (never takes away).
+    """
+
+    wheel_separation_m: float = 0.60
+    separation_std: float = 0.03
+    separation_run_std: float = 0.005
+    wheel_scale_std: float = 0.002
+    metres_per_tick: float = 2.6e-5
+    turn_slip_std: float = 0.02
+    turn_slip_s: float = 1.0
+    bumps_per_m: float = 1.0
+    bump_m: float = 0.0005
+
+
+@dataclass(frozen=True)
+class Day:
+    """Where and when the drives happen.
+
+    Attributes
+    ----------
+    temp_c, temp_run_std_c, drift_std_c_per_min : float
+        Gyro temperature of the day, its spread from run to run, and its drift within a run.
+    latitude_deg : float
+        The gyro senses the vertical part of the Earth's rate (Ann Arbor's, where the paper's robot drove).
+    """
+
+    temp_c: float
+    temp_run_std_c: float = 1.0
+    drift_std_c_per_min: float = 0.2
+    latitude_deg: float = 42.3
+
+
+@dataclass(frozen=True)
+class SimulatedRobot:
+    """One robot as it really is: the encoders count ``(1 + scale)`` times the true travel (paper eq. 7)."""
+
+    spread: Spread
+    scale_left: float
+    scale_right: float
+    wheel_separation_m: float
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A drive: its log (distances in whole ticks), direction (+1 counter-clockwise), and tick size."""
+
+    name: str
+    direction: int
+    log: DriveBlock
+    metres_per_tick: float
+
+
+def draw_robot(spread: Spread, seed: int) -> SimulatedRobot:
+    """Draw a robot from its spread."""
+    rng = np.random.default_rng([seed, _STREAM_ROBOT])
+    left, right = rng.normal(0.0, spread.wheel_scale_std, 2)
+    separation = spread.wheel_separation_m * (1.0 + rng.normal(0.0, spread.separation_std))
+    return SimulatedRobot(spread, float(left), float(right), float(separation))
+
+
+def draw_day(seed: int, low_c: float = 5.0, high_c: float = 35.0) -> Day:
+    """Draw the temperature of a day on which one drives outdoors."""
+    return Day(float(np.random.default_rng([seed, _STREAM_DAY]).uniform(low_c, high_c)))
+
+
+def simulate_experiment(
+    model: GyroModel,
+    robot: SimulatedRobot,
+    day: Day,
+    seed: int,
+    *,
+    runs: int = 5,
+    directions: tuple[int, ...] = (CW, CCW),
+    motion: Motion | None = None,
+    static_s: float = 10.0,
+    sample_rate_hz: float = 10.0,
+) -> list[SimulatedRun]:
+    """Drive the square `runs` times in each direction; the same seed gives the same logs.
+
+    Parameters
+    ----------
+    model : GyroModel
+        The gyro on the robot, as it really is.
+    seed : int
+        Of everything random in the drives; each run has a stream of its own.
+    """
+    motion = motion or Motion()
+    dt_s = 1.0 / sample_rate_hz
+    paths = {d: drive(square_via_points(motion, d), motion, dt_s, static_s) for d in directions}
+    result = []
+    for direction in directions:
+        for k in range(runs):
+            rng = np.random.default_rng([seed, _STREAM_RUN, direction + 1, k])
+            log = simulate_log(paths[direction], model, robot, day, rng, dt_s)
+            name = f"{'ccw' if direction == CCW else 'cw'}{k + 1}"
+            result.append(SimulatedRun(name, direction, log, robot.spread.metres_per_tick))
+    return result
+
+
+def simulate_log(
+    path: TruePath, model: GyroModel, robot: SimulatedRobot, day: Day, rng: np.random.Generator, dt_s: float
+) -> DriveBlock:
+    """What the robot's encoders and gyro write while it drives `path`."""
+    left_m, right_m = _encoders(path, robot, rng, dt_s)
+    drift_c_per_s = rng.normal(0.0, day.drift_std_c_per_min) / S_PER_MIN
+    temp_c = day.temp_c + rng.normal(0.0, day.temp_run_std_c) + drift_c_per_s * path.t_s
+    earth_dps = EARTH_RATE_DPH * DPH_TO_DPS * np.sin(day.latitude_deg * DEG_TO_RAD)
+    gyro = GyroStream(model, rng)
+    gyro_dps = gyro.samples(dt_s, path.turn_deg / dt_s + earth_dps, temp_c)
+    reported_c = gyro.temperatures(temp_c)
+    return DriveBlock(
+        2, path.t_s, left_m, right_m, gyro_dps, reported_c, path.x_m, path.y_m, path.heading_deg
+    )
+
+
+def _encoders(
+    path: TruePath, robot: SimulatedRobot, rng: np.random.Generator, dt_s: float
+) -> tuple[Floats, Floats]:
+    """Distance since the row before of the left and right side, in whole ticks."""
+    spread = robot.spread
+    run_factor = 1.0 + rng.normal(0.0, spread.separation_run_std)
+    slip = 1.0 + spread.turn_slip_std * _wander(path.t_s.size, dt_s / spread.turn_slip_s, rng)
+    half_m = 0.5 * robot.wheel_separation_m * run_factor * slip * path.turn_deg * DEG_TO_RAD
+    sides = []
+    for travel_m, scale in (
+        (path.distance_m - half_m, robot.scale_left),
+        (path.distance_m + half_m, robot.scale_right),
+    ):
+        bumps = rng.poisson(spread.bumps_per_m * np.abs(travel_m))
+        # The sum of k exponentials is a gamma of shape k; zero bumps add nothing.
+        added_m = spread.bump_m * rng.gamma(np.maximum(bumps, 1)) * (bumps > 0)
+        counted_m = travel_m * (1.0 + scale) + added_m
+        ticks = np.floor(np.cumsum(counted_m) / spread.metres_per_tick)
+        sides.append(np.diff(ticks, prepend=0.0) * spread.metres_per_tick)
+    return sides[0], sides[1]
+
+
+def _wander(n: int, step: float, rng: np.random.Generator) -> Floats:
+    """Ornstein-Uhlenbeck process of unit variance; `step` is the interval over the correlation time."""
+    from scipy.signal import lfilter
+
+    decay = np.exp(-step)
+    drive_noise = rng.standard_normal(n) * np.sqrt(1.0 - decay**2)
+    drive_noise[0] = rng.standard_normal()
+    return np.asarray(lfilter([1.0], [1.0, -decay], drive_noise))

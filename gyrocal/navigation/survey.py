@@ -1,0 +1,296 @@
+"""A first look at a drive log, in one pass and bounded memory: what is in it, and whether its channels can be right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.errors import DataError
+from gyrocal.records.drive import DriveBlock
+from gyrocal.units import RAD_TO_DEG
+
+Floats = NDArray[np.float64]
+
+#: Turns are compared over windows of this length: long enough to drown encoder ticks, short beside a turn.
+WINDOW_S = 1.0
+#: Below this angle, summed over windows, the log has no turns that anything could be learnt from.
+MIN_TURN_DEG = 20.0
+#: A correlation of encoder and gyro turns that no sound pair of channels falls below, and one that only a
+#: sound pair reaches.
+_CORRELATION_BAD, _CORRELATION_GOOD = 0.3, 0.7
+#: deg/s logged as rad/s (or the reverse) changes the ratio by 57.3; half of that on a log scale is the border.
+_UNIT_BORDER = RAD_TO_DEG**0.5
+#: Faster than any robot that this is for.
+_MAX_SPEED_MPS = 30.0
+_MAX_BAD_SHARE = 0.05
+_SATURATED_ROWS = 5
+_STUCK_S = 2.0
+
+#: What a wrong encoder does to (left, right): name -> signs of left and right in the turn.
+_HYPOTHESES: tuple[tuple[str, float, float], ...] = (
+    ("the gyro's sign is inverted, or left and right encoders are swapped", 1.0, -1.0),
+    ("the left encoder's sign is inverted", 1.0, 1.0),
+    ("the right encoder's sign is inverted", -1.0, -1.0),
+)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a drive log holds; see `survey`.
+
+    Attributes
+    ----------
+    left_m, right_m, gyro_deg : ndarray, shape (windows,)
+        Sums over windows of `WINDOW_S`.
+    bad_gyro, bad_encoder, duplicates, gaps : int
+        Rows with an empty cell; rows with the time of the row before; steps above 5 times the usual one.
+    """
+
+    source: Path
+    rows: int
+    t_start_s: float
+    t_end_s: float
+    usual_dt_s: float
+    left_m: Floats = field(repr=False)
+    right_m: Floats = field(repr=False)
+    gyro_deg: Floats = field(repr=False)
+    bad_gyro: int
+    bad_encoder: int
+    duplicates: int
+    gaps: int
+    truth_rows: int
+    truth_headings: int
+    temp_rows: int
+    temp_c: tuple[float, float]
+    gyro_dps: tuple[float, float]
+    max_speed_mps: float
+    longest_extreme: int
+    longest_same_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last row."""
+        return self.t_end_s - self.t_start_s
+
+    @property
+    def distance_m(self) -> float:
+        """Distance by the encoders, mean of both sides."""
+        return float(0.5 * (self.left_m + self.right_m).sum())
+
+    def notes(self) -> tuple[str, ...]:
+        """What was found and bridged, in words."""
+        found = (
+            (self.bad_gyro, "rows without a gyro sample"),
+            (self.bad_encoder, "rows without an encoder sample"),
+            (self.duplicates, "rows with the time of the row before"),
+            (self.gaps, "gaps of more than 5 usual steps"),
+        )
+        return tuple(f"{count} {what}" for count, what in found if count)
+
+
+def survey(source: Path, blocks: Iterable[DriveBlock]) -> Survey:
+    """Read a log once and count what is in it. Raises what the reader raises."""
+    tally = _Tally()
+    for block in blocks:
+        tally.add(block)
+    return tally.result(source)
+
+
+class _Tally:
+    """Running sums of a survey."""
+
+    def __init__(self) -> None:
+        self.rows = self.bad_gyro = self.bad_encoder = self.duplicates = 0
+        self.truth_rows = self.truth_headings = self.temp_rows = 0
+        self.t_start_s = self.t_end_s = np.nan
+        self.temp_c = self.gyro_dps = (np.inf, -np.inf)
+        self.max_speed_mps = 0.0
+        self.same_since_s, self.last_gyro, self.longest_same_s = np.nan, np.nan, 0.0
+        self.extreme_rows: dict[float, int] = {}
+        self.windows: list[Floats] = []
+        self.open_index, self.open_sum = -1, np.zeros(3)
+        self.steps: list[Floats] = []
+        self.long_steps: list[Floats] = []
+
+    def add(self, block: DriveBlock) -> None:
+        t_s = block.t_s
+        first = self.rows == 0
+        if first:
+            self.t_start_s = self.t_end_s = float(t_s[0])
+        dt_s = np.diff(t_s, prepend=self.t_end_s)
+        self.rows += len(block)
+        self.t_end_s = float(t_s[-1])
+        gyro, encoder = np.isfinite(block.gyro_dps), np.isfinite(block.left_m + block.right_m)
+        self.bad_gyro += int(np.count_nonzero(~gyro))
+        self.bad_encoder += int(np.count_nonzero(~encoder))
+        self.duplicates += int(np.count_nonzero(dt_s == 0.0)) - first
+        self.truth_rows += int(np.count_nonzero(np.isfinite(block.truth_x_m + block.truth_y_m)))
+        self.truth_headings += int(np.count_nonzero(np.isfinite(block.truth_heading_deg)))
+        self.temp_rows += int(np.count_nonzero(np.isfinite(block.gyro_temp_c)))
+        self.temp_c = _widen(self.temp_c, block.gyro_temp_c)
+        self.gyro_dps = _widen(self.gyro_dps, block.gyro_dps)
+        moved = encoder & (dt_s > 0)
+        speed = 0.5 * np.abs(block.left_m + block.right_m)[moved] / dt_s[moved]
+        self.max_speed_mps = max(self.max_speed_mps, float(speed.max(initial=0.0)))
+        positive = dt_s[dt_s > 0]
+        self.steps.append(np.quantile(positive, [0.5]) if positive.size else np.empty(0))
+        self.long_steps.append(np.sort(positive)[-1000:])
+        self._same(t_s, block.gyro_dps)
+        self._window(block, dt_s)
+
+    def _same(self, t_s: Floats, gyro_dps: Floats) -> None:
+        """Longest time without any change of the gyro, and how often it stays at its extreme in a row."""
+        starts = np.flatnonzero(np.concatenate(([gyro_dps[0] != self.last_gyro], np.diff(gyro_dps) != 0)))
+        if starts.size == 0 or starts[0] > 0:
+            first_s = self.same_since_s
+            end = starts[0] - 1 if starts.size else -1
+            self.longest_same_s = max(self.longest_same_s, float(t_s[end] - first_s))
+        if starts.size:
+            ends = np.append(starts[1:], gyro_dps.size)
+            self.longest_same_s = max(self.longest_same_s, float(np.max(t_s[ends - 1] - t_s[starts])))
+            finite = np.isfinite(gyro_dps[starts])
+            for extreme in (np.nanmin, np.nanmax) if finite.any() else ():
+                value = float(extreme(gyro_dps))
+                run = int(np.max((ends - starts)[gyro_dps[starts] == value]))
+                self.extreme_rows[value] = max(run, self.extreme_rows.get(value, 0))
+            self.same_since_s = float(t_s[starts[-1]])
+        self.last_gyro = float(gyro_dps[-1])
+
+    def _window(self, block: DriveBlock, dt_s: Floats) -> None:
+        channels = np.stack([block.left_m, block.right_m, block.gyro_dps * dt_s])
+        channels = np.where(np.isfinite(channels), channels, 0.0)
+        index = np.floor((block.t_s - self.t_start_s) / WINDOW_S).astype(np.int64)
+        starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
+        sums = np.add.reduceat(channels, starts, axis=1)
+        if index[0] == self.open_index:
+            sums[:, 0] += self.open_sum
+        elif self.open_index >= 0:
+            self.windows.append(self.open_sum[:, None])
+        self.windows.append(sums[:, :-1])
+        self.open_index, self.open_sum = int(index[-1]), sums[:, -1]
+
+    def result(self, source: Path) -> Survey:
+        left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
+        medians = np.concatenate(self.steps)
+        usual_dt_s = float(np.median(medians)) if medians.size else 0.0
+        gaps = int(np.count_nonzero(np.concatenate(self.long_steps) > 5.0 * usual_dt_s))
+        return Survey(
+            source,
+            self.rows,
+            self.t_start_s,
+            self.t_end_s,
+            usual_dt_s,
+            left,
+            right,
+            gyro,
+            self.bad_gyro,
+            self.bad_encoder,
+            self.duplicates,
+            gaps,
+            self.truth_rows,
+            self.truth_headings,
+            self.temp_rows,
+            self.temp_c,
+            self.gyro_dps,
+            self.max_speed_mps,
+            max(self.extreme_rows.get(value, 0) for value in self.gyro_dps)
+            if self.rows > self.bad_gyro
+            else 0,
+            self.longest_same_s,
+        )
+
+
+def _widen(span: tuple[float, float], values: Floats) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    return (
+        (min(span[0], float(finite.min())), max(span[1], float(finite.max())))
+        if finite.size
+        else (span[0], span[1])
+    )
+
+
+def check(found: Survey, wheel_separation_m: float) -> None:
+    """Refuse a log whose channels cannot be right.
+
+    Raises
+    ------
+    DataError
+        Nothing moves, no turns, a channel that is stuck, saturated or mostly empty, encoders and gyro that
+        disagree in sign or unit.
+    """
+    name = found.source
+    for bad, what in ((found.bad_gyro, "gyro_dps"), (found.bad_encoder, "left or right distance")):
+        if bad > _MAX_BAD_SHARE * found.rows:
+            msg = f"{name}: {what} is empty in {bad} of {found.rows} rows; up to {_MAX_BAD_SHARE:.0%} can be bridged. Repair the log."
+            raise DataError(msg)
+    if found.duration_s <= 0:
+        raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
+    if found.max_speed_mps > _MAX_SPEED_MPS:
+        msg = f"{name}: the encoders say {found.max_speed_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
+        raise DataError(msg)
+    _check_stuck(found, wheel_separation_m)
+    _check_turns(found, wheel_separation_m)
+
+
+def _check_stuck(found: Survey, separation_m: float) -> None:
+    name = found.source
+    left, right = (float(np.abs(side).sum()) for side in (found.left_m, found.right_m))
+    if max(left, right) < 1.0:
+        raise DataError(
+            f"{name}: the encoders move {max(left, right):.3g} m in all: the robot stood, or both are stuck."
+        )
+    for low, high, side in ((left, right, "left"), (right, left, "right")):
+        if low < 0.01 * high:
+            msg = f"{name}: the {side} encoder moves {low:.3g} m while the other moves {high:.3g} m; it is stuck. Check its cable."
+            raise DataError(msg)
+    turned_deg = float(np.abs(found.right_m - found.left_m).sum()) / separation_m * RAD_TO_DEG
+    if found.gyro_dps[0] == found.gyro_dps[1]:
+        msg = f"{name}: gyro_dps is {found.gyro_dps[0]:g} in every row while the encoders turn {turned_deg:.0f} deg; the gyro is stuck. Check its cable."
+        raise DataError(msg)
+    if found.longest_same_s > _STUCK_S and found.longest_same_s > 0.25 * found.duration_s:
+        msg = f"{name}: gyro_dps does not change for {found.longest_same_s:.0f} s of {found.duration_s:.0f} s; the gyro is stuck. Check its cable."
+        raise DataError(msg)
+    worst_dps = max(abs(v) for v in found.gyro_dps)
+    if found.longest_extreme >= _SATURATED_ROWS and worst_dps > 10.0:
+        msg = f"{name}: gyro_dps stays at its extreme ({found.gyro_dps[0]:g} or {found.gyro_dps[1]:g} deg/s) for {found.longest_extreme} rows in a row; it is saturated. Drive slower turns or use a gyro of a wider range."
+        raise DataError(msg)
+
+
+def _check_turns(found: Survey, separation_m: float) -> None:
+    name = found.source
+    gyro = found.gyro_deg - np.median(found.gyro_deg)
+    encoder = (found.right_m - found.left_m) / separation_m * RAD_TO_DEG
+    # Turning shows as single large windows; a bias or a drift does not.
+    turned = [
+        float(np.abs(turn[np.abs(turn) > 2.0 * WINDOW_S]).sum())
+        for turn in (gyro, encoder - np.median(encoder))
+    ]
+    if max(turned) < MIN_TURN_DEG:
+        msg = f"{name}: has no turns (gyro {turned[0]:.0f} deg, encoders {turned[1]:.0f} deg in all); gyro and encoders cannot be compared. Log a drive that turns both ways."
+        raise DataError(msg)
+    ratio, correlation = _compare(encoder, gyro)
+    if correlation < _CORRELATION_BAD:
+        for cause, left_sign, right_sign in _HYPOTHESES:
+            other = (left_sign * found.left_m + right_sign * found.right_m) / separation_m * RAD_TO_DEG
+            if _compare(other, gyro)[1] > _CORRELATION_GOOD:
+                msg = f"{name}: encoder and gyro turns disagree (correlation {correlation:.2f}): {cause}. State the signs in a mapping with --columns."
+                raise DataError(msg)
+        msg = f"{name}: encoder and gyro turns have nothing in common (correlation {correlation:.2f} over {WINDOW_S:g} s windows): one of them is stuck, or they are not of one robot or not of one clock. Check the log."
+        raise DataError(msg)
+    if not 1.0 / _UNIT_BORDER < ratio < _UNIT_BORDER:
+        cause = "rad/s logged as deg/s" if ratio < 1 else "a rate in deg/s converted twice"
+        msg = f"{name}: the gyro turns {ratio:.3g} times as far as the encoders; a factor near 57.3 is {cause}, any other a wrong wheel_separation_m or metres_per_tick. State the units in a mapping with --columns."
+        raise DataError(msg)
+
+
+def _compare(encoder: Floats, gyro: Floats) -> tuple[float, float]:
+    """Size of the gyro's turns over the encoders' (ratio of standard deviations) and their correlation."""
+    e, g = encoder - encoder.mean(), gyro - gyro.mean()
+    see, sgg, seg = float(e @ e), float(g @ g), float(e @ g)
+    if see == 0.0 or sgg == 0.0:
+        return np.inf if see == 0.0 else 0.0, 0.0
+    return (sgg / see) ** 0.5, seg / (see * sgg) ** 0.5
