@@ -1,0 +1,148 @@
+"""ESPEC chambers (SCP-220, P300, SH-641): ASCII lines, CR LF, 9600 or 19200 8N1 or TCP 10001 (protocols.md 3.1).
+
+A query is answered by a data line, a set command by ``OK:`` and its echo, a refusal by ``NA:`` and the reason.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
+from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.errors import DeviceError
+
+NAME = "ESPEC chamber"
+RESOLUTION_C = 0.1
+_RUNNING_MODES = ("CONSTANT", "RUN")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What differs between units.
+
+    Attributes
+    ----------
+    address : int or None
+        RS-485 address prefix; None on RS-232 and TCP.
+    min_temp_c, max_temp_c, max_ramp_c_per_min : float
+        The chamber's own limits.
+    timeout_s : float
+        Longest wait for an answer.
+    """
+
+    address: int | None = None
+    min_temp_c: float = -40.0
+    max_temp_c: float = 85.0
+    max_ramp_c_per_min: float = 2.0
+    timeout_s: float = 3.0
+
+
+class EspecChamber:
+    """Driver of an ESPEC chamber; see `gyrocal.bench.devices.Chamber`. Temperatures deg C."""
+
+    def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
+        self._talk = Conversation(transport, NAME, b"\r\n", options.timeout_s)
+        self._clock = clock
+        self._options = options
+
+    def limits(self) -> ChamberLimits:
+        """Limits of the chamber, from the options."""
+        o = self._options
+        return ChamberLimits(o.min_temp_c, o.max_temp_c, o.max_ramp_c_per_min)
+
+    def start(self) -> None:
+        """Ask who it is and switch it to constant mode."""
+        self._ask("TYPE?")
+        self._set("MODE,CONSTANT")
+
+    def set_alarm_limits(self, low_c: float, high_c: float) -> None:
+        """Program the chamber's own alarms around the present set point, so that they hold with the PC dead."""
+        setpoint_c = self._temperatures()[1]
+        self._set(f"TEMP, S{setpoint_c:.1f} H{high_c:.1f} L{low_c:.1f}")
+
+    def set_setpoint(self, temp_c: float, ramp_c_per_min: float | None = None) -> None:
+        """Set point, read back. The chamber has no ramp in constant mode: the caller steps the set point."""
+        check_setpoint(NAME, temp_c, self.limits())
+        self._set(f"TEMP, S{temp_c:.1f}")
+        verify_setpoint(NAME, temp_c, lambda: self._temperatures()[1], RESOLUTION_C)
+
+    def read(self) -> ChamberReading:
+        """``TEMP?``, ``MODE?`` and ``ALARM?``."""
+        temp_c, setpoint_c = self._temperatures()
+        mode = self._ask("MODE?").partition(",")[0]
+        alarms = [code for code in self._ask("ALARM?").split(",")[1:] if code]
+        texts = tuple(f"ESPEC alarm {code}" for code in alarms)
+        return ChamberReading(self._clock.now_s(), temp_c, setpoint_c, mode in _RUNNING_MODES, texts)
+
+    def close(self) -> None:
+        """Close the port; the chamber keeps its set point."""
+        self._talk.transport.close()
+
+    def _temperatures(self) -> tuple[float, float]:
+        cells = self._ask("TEMP?").split(",")
+        try:
+            return float(cells[0]), float(cells[1])
+        except (ValueError, IndexError) as error:
+            raise DeviceError(
+                f"{NAME}: answered {','.join(cells)!r} to TEMP?, and numbers are wanted."
+            ) from error
+
+    def _ask(self, command: str) -> str:
+        prefix = "" if self._options.address is None else f"{self._options.address},"
+        answer = self._talk.ask(f"{prefix}{command}\r\n".encode()).decode("ascii", errors="replace").strip()
+        if answer.startswith("NA:"):
+            raise DeviceError(f"{NAME}: refused {command!r} ({answer[3:].strip()}). See its panel.")
+        return answer
+
+    def _set(self, command: str) -> None:
+        answer = self._ask(command)
+        if not answer.startswith("OK:"):
+            raise DeviceError(f"{NAME}: answered {answer!r} to {command!r}, and OK was wanted.")
+
+
+class EspecResponder(LineResponder):
+    """The chamber's side: commands to `chamber`."""
+
+    terminator = b"\r\n"
+
+    def __init__(self, chamber: Chamber, options: Options = Options()) -> None:
+        super().__init__()
+        self._chamber = chamber
+        self._options = options
+        self._alarm_low_c, self._alarm_high_c = options.min_temp_c, options.max_temp_c
+
+    def answer(self, line: str) -> bytes:
+        """Answer of the chamber."""
+        if self._options.address is not None:
+            line = line.removeprefix(f"{self._options.address},")
+        reading = self._chamber.read()
+        query = {
+            "TYPE?": "T,T,S2,160.0",
+            "TEMP?": f"{reading.temp_c:.1f},{reading.setpoint_c:.1f},{self._alarm_high_c:.1f},{self._alarm_low_c:.1f}",
+            "MODE?": "CONSTANT" if reading.running else "STANDBY",
+            "ALARM?": ",".join([str(len(reading.alarms)), *(str(i + 1) for i in range(len(reading.alarms)))]),
+        }
+        text = query.get(line.upper())
+        if text is None:
+            text = self._set(line)
+        return f"{text}\r\n".encode()
+
+    def _set(self, line: str) -> str:
+        if line.upper() == "MODE,CONSTANT":
+            self._chamber.start()
+            return f"OK:{line}"
+        match = re.fullmatch(r"TEMP,\s*S(-?\d+\.\d)(?:\s*H(-?\d+\.\d)\s*L(-?\d+\.\d))?", line, re.IGNORECASE)
+        if match is None:
+            return "NA:CMD ERR"
+        temp_c = float(match[1])
+        if not self._options.min_temp_c <= temp_c <= self._options.max_temp_c:
+            return "NA:DATA OUT OF RANGE"
+        self._chamber.set_setpoint(temp_c)
+        if match[2] is not None:
+            self._alarm_high_c, self._alarm_low_c = float(match[2]), float(match[3])
+            self._chamber.set_alarm_limits(self._alarm_low_c, self._alarm_high_c)
+        return f"OK:{line}"

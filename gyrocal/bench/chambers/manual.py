@@ -1,0 +1,82 @@
+"""A chamber that the operator drives: the program asks, the operator sets it and types what it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gyrocal.bench.chambers.setpoint import check_setpoint
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import ChamberLimits, ChamberReading
+from gyrocal.errors import InterruptedRunError
+
+NAME = "manual chamber"
+
+#: Asks the operator a question and returns the answer; the command line supplies it.
+Prompt = Callable[[str], str]
+
+
+@dataclass(frozen=True)
+class Options:
+    """The chamber's own limits, deg C and deg C/min."""
+
+    min_temp_c: float = -20.0
+    max_temp_c: float = 60.0
+    max_ramp_c_per_min: float = 1.0
+
+
+class ManualChamber:
+    """A chamber without a link. What the operator types is the reading until the next question; then the gyro's own
+    temperature is the only witness of the soak. See `gyrocal.bench.devices.Chamber`.
+    """
+
+    def __init__(self, prompt: Prompt, clock: Clock, options: Options = Options()) -> None:
+        self._prompt = prompt
+        self._clock = clock
+        self._options = options
+        self._temp_c = self._setpoint_c = 20.0
+
+    def limits(self) -> ChamberLimits:
+        """Limits from the options."""
+        o = self._options
+        return ChamberLimits(o.min_temp_c, o.max_temp_c, o.max_ramp_c_per_min)
+
+    def start(self) -> None:
+        """Have the operator switch it on and type its temperature."""
+        self._temp_c = self._setpoint_c = self._number(
+            "Switch the chamber on, then type the temperature it shows (deg C): "
+        )
+
+    def set_alarm_limits(self, low_c: float, high_c: float) -> None:
+        """Have the operator set the chamber's own alarms."""
+        self._ask(f"Set the chamber's own alarms to {low_c:g} and {high_c:g} deg C, then press Enter: ")
+
+    def set_setpoint(self, temp_c: float, ramp_c_per_min: float | None = None) -> None:
+        """Ask for a set point, and for the temperature once it is reached."""
+        check_setpoint(NAME, temp_c, self.limits())
+        self._setpoint_c = temp_c
+        self._temp_c = self._number(
+            f"Set the chamber to {temp_c:g} deg C; when it shows that, type the temperature (deg C): "
+        )
+
+    def read(self) -> ChamberReading:
+        """What the operator typed last."""
+        return ChamberReading(self._clock.now_s(), self._temp_c, self._setpoint_c, True)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def _number(self, question: str) -> float:
+        while True:
+            try:
+                return float(self._ask(question))
+            except ValueError:
+                continue
+
+    def _ask(self, question: str) -> str:
+        try:
+            return self._prompt(question).strip()
+        except EOFError as error:
+            raise InterruptedRunError(
+                "The operator's terminal is gone, and a manual chamber needs one."
+            ) from error

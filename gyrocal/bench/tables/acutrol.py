@@ -1,0 +1,185 @@
+"""Acutronic ACUTROL3000, ACL language over TCP port 9878 (protocols.md 2.2).
+
+Every command is answered by a fixed-length prefix (error code and message length) and data. Faults latch: after one,
+only an explicit reset at the controller lets the table move again, so this driver never resets by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import RateTable, TableLimits, TableReading
+from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.errors import DeviceError
+
+
+@dataclass(frozen=True)
+class Options:
+    """What differs between units.
+
+    Attributes
+    ----------
+    axis : int
+        Axis of the table.
+    prefix_characters : int
+        Length of the answer's prefix on TCP; its split is not documented, 8 by one public driver.
+    max_rate_dps, max_acceleration_dps2 : float
+        The table's own limits.
+    trip_margin : float
+        The controller's independent over-rate trip is set to this times `max_rate_dps`.
+    counter_clockwise_positive : bool
+        Sign of a positive rate, seen from above.
+    timeout_s : float
+        Longest wait for an answer.
+    """
+
+    axis: int = 1
+    prefix_characters: int = 8
+    max_rate_dps: float = 400.0
+    max_acceleration_dps2: float = 200.0
+    trip_margin: float = 1.1
+    counter_clockwise_positive: bool = True
+    timeout_s: float = 2.0
+
+
+class AcutrolTable:
+    """Driver of an ACUTROL3000 axis; see `gyrocal.bench.devices.RateTable`. Rates deg/s, angles deg."""
+
+    def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
+        self._talk = Conversation(transport, "ACUTROL table", b"\r\n", options.timeout_s)
+        self._clock = clock
+        self._options = options
+        self._sign = 1.0 if options.counter_clockwise_positive else -1.0
+        self._in_rate_mode = False
+
+    def limits(self) -> TableLimits:
+        """Limits of the table, from the options."""
+        return TableLimits(self._options.max_rate_dps, self._options.max_acceleration_dps2)
+
+    def start(self) -> None:
+        """Lock the panel, set the independent over-rate trip, close the interlock at rate zero; does not move."""
+        axis = self._options.axis
+        self._command(":Utility:Lockout ON")
+        trip_dps = self._options.max_rate_dps * self._options.trip_margin
+        self._command(f":Limit:Vtrip R,{axis},{trip_dps:.3f}")
+        faults = self.faults()
+        if faults:
+            msg = f"ACUTROL table: {faults[0]} is latched. Find its cause, reset it at the controller, and start again."
+            raise DeviceError(msg)
+        self._command(f":Interlock:Close {axis}")
+
+    def set_rate(self, rate_dps: float) -> float:
+        """``:Demand:Rate`` in rate mode; returns the rate as sent."""
+        limit = self._options.max_rate_dps
+        if not abs(rate_dps) <= limit:
+            msg = (
+                f"ACUTROL table: {rate_dps:g} deg/s is beyond the limit of {limit:g} deg/s; nothing was sent."
+            )
+            raise DeviceError(msg)
+        if not self._in_rate_mode:
+            self._command(f":Mode:Rate {self._options.axis}")
+            self._in_rate_mode = True
+        text = f"{self._sign * rate_dps:.6f}"
+        self._command(f":Demand:Rate {self._options.axis},{text}")
+        return self._sign * float(text)
+
+    def read(self) -> TableReading:
+        """``:Read:Position?`` and ``:Read:Rate?``."""
+        angle_deg = self._sign * self._number(f":Read:Position? {self._options.axis}")
+        rate_dps = self._sign * self._number(f":Read:Rate? {self._options.axis}")
+        return TableReading(self._clock.now_s(), rate_dps, angle_deg)
+
+    def faults(self) -> tuple[str, ...]:
+        """The interlock's own word, when it is a fault."""
+        state = self._command(f":Interlock? {self._options.axis}")
+        return (f"interlock {state}",) if "fault" in state.lower() else ()
+
+    def send_stop(self) -> None:
+        """``:Mode:Off``: closed-loop deceleration to zero, sent without waiting."""
+        self._in_rate_mode = False
+        self._talk.send(f":Mode:Off {self._options.axis}\r\n".encode())
+
+    def close(self) -> None:
+        """Close the port."""
+        self._talk.transport.close()
+
+    def _command(self, command: str) -> str:
+        answer = self._talk.ask(f"{command}\r\n".encode()).decode("ascii", errors="replace")
+        prefix, data = (
+            answer[: self._options.prefix_characters],
+            answer[self._options.prefix_characters :].strip(),
+        )
+        code = prefix[: self._options.prefix_characters // 2].strip()
+        if len(prefix) < self._options.prefix_characters or not code.lstrip("-").isdigit():
+            raise DeviceError(
+                f"ACUTROL table: answered {answer!r} to {command!r}. Check table.prefix_characters."
+            )
+        if int(code) != 0:
+            raise DeviceError(
+                f"ACUTROL table: error {int(code)} to {command!r} ({data}). See :Query:Error? {int(code)}."
+            )
+        return data
+
+    def _number(self, command: str) -> float:
+        text = self._command(command)
+        try:
+            return float(text)
+        except ValueError as error:
+            raise DeviceError(
+                f"ACUTROL table: answered {text!r} to {command!r}, and a number is wanted."
+            ) from error
+
+
+class AcutrolResponder(LineResponder):
+    """The controller's side: commands to `table`."""
+
+    terminator = b"\n"
+
+    def __init__(self, table: RateTable, options: Options = Options()) -> None:
+        super().__init__()
+        self._table = table
+        self._options = options
+        self._sign = 1.0 if options.counter_clockwise_positive else -1.0
+        self._rate_mode = False
+        self._closed = False
+
+    def answer(self, line: str) -> bytes:
+        """Answer of the controller: code and length in the prefix, then data."""
+        code, data = self._perform(line)
+        half = self._options.prefix_characters // 2
+        return f"{code:0{half}d}{len(data):0{self._options.prefix_characters - half}d}{data}\r\n".encode()
+
+    def _perform(self, line: str) -> tuple[int, str]:
+        word, _, argument = line.lower().partition(" ")
+        reading = self._table.read()
+        match word:
+            case ":utility:lockout" | ":limit:vtrip":
+                return 0, "OK"
+            case ":interlock:close":
+                self._closed = True
+                return 0, "OK"
+            case ":interlock?":
+                return 0, "Fault" if self._table.faults() else ("Closed" if self._closed else "Open")
+            case ":mode:rate" if self._closed:
+                self._rate_mode = True
+                return 0, "OK"
+            case ":mode:off":
+                self._rate_mode = False
+                self._table.set_rate(0.0)
+                return 0, "OK"
+            case ":demand:rate" if self._rate_mode:
+                return self._demand(argument)
+            case ":read:position?":
+                return 0, f"{self._sign * reading.angle_deg:.6f}"
+            case ":read:rate?":
+                return 0, f"{self._sign * reading.rate_dps:.6f}"
+        return 113, "command not recognised"
+
+    def _demand(self, argument: str) -> tuple[int, str]:
+        try:
+            self._table.set_rate(self._sign * float(argument.partition(",")[2]))
+        except ValueError:
+            return 104, "number expected"
+        return 0, "OK"

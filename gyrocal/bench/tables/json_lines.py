@@ -1,0 +1,148 @@
+"""gyrocal's own protocol for home-made tables: one JSON object a line each way, 115200 8N1, LF.
+
+Requests                                      Answers
+``{"command": "hello"}``                      ``{"ok": true, "name": ..., "max_rate_dps": ..., "max_acceleration_dps2": ...}``
+``{"command": "set_rate", "rate_dps": 10}``   ``{"ok": true, "rate_dps": 9.99985}``: the rate that the motor can make
+``{"command": "read"}``                       ``{"ok": true, "rate_dps": ..., "angle_deg": ..., "faults": []}``
+``{"command": "stop"}``                       ``{"ok": true}``; must also be obeyed when nobody reads the answer
+
+Counter-clockwise from above is positive; the angle is unwrapped. A refusal is ``{"ok": false, "error": "..."}``. The
+table should stop by itself when no line comes for ``watchdog_s`` seconds (``hello`` sets it).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import RateTable, TableLimits, TableReading
+from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.errors import DeviceError
+
+
+@dataclass(frozen=True)
+class Options:
+    """Time-outs of the link, s."""
+
+    timeout_s: float = 1.0
+    watchdog_s: float = 10.0
+
+
+class JsonLinesTable:
+    """Driver of a home-made table; see `gyrocal.bench.devices.RateTable`. Rates deg/s, angles deg."""
+
+    def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
+        self._talk = Conversation(transport, "JSON-lines table", b"\n", options.timeout_s)
+        self._clock = clock
+        self._options = options
+        self._limits: TableLimits | None = None
+
+    def limits(self) -> TableLimits:
+        """Limits that the table states in ``hello``."""
+        if self._limits is None:
+            answer = self._ask({"command": "hello", "watchdog_s": self._options.watchdog_s})
+            self._limits = TableLimits(
+                _number(answer, "max_rate_dps"), _number(answer, "max_acceleration_dps2")
+            )
+        return self._limits
+
+    def start(self) -> None:
+        """Greet the table, which arms its watchdog; does not move."""
+        self.limits()
+
+    def set_rate(self, rate_dps: float) -> float:
+        """Command a rate; returns the one that the table says it makes."""
+        limit = self.limits().max_rate_dps
+        if not abs(rate_dps) <= limit:
+            msg = f"JSON-lines table: {rate_dps:g} deg/s is beyond the limit of {limit:g} deg/s; nothing was sent."
+            raise DeviceError(msg)
+        return _number(self._ask({"command": "set_rate", "rate_dps": rate_dps}), "rate_dps")
+
+    def read(self) -> TableReading:
+        """Measured rate and angle."""
+        answer = self._ask({"command": "read"})
+        return TableReading(self._clock.now_s(), _number(answer, "rate_dps"), _number(answer, "angle_deg"))
+
+    def faults(self) -> tuple[str, ...]:
+        """Faults in the table's own words."""
+        return tuple(str(fault) for fault in self._ask({"command": "read"}).get("faults", []))
+
+    def send_stop(self) -> None:
+        """Send ``stop`` without waiting."""
+        self._talk.send(_line({"command": "stop"}))
+
+    def close(self) -> None:
+        """Close the port."""
+        self._talk.transport.close()
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        text = self._talk.ask(_line(request))
+        try:
+            answer = json.loads(text)
+        except ValueError as error:
+            msg = f"JSON-lines table: answered {text[:60]!r} to {request['command']}, which is not JSON. Check the baud rate."
+            raise DeviceError(msg) from error
+        if not isinstance(answer, dict) or answer.get("ok") is not True:
+            said = answer.get("error", "no reason") if isinstance(answer, dict) else answer
+            raise DeviceError(f"JSON-lines table: refused {request['command']} ({said}).")
+        return answer
+
+
+def _line(message: dict[str, Any]) -> bytes:
+    return json.dumps(message).encode() + b"\n"
+
+
+def _number(answer: dict[str, Any], key: str) -> float:
+    value = answer.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise DeviceError(f"JSON-lines table: {key} is {value!r}, and a number is wanted.")
+    return float(value)
+
+
+class JsonLinesResponder(LineResponder):
+    """The table's side, and the reference for those who build one."""
+
+    terminator = b"\n"
+
+    def __init__(self, table: RateTable, options: Options = Options()) -> None:
+        super().__init__()
+        self._table = table
+        self._options = options
+
+    def answer(self, line: str) -> bytes:
+        """Answer of the table."""
+        try:
+            request = json.loads(line)
+            command = request["command"]
+        except (ValueError, TypeError, KeyError):
+            return _line({"ok": False, "error": "not a JSON object with a command"})
+        if command == "hello":
+            limits = self._table.limits()
+            known = {
+                "max_rate_dps": limits.max_rate_dps,
+                "max_acceleration_dps2": limits.max_acceleration_dps2,
+            }
+            return _line({"ok": True, "name": "virtual table"} | known)
+        if command == "stop":
+            self._table.set_rate(0.0)
+            return _line({"ok": True})
+        if command == "read":
+            reading = self._table.read()
+            state = {
+                "rate_dps": reading.rate_dps,
+                "angle_deg": reading.angle_deg,
+                "faults": list(self._table.faults()),
+            }
+            return _line({"ok": True} | state)
+        rate = request.get("rate_dps")
+        if (
+            command == "set_rate"
+            and isinstance(rate, int | float)
+            and abs(rate) <= self._table.limits().max_rate_dps
+        ):
+            return _line({"ok": True, "rate_dps": self._table.set_rate(float(rate))})
+        return _line({"ok": False, "error": f"cannot do {command} {rate}"})
