@@ -8,12 +8,15 @@ from gyrocal.fusion.coefficients import (
     load_coefficients,
     parse_coefficients,
 )
+from gyrocal.fusion.compensation import Compensator, Corrected
 from gyrocal.fusion.navigator import STATES, Counts, NavigationState, Navigator, Trajectory
 from gyrocal.fusion.robot import FilterNoise, InitialStd, RobotParameters
 
 __all__ = [
     "STATES",
     "Coefficients",
+    "Compensator",
+    "Corrected",
     "Counts",
     "FilterNoise",
     "InitialStd",

@@ -80,7 +80,14 @@ class Coefficients:
         object.__setattr__(self, "covariance_dps2", covariance)
 
     def correct(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
-        """Corrected rate ``gyro - error`` by the surface (paper eqs. 1 and 5), deg/s; scalar in, float out."""
+        """Corrected rate ``gyro - error`` by the surface (paper eqs. 1 and 5), deg/s; scalar in, float out.
+
+        Runtime terms without memory are applied too; CoefficientError where one needs `Compensator`.
+        """
+        if any(term.runtime for term in self.terms):
+            from gyrocal.fusion.compensation import correct_without_history
+
+            return correct_without_history(self, gyro_dps, temp_c)
         gyro = np.asarray(gyro_dps, dtype=np.float64)
         corrected = gyro - self.surface.error_dps(gyro, temp_c)
         return float(corrected) if corrected.ndim == 0 else corrected

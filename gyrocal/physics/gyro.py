@@ -112,9 +112,7 @@ class GyroStream:
         self._decay = np.empty(0)
         self._scan = np.empty(0)
 
-    def samples(
-        self, dt_s: float, rate_dps: ArrayLike, temp_c: ArrayLike, added_dps: ArrayLike = 0.0
-    ) -> Floats:
+    def samples(self, dt_s: float, rate_dps: ArrayLike, temp_c: ArrayLike) -> Floats:
         """Output of the next samples, deg/s, shape (n,).
 
         Parameters
@@ -125,20 +123,26 @@ class GyroStream:
             True mean rate over each interval.
         temp_c : array_like, shape (n,) or scalar
             True temperature of the coil.
-        added_dps : array_like, shape (n,) or scalar
-            Further error of the output (effects of the catalogue), before quantisation.
         """
+        return self.digitise(dt_s, self.analogue(dt_s, rate_dps, temp_c))
+
+    def analogue(self, dt_s: float, rate_dps: ArrayLike, temp_c: ArrayLike) -> Floats:
+        """Output before it is put into bits: surface, bandwidth and noise; arguments as in `samples`."""
         rate = self._limit_bandwidth(dt_s, np.atleast_1d(np.asarray(rate_dps, dtype=np.float64)))
         n = rate.size
         white = self.model.angle_random_walk_deg_per_rt_h * DEG_PER_RT_H_TO_DPS_PER_RT_HZ / np.sqrt(dt_s)
         gyro = self.model.surface.output_dps(rate, np.broadcast_to(temp_c, rate.shape))
-        gyro = (
-            gyro
-            + np.asarray(added_dps, dtype=np.float64)
-            + white * self._white_rng.standard_normal(n)
-            + self._flicker(dt_s, n)
-        )
-        return self._quantise(dt_s, gyro)
+        return np.asarray(gyro + white * self._white_rng.standard_normal(n) + self._flicker(dt_s, n))
+
+    def digitise(self, dt_s: float, gyro_dps: Floats) -> Floats:
+        """Angle increments in whole bits; what is rounded off comes with the next sample, so nothing is lost."""
+        lsb = self.model.lsb_deg
+        if lsb <= 0 or gyro_dps.size == 0:
+            return gyro_dps
+        angle = self._remainder_deg + np.cumsum(gyro_dps) * dt_s
+        bits = np.round(angle / lsb)
+        self._remainder_deg = float(angle[-1] - bits[-1] * lsb)
+        return np.asarray(np.diff(bits, prepend=0.0) * lsb / dt_s)
 
     def temperatures(self, temp_c: ArrayLike) -> Floats:
         """What the temperature sensor reports, deg C, shape (n,)."""
@@ -195,13 +199,3 @@ class GyroStream:
         self._decay = np.exp(-dt_s / _OU_TIMES_S)
         lag = np.subtract.outer(np.arange(_SCAN), np.arange(_SCAN))
         self._scan = np.where(lag >= 0, self._decay[:, None, None] ** np.maximum(lag, 0), 0.0)
-
-    def _quantise(self, dt_s: float, gyro: Floats) -> Floats:
-        """Angle increments in whole bits; what is rounded off comes with the next sample, so nothing is lost."""
-        lsb = self.model.lsb_deg
-        if lsb <= 0 or gyro.size == 0:
-            return gyro
-        angle = self._remainder_deg + np.cumsum(gyro) * dt_s
-        bits = np.round(angle / lsb)
-        self._remainder_deg = float(angle[-1] - bits[-1] * lsb)
-        return np.asarray(np.diff(bits, prepend=0.0) * lsb / dt_s)

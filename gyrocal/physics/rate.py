@@ -26,6 +26,9 @@ _SAME_RATE_DPS = 1e-3
 #: Two samples nearer than this are the same sample, s.
 _SAME_TIME_S = 1e-6
 
+#: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
+_ROUNDS = 10
+
 _SEED = shape("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
 
@@ -62,11 +65,12 @@ def _rate_order(c: Conditions, p: Mapping[str, float], surface: Surface | None) 
 
 def _fit_direction(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     surface = need_surface(surface, "fit_direction")
-    known = np.isfinite(c.rate_dps) & np.isfinite(c.temp_c)
-    rate, temp = c.rate_dps[known], c.temp_c[known]
-    output = surface.output_dps(rate, temp)
-    error = np.full(len(c), np.nan)
-    error[known] = surface.error_dps(rate, temp) - surface.error_dps(output, temp)
+    output = c.rate_dps
+    # A fixed number of rounds, never a test of the whole block: a wild sample must not stop its neighbours.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_ROUNDS):
+            output = c.rate_dps + surface.error_dps(output, c.temp_c)
+        error = surface.error_dps(c.rate_dps, c.temp_c) - surface.error_dps(output, c.temp_c)
     return np.asarray(p["amplitude"] * error)
 
 

@@ -1,0 +1,144 @@
+"""Compensation with everything that a coefficient file holds: the surface, and the physics that `diagnose` added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gyrocal.errors import CoefficientError
+from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, Coefficients
+from gyrocal.physics.effect import Conditions, Memory
+from gyrocal.physics.terms import runtime_term
+
+Floats = NDArray[np.float64]
+
+#: The rate at which effects are evaluated is solved to this, deg/s, in at most so many rounds.
+_TOLERANCE_DPS = 1e-12
+_ROUNDS = 60
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """Corrected rates, standard deviations of the error that was taken away, deg/s, and flags; shape (n,)."""
+
+    rate_dps: Floats
+    sigma_dps: Floats
+    flags: NDArray[np.int64]
+
+
+class Compensator:
+    """Corrects a stream of samples; blocks of any size, and single samples, give the same numbers.
+
+    Effects add to the output of a gyro that has the surface alone, ``w = (g - e) - S(g - e, T)`` with
+    ``e = sum e(w, T, ...)``: solved by iteration, sample by sample. Feed samples in the order of time.
+
+    Attributes
+    ----------
+    terms : tuple of RuntimeTerm
+    not_applied : tuple of str
+        Effects of the bench (``runtime: false``), which a robot does not see.
+
+    Raises
+    ------
+    CoefficientError
+        A term that this program does not know, or that a robot cannot evaluate.
+    """
+
+    def __init__(self, coefficients: Coefficients) -> None:
+        self.coefficients = coefficients
+        self.terms = tuple(
+            runtime_term(term.effect, term.parameters) for term in coefficients.terms if term.runtime
+        )
+        self.not_applied = tuple(term.effect for term in coefficients.terms if not term.runtime)
+        self._memories: list[Memory] = [None] * len(self.terms)
+
+    def correct(
+        self,
+        t_s: ArrayLike,
+        gyro_dps: ArrayLike,
+        temp_c: ArrayLike,
+        since_power_on_s: ArrayLike | None = None,
+    ) -> Any:
+        """Corrected rate, deg/s; scalars in, float out. NaN where there is no solution or no finite input.
+
+        Raises
+        ------
+        CoefficientError
+            A term needs the time since power-on, and it was not given.
+        """
+        rate, _ = self._solve(*self._channels(t_s, gyro_dps, temp_c, since_power_on_s))
+        return float(rate[0]) if np.ndim(gyro_dps) == 0 else rate
+
+    def evaluate(
+        self,
+        t_s: ArrayLike,
+        gyro_dps: ArrayLike,
+        temp_c: ArrayLike,
+        since_power_on_s: ArrayLike | None = None,
+    ) -> Corrected:
+        """`correct`, with standard deviations and the flags of `Coefficients.flags`.
+
+        The standard deviation is that of the predicted error: covariance of the surface, and the uncertainty
+        of each term's amplitude. It does not contain the noise of the sample itself.
+        """
+        gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
+        rate, errors = self._solve(gyro, c)
+        surface_sigma = self.coefficients.sigma_dps(gyro, c.temp_c)
+        variance = surface_sigma**2 + sum(
+            (e * term.relative_sigma) ** 2 for e, term in zip(errors, self.terms, strict=True)
+        )
+        flags = self.coefficients.flags(gyro, c.temp_c) | np.where(np.isfinite(rate), 0, FLAG_NOT_FINITE)
+        return Corrected(rate, np.sqrt(variance), flags)
+
+    def _channels(
+        self, t_s: ArrayLike, gyro_dps: ArrayLike, temp_c: ArrayLike, since_power_on_s: ArrayLike | None
+    ) -> tuple[Floats, Conditions]:
+        missing = [t.effect.id for t in self.terms if "since_power_on_s" in t.effect.needs]
+        if since_power_on_s is None and missing:
+            raise CoefficientError(
+                f"The coefficients hold {missing[0]}, which needs the time since power-on: give it, or remove the term."
+            )
+        given = (t_s, gyro_dps, temp_c, np.nan if since_power_on_s is None else since_power_on_s)
+        t, gyro, temp, since = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(x, dtype=float)) for x in given)
+        )
+        return gyro, Conditions(t, gyro, temp, since_power_on_s=since)
+
+    def _solve(self, gyro: Floats, c: Conditions) -> tuple[Floats, list[Floats]]:
+        surface = self.coefficients.surface
+        rate = gyro - surface.error_dps(gyro, c.temp_c)
+        if not self.terms:
+            return rate, []
+        errors, memories = [np.zeros(rate.shape) for _ in self.terms], self._memories
+        moving = np.ones(rate.shape, dtype=bool)
+        with np.errstate(over="ignore", invalid="ignore"):  # a wild sample diverges to NaN, alone
+            for _ in range(_ROUNDS):
+                now = Conditions(c.t_s, rate, c.temp_c, since_power_on_s=c.since_power_on_s)
+                new = [
+                    t.effect.error_dps(now, t.parameters, surface, memory)
+                    for t, memory in zip(self.terms, self._memories, strict=True)
+                ]
+                # Who has converged stays as he is, so that neighbours in the block cannot change him.
+                errors = [np.where(moving, e, old) for (e, _), old in zip(new, errors, strict=True)]
+                memories = [memory for _, memory in new]
+                alone = gyro - sum(errors)
+                before, rate = rate, np.where(moving, alone - surface.error_dps(alone, c.temp_c), rate)
+                moving &= np.abs(rate - before) > _TOLERANCE_DPS
+                if not moving.any():
+                    break
+        self._memories = memories
+        return np.where(moving, np.nan, rate), errors
+
+
+def correct_without_history(coefficients: Coefficients, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
+    """Corrected rate from output and temperature alone; refuses terms that need more."""
+    compensator = Compensator(coefficients)
+    for term in compensator.terms:
+        if term.effect.has_memory or "since_power_on_s" in term.effect.needs:
+            raise CoefficientError(
+                f"The coefficients hold {term.effect.id}, which depends on time: use gyrocal.fusion.Compensator."
+            )
+    return compensator.correct(0.0, gyro_dps, temp_c)

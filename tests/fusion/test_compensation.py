@@ -1,0 +1,158 @@
+"""The runtime with added physics: exact inverse of what the effects do, the same in any split, and refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gyrocal.errors import CoefficientError
+from gyrocal.fusion import Coefficients, Compensator, Term, Valid, parse_coefficients
+from gyrocal.physics.catalogue import CATALOGUE, find_effect
+from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import runtime_term
+
+SURFACE = Surface(
+    np.array([[0.05, -0.02, 0.01], [0.4, 0.3, -0.1], [0.02, 0.01, 0.0], [-0.3, 0.05, 0.02]]), 0, 100, 20, 30
+)
+RUNTIME = [e for e in CATALOGUE.values() if e.runtime]
+
+
+def entry(effect_id: str, *, runtime: bool = True, **values: float) -> Term:
+    parameters: dict[str, Mapping[str, Any]] = {
+        name: {"value": value, "std": 0.1 * abs(value), "unit": find_effect(effect_id).parameter(name).unit}
+        for name, value in values.items()
+    }
+    return Term(effect_id, parameters, runtime)
+
+
+def coefficients(*terms: Term) -> Coefficients:
+    return Coefficients(
+        {"model": "test"}, SURFACE, 1e-8 * np.eye(12), Valid((-100, 100), (-10, 50)), terms=terms
+    )
+
+
+def record(n: int = 300, seed: int = 0) -> tuple[Floats, Floats, Floats]:
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.choice([0.1, 1.0, 30.0], n))
+    return t, rng.uniform(-100, 100, n), 20 + 28 * np.sin(t / 900) + rng.normal(0, 0.01, n)
+
+
+def output(terms: tuple[Term, ...], t: Floats, rate: Floats, temp: Floats) -> Floats:
+    c = Conditions(t, rate, temp, since_power_on_s=t + 60.0)
+    gyro = SURFACE.output_dps(rate, temp)
+    for term in terms:
+        effect = find_effect(term.effect)
+        p = effect.complete({name: x["value"] for name, x in term.parameters.items()})
+        gyro = gyro + effect.error_dps(c, p, SURFACE, None)[0]
+    return gyro
+
+
+@pytest.mark.parametrize("effect", RUNTIME, ids=[e.id for e in RUNTIME])
+def test_the_compensator_is_the_inverse_of_the_gyro(effect: Any) -> None:
+    terms = (entry(effect.id, runtime=True, **effect.typical()),)
+    t, rate, temp = record()
+    corrected = Compensator(coefficients(*terms)).correct(t, output(terms, t, rate, temp), temp, t + 60.0)
+    np.testing.assert_allclose(corrected, rate, atol=1e-9)
+
+
+def test_several_strong_terms_at_once() -> None:
+    terms = (
+        entry("sagnac_sine", amplitude=1.0, phase_rad_per_dps=0.006),
+        entry("shupe", amplitude=20.0),
+        entry("thermal_lag", amplitude=1.0, tau_s=400.0),
+        entry("warm_up", amplitude=30.0, tau_s=900.0),
+    )
+    t, rate, temp = record()
+    gyro = output(terms, t, rate, temp)
+    assert np.abs(gyro - SURFACE.output_dps(rate, temp)).max() > 1.0
+    corrected = Compensator(coefficients(*terms)).correct(t, gyro, temp, t + 60.0)
+    np.testing.assert_allclose(corrected, rate, atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(cuts=st.lists(st.integers(0, 80), max_size=8), seed=st.integers(0, 100))
+def test_any_split_gives_the_same_numbers(cuts: list[int], seed: int) -> None:
+    c = coefficients(*(entry(e.id, runtime=True, **e.typical()) for e in RUNTIME))
+    t, rate, temp = record(80, seed)
+    temp[5] = np.nan
+    rate[9] = 1e9
+    batch = Compensator(c).correct(t, rate, temp, t)
+    stream = Compensator(c)
+    parts = [
+        stream.correct(t[a:b], rate[a:b], temp[a:b], t[a:b]) for a, b in pairwise([0, *sorted(cuts), t.size])
+    ]
+    np.testing.assert_allclose(np.concatenate(parts), batch, rtol=1e-13, atol=1e-13)
+
+
+def test_single_samples_are_floats_and_equal_the_batch() -> None:
+    c = coefficients(entry("thermal_lag", amplitude=0.5, tau_s=100.0))
+    t, rate, temp = record(40)
+    stream = Compensator(c)
+    singles = [stream.correct(a, b, d) for a, b, d in zip(t, rate, temp, strict=True)]
+    assert all(isinstance(x, float) for x in singles)
+    np.testing.assert_allclose(singles, Compensator(c).correct(t, rate, temp), rtol=1e-13)
+
+
+def test_without_terms_it_is_the_surface() -> None:
+    c = coefficients(entry("table_eccentricity", runtime=False, amplitude=3.0))
+    t, rate, temp = record(40)
+    compensator = Compensator(c)
+    assert compensator.not_applied == ("table_eccentricity",)
+    np.testing.assert_array_equal(compensator.correct(t, rate, temp), rate - SURFACE.error_dps(rate, temp))
+    np.testing.assert_array_equal(c.correct(rate, temp), compensator.correct(t, rate, temp))
+
+
+def test_stateless_correct_applies_memoryless_terms_and_refuses_the_others() -> None:
+    terms = (entry("scale_asymmetry", amplitude=500.0),)
+    _, rate, temp = record(40)
+    gyro = output(terms, np.arange(40.0), rate, temp)
+    np.testing.assert_allclose(coefficients(*terms).correct(gyro, temp), rate, atol=1e-9)
+    assert isinstance(coefficients(*terms).correct(3.0, 20.0), float)
+    for effect_id in ("shupe", "warm_up"):
+        with pytest.raises(CoefficientError, match=rf"hold {effect_id}, .* use gyrocal\.fusion\.Compensator"):
+            coefficients(entry(effect_id)).correct(gyro, temp)
+
+
+def test_evaluate_adds_uncertainty_of_the_terms_and_flags() -> None:
+    terms = (entry("scale_asymmetry", amplitude=500.0),)
+    c = coefficients(*terms)
+    result = Compensator(c).evaluate(
+        [0.0, 1.0, 2.0, 3.0], [80.0, 150.0, 0.0, np.nan], [20.0, 20.0, 70.0, 20.0]
+    )
+    np.testing.assert_array_equal(result.flags, [0, 1, 2, 4])
+    surface = float(c.sigma_dps(80.0, 20.0))
+    term = 0.1 * 500e-6 * result.rate_dps[0]
+    assert result.sigma_dps[0] == pytest.approx(np.hypot(surface, term))
+
+
+def test_refusals() -> None:
+    with pytest.raises(CoefficientError, match="warm_up, which needs the time since power-on"):
+        Compensator(coefficients(entry("warm_up"))).correct(0.0, 1.0, 20.0)
+    with pytest.raises(CoefficientError, match="no effect 'gremlins'"):
+        Compensator(coefficients(Term("gremlins", {}, True)))
+    with pytest.raises(CoefficientError, match="no parameter 'tau'"):
+        runtime_term("warm_up", {"tau": {"value": 1.0}})
+    with pytest.raises(CoefficientError, match=r"'shupe' cannot be evaluated \('value'\)"):
+        runtime_term("shupe", {"amplitude": {"std": 1.0}})
+    with pytest.raises(CoefficientError, match="amplitude is in 'deg/s', and 'mdeg/s' is wanted"):
+        runtime_term("warm_up", {"amplitude": {"value": 1.0, "unit": "deg/s"}})
+    with pytest.raises(CoefficientError, match="a robot cannot evaluate it: it needs angle_deg"):
+        runtime_term("magnetic", {})
+    with pytest.raises(CoefficientError, match="it belongs to the bench"):
+        runtime_term("bias_drift", {})
+
+
+def test_terms_survive_the_file() -> None:
+    c = coefficients(entry("thermal_lag", amplitude=0.5, tau_s=100.0))
+    again = parse_coefficients(c.to_text(), "c.json")
+    t, rate, temp = record(40)
+    np.testing.assert_array_equal(
+        Compensator(again).correct(t, rate, temp), Compensator(c).correct(t, rate, temp)
+    )
