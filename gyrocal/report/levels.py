@@ -15,7 +15,7 @@ _TIGHT = 0.5
 #: Differences below this share of the span are noise of a reference, never levels.
 _NOISE = 1e-4
 #: The narrowest gap between levels is this many times the widest gap inside one.
-_STEEP = 3.0
+_STEEP = 5.0
 _ROUND_STEPS = (1.0, 2.0, 5.0)
 
 
@@ -64,7 +64,7 @@ def levels(values: Floats, most: int, bins: int) -> tuple[list[Level], bool]:
 def _tight_cuts(ordered: Floats, most: int) -> NDArray[np.int64] | None:
     """Where to cut sorted values so that groups are tight; None when there is no such cut.
 
-    The cuts are the widest gaps; their number is where the sorted gaps fall most steeply, above `_NOISE`.
+    The cuts are the widest gaps: as many as can be before the sorted gaps fall steeply, to noise.
     """
     span = ordered[-1] - ordered[0]
     if span == 0:
@@ -73,7 +73,7 @@ def _tight_cuts(ordered: Floats, most: int) -> NDArray[np.int64] | None:
     by_size = np.argsort(gaps, kind="stable")[::-1]
     falling = np.maximum(np.append(gaps[by_size], 0.0), _NOISE * span)
     steepness = falling[:-1] / falling[1:]
-    for k in np.argsort(steepness[: most - 1], kind="stable")[::-1] + 1:
+    for k in np.flatnonzero(steepness[: most - 1] > _STEEP)[::-1] + 1:
         cuts = np.sort(by_size[:k]) + 1
         starts = np.concatenate(([0], cuts))
         ends = np.concatenate((cuts, [ordered.size])) - 1

@@ -118,8 +118,13 @@ def _against_neighbours(
 
 def scatter_trend(rate_dps: Floats, between_dps: Floats) -> Floats:
     """Scatter expected at each rate: a line in \\|rate\\| (Theil-Sen, deaf to single odd rates), shape (levels,)."""
-    slope, intercept, _, _ = stats.theilslopes(between_dps, np.abs(rate_dps))
-    return np.maximum(intercept + slope * np.abs(rate_dps), 0.1 * np.median(between_dps))
+    size = np.abs(rate_dps)
+    left, right = np.triu_indices(size.size, k=1)
+    run = size[right] - size[left]
+    apart = np.abs(run) > 1e-6 * size.max()
+    slope = np.median((between_dps[right] - between_dps[left])[apart] / run[apart]) if apart.any() else 0.0
+    line = np.median(between_dps - slope * size) + slope * size
+    return np.asarray(np.maximum(line, 0.1 * np.median(between_dps)))
 
 
 def growth_with_rate(scatter: RateScatter) -> tuple[float, float]:

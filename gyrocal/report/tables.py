@@ -1,0 +1,183 @@
+"""The tables of a report: on the page as people read them, in CSV with all their digits and units in the header."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.fusion.coefficients import Coefficients, Noise
+from gyrocal.physics.surface import SHAPE
+from gyrocal.report.data import Examined, Floats
+from gyrocal.report.levels import levels
+from gyrocal.report.page import Table
+from gyrocal.report.scatter import RateScatter
+from gyrocal.units import DPS_TO_DPH
+
+#: Half width of a 95 % interval in standard deviations of a normal distribution.
+_Z95 = 1.959964
+
+_NOISE_NAMES = {
+    "angle_random_walk_deg_per_rt_h": ("Angle random walk", "deg/√h"),
+    "bias_instability_deg_per_h": ("Bias instability", "deg/h"),
+}
+
+
+def csv_text(columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> str:
+    """CSV text of equally long columns; numbers with the digits that give the same number back, NaN empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow([_cell(value) for value in row])
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float | np.floating):
+        return "" if not np.isfinite(value) else f"{float(value):.12g}"
+    return value
+
+
+def coefficient_table(coefficients: Coefficients) -> Table:
+    """The twelve coefficients with standard errors and 95 % intervals."""
+    value = coefficients.surface.coefficients_dps.ravel()
+    sigma = np.sqrt(np.maximum(np.diag(coefficients.covariance_dps2), 0.0))
+    i, j = (index.ravel() for index in np.indices(SHAPE))
+    low, high = value - _Z95 * sigma, value + _Z95 * sigma
+    rows = [
+        (f"c{a}{b}", f"{v:+.7f}", f"{s:.7f}", f"{lo:+.7f} to {hi:+.7f}")
+        for a, b, v, s, lo, hi in zip(i, j, value, sigma, low, high, strict=True)
+    ]
+    surface = coefficients.surface
+    note = (
+        f"error = Σ cᵢⱼ uⁱ vʲ, u = (gyro − {surface.rate_center_dps:.6g} deg/s) / {surface.rate_scale_dps:.6g} deg/s, "
+        f"v = (temperature − {surface.temp_center_c:.6g} °C) / {surface.temp_scale_c:.6g} °C; corrected = gyro − error."
+    )
+    text = csv_text(
+        {"i": i, "j": j, "value_dps": value, "std_dps": sigma, "low_95_dps": low, "high_95_dps": high}
+    )
+    columns = ("Term", "Value, deg/s", "Standard error", "95 % interval")
+    return Table("coefficients", "Coefficients", columns, rows, text, note)
+
+
+def noise_table(noise: Noise) -> Table:
+    """Noise figures of the coefficient file with their intervals."""
+    rows, names, units, values = [], [], [], []
+    for key, (name, unit) in _NOISE_NAMES.items():
+        interval = getattr(noise, key)
+        if interval is None:
+            continue
+        value, low, high = interval
+        rows.append((name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit))
+        names.append(key)
+        units.append(unit)
+        values.append(interval)
+    array = np.array(values, dtype=float).reshape(-1, 3)
+    text = csv_text({"figure": names, "value": array[:, 0], "low_95": array[:, 1], "high_95": array[:, 2]})
+    return Table("noise", "Noise", ("Figure", "Value", "95 % interval", "Unit"), rows, text)
+
+
+def data_set_table(data: Examined, reasons: Mapping[int, str]) -> Table:
+    """Every data set before and after; only in CSV. `reasons` says, by row, why a data set is marked."""
+    sets = data.sets
+    text = csv_text(
+        {
+            "segment": sets.segment,
+            "t_s": sets.t_s,
+            "rate_dps": sets.rate_dps,
+            "gyro_dps": sets.gyro_dps,
+            "temp_c": sets.temp_c,
+            "error_before_dps": sets.error_dps,
+            "residual_dps": data.residual_dps,
+            "sigma_dps": data.sigma_dps,
+            "gyro_std_dps": sets.gyro_std_dps,
+            "n": sets.n,
+            "outcome": sets.outcome,
+            "marked": [reasons.get(row, "") for row in range(len(sets))],
+        }
+    )
+    return Table("data_sets", "Data sets", (), (), text, on_page=False)
+
+
+def marked_table(data: Examined, reasons: Mapping[int, str]) -> Table:
+    """Outliers and unsettled data sets with their reasons."""
+    sets = data.sets
+    marked = sorted(reasons)
+    rows = [
+        (
+            str(sets.segment[r]),
+            f"{sets.rate_dps[r]:+.3f}",
+            f"{sets.temp_c[r]:.2f}",
+            f"{data.residual_dps[r] * DPS_TO_DPH:+.1f}",
+            reasons[r],
+        )
+        for r in marked
+    ]
+    text = csv_text(
+        {
+            "segment": sets.segment[marked],
+            "rate_dps": sets.rate_dps[marked],
+            "temp_c": sets.temp_c[marked],
+            "residual_dps": data.residual_dps[marked],
+            "reason": [reasons[r] for r in marked],
+        }
+    )
+    columns = ("Data set", "Rate, deg/s", "Temperature, °C", "Residual, deg/h", "Why")
+    return Table("outliers", "Outliers and unsettled data sets", columns, rows, text, "Listed, not dropped.")
+
+
+def level_table(data: Examined, values: Floats, name: str, title: str, unit: str) -> Table:
+    """Error before and after in each level of rate or temperature."""
+    found, tight = levels(values, most=64, bins=12)
+    before = np.array([_rms(data.sets.error_dps[level.rows]) for level in found])
+    after = np.array([_rms(data.residual_dps[level.rows]) for level in found])
+    mean = np.array([data.residual_dps[level.rows].mean() for level in found])
+    count = np.array([level.rows.size for level in found])
+    centre = np.array([level.value for level in found])
+    rows = [
+        (
+            f"{level.value:+.2f}" if tight else f"{level.low:g} to {level.high:g}",
+            str(n),
+            f"{b * DPS_TO_DPH:.1f}",
+            f"{a * DPS_TO_DPH:.2f}",
+            f"{m * DPS_TO_DPH:+.2f}",
+        )
+        for level, n, b, a, m in zip(found, count, before, after, mean, strict=True)
+    ]
+    text = csv_text(
+        {
+            unit: centre,
+            "count": count,
+            "rms_before_dps": before,
+            "rms_after_dps": after,
+            "mean_residual_dps": mean,
+        }
+    )
+    columns = (title, "Data sets", "rms before, deg/h", "rms after, deg/h", "mean after, deg/h")
+    return Table(name, f"Error by {title.split(',')[0].lower()}", columns, rows, text)
+
+
+def scatter_table(scatter: RateScatter) -> Table:
+    """Scatter between data sets by rate; only in CSV, the figure shows it."""
+    columns: dict[str, Any] = {
+        "rate_dps": scatter.rate_dps,
+        "count": scatter.count,
+        "between_dps": scatter.between_dps,
+        "between_low_95_dps": scatter.between_low_dps,
+        "between_high_95_dps": scatter.between_high_dps,
+    }
+    if scatter.expected_dps is not None:
+        columns["expected_dps"] = scatter.expected_dps
+    nearest = np.abs(np.abs(scatter.rate_dps)[:, None] - scatter.size_dps).argmin(axis=1)
+    columns["ratio_to_neighbours"] = scatter.neighbour_ratio[nearest]
+    columns["p_value"] = scatter.neighbour_p[nearest]
+    return Table("scatter_by_rate", "Scatter by rate", (), (), csv_text(columns), on_page=False)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
