@@ -1,0 +1,166 @@
+"""The paper's least squares on data-set means: eqs. 1 to 5, weighted by what the data say about their scatter.
+
+The error of each data set (eq. 1) is regressed on powers of its mean output and mean temperature (eqs. 2, 3, 5),
+both centred and scaled. Regressing on an output that carries noise pulls the slope towards zero by the share
+``variance of a mean / variance of the outputs`` (attenuation). For means of 20 s against rates of +-100 deg/s that
+is 1e-11, far below any uncertainty; for samples at low rates it is not: that is why data sets are reduced to means
+first. ``tests/calibration/test_fit.py`` measures both.
+
+``gls`` (the default) weights by the inverse of the estimated covariance (`covariance.Scatter`): scatter that grows
+with the rate, or that is common to neighbours in time, then counts for what it is worth. ``ols`` gives every data
+set the same weight, as the paper does. The standard errors of both come from the same estimated covariance, since
+those that ordinary least squares gives for itself cover 44 to 96 % instead of 95 % (physics-report.md, B.0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, stats
+
+from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection, times
+from gyrocal.calibration.datasets import DataSets
+from gyrocal.physics.surface import SHAPE, Surface
+
+Floats = NDArray[np.float64]
+Weights = Literal["gls", "ols"]
+
+#: Number of coefficients.
+TERMS = SHAPE[0] * SHAPE[1]
+
+
+@dataclass(frozen=True)
+class SurfaceFit:
+    """A fitted surface; arrays over data sets have shape (n,) and the order of `sets`.
+
+    Attributes
+    ----------
+    covariance_dps2 : ndarray, shape (12, 12), (deg/s)^2
+        Of the coefficients, row-major over (i, j); for the weights used, under the estimated scatter.
+    dof : ndarray, shape (12,)
+        Degrees of freedom of each standard error (Satterthwaite), for Student intervals.
+    predicted_dps, residual_dps : ndarray
+        Fitted error, and error minus fitted error.
+    studentised : ndarray
+        Residual of each data set as predicted by all others, in its standard deviations.
+    ols : Surface
+        The paper's fit with equal weights, whatever the weights used.
+    ols_residual_dps : ndarray
+    """
+
+    sets: DataSets
+    surface: Surface
+    weights: Weights
+    covariance_dps2: Floats
+    dof: Floats
+    scatter: Scatter
+    design: Floats
+    predicted_dps: Floats
+    residual_dps: Floats
+    studentised: Floats
+    ols: Surface
+    ols_residual_dps: Floats
+
+    @property
+    def std_dps(self) -> Floats:
+        """Standard errors of the coefficients, shape (4, 3), deg/s."""
+        return np.sqrt(np.diag(self.covariance_dps2)).reshape(SHAPE)
+
+    def half_width_dps(self, level: float = 0.95) -> Floats:
+        """Half widths of the coefficients' confidence intervals, shape (4, 3), deg/s."""
+        factor = stats.t.ppf(0.5 + 0.5 * level, self.dof)
+        return self.std_dps * np.asarray(factor).reshape(SHAPE)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the scaled design."""
+        return float(np.linalg.cond(self.design))
+
+
+def scaled_surface(sets: DataSets, coefficients_dps: Floats | None = None) -> Surface:
+    """A surface centred on and scaled to the data: both variables run over [-1, 1]."""
+    g, t = sets.gyro_dps, sets.temp_c
+
+    def middle_and_half(values: Floats) -> tuple[float, float]:
+        low, high = float(values.min()), float(values.max())
+        return 0.5 * (low + high), max(0.5 * (high - low), np.finfo(float).tiny)
+
+    rate, temp = middle_and_half(g), middle_and_half(t)
+    c = np.zeros(SHAPE) if coefficients_dps is None else coefficients_dps.reshape(SHAPE)
+    return Surface(c, *rate, *temp)
+
+
+def rms(values: Floats) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def fit_surface(sets: DataSets, weights: Weights = "gls") -> SurfaceFit:
+    """Fit the twelve terms to data sets that `checks.check_surface` has passed.
+
+    Parameters
+    ----------
+    weights : {"gls", "ols"}
+        Weight by the estimated covariance of the scatter, or equally as the paper does.
+    """
+    design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)
+    scatter = estimate_scatter(sets, design)
+    error_dps = sets.error_dps
+    ols_gain = np.linalg.pinv(design)
+    gain = gls_gain(scatter.matrix, design) if weights == "gls" else ols_gain
+    surface = scaled_surface(sets, gain @ error_dps)
+    ols = scaled_surface(sets, ols_gain @ error_dps)
+    predicted = surface.error_dps(sets.gyro_dps, sets.temp_c)
+    return SurfaceFit(
+        sets=sets,
+        surface=surface,
+        weights=weights,
+        covariance_dps2=gain @ scatter.matrix @ gain.T,
+        dof=_degrees_of_freedom(scatter, gain, len(sets) - TERMS),
+        scatter=scatter,
+        design=design,
+        predicted_dps=predicted,
+        residual_dps=error_dps - predicted,
+        studentised=studentised_residuals(scatter, error_dps),
+        ols=ols,
+        ols_residual_dps=error_dps - ols.error_dps(sets.gyro_dps, sets.temp_c),
+    )
+
+
+def gls_gain(matrix: Floats, design: Floats) -> Floats:
+    """``(X' V^-1 X)^-1 X' V^-1``, shape (p, n): what generalised least squares multiplies the data with."""
+    lower = linalg.cholesky(matrix, lower=True)
+    whitened = linalg.solve_triangular(lower, design, lower=True)
+    q, r = linalg.qr(whitened, mode="economic")
+    return np.asarray(linalg.solve_triangular(r, linalg.solve_triangular(lower, q, lower=True, trans="T").T))
+
+
+def _degrees_of_freedom(scatter: Scatter, gain: Floats, most: int) -> Floats:
+    """Satterthwaite's degrees of freedom of each variance ``(G V G')_kk``: ``2 v^2 / var(v)``.
+
+    The variance of ``v`` follows from the information that the data hold about the levels of the scatter.
+    """
+    slopes = np.stack([np.sum(gain * times(part, gain.T).T, axis=1) for part in scatter.parts], axis=1)
+    variance = np.sum(gain * (gain @ scatter.matrix), axis=1)
+    level_covariance = np.linalg.pinv(scatter.information, hermitian=True)
+    spread = np.einsum("ki,ij,kj->k", slopes, level_covariance, slopes)
+    with np.errstate(divide="ignore"):
+        dof = 2.0 * variance**2 / spread
+    return np.clip(dof, 1.0, float(max(most, 1)))
+
+
+def studentised_residuals(scatter: Scatter, error_dps: Floats) -> Floats:
+    """Each data set minus what all others predict for it, in standard deviations (deleted residuals).
+
+    The prediction includes what neighbours in time say about the bias; under the model each one is Student's t
+    with n - 13 degrees of freedom.
+    """
+    p, _ = projection(scatter.matrix, scatter.design)
+    py = p @ error_dps
+    squared = py**2 / np.maximum(np.diag(p), np.finfo(float).tiny)
+    dof = error_dps.size - scatter.design.shape[1]
+    rest = np.maximum(float(error_dps @ py) - squared, np.finfo(float).tiny) / max(dof - 1, 1)
+    return np.asarray(np.sign(py) * np.sqrt(squared / rest))

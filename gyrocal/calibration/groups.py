@@ -1,0 +1,65 @@
+"""Groups of data sets: whole rates, whole temperatures, stretches of time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Values nearer than this share of their span belong to one level.
+_SAME_LEVEL = 0.02
+#: Levels are groups of values that gaps of more than this share of the span hold apart.
+_LEVEL_GAP = 0.05
+#: Where values have no levels, or too many, this many groups of equal size stand for them.
+MOST_GROUPS = 24
+_STRETCHES = 6
+
+
+def distinct(values: Floats) -> int:
+    """Number of distinct values, those nearer than 2 % of the span taken as one."""
+    ordered = np.sort(values)
+    span = ordered[-1] - ordered[0]
+    return 1 + int(np.count_nonzero(np.diff(ordered) > _SAME_LEVEL * span)) if span > 0 else 1
+
+
+def rate_groups(rate_dps: Floats) -> Ints:
+    """Group number of each data set by signed rate, shape (n,); equal parts where rates hardly repeat."""
+    ordered = np.sort(rate_dps)
+    tolerance = 1e-3 * max(ordered[-1] - ordered[0], np.finfo(float).tiny)
+    edges = ordered[1:][np.diff(ordered) > tolerance]
+    groups = np.searchsorted(edges, rate_dps, side="right")
+    if rate_dps.size < 2 * (edges.size + 1):
+        return equal_groups(rate_dps, min(MOST_GROUPS, rate_dps.size // 3))
+    return np.asarray(groups, dtype=np.int64)
+
+
+def temperature_groups(temp_c: Floats) -> Ints:
+    """Group number by temperature: the levels of a chamber, or equal parts where it drifts freely."""
+    ordered = np.sort(temp_c)
+    gaps = np.diff(ordered)
+    edges = ordered[1:][gaps > _LEVEL_GAP * (ordered[-1] - ordered[0])]
+    if edges.size >= 2:
+        return np.asarray(np.searchsorted(edges, temp_c, side="right"), dtype=np.int64)
+    return equal_groups(temp_c, _STRETCHES)
+
+
+def time_groups(size: int, parts: int) -> Ints:
+    """`parts` stretches of equal number in time order, shape (size,)."""
+    groups = np.empty(size, dtype=np.int64)
+    for number, rows in enumerate(np.array_split(np.arange(size), parts)):
+        groups[rows] = number
+    return groups
+
+
+def equal_groups(values: Floats, parts: int) -> Ints:
+    """Group number by rank of the value, in `parts` groups of equal size."""
+    groups = np.empty(values.size, dtype=np.int64)
+    groups[np.argsort(values, kind="stable")] = time_groups(values.size, max(parts, 1))
+    return groups
+
+
+def indicators(groups: Ints) -> Floats:
+    """One column for each group, 1 for its members; shape (n, number of groups)."""
+    return np.asarray(groups[:, None] == np.unique(groups)[None, :], dtype=np.float64)

@@ -1,0 +1,88 @@
+"""A small simulator of data-set means and samples that shares nothing with the fit: numpy only, 1/f by FFT."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.calibration.datasets import DataSets
+from gyrocal.physics.surface import Surface
+
+Floats = NDArray[np.float64]
+
+#: RD2100-like: 0.5 % nonlinearity, 2 % scale and 0.2 deg/s bias over temperature.
+SURFACE = Surface(
+    np.array(
+        [[0.02, -0.08, 0.015], [0.3, 0.9, -0.1], [0.05, -0.02, 0.01], [-0.55, 0.04, 0.02]],
+    ),
+    0.0,
+    100.0,
+    20.0,
+    30.0,
+)
+
+
+def flicker(rng: np.random.Generator, size: int, floor_dps: float, step_s: float = 1.0) -> Floats:
+    """1/f noise on a grid by FFT; ``S(f) = B^2 / (2 pi f)``, so that its Allan floor is 0.664 B = `floor_dps`."""
+    b = floor_dps / 0.664
+    padded = 4 * size
+    f = np.fft.rfftfreq(padded, step_s)
+    f[0] = np.inf
+    amplitude = np.sqrt(b**2 / (2 * np.pi * f) / (2 * step_s) * padded)
+    spectrum = amplitude * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)) / np.sqrt(2)
+    return np.asarray(np.fft.irfft(spectrum, padded)[:size] * np.sqrt(2))
+
+
+def schedule(rng: np.random.Generator, rates: Floats, temps: Floats, set_s: float, soak_s: float) -> Floats:
+    """Rows (start in s, rate, temperature): rates shuffled at each temperature, a soak between temperatures."""
+    rows, t_s = [], 0.0
+    for temp in temps:
+        t_s += soak_s
+        for rate in rng.permutation(rates):
+            rows.append((t_s, rate, temp))
+            t_s += set_s + 4.0
+    return np.array(rows)
+
+
+def simulate(
+    rng: np.random.Generator,
+    *,
+    surface: Surface = SURFACE,
+    rates: Floats | None = None,
+    temps: Floats | None = None,
+    set_s: float = 20.0,
+    arw_dps_rt_s: float = 1.389e-3,
+    floor_dps: float = 5e-4,
+    jitter: float = 5e-6,
+    timed: bool = True,
+) -> DataSets:
+    """Data sets of a bench run: angle random walk, 1/f bias noise, table jitter; sample rate 10 Hz."""
+    rates = np.linspace(-100.0, 100.0, 17) if rates is None else rates
+    temps = np.array([-10.0, 10.0, 30.0, 50.0, 40.0, 20.0, 0.0]) if temps is None else temps
+    start_s, rate, temp = schedule(rng, rates, temps, set_s, 1800.0).T
+    size = rate.size
+    temp = temp + rng.normal(0, 0.3, size)
+    bias = flicker(rng, int(start_s[-1] + set_s) + 2, floor_dps)
+    drift = np.array([bias[int(s) : int(s + set_s)].mean() for s in start_s])
+    true_rate = rate * (1.0 + jitter * rng.standard_normal(size))
+    noise = rng.normal(0.0, arw_dps_rt_s / np.sqrt(set_s), size) + drift
+    gyro = surface.output_dps(true_rate, temp) + noise
+    samples = set_s * 10
+    std = arw_dps_rt_s * np.sqrt(10.0) * np.sqrt(rng.chisquare(samples - 1, size) / (samples - 1))
+    unknown = np.full(size, np.nan)
+    return DataSets(
+        rate_dps=rate,
+        gyro_dps=gyro,
+        temp_c=temp,
+        gyro_std_dps=std,
+        n=np.full(size, samples),
+        gyro_peak_dps=unknown,
+        t_s=start_s + set_s / 2 if timed else unknown,
+        duration_s=np.full(size, set_s) if timed else unknown,
+        temp_rate_c_per_min=unknown,
+        averaging_s=np.full(size, 0.1),
+        segment=np.arange(1, size + 1),
+        outcome=np.full(size, "ok"),
+        kind=np.full(size, "rate"),
+        reference=np.full(size, "given"),
+    )
