@@ -1,0 +1,134 @@
+"""Every device that a profile can name: its options, its driver, and the same wire seen from the device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from gyrocal.bench.chambers import espec, manual, watlow_f4, watlow_f4t, weiss
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import Chamber, RateTable
+from gyrocal.bench.gyros import ascii_line, dsp3000, ecore2000, kvh_frame, vn100
+from gyrocal.bench.gyros.codec import Decoder
+from gyrocal.bench.tables import acutrol, aerosmith, json_lines, zaber
+from gyrocal.bench.tables import manual as manual_table
+from gyrocal.bench.transport import Transport
+
+
+class Responder(Protocol):
+    """The device's side of a request-and-answer wire."""
+
+    def feed(self, data: bytes) -> bytes:
+        """Answers to the requests completed by `data`."""
+        ...
+
+
+@dataclass(frozen=True)
+class GyroKind:
+    """A gyro: ``encode(rate_dps, temp_c, count, options)`` is what it sends for its sample number `count`."""
+
+    options: type[Any]
+    decoder: Callable[[Any], Decoder]
+    encode: Callable[[float, float, int, Any], bytes]
+    baud: int
+    has_temperature: bool
+    commands: tuple[bytes, ...] = ()
+
+
+@dataclass(frozen=True)
+class TableKind:
+    """A rate table: driver on a transport, and its responder before another table (None: has no wire)."""
+
+    options: type[Any]
+    driver: Callable[[Transport, Clock, Any], RateTable]
+    responder: Callable[[RateTable, Any], Responder]
+    baud: int
+
+
+@dataclass(frozen=True)
+class ChamberKind:
+    """A chamber: driver on a transport, and its responder before another chamber."""
+
+    options: type[Any]
+    driver: Callable[[Transport, Clock, Any], Chamber]
+    responder: Callable[[Chamber, Any], Responder]
+    baud: int
+
+
+def _encode_ecore(rate_dps: float, temp_c: float, count: int, options: ecore2000.Options) -> bytes:
+    sign = 1.0 if options.counter_clockwise_positive else -1.0
+    return ecore2000.encode(round(sign * rate_dps / options.lsb_dps))
+
+
+def _encode_ascii(rate_dps: float, temp_c: float, count: int, options: ascii_line.Options) -> bytes:
+    sequence = count % (options.sequence_modulus or 1 << 30)
+    return ascii_line.encode(
+        options, rate=rate_dps, temp=temp_c, status=options.status_good, sequence=sequence
+    )
+
+
+GYROS: dict[str, GyroKind] = {
+    "kvh-ecore2000": GyroKind(ecore2000.Options, ecore2000.ECore2000Decoder, _encode_ecore, 9600, False),
+    "kvh-dsp3000": GyroKind(
+        dsp3000.Options,
+        dsp3000.Dsp3000Decoder,
+        lambda rate_dps, temp_c, count, options: dsp3000.encode(rate_dps, options=options),
+        38400,
+        False,
+        # No acknowledgement exists, so the mode command goes out three times.
+        (dsp3000.COMMAND_RATE * 3,),
+    ),
+    "kvh-frame-a": GyroKind(
+        kvh_frame.Options,
+        kvh_frame.KvhFrameDecoder,
+        lambda rate_dps, temp_c, count, options: kvh_frame.encode(rate_dps, temp_c, count, options),
+        921600,
+        True,
+    ),
+    "kvh-frame-b": GyroKind(
+        kvh_frame.Options,
+        kvh_frame.KvhFrameDecoder,
+        lambda rate_dps, temp_c, count, options: kvh_frame.encode(
+            rate_dps, temp_c, count, options, time_us=round(count * 1e6 / options.data_rate_hz)
+        ),
+        921600,
+        True,
+    ),
+    "vn100": GyroKind(
+        vn100.Options,
+        vn100.Vn100Decoder,
+        lambda rate_dps, temp_c, count, options: vn100.encode(rate_dps, temp_c, options),
+        115200,
+        True,
+        (vn100.command("VNWRG,06,19"),),
+    ),
+    "ascii-line": GyroKind(ascii_line.Options, ascii_line.AsciiLineDecoder, _encode_ascii, 115200, True),
+}
+
+TABLES: dict[str, TableKind] = {
+    "aerosmith": TableKind(aerosmith.Options, aerosmith.AerosmithTable, aerosmith.AerosmithResponder, 9600),
+    "zaber": TableKind(zaber.Options, zaber.ZaberTable, zaber.ZaberResponder, 115200),
+    "acutrol": TableKind(acutrol.Options, acutrol.AcutrolTable, acutrol.AcutrolResponder, 9600),
+    "json-lines": TableKind(
+        json_lines.Options, json_lines.JsonLinesTable, json_lines.JsonLinesResponder, 115200
+    ),
+}
+
+CHAMBERS: dict[str, ChamberKind] = {
+    "espec": ChamberKind(espec.Options, espec.EspecChamber, espec.EspecResponder, 9600),
+    "watlow-f4": ChamberKind(
+        watlow_f4.Options, watlow_f4.WatlowF4Chamber, watlow_f4.watlow_f4_responder, 19200
+    ),
+    "watlow-f4t-scpi": ChamberKind(
+        watlow_f4t.Options, watlow_f4t.WatlowF4tScpiChamber, watlow_f4t.WatlowF4tScpiResponder, 38400
+    ),
+    "watlow-f4t-modbus": ChamberKind(
+        watlow_f4t.Options, watlow_f4t.WatlowF4tModbusChamber, watlow_f4t.watlow_f4t_modbus_responder, 38400
+    ),
+    "weiss": ChamberKind(weiss.Options, weiss.WeissChamber, weiss.WeissResponder, 9600),
+}
+
+#: Devices without a wire: a person reads and sets them.
+MANUAL_TABLE = (manual_table.Options, manual_table.ManualTable)
+MANUAL_CHAMBER = (manual.Options, manual.ManualChamber)
