@@ -50,7 +50,7 @@ class Hidden:
     parameters: Drawn
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """A bench run in memory: rows in time order, and the answer.
 
@@ -65,6 +65,7 @@ class Recording:
     gyro_temp_c: Floats
     effect_dps: Floats
     hidden: tuple[Hidden, ...]
+    yardstick: Yardstick | None
 
     def answer(self) -> dict[str, Any]:
         """What is hidden, as plain data."""
@@ -222,7 +223,9 @@ def make_recording(
     for name, d_prime in measured:
         unit, drawn = _unit_effect(name, w, surface, clean, rng)
         in_rows = w.rows(unit)
-        size = d_prime / yardstick.d_prime(in_rows) if yardstick else 0.0
+        reach = yardstick.d_prime(in_rows) if yardstick else 1.0
+        # The surface of a real gyro is cubic in the one or in the other: nothing to scale.
+        size = 1.0 if name == "fit_direction" else d_prime / reach
         sign = (
             1.0
             if name in ("thermal_lag", "fit_direction", "truncation", "dead_zone")
@@ -233,7 +236,7 @@ def make_recording(
         if name == "mechanical_resonance":
             scatter += 2.0 * np.abs(unit) / np.abs(unit).max()
         rms = float(np.sqrt(np.mean(rows[-1] ** 2)))
-        hidden.append(Hidden(name, float(sign * size), d_prime, rms, drawn))
+        hidden.append(Hidden(name, float(sign * size), size * reach, rms, drawn))
     white = rng.normal(size=w.t_s.size) * noise.white_dps / np.sqrt(STEP_S) * scatter
     flicker = _flicker(w.t_s.size, noise.floor_dps, rng)
     output = clean + total + jitter * w.rate_dps + white + flicker
@@ -262,6 +265,7 @@ def make_recording(
         temps + rng.normal(size=temps.size) * 0.01,
         np.array(rows).reshape(len(rows), temps.size),
         tuple(hidden),
+        yardstick,
     )
 
 

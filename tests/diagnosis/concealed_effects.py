@@ -71,7 +71,7 @@ def scale_drift(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
 
 def _after(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
     at = rng.uniform(0.2, 0.8) * w.t_s[-1]
-    return (w.t_s >= at).astype(float), {"t_s": float(at)}
+    return (w.t_s >= at).astype(float), {"at_s": float(at)}
 
 
 def bias_step(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
@@ -148,7 +148,7 @@ def mechanical_resonance(w: World, rng: np.random.Generator) -> tuple[Floats, Dr
     rates = sorted({abs(p.rate_dps) for p in w.pieces if 20 <= abs(p.rate_dps) <= 90})
     centre, width = float(rng.choice(rates)) + rng.uniform(-2, 2), rng.uniform(3, 6)
     return 1e-3 / (1.0 + ((np.abs(w.rate_dps) - centre) / width) ** 2), {
-        "rate_dps": centre,
+        "center_dps": centre,
         "width_dps": width,
     }
 

@@ -12,7 +12,7 @@ from scipy import stats
 from gyrocal.records.run import read_run
 from tests.diagnosis.concealed_bench import NoiseLevels, Yardstick, make_recording, write_run
 from tests.diagnosis.concealed_effects import CATALOGUE, OF_OUTPUT, OF_SURFACE, OUTSIDE
-from tests.diagnosis.concealed_world import PLANS, World, build_world
+from tests.diagnosis.concealed_world import PLANS, Floats, World, build_world
 
 ROOM = Path(__file__).parent
 
@@ -85,7 +85,7 @@ def test_d_prime_under_flicker_noise_is_what_an_ideal_receiver_reaches() -> None
         r = make_recording([("bias_drift", 8.0)], seed, plan="even")
         clean = r.world.rows(r.world.rate_dps)
         output = r.gyro_dps
-        columns = np.asarray(
+        columns: Floats = np.asarray(
             np.polynomial.polynomial.polyvander2d(
                 output / 100, (r.world.rows(r.world.case_c) - 20) / 30, [3, 2]
             )
