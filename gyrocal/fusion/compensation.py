@@ -16,7 +16,7 @@ from gyrocal.physics.terms import runtime_term
 Floats = NDArray[np.float64]
 
 #: The rate at which effects are evaluated is solved to this, deg/s, in at most so many rounds.
-_TOLERANCE_DPS = 1e-12
+_TOLERANCE_DPS = 1e-11
 _ROUNDS = 60
 
 

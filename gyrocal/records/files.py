@@ -9,7 +9,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import IO, NoReturn
 
 from gyrocal.errors import InputError, OutputError
 
@@ -38,20 +38,20 @@ def fsync_directory(path: Path) -> None:
         os.close(fd)
 
 
-def write_atomically(path: Path, data: bytes | str) -> None:
-    """Write `data` to `path`: temporary file in the same directory, fsync, rename.
+@contextlib.contextmanager
+def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
+    """Yield a file that becomes `path` when the block ends well: temporary file beside it, fsync, rename.
 
     Raises
     ------
     OutputError
         The directory is missing, read-only, or the disk is full. `path` is then as it was before.
     """
-    raw = data.encode() if isinstance(data, str) else data
     try:
         fd, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
         try:
             with os.fdopen(fd, "wb") as f:
-                f.write(raw)
+                yield f
                 f.flush()
                 os.fsync(f.fileno())
             umask = os.umask(0)
@@ -65,6 +65,12 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         fsync_directory(path.parent)
     except OSError as error:
         raise_output_error(path, error)
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """Write `data` to `path`, wholly or not at all; see `writing_atomically`."""
+    with writing_atomically(path) as f:
+        f.write(data.encode() if isinstance(data, str) else data)
 
 
 def make_output_directory(path: Path, *, may_hold_files: bool = False) -> None:

@@ -102,7 +102,14 @@ class Segment:
 
 @dataclass(frozen=True)
 class Run:
-    """A run directory, opened: identity and journal in memory, samples read a segment at a time."""
+    """A run directory, opened: identity and journal in memory, samples read a segment at a time.
+
+    Attributes
+    ----------
+    compensated : Any
+        What ``run.json`` says under ``compensated`` (there, or in ``sensor`` or ``software``): true, or the name
+        or sha256 of the coefficients that the logged rates went through already. None: nothing said.
+    """
 
     path: Path
     sensor: Sensor
@@ -115,6 +122,7 @@ class Run:
     segments: tuple[SegmentRecord, ...]
     events: tuple[Mapping[str, Any], ...]
     notes: tuple[str, ...]
+    compensated: Any = None
 
     def segment(self, record: SegmentRecord, *, verify: bool = True) -> Segment:
         """Read one segment whole; `verify` compares its sha256 with the journal.
@@ -242,7 +250,15 @@ def read_run(path: Path) -> Run:
         segments=segments,
         events=events,
         notes=tuple(notes),
+        compensated=_compensated(head),
     )
+
+
+def _compensated(head: Mapping[str, Any]) -> Any:
+    for place in (head, head.get("sensor"), head.get("software")):
+        if isinstance(place, Mapping) and place.get("compensated"):
+            return place["compensated"]
+    return None
 
 
 def _read_sensor(source: Path, head: dict[str, Any]) -> Sensor:

@@ -1,0 +1,69 @@
+"""What must not be mixed: coefficients of another sensor, and rates that were compensated already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gyrocal.errors import CoefficientError, DataError
+from gyrocal.records.run import Run
+
+#: What a table of data sets, which does not name its sensor, is filed under.
+UNKNOWN = "unknown"
+
+
+def refuse_compensated(run: Run) -> None:
+    """Refuse a run whose ``run.json`` says that its rates went through a calibration already.
+
+    Raises
+    ------
+    DataError
+        It does: a second calibration or correction on top of the first would be wrong without a sign of it.
+    """
+    if run.compensated:
+        by = "" if run.compensated is True else f" (by {run.compensated})"
+        raise DataError(
+            f"{run.path / 'run.json'}: says that its rates are compensated already{by}. Use the raw record of the gyro."
+        )
+
+
+def check_sensor(
+    coefficients: Mapping[str, Any], recording: Mapping[str, Any], source: Path, *, force: bool = False
+) -> tuple[str, ...]:
+    """Refuse coefficients of another gyro.
+
+    Parameters
+    ----------
+    coefficients, recording : mapping
+        The ``sensor`` entries: ``model`` and ``serial``, where they are known.
+    source : Path
+        The recording, for the message.
+    force : bool
+        Do not refuse, but note it.
+
+    Returns
+    -------
+    notes : tuple of str
+        What could not be checked, or was overridden.
+
+    Raises
+    ------
+    CoefficientError
+        Model or serial number differ.
+    """
+    notes = []
+    for key in ("model", "serial"):
+        theirs, ours = coefficients.get(key), recording.get(key)
+        if theirs in (None, UNKNOWN) or ours in (None, UNKNOWN):
+            notes.append(
+                f"{key} not compared: unknown in the {'coefficients' if theirs in (None, UNKNOWN) else 'recording'}"
+            )
+        elif theirs != ours:
+            if not force:
+                raise CoefficientError(
+                    f"{source}: was recorded with {key} {ours}, and the coefficients are those of {key} {theirs}. "
+                    "Use coefficients of the same gyro, or say --force-sensor."
+                )
+            notes.append(f"{key} differs: recording {ours}, coefficients {theirs} (forced)")
+    return tuple(notes)
