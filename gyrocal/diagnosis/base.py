@@ -1,0 +1,92 @@
+"""The simulated sequence: what the error surface alone predicts for a recording, and its regression columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.series import Series
+from gyrocal.physics.surface import SHAPE, Surface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Base:
+    """Surface, simulated sequence and columns of a recording.
+
+    Attributes
+    ----------
+    surface : Surface
+    residual_dps : ndarray, shape (n,)
+        Recording minus simulated sequence.
+    design : ndarray, shape (n, p)
+        Columns of the surface's coefficients that the record can carry, at the simulated output.
+    terms : ndarray of int, shape (p,)
+        Which of the 12 coefficients those are (row-major over rate and temperature order).
+    """
+
+    surface: Surface
+    residual_dps: Floats
+    design: Floats
+    terms: Ints
+
+
+def carried_terms(series: Series) -> Ints:
+    """Coefficients that the rates and temperatures of a record can tell apart, shape (p,)."""
+    rates = np.unique(np.round(series.rate_dps, 3)).size
+    span = float(np.ptp(series.temp_c))
+    distinct = np.unique(np.round(series.temp_c, 1)).size
+    rate_order = min(SHAPE[0], rates)
+    temp_order = min(SHAPE[1], 1 if span < 0.5 else distinct)
+    i, j = np.divmod(np.arange(SHAPE[0] * SHAPE[1]), SHAPE[1])
+    return np.flatnonzero((i < rate_order) & (j < temp_order))
+
+
+def blank_surface(series: Series) -> Surface:
+    """A surface of zeros whose scales span the record."""
+    scale = float(np.max(np.abs(series.rate_dps))) or 100.0
+    low, high = float(series.temp_c.min()), float(series.temp_c.max())
+    return Surface(np.zeros(SHAPE), 0.0, scale, (low + high) / 2, max((high - low) / 2, 1.0))
+
+
+def with_coefficients(surface: Surface, terms: Ints, values: Floats) -> Surface:
+    """The surface with some of its coefficients replaced."""
+    c = surface.coefficients_dps.ravel().copy()
+    c[terms] = values
+    return Surface(
+        c.reshape(SHAPE),
+        surface.rate_center_dps,
+        surface.rate_scale_dps,
+        surface.temp_center_c,
+        surface.temp_scale_c,
+    )
+
+
+def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Base:
+    """Recording minus what `surface` predicts at the recorded rates and temperatures."""
+    terms = carried_terms(series) if terms is None else terms
+    output = surface.output_dps(series.rate_dps, series.temp_c)
+    return Base(
+        surface, series.gyro_dps - output, surface.design(output, series.temp_c)[:, terms], terms
+    )
+
+
+def fit_surface(series: Series, added_dps: Floats | None = None) -> Base:
+    """Surface by weighted least squares in gyro output (paper eq. 5): the start of everything else.
+
+    The regressors are evaluated at the predicted output, not the noisy one, which takes a few rounds.
+    """
+    surface, terms = blank_surface(series), carried_terms(series)
+    known = 0.0 if added_dps is None else added_dps
+    weight = 1.0 / series.white_std_dps
+    for _ in range(4):
+        base = simulate(series, surface, terms)
+        step = np.linalg.lstsq(
+            base.design * weight[:, None], (base.residual_dps - known) * weight, rcond=None
+        )[0]
+        surface = with_coefficients(surface, terms, surface.coefficients_dps.ravel()[terms] + step)
+    return simulate(series, surface, terms)

@@ -1,0 +1,80 @@
+"""Regression columns of all hypotheses in one matrix, so that one whitening pass serves every test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.series import Series
+from gyrocal.physics.effect import Conditions
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def conditions_of(series: Series) -> Conditions:
+    """What the laws of the catalogue may depend on, row by row."""
+    return Conditions(
+        t_s=series.t_s,
+        rate_dps=series.rate_dps,
+        temp_c=series.temp_c,
+        angle_deg=series.angle_deg,
+        supply_v=series.supply_v,
+        since_power_on_s=series.since_power_on_s,
+        since_step_s=series.since_set_s,
+        step_dps=series.step_dps,
+        temp_rate_c_per_s=series.temp_rate_c_per_min / 60.0,
+        data_set_index=series.set_index.astype(np.float64),
+    )
+
+
+@dataclass
+class Book:
+    """Collects columns; each is freed of the base columns first, which keeps the algebra well scaled.
+
+    Parameters
+    ----------
+    base : ndarray, shape (n, p)
+        Columns 0..p-1 of the matrix.
+    """
+
+    base: Floats
+    _parts: list[Floats] = field(default_factory=list)
+    _count: int = 0
+
+    def __post_init__(self) -> None:
+        self._q = np.linalg.qr(self.base / np.linalg.norm(self.base, axis=0))[0]
+        self._count = self.base.shape[1]
+        self._parts.append(self.base)
+
+    @property
+    def model(self) -> Ints:
+        """Numbers of the base columns."""
+        return np.arange(self.base.shape[1])
+
+    def add(self, columns: Floats) -> Ints:
+        """Add columns, shape (n,) or (n, k); returns their numbers, shape (k,)."""
+        block = columns[:, None] if columns.ndim == 1 else columns
+        block = block - self._q @ (self._q.T @ block)
+        self._parts.append(block)
+        first = self._count
+        self._count += block.shape[1]
+        return np.arange(first, self._count)
+
+    def matrix(self) -> Floats:
+        """All columns, shape (n, p)."""
+        if len(self._parts) > 1:
+            self._parts = [np.concatenate(self._parts, axis=1)]
+        return self._parts[0]
+
+
+def hats(x: Floats, knots: Floats) -> Floats:
+    """Piecewise-linear hat functions on the knots, shape (n, len(knots))."""
+    return np.column_stack([np.interp(x, knots, row) for row in np.eye(knots.size)])
+
+
+def quantile_knots(x: Floats, count: int) -> Floats:
+    """Distinct knots at quantiles of x."""
+    return np.unique(np.quantile(x, np.linspace(0.0, 1.0, count)))

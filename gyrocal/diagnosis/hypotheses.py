@@ -1,0 +1,284 @@
+"""The catalogue as hypotheses: each effect is a block of columns over a small grid of its shapes.
+
+Amplitudes (and phases, as cosine and sine) are linear; whatever else shapes an effect is on the grid here and is
+refined later. Columns are the catalogue's own laws at unit amplitude, so an estimate is in the catalogue's units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.columns import Book, conditions_of
+from gyrocal.diagnosis.series import Series
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Conditions
+from gyrocal.physics.surface import Surface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Shape = Mapping[str, float]
+
+#: Evidence (nats) that an effect starts with. A polynomial claims no mechanism; a sign that physics excludes
+#: has to be bought; what two hypotheses share is then given to the law.
+_PRIOR = {"rate_order": -1.0, "fit_direction": -1.0, "mechanical_resonance": -1.0}
+_WRONG_SIGN = -4.0
+#: Effects whose amplitude is positive by their nature.
+_POSITIVE = ("sagnac_sine", "saturation", "truncation", "thermal_lag")
+#: Same law, other cause: (the same columns explain the data exactly as well).
+TWINS = {"earth_rate_tilt": ("magnetic", "g_sensitivity")}
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect (or a stranger to the catalogue) as columns of a book.
+
+    Attributes
+    ----------
+    id, coordinate, family : str
+    shapes : tuple of mapping
+        Shape parameters of each grid point.
+    points : ndarray of int, shape (g, k)
+        Column numbers of each grid point.
+    nuisance : ndarray of int
+        Further columns of the effect's whole family of shapes.
+    prior : float
+        Evidence it starts with, nats.
+    """
+
+    id: str
+    coordinate: str
+    family: str
+    shapes: tuple[Shape, ...]
+    points: Ints
+    nuisance: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    prior: float = 0.0
+    positive: bool = False
+    in_catalogue: bool = True
+
+    @property
+    def df(self) -> int:
+        """Amplitudes of a grid point."""
+        return int(self.points.shape[1])
+
+
+def law(
+    effect: str, c: Conditions, shape: Shape, surface: Surface | None, phase_rad: float | None = None
+) -> Floats:
+    """An effect of the catalogue at unit amplitude, shape (n,), deg/s."""
+    known = CATALOGUE[effect]
+    p = {**known.typical(), **shape, "amplitude": 1.0}
+    if phase_rad is not None:
+        p["phase_rad"] = phase_rad
+    return known.error_dps(c, p, surface, None)[0]
+
+
+def phase_columns(effect: str, c: Conditions, shape: Shape) -> Floats:
+    """Cosine and sine of an effect with a phase, shape (n, 2): amplitude and phase become linear."""
+    return np.column_stack([law(effect, c, shape, None, 0.0), law(effect, c, shape, None, -np.pi / 2)])
+
+
+def shapes_of(effect: str, series: Series) -> list[dict[str, float]]:
+    """Grid of the shape parameters of an effect for this record."""
+    span_s = float(np.ptp(series.t_s))
+    full = float(np.max(np.abs(series.rate_dps)))
+    temp_span = float(np.ptp(series.history.temp_c))
+    size = np.unique(np.round(np.abs(series.rate_dps), 3))
+    grids: dict[str, list[dict[str, float]]] = {
+        "shupe_gradient": [{"tau_s": float(x)} for x in np.geomspace(60.0, 3600.0, 12) if x < span_s],
+        "thermal_lag": [{"tau_s": float(x)} for x in np.geomspace(30.0, 1800.0, 10) if x < span_s],
+        "thermal_hysteresis": [{"width_c": float(x)} for x in np.geomspace(0.012, 0.45, 11) * temp_span],
+        "warm_up": [{"tau_s": float(x)} for x in np.geomspace(120.0, 7200.0, 12) if x < span_s],
+        "bias_step": [{"at_s": float(x)} for x in _instants(series)],
+        "scale_step": [{"at_s": float(x)} for x in _set_starts(series)],
+        "sagnac_sine": [{"phase_rad_per_dps": float(x) / full} for x in (0.2, 0.5, 0.8, 1.2, 1.8)] if full else [],
+        "saturation": [{"knee_dps": float(x) * full} for x in np.linspace(0.45, 0.95, 11)],
+        "mechanical_resonance": [
+            {"center_dps": float(a), "width_dps": float(b) * full, "scatter": 0.0}
+            for a in size[size > 0]
+            for b in (0.02, 0.06, 0.12)
+        ],
+        "dead_zone": [{"width_dps": float(x)} for x in _dead_widths(size)],
+        "table_eccentricity": [{"harmonic": 1.0}, {"harmonic": 2.0}],
+        "step_response": _ringing(),
+        "temperature_order": _powers(series, (3.0, 4.0)),
+        "rate_order": [{"order": o, "scale_dps": full or 1.0} for o in (4.0, 5.0, 6.0, 7.0)],
+    }
+    return grids.get(effect, [{}])
+
+
+def _powers(series: Series, orders: Sequence[float]) -> list[dict[str, float]]:
+    low, high = float(series.temp_c.min()), float(series.temp_c.max())
+    return [{"order": o, "center_c": (low + high) / 2, "scale_c": (high - low) / 2 or 1.0} for o in orders]
+
+
+def _ringing() -> list[dict[str, float]]:
+    creep = [{"tau_s": float(t), "frequency_hz": 0.0} for t in (0.3, 0.7, 1.5, 3.0, 6.0)]
+    ring = [
+        {"tau_s": float(t), "frequency_hz": float(f)}
+        for t in (0.4, 0.8, 1.6, 3.2)
+        for f in np.concatenate([np.arange(0.15, 1.2, 0.15), np.arange(1.3, 4.6, 0.25)])
+    ]
+    return creep + ring
+
+
+def _dead_widths(size: Floats) -> Floats:
+    small = size[size <= 10.0]
+    if small.size == 0 or small[0] > 0.01:
+        return np.empty(0)
+    return np.append((small[:-1] + small[1:]) / 2, small[-1] * 1.05 + 0.05) if small.size > 1 else np.array([0.05])
+
+
+def _set_starts(series: Series) -> Floats:
+    first = np.flatnonzero(np.diff(series.set_index, prepend=-1))
+    starts = series.t_s[first]
+    if starts.size > 400:
+        starts = starts[:: int(np.ceil(starts.size / 400))]
+    return starts[1:] - 0.5
+
+
+def _instants(series: Series) -> Floats:
+    """Candidate instants of a jump: starts of data sets, and a net over long segments."""
+    span = float(np.ptp(series.t_s))
+    net = np.arange(series.t_s[0], series.t_s[-1], max(150.0, span / 150))[1:]
+    return np.unique(np.concatenate([_set_starts(series), net]))
+
+
+def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
+    """Every effect of the catalogue that this record can show, as columns of the book."""
+    c = conditions_of(series)
+    found: list[Hypothesis] = []
+    for effect in CATALOGUE.values():
+        if effect.id in _SPECIAL or _why_not(effect.id, series) is not None:
+            continue
+        shapes = shapes_of(effect.id, series)
+        if not shapes:
+            continue
+        if effect.id in ("earth_rate_tilt", "table_eccentricity"):
+            points = np.array([book.add(phase_columns(effect.id, c, s)) for s in shapes])
+            found.append(_hypothesis(effect.id, shapes, points))
+        elif effect.id == "step_response":
+            found += _step_hypotheses(c, shapes, book)
+        else:
+            points = np.array([book.add(law(effect.id, c, s, surface)) for s in shapes])
+            found.append(_hypothesis(effect.id, shapes, points, _family_nuisance(effect.id, c, series, book)))
+    reference = _reference_columns(series)
+    if reference is not None:
+        found.append(_hypothesis("reference_rate_error", [{}], book.add(reference)[None, :]))
+    return found
+
+
+#: Found by other means (`sampling.py`), twins of others, or of another build.
+_SPECIAL = ("magnetic", "g_sensitivity", "quantisation", "time_base", "bursts", "reference_rate_error")
+
+
+def _step_hypotheses(c: Conditions, shapes: list[dict[str, float]], book: Book) -> list[Hypothesis]:
+    creep = [s for s in shapes if s["frequency_hz"] == 0.0]
+    ring = [s for s in shapes if s["frequency_hz"] > 0.0]
+    one = np.array([book.add(law("step_response", c, s, None)) for s in creep])
+    two = np.array([book.add(phase_columns("step_response", c, s)) for s in ring])
+    return [
+        _hypothesis("step_response", creep, one, two.ravel()),
+        _hypothesis("step_response", ring, two, one.ravel()),
+    ]
+
+
+def _hypothesis(
+    effect: str, shapes: Sequence[Shape], points: Ints, nuisance: Ints | None = None
+) -> Hypothesis:
+    known = CATALOGUE[effect]
+    return Hypothesis(
+        effect,
+        known.seen_in,
+        known.family,
+        tuple(shapes),
+        points,
+        np.empty(0, dtype=np.int64) if nuisance is None else nuisance,
+        _PRIOR.get(effect, 0.0),
+        effect in _POSITIVE,
+    )
+
+
+def _family_nuisance(effect: str, c: Conditions, series: Series, book: Book) -> Ints:
+    """Shapes near an effect's own that a real one may have: they must not be named beside it."""
+    t = (c.t_s - c.t_s[0]) / max(float(np.ptp(c.t_s)), 1.0)
+    w = c.rate_dps
+    full = max(float(np.max(np.abs(w))), 1e-9)
+    v = (c.temp_c - series.temp_c.mean()) / max(float(np.ptp(series.temp_c)) / 2, 1e-9)
+    extra: list[Floats] = []
+    if effect in ("bias_drift", "scale_drift"):
+        gain = 1.0 if effect == "bias_drift" else w
+        extra = [gain * t**p for p in (0.35, 0.5, 0.7, 1.4, 2.0)]
+    elif effect == "temperature_order":
+        extra = [v**5, np.sinh(2 * v), np.exp(2 * v), np.exp(-2 * v)] + [v**3 * w, v**4 * w]
+    elif effect == "scale_asymmetry":
+        extra = [np.sqrt(w**2 + (s * full) ** 2) for s in (0.005, 0.02, 0.05)]
+    elif effect in ("sagnac_sine", "saturation", "rate_order"):
+        extra = [(w / full) ** p for p in (5, 7, 9)]
+        extra += [_soft_knee(w, k * full, 0.03 * full) for k in (0.5, 0.6, 0.7, 0.8, 0.9)]
+    elif effect == "warm_up" and c.since_power_on_s is not None:
+        extra = [np.exp(-np.sqrt(c.since_power_on_s / s)) for s in (300.0, 1200.0, 4000.0)]
+    elif effect == "supply_voltage" and c.supply_v is not None:
+        dv = c.supply_v - np.median(c.supply_v)
+        extra = [dv**2, dv * w]
+    elif effect == "shupe":
+        extra = [np.asarray(series.history.lagged_rate_at(s, c.t_s)) for s in (30.0, 90.0)]
+    return book.add(np.column_stack(extra)) if extra else np.empty(0, dtype=np.int64)
+
+
+def _soft_knee(w: Floats, knee: float, width: float) -> Floats:
+    return np.asarray(np.sign(w) * width * np.logaddexp(0.0, (np.abs(w) - knee) / width))
+
+
+def _reference_columns(series: Series) -> Floats | None:
+    """One odd column for each size of rate: a fixed relative error, repeated at every temperature."""
+    sizes = np.unique(np.round(np.abs(series.rate_dps), 3))
+    sizes = sizes[sizes > 0]
+    if not 4 <= sizes.size <= 60:
+        return None
+    return np.column_stack(
+        [np.where(np.abs(np.abs(series.rate_dps) - s) < 1e-3, series.rate_dps * 1e-6, 0.0) for s in sizes]
+    )
+
+
+def _why_not(effect: str, series: Series) -> str | None:
+    """Why this record cannot show an effect; None if it can."""
+    distinct = np.unique(np.round(series.rate_dps, 3))
+    turning = float(np.max(np.abs(series.rate_dps))) > 0
+    known = CATALOGUE[effect]
+    if known.seen_in in series.untestable and known.seen_in != "time":
+        return series.untestable[known.seen_in]
+    if "angle_deg" in known.needs and not turning:
+        return "the table did not turn"
+    if known.family == "rate shape":
+        if distinct.size < 6:
+            return f"it has {distinct.size} different rates, and shapes in rate need at least 6"
+        if effect in ("scale_asymmetry", "truncation") and not (distinct.min() < 0 < distinct.max()):
+            return "it turns one way only"
+        if effect == "dead_zone" and not np.any(np.abs(distinct) < 0.01):
+            return "it has no data at rest"
+    if effect in ("scale_drift", "scale_step") and not turning:
+        return "the table did not turn"
+    if effect == "temperature_order" and np.ptp(series.temp_c) < 10.0:
+        return "the temperature changed by less than 10 degC"
+    if known.family == "thermal transient" and np.ptp(series.temp_c) < 2.0:
+        return "the temperature hardly changed"
+    if effect == "thermal_lag" and not turning and np.ptp(series.temp_c) < 10.0:
+        return "the table did not turn"
+    if effect == "step_response" and (series.since_set_s is None or series.step_dps is None):
+        return "the record has no samples after a step of rate"
+    if effect == "warm_up" and series.since_power_on_s is not None and series.since_power_on_s.min() > 5400:
+        return "the record begins more than 1.5 h after power-on"
+    return None
+
+
+def untestable(series: Series) -> dict[str, str]:
+    """Effect to the reason why this record cannot show it."""
+    reasons = {effect: _why_not(effect, series) for effect in CATALOGUE if effect not in _SPECIAL}
+    found = {effect: reason for effect, reason in reasons.items() if reason is not None}
+    if "earth_rate_tilt" in found:
+        found |= dict.fromkeys(TWINS["earth_rate_tilt"], found["earth_rate_tilt"])
+    return found
