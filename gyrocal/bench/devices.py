@@ -160,3 +160,22 @@ class Supply(Protocol):
     def read_v(self) -> float:
         """Volts at the gyro, NaN where not measured."""
         ...
+
+
+class NoSupply:
+    """A supply that nobody measures."""
+
+    def read_v(self) -> float:
+        """NaN."""
+        return float("nan")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The devices of a bench. `describe` is what the run directory and the journal say about them."""
+
+    gyro: Gyro
+    table: RateTable
+    chamber: Chamber
+    supply: Supply = field(default_factory=NoSupply)
+    describe: str = "real"

@@ -1,0 +1,353 @@
+"""The bench profile: what is measured, on which devices, in which order, within which limits. TOML, read strictly."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from gyrocal.bench.schema import choice, number, read_table, refuse, refuse_key
+from gyrocal.errors import ProfileError
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.records.files import reading
+
+_DAY_S = 86400.0
+_POLICIES = ("unsettled", "fail")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorSpec:
+    """Who the gyro is, and what its data sheet allows."""
+
+    model: str
+    serial: str | None = None
+    sample_rate_hz: float = number(0.1, 10000.0, "Hz")
+    rate_range_dps: tuple[float, float] = number(-10000.0, 10000.0, "deg/s")
+    temp_range_c: tuple[float, float] = number(-100.0, 200.0, "deg C")
+    on_before_s: float | None = number(0.0, 1e9, "s", None)
+
+
+@dataclass(frozen=True)
+class DeviceSpec:
+    """Where a device is: ``virtual``, or the port of a real one."""
+
+    device: str = "virtual"
+
+
+@dataclass(frozen=True)
+class BenchSpec:
+    """What the run directory says about the bench."""
+
+    table: str = "unknown"
+    chamber: str = "unknown"
+    latitude_deg: float | None = number(-90.0, 90.0, "deg", None)
+
+
+@dataclass(frozen=True)
+class UserLimits:
+    """What the user allows on top of what the devices do; None: no limit of the user's own."""
+
+    max_rate_dps: float | None = number(0.001, 10000.0, "deg/s", None)
+    min_temp_c: float | None = number(-100.0, 200.0, "deg C", None)
+    max_temp_c: float | None = number(-100.0, 200.0, "deg C", None)
+    max_ramp_c_per_min: float | None = number(0.01, 100.0, "deg C/min", None)
+    max_turns: float | None = number(0.1, 1e9, "turns", None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSpec:
+    """Temperatures and rates, and the order in which they are visited."""
+
+    temperatures_c: tuple[float, ...] = number(-100.0, 200.0, "deg C")
+    temperature_order: str = choice("up_down", "interleaved", "up", "down", "listed", default="up_down")
+    rates_dps: tuple[float, ...] = number(-10000.0, 10000.0, "deg/s", ())
+    both_signs: bool = True
+    rate_order: str = choice("shuffled", "up_down", "up", "down", "listed", default="shuffled")
+    zero_first_and_last: bool = True
+    seed: int = number(0, 2**63 - 1, "", 1)
+    dwell_s: float = number(0.1, _DAY_S, "s", 20.0)
+    static_s: float = number(0.0, 30 * _DAY_S, "s", 0.0)
+    static_at_c: tuple[float, ...] = number(-100.0, 200.0, "deg C", ())
+    ramp_rates_dps: tuple[float, ...] = number(-10000.0, 10000.0, "deg/s", (0.0,))
+
+
+@dataclass(frozen=True)
+class SettleSpec:
+    """The table is at rate when the measured rate stays within `tolerance_dps` for `hold_s`."""
+
+    tolerance_dps: float = number(1e-5, 10.0, "deg/s", 0.02)
+    hold_s: float = number(0.0, 3600.0, "s", 2.0)
+    deadline_s: float = number(1.0, _DAY_S, "s", 30.0)
+    on_deadline: str = choice(*_POLICIES, default="unsettled")
+
+
+@dataclass(frozen=True)
+class RampSpec:
+    """How fast the chamber is taken to the next temperature, and how long after that it may be late."""
+
+    rate_c_per_min: float = number(0.01, 100.0, "deg C/min", 2.0)
+    deadline_s: float = number(1.0, _DAY_S, "s", 1800.0)
+    on_deadline: str = choice(*_POLICIES, default="unsettled")
+
+
+@dataclass(frozen=True)
+class SoakSpec:
+    """Soaked: chamber within `window_c` for all of `time_s`, and the gyro's own temperature flatter than the slope."""
+
+    window_c: float = number(0.01, 20.0, "deg C", 0.5)
+    time_s: float = number(0.0, _DAY_S, "s", 1800.0)
+    slope_c_per_min: float = number(0.0001, 100.0, "deg C/min", 0.02)
+    slope_over_s: float = number(10.0, 7200.0, "s", 300.0)
+    deadline_s: float = number(1.0, 7 * _DAY_S, "s", 7200.0)
+    on_deadline: str = choice(*_POLICIES, default="unsettled")
+
+
+@dataclass(frozen=True)
+class RecordSpec:
+    """How ramps and soaks are averaged, and how often table, chamber and supply are read."""
+
+    averaging_s: float = number(0.01, 3600.0, "s", 1.0)
+    bench_period_s: float = number(0.01, 60.0, "s", 1.0)
+
+
+@dataclass(frozen=True)
+class SafeSpec:
+    """Where the bench goes at the end, and on every other way out; and what trips the interlocks on the way."""
+
+    chamber_c: float = number(-100.0, 200.0, "deg C", 25.0)
+    standing_dps: float = number(1e-5, 1.0, "deg/s", 0.05)
+    stop_deadline_s: float = number(1.0, 3600.0, "s", 30.0)
+    over_rate_dps: float | None = number(0.001, 20000.0, "deg/s", None)
+    gyro_margin_c: float = number(0.0, 50.0, "deg C", 5.0)
+
+
+@dataclass(frozen=True)
+class VirtualGyroSpec:
+    """Changes to the drawn unit's noise; None keeps Table I's figure."""
+
+    angle_random_walk_deg_per_rt_h: float | None = number(0.0, 100.0, "deg/sqrt(h)", None)
+    bias_instability_deg_per_h: float | None = number(0.0, 10000.0, "deg/h", None)
+    lsb_deg: float | None = number(0.0, 1.0, "deg", None)
+    temp_lsb_c: float | None = number(0.0, 10.0, "deg C", None)
+
+
+@dataclass(frozen=True)
+class VirtualTableSpec:
+    """The virtual rate table: limits, servo wobble, error of the reference rate, encoder."""
+
+    max_rate_dps: float = number(0.1, 10000.0, "deg/s", 400.0)
+    max_acceleration_dps2: float = number(0.1, 1e5, "deg/s^2", 50.0)
+    wobble_deg: float = number(0.0, 1.0, "deg", 2e-4)
+    rate_error_ppm: float = number(0.0, 1e5, "ppm", 10.0)
+    encoder_step_deg: float = number(1e-9, 1.0, "deg", 1e-5)
+
+
+@dataclass(frozen=True)
+class VirtualChamberSpec:
+    """The virtual chamber: limits, air, compressor ripple, and the gyro's case behind the air."""
+
+    min_temp_c: float = number(-100.0, 200.0, "deg C", -70.0)
+    max_temp_c: float = number(-100.0, 300.0, "deg C", 180.0)
+    max_ramp_c_per_min: float = number(0.01, 100.0, "deg C/min", 5.0)
+    air_s: float = number(1.0, 3600.0, "s", 60.0)
+    case_s: float = number(1.0, 36000.0, "s", 400.0)
+    ripple_c: float = number(0.0, 10.0, "deg C", 0.1)
+    ripple_period_s: float = number(1.0, 7200.0, "s", 240.0)
+    noise_c: float = number(0.0, 10.0, "deg C", 0.01)
+
+
+@dataclass(frozen=True)
+class VirtualSupplySpec:
+    """The virtual supply: it sags with the table's speed and with the chamber's compressor."""
+
+    nominal_v: float = number(0.0, 60.0, "V", 12.0)
+    sag_v: float = number(0.0, 60.0, "V at 100 deg/s", 0.02)
+    compressor_v: float = number(0.0, 60.0, "V", 0.02)
+    noise_v: float = number(0.0, 10.0, "V", 0.002)
+
+
+@dataclass(frozen=True)
+class VirtualSpec:
+    """The virtual bench: which unit, which noise, which further physics."""
+
+    unit_seed: int = number(0, 2**63 - 1, "", 1)
+    seed: int = number(0, 2**63 - 1, "", 1)
+    start_temp_c: float = number(-100.0, 200.0, "deg C", 23.0)
+    gyro: VirtualGyroSpec = VirtualGyroSpec()
+    table: VirtualTableSpec = VirtualTableSpec()
+    chamber: VirtualChamberSpec = VirtualChamberSpec()
+    supply: VirtualSupplySpec = VirtualSupplySpec()
+    effects: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A profile, checked. `raw` is the TOML as read, with the seed that the command line may have set."""
+
+    title: str
+    sensor: SensorSpec
+    plan: PlanSpec
+    gyro: DeviceSpec = DeviceSpec()
+    table: DeviceSpec = DeviceSpec()
+    chamber: DeviceSpec = DeviceSpec()
+    bench: BenchSpec = BenchSpec()
+    limits: UserLimits = UserLimits()
+    settle: SettleSpec = SettleSpec()
+    ramp: RampSpec = RampSpec()
+    soak: SoakSpec = SoakSpec()
+    record: RecordSpec = RecordSpec()
+    safe: SafeSpec = SafeSpec()
+    virtual: VirtualSpec = VirtualSpec()
+    source: str = field(init=False, default="profile", compare=False)
+    raw: Mapping[str, Any] = field(init=False, default_factory=dict, compare=False)
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the profile as read, in canonical JSON: comments and order do not count."""
+        text = json.dumps(self.raw, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def with_seed(self, seed: int) -> Profile:
+        """The same profile with another seed of the virtual bench's noise."""
+        virtual = {**self.raw.get("virtual", {}), "seed": seed}
+        return _sealed(
+            replace(self, virtual=replace(self.virtual, seed=seed)),
+            {**self.raw, "virtual": virtual},
+            self.source,
+        )
+
+
+def profile_directory() -> Path:
+    """Where the shipped profiles are: beside this file in a wheel, at the top of an editable tree."""
+    packed = Path(__file__).parent / "profiles"
+    return packed if packed.is_dir() else Path(__file__).parents[2] / "bench_profiles"
+
+
+def shipped_profiles() -> dict[str, Path]:
+    """Shipped profiles by name."""
+    return {path.stem: path for path in sorted(profile_directory().glob("*.toml"))}
+
+
+def load_profile(name: str | Path) -> Profile:
+    """Read a profile by path, or a shipped one by name (``quick`` or ``quick.toml``).
+
+    Raises
+    ------
+    ProfileError
+        No such profile, or a bad key or value in it.
+    InputError
+        The file may not be read or is not text.
+    """
+    path = Path(name)
+    if not path.exists():
+        shipped = shipped_profiles()
+        found = shipped.get(path.stem) if path.parent == Path() and path.suffix in ("", ".toml") else None
+        if found is None:
+            msg = f"{name}: no such profile. Give the path of a .toml file or one of: {', '.join(shipped)}."
+            raise ProfileError(msg)
+        path = found
+    with reading(path):
+        text = path.read_text(encoding="utf-8")
+    return parse_profile(text, path.name)
+
+
+def parse_profile(text: str, source: str) -> Profile:
+    """Read and check a profile's text; `source` stands in the messages."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ProfileError(f"{source}: is not TOML: {error}. Correct that line.") from error
+    return profile_from_dict(raw, source)
+
+
+def profile_from_dict(raw: Mapping[str, Any], source: str) -> Profile:
+    """Check a profile that was read already, for example the one in ``run.json``."""
+    profile = read_table(Profile, raw, source)
+    _check_consistency(profile, source)
+    effects = _effects(profile.virtual.effects, source)
+    checked = replace(profile, virtual=replace(profile.virtual, effects=effects))
+    return _sealed(checked, raw, source)
+
+
+def _sealed(profile: Profile, raw: Mapping[str, Any], source: str) -> Profile:
+    object.__setattr__(profile, "raw", raw)
+    object.__setattr__(profile, "source", source)
+    return profile
+
+
+def _check_consistency(p: Profile, source: str) -> None:
+    """What no single value can say: pairs in order, lists without repeats, rules that fit each other."""
+    for key, pair in (("rate_range_dps", p.sensor.rate_range_dps), ("temp_range_c", p.sensor.temp_range_c)):
+        if pair[0] >= pair[1]:
+            refuse(source, f"sensor.{key}", list(pair), "the lower number first")
+    if not p.plan.temperatures_c:
+        refuse(source, "plan.temperatures_c", [], "at least one temperature")
+    for key, values in (("temperatures_c", p.plan.temperatures_c), ("rates_dps", p.plan.rates_dps)):
+        order = p.plan.temperature_order if key == "temperatures_c" else p.plan.rate_order
+        if order != "listed" and len(set(values)) < len(values):
+            refuse(
+                source,
+                f"plan.{key}",
+                list(values),
+                f'each value once, unless its order is "listed" ({order} repeats by itself)',
+            )
+    if p.plan.both_signs and any(rate < 0 for rate in p.plan.rates_dps):
+        refuse(source, "plan.rates_dps", list(p.plan.rates_dps), "positive numbers while both_signs is true")
+    if not p.plan.ramp_rates_dps:
+        refuse(source, "plan.ramp_rates_dps", [], "at least one rate; [0] keeps the table at rest")
+    stray = [t for t in p.plan.static_at_c if t not in p.plan.temperatures_c]
+    if stray:
+        refuse(source, "plan.static_at_c", stray[0], "temperatures that stand in plan.temperatures_c")
+    if p.plan.static_at_c and p.plan.static_s == 0:
+        refuse(source, "plan.static_s", p.plan.static_s, "more than 0 s where plan.static_at_c is given")
+    if (
+        not p.plan.rates_dps
+        and not p.plan.zero_first_and_last
+        and p.plan.static_s == 0
+        and len(p.plan.temperatures_c) < 2
+    ):
+        refuse(
+            source,
+            "plan.rates_dps",
+            [],
+            "at least one rate, or static_s, or a second temperature: the plan is empty",
+        )
+    if p.soak.slope_over_s > max(p.soak.time_s, 10.0):
+        refuse(source, "soak.slope_over_s", p.soak.slope_over_s, f"at most soak.time_s ({p.soak.time_s:g} s)")
+    if p.soak.deadline_s <= p.soak.time_s:
+        refuse(source, "soak.deadline_s", p.soak.deadline_s, f"more than soak.time_s ({p.soak.time_s:g} s)")
+    if p.settle.deadline_s <= p.settle.hold_s:
+        refuse(
+            source,
+            "settle.deadline_s",
+            p.settle.deadline_s,
+            f"more than settle.hold_s ({p.settle.hold_s:g} s)",
+        )
+    if p.record.averaging_s * p.sensor.sample_rate_hz < 1:
+        least = 1 / p.sensor.sample_rate_hz
+        refuse(source, "record.averaging_s", p.record.averaging_s, f"at least one sample ({least:g} s)")
+
+
+def _effects(table: Mapping[str, Any], source: str) -> dict[str, dict[str, float]]:
+    """Effects with all their parameters: what the profile does not say is the catalogue's usual size."""
+    effects: dict[str, dict[str, float]] = {}
+    for effect_id, given in table.items():
+        key = f"virtual.effects.{effect_id}"
+        if effect_id not in CATALOGUE:
+            refuse_key(source, key, sorted(CATALOGUE))
+        if not isinstance(given, Mapping):
+            refuse(source, key, given, "a table of its parameters, {} for their usual sizes")
+        known = {p.name: p for p in CATALOGUE[effect_id].parameters}
+        for name, value in given.items():
+            if name not in known:
+                refuse_key(source, f"{key}.{name}", sorted(known))
+            p = known[name]
+            good = isinstance(value, int | float) and not isinstance(value, bool) and p.low <= value <= p.high
+            if not good:
+                refuse(source, f"{key}.{name}", value, f"a number from {p.low:g} to {p.high:g} {p.unit}")
+        effects[effect_id] = {**CATALOGUE[effect_id].typical(), **{k: float(v) for k, v in given.items()}}
+    return effects
