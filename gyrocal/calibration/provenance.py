@@ -52,18 +52,20 @@ def check_sensor(
     CoefficientError
         Model or serial number differ.
     """
-    notes = []
+    unknown, notes = [], []
     for key in ("model", "serial"):
         theirs, ours = coefficients.get(key), recording.get(key)
         if theirs in (None, UNKNOWN) or ours in (None, UNKNOWN):
-            notes.append(
-                f"{key} not compared: unknown in the {'coefficients' if theirs in (None, UNKNOWN) else 'recording'}"
-            )
+            unknown.append(key)
+        elif theirs != ours and force:
+            notes.append(f"{key} differs: recording {ours}, coefficients {theirs} (--force-sensor)")
         elif theirs != ours:
-            if not force:
-                raise CoefficientError(
-                    f"{source}: was recorded with {key} {ours}, and the coefficients are those of {key} {theirs}. "
-                    "Use coefficients of the same gyro, or say --force-sensor."
-                )
-            notes.append(f"{key} differs: recording {ours}, coefficients {theirs} (forced)")
+            raise CoefficientError(
+                f"{source}: was recorded with {key} {ours}, and the coefficients are those of {key} {theirs}. "
+                "Use coefficients of the same gyro, or say --force-sensor."
+            )
+    if unknown:
+        notes.append(
+            f"whether this is the same gyro was not checked by {' and '.join(unknown)}: not stated in both files"
+        )
     return tuple(notes)

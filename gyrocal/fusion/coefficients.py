@@ -98,7 +98,7 @@ class Coefficients:
             np.asarray(gyro_dps, dtype=np.float64), np.asarray(temp_c, dtype=np.float64)
         )
         design = self.surface.design(gyro.ravel(), temp.ravel())
-        variance = np.einsum("ij,jk,ik->i", design, self.covariance_dps2, design)
+        variance = ((design @ self.covariance_dps2) * design).sum(axis=1)
         sigma = np.sqrt(np.maximum(variance, 0.0)).reshape(gyro.shape)
         return float(sigma) if sigma.ndim == 0 else sigma
 

@@ -86,10 +86,10 @@ class Compensator:
         """
         gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
         rate, errors = self._solve(gyro, c)
-        surface_sigma = self.coefficients.sigma_dps(gyro, c.temp_c)
-        variance = surface_sigma**2 + sum(
-            (e * term.relative_sigma) ** 2 for e, term in zip(errors, self.terms, strict=True)
-        )
+        with np.errstate(over="ignore", invalid="ignore"):
+            variance = self.coefficients.sigma_dps(gyro, c.temp_c) ** 2 + sum(
+                (e * term.relative_sigma) ** 2 for e, term in zip(errors, self.terms, strict=True)
+            )
         flags = self.coefficients.flags(gyro, c.temp_c) | np.where(np.isfinite(rate), 0, FLAG_NOT_FINITE)
         return Corrected(rate, np.sqrt(variance), flags)
 
@@ -109,7 +109,8 @@ class Compensator:
 
     def _solve(self, gyro: Floats, c: Conditions) -> tuple[Floats, list[Floats]]:
         surface = self.coefficients.surface
-        rate = gyro - surface.error_dps(gyro, c.temp_c)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rate = gyro - surface.error_dps(gyro, c.temp_c)
         if not self.terms:
             return rate, []
         errors, memories = [np.zeros(rate.shape) for _ in self.terms], self._memories

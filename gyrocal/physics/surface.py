@@ -61,7 +61,7 @@ class Surface:
         """Vandermonde matrix of eq. 5, shape (n, 12), row-major over (i, j)."""
         u, v = (np.atleast_1d(x) for x in self.scaled(gyro_dps, temp_c))
         powers = u[:, None] ** np.arange(SHAPE[0]), v[:, None] ** np.arange(SHAPE[1])
-        return (powers[0][:, :, None] * powers[1][:, None, :]).reshape(u.size, -1)
+        return (powers[0][:, :, None] * powers[1][:, None, :]).reshape(u.size, SHAPE[0] * SHAPE[1])
 
     def slope_per_dps(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Floats:
         """Derivative of the error by gyro output, (deg/s)/(deg/s)."""

@@ -1,0 +1,193 @@
+"""A recording through a coefficient file, to CSV: every sample, or every data set, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.errors import CoefficientError, DataError, OutputError
+from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, load_coefficients
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.records.datasets import DataSetTable, read_data_sets
+from gyrocal.records.files import writing_atomically
+from gyrocal.records.run import Run, read_run
+
+Floats = NDArray[np.float64]
+
+COLUMNS = ("segment", "t_s", "gyro_dps", "temp_c", "corrected_dps", "sigma_dps", "flag")
+_ROW = "%d,%.6f,%.9g,%.6g,%.9f,%.3e,%d\n"
+
+#: Flags of this file beside those of `Coefficients.flags` (1 rate, 2 temperature, 4 not finite).
+FLAG_STATUS = 8
+FLAG_HELD = 16
+FLAGS = {
+    FLAG_RATE: "rate outside the valid range",
+    FLAG_TEMPERATURE: "temperature outside the valid range",
+    FLAG_NOT_FINITE: "not finite",
+    FLAG_STATUS: "bad status of the gyro",
+    FLAG_HELD: "temperature held from an earlier sample",
+}
+
+_CHUNK_ROWS = 100_000
+
+
+@dataclass(frozen=True)
+class ApplyConfig:
+    """What to correct, with what, and where to write it."""
+
+    recording: Path
+    coefficients: Path
+    output: Path
+    counts_per_dps: float | None = None
+    force_sensor: bool = False
+
+
+@dataclass
+class Applied:
+    """What was written: rows, how many carry each flag, terms, and what is worth knowing."""
+
+    output: Path
+    segments: int = 0
+    rows: int = 0
+    flagged_rows: int = 0
+    flagged: dict[int, int] = field(default_factory=lambda: dict.fromkeys(FLAGS, 0))
+    terms: tuple[str, ...] = ()
+    not_applied: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def count(self, flags: NDArray[np.int64]) -> None:
+        """Add a block's flags."""
+        self.rows += flags.size
+        self.flagged_rows += int(np.count_nonzero(flags))
+        for bit in FLAGS:
+            self.flagged[bit] += int(np.count_nonzero(flags & bit))
+
+    def to_json(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return {
+            "output": str(self.output),
+            "segments": self.segments,
+            "rows": self.rows,
+            "flagged_rows": self.flagged_rows,
+            "flagged": {FLAGS[bit]: n for bit, n in self.flagged.items()},
+            "terms_applied": list(self.terms),
+            "terms_of_the_bench_not_applied": list(self.not_applied),
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Samples of one stretch of the recording, arrays of shape (n,)."""
+
+    segment: NDArray[np.int64]
+    t_s: Floats
+    gyro_dps: Floats
+    temp_c: Floats
+    bad_status: NDArray[np.bool_]
+
+
+def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -> Applied:
+    """Correct a run directory or a table of data sets.
+
+    Every gyro sample of every segment goes through, ramps and soaks too, in the order of time. A missing
+    temperature is that of the last sample that had one, and flagged.
+
+    Parameters
+    ----------
+    report : callable
+        Told the share done and what is being read.
+
+    Raises
+    ------
+    InputError, DataError, CoefficientError, OutputError
+        Nothing is written then.
+    """
+    if config.output.resolve() in (config.recording.resolve(), config.coefficients.resolve()):
+        raise OutputError(f"{config.output}: is an input of this command. Choose another -o.")
+    coefficients = load_coefficients(config.coefficients)
+    compensator = Compensator(coefficients)
+    names = tuple(term.effect.id for term in compensator.terms)
+    applied = Applied(config.output, terms=names, not_applied=compensator.not_applied)
+    if config.recording.is_dir():
+        if config.counts_per_dps is not None:
+            raise DataError(
+                f"{config.recording}: a run is in deg/s already; --counts-per-dps is for tables. Leave it out."
+            )
+        run = read_run(config.recording)
+        refuse_compensated(run)
+        sensor, power_on_t_s, blocks = run.sensor.to_json(), run.power_on_t_s, _blocks_of_run(run, report)
+        applied.segments = len(run.segments)
+    else:
+        table = read_data_sets(config.recording, config.counts_per_dps)
+        _check_times(table, compensator)
+        sensor, power_on_t_s, blocks = {}, None, iter([_block_of_table(table)])
+        applied.segments = table.rate_dps.size
+    applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
+    with writing_atomically(config.output) as file:
+        file.write((",".join(COLUMNS) + "\n").encode())
+        for text, flags in _corrected(blocks, compensator, power_on_t_s):
+            file.write(text.encode())
+            applied.count(flags)
+    return applied
+
+
+def _corrected(
+    blocks: Iterator[_Block], compensator: Compensator, power_on_t_s: float | None
+) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    last_c = float("nan")
+    for block in blocks:
+        held, last_c = hold(block.temp_c, last_c)
+        since = None if power_on_t_s is None else block.t_s - power_on_t_s
+        result = compensator.evaluate(block.t_s, block.gyro_dps, held, since)
+        flags = result.flags | FLAG_STATUS * block.bad_status
+        flags = flags | FLAG_HELD * (np.isnan(block.temp_c) & np.isfinite(held))
+        columns = (block.segment, block.t_s, block.gyro_dps, block.temp_c, result.rate_dps, result.sigma_dps)
+        yield _text((*columns, flags)), flags
+
+
+def hold(values: Floats, last: float) -> tuple[Floats, float]:
+    """NaN replaced by the last value before, `last` before the first; and the last of all."""
+    if not values.size:
+        return values, last
+    rows = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))
+    held = np.where(rows >= 0, values[rows], last)
+    return held, float(held[-1])
+
+
+def _text(columns: tuple[NDArray[Any], ...]) -> str:
+    cells = [cell for row in zip(*(c.tolist() for c in columns), strict=True) for cell in row]
+    text = (_ROW * columns[0].size) % tuple(cells)
+    # An unknown number is an empty cell; no finite one contains these letters.
+    return text.replace("nan", "").replace("-inf", "").replace("inf", "")
+
+
+def _blocks_of_run(run: Run, report: Callable[[float, str], None]) -> Iterator[_Block]:
+    for number, record in enumerate(run.segments):
+        report(number / len(run.segments), record.file)
+        run.verify(record)
+        for part in run.iterate_segment(record, _CHUNK_ROWS):
+            segment = np.full(part.t_s.size, record.id, dtype=np.int64)
+            yield _Block(segment, part.t_s, part.gyro_dps, part.gyro_temp_c, part.status != 0)
+    report(1.0, "")
+
+
+def _block_of_table(table: DataSetTable) -> _Block:
+    n = table.rate_dps.size
+    t_s = np.full(n, np.nan) if table.t_s is None else table.t_s
+    return _Block(np.arange(1, n + 1), t_s, table.gyro_dps, table.temp_c, np.zeros(n, dtype=np.bool_))
+
+
+def _check_times(table: DataSetTable, compensator: Compensator) -> None:
+    timed = [term.effect.id for term in compensator.terms if term.effect.has_memory]
+    if timed and table.t_s is None:
+        raise CoefficientError(
+            f"{table.source}: has no t_s, and {timed[0]} of the coefficients depends on what went before. "
+            "Add the times, or use coefficients without that term."
+        )

@@ -1,0 +1,213 @@
+"""`gyrocal apply`: numbers, flags, refusals, and nothing half-written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from gyrocal.calibration import apply
+from gyrocal.calibration.apply import COLUMNS, ApplyConfig, apply_recording, hold
+from gyrocal.calibration.provenance import check_sensor
+from gyrocal.cli import gyrocal_command
+from gyrocal.errors import CoefficientError, DataError, GyrocalError, InputError, OutputError
+from gyrocal.fusion import Coefficients, Compensator, Term, Valid
+from gyrocal.physics.surface import Surface
+
+SURFACE = Surface(
+    np.array([[0.05, -0.02, 0.01], [0.4, 0.3, -0.1], [0.02, 0.01, 0.0], [-0.3, 0.05, 0.02]]), 0, 100, 20, 30
+)
+LAG = Term(
+    "thermal_lag",
+    {
+        "amplitude": {"value": 0.5, "std": 0.05, "unit": "1"},
+        "tau_s": {"value": 20.0, "std": 1.0, "unit": "s"},
+    },
+    True,
+)
+WARM = Term("warm_up", {"amplitude": {"value": 10.0, "std": 1.0, "unit": "mdeg/s"}}, True)
+BENCH = Term("table_eccentricity", {"amplitude": {"value": 3.0, "std": 1.0, "unit": "arcsec"}}, False)
+
+
+def quiet(share: float, what: str) -> None:
+    """Take a report of progress and say nothing."""
+
+
+def write_coefficients(path: Path, *terms: Term, **sensor: str) -> Coefficients:
+    c = Coefficients(
+        sensor or {"model": "RD2100", "serial": "7"},
+        SURFACE,
+        1e-8 * np.eye(12),
+        Valid((-100, 100), (-10, 50)),
+        terms=terms,
+    )
+    path.write_text(c.to_text(), encoding="utf-8")
+    return c
+
+
+SEGMENTS = {
+    "data/0001_ramp_+000.000dps_+020.0C.csv": (
+        "0.1,0.05,20.0,0,,,,\n0.15,,,,0.0,0.0,20.0,12.0\n0.2,0.06,,0,,,,\n0.3,0.07,20.5,1,,,,\n"
+    ),
+    "data/0002_rate_+120.000dps_+020.0C.csv": "1.1,120.5,21.0,0,,,,\n1.2,,21.0,0,,,,\n1.3,-20.25,,0,,,,\n",
+}
+
+
+def write_run(path: Path, **head: Any) -> Path:
+    (path / "data").mkdir(parents=True)
+    document = {
+        "schema": "gyrocal-run/1",
+        "sensor": {"model": "RD2100", "serial": "7"},
+        "power_on_t_s": -60.0,
+    } | head
+    (path / "run.json").write_text(json.dumps(document), encoding="utf-8")
+    lines = []
+    header = "t_s,gyro_dps,gyro_temp_c,status,table_rate_dps,table_angle_deg,chamber_temp_c,supply_v\n"
+    for number, (name, rows) in enumerate(SEGMENTS.items(), start=1):
+        (path / name).write_text(header + rows, encoding="utf-8")
+        digest = hashlib.sha256((header + rows).encode()).hexdigest()
+        lines.append(
+            {"event": "segment", "id": number, "kind": "rate", "rate_dps": 0.0, "chamber_c": 20.0, "t_start_s": number,
+             "t_end_s": number + 1.0, "n": 3, "outcome": "ok", "file": name, "sha256": digest}
+        )  # fmt: skip
+    (path / "journal.jsonl").write_text("".join(json.dumps(x) + "\n" for x in lines), encoding="utf-8")
+    return path
+
+
+def config(tmp_path: Path, recording: Path, **more: Any) -> ApplyConfig:
+    return ApplyConfig(recording, tmp_path / "c.json", tmp_path / "out.csv", **more)
+
+
+def test_every_sample_of_a_run(tmp_path: Path) -> None:
+    c = write_coefficients(tmp_path / "c.json", LAG, WARM, BENCH)
+    applied = apply_recording(config(tmp_path, write_run(tmp_path / "run")), quiet)
+    out = pd.read_csv(tmp_path / "out.csv")
+    assert tuple(out.columns) == COLUMNS
+    t = np.array([0.1, 0.2, 0.3, 1.1, 1.2, 1.3])
+    gyro = np.array([0.05, 0.06, 0.07, 120.5, np.nan, -20.25])
+    held = np.array([20.0, 20.0, 20.5, 21.0, 21.0, 21.0])
+    wanted = Compensator(c).evaluate(t, gyro, held, t + 60.0)
+    np.testing.assert_allclose(out["t_s"], t)
+    np.testing.assert_allclose(out["gyro_dps"], gyro)
+    np.testing.assert_array_equal(out["segment"], [1, 1, 1, 2, 2, 2])
+    np.testing.assert_array_equal(out["temp_c"].isna(), [0, 1, 0, 0, 0, 1])
+    np.testing.assert_allclose(out["corrected_dps"], wanted.rate_dps, atol=1e-9)
+    np.testing.assert_allclose(out["sigma_dps"], wanted.sigma_dps, rtol=1e-3)
+    np.testing.assert_array_equal(out["flag"], [0, 16, 8, 1, 4, 16])
+    assert (applied.rows, applied.flagged_rows, applied.segments) == (6, 5, 2)
+    assert applied.flagged == {1: 1, 2: 0, 4: 1, 8: 1, 16: 2}
+    assert applied.terms == ("thermal_lag", "warm_up")
+    assert applied.not_applied == ("table_eccentricity",)
+    assert applied.notes == ()
+
+
+def test_blocks_of_any_size_give_the_same_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_coefficients(tmp_path / "c.json", LAG, WARM)
+    run = write_run(tmp_path / "run")
+    apply_recording(config(tmp_path, run), quiet)
+    whole = (tmp_path / "out.csv").read_bytes()
+    monkeypatch.setattr(apply, "_CHUNK_ROWS", 1)
+    apply_recording(config(tmp_path, run), quiet)
+    assert (tmp_path / "out.csv").read_bytes() == whole
+
+
+def test_a_table_of_data_sets_in_counts(tmp_path: Path) -> None:
+    c = write_coefficients(tmp_path / "c.json", model="unknown")
+    table = tmp_path / "table.csv"
+    table.write_text("rate_dps,gyro_counts,temp_c\n0,10,20\n50,-5010,60\n", encoding="utf-8")
+    applied = apply_recording(config(tmp_path, table, counts_per_dps=-100.0), quiet)
+    out = pd.read_csv(tmp_path / "out.csv")
+    np.testing.assert_allclose(out["gyro_dps"], [-0.1, 50.1])
+    np.testing.assert_allclose(out["corrected_dps"], c.correct([-0.1, 50.1], [20, 60]), atol=1e-9)
+    np.testing.assert_array_equal(out["flag"], [0, 2])
+    assert out["t_s"].isna().all()
+    assert applied.notes == (
+        "whether this is the same gyro was not checked by model and serial: not stated in both files",
+    )
+
+
+def test_the_command(tmp_path: Path) -> None:
+    write_coefficients(tmp_path / "c.json", WARM, BENCH)
+    run = write_run(tmp_path / "run")
+    arguments = ["apply", str(run), "--coefficients", str(tmp_path / "c.json"), "-o", str(tmp_path / "o.csv")]
+    result = CliRunner().invoke(gyrocal_command, arguments, catch_exceptions=False)
+    assert "6 rows of 2 segments corrected; 5 flagged (1 rate outside the valid range" in result.stdout
+    assert "Terms of the bench, not applied: table_eccentricity." in result.stdout
+    result = CliRunner().invoke(gyrocal_command, [*arguments, "--json"], catch_exceptions=False)
+    summary = json.loads(result.stdout)
+    assert summary["rows"] == 6
+    assert summary["flagged"]["bad status of the gyro"] == 1
+    shown = CliRunner().invoke(gyrocal_command, ["apply", "--help"]).stdout
+    assert "noise of the sample itself is not in it" in " ".join(shown.split())
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        {"compensated": True},
+        {"sensor": {"model": "RD2100", "compensated": "a3f1"}},
+        {"software": {"name": "logger", "compensated": "a3f1"}},
+    ],
+)
+def test_compensated_runs_are_refused(tmp_path: Path, head: dict[str, Any]) -> None:
+    write_coefficients(tmp_path / "c.json")
+    run = write_run(tmp_path / "run", **head)
+    with pytest.raises(
+        DataError, match=r"run\.json: says that its rates are compensated already.*Use the raw record"
+    ):
+        apply_recording(config(tmp_path, run), quiet)
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_coefficients_of_another_gyro(tmp_path: Path) -> None:
+    write_coefficients(tmp_path / "c.json", model="RD2100", serial="8")
+    run = write_run(tmp_path / "run")
+    with pytest.raises(CoefficientError, match=r"serial 7, .* those of serial 8\. Use .* --force-sensor"):
+        apply_recording(config(tmp_path, run), quiet)
+    applied = apply_recording(config(tmp_path, run, force_sensor=True), quiet)
+    assert applied.notes == ("serial differs: recording 7, coefficients 8 (--force-sensor)",)
+    with pytest.raises(CoefficientError, match=r"model A, .* model B"):
+        check_sensor({"model": "B"}, {"model": "A"}, run)
+
+
+def test_nothing_is_left_when_the_recording_turns_out_bad(tmp_path: Path) -> None:
+    write_coefficients(tmp_path / "c.json")
+    run = write_run(tmp_path / "run")
+    last = run / list(SEGMENTS)[-1]
+    last.write_text(last.read_text(encoding="utf-8") + "1.4,1.0", encoding="utf-8")
+    (tmp_path / "out.csv").write_text("before", encoding="utf-8")
+    with pytest.raises(InputError, match="differs from what the journal sealed"):
+        apply_recording(config(tmp_path, run), quiet)
+    assert (tmp_path / "out.csv").read_text(encoding="utf-8") == "before"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "out.csv", "run"]
+
+
+def test_other_refusals(tmp_path: Path) -> None:
+    write_coefficients(tmp_path / "c.json", LAG, model="unknown")
+    table = tmp_path / "table.csv"
+    table.write_text("rate_dps,gyro_dps,temp_c\n0,0.1,20\n", encoding="utf-8")
+    with pytest.raises(CoefficientError, match="has no t_s, and thermal_lag"):
+        apply_recording(config(tmp_path, table), quiet)
+    with pytest.raises(OutputError, match="is an input of this command"):
+        apply_recording(ApplyConfig(table, tmp_path / "c.json", table), quiet)
+    write_coefficients(tmp_path / "c.json", model="unknown")
+    with pytest.raises(OutputError, match=r"nowhere.* cannot write"):
+        apply_recording(ApplyConfig(table, tmp_path / "c.json", tmp_path / "nowhere" / "o.csv"), quiet)
+    with pytest.raises(GyrocalError, match="counts-per-dps is for tables"):
+        apply_recording(config(tmp_path, write_run(tmp_path / "run"), counts_per_dps=3.0), quiet)
+    write_coefficients(tmp_path / "c.json", WARM, model="unknown")
+    with pytest.raises(CoefficientError, match="needs the time since power-on"):
+        apply_recording(config(tmp_path, table), quiet)
+
+
+def test_hold() -> None:
+    held, last = hold(np.array([np.nan, 1.0, np.nan, 2.0, np.nan]), 7.0)
+    np.testing.assert_array_equal(held, [7, 1, 1, 2, 2])
+    assert last == 2.0
+    assert hold(np.array([]), 3.0)[1] == 3.0
