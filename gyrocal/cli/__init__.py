@@ -24,6 +24,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("report", "Draw the figures and tables of a calibration."),
     "replay": ("replay", "Dead reckoning of drive logs, with and without calibration and filter."),
     "simulate": ("simulate", "Simulate robot drives with the virtual gyro."),
+    "probe": ("probe", "Say what is on a port: nothing, unknown bytes, or which gyro."),
+    "decode": ("decode", "Decode a raw capture to samples."),
 }
 
 
