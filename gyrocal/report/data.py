@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.apply import hold
 from gyrocal.calibration.datasets import DataSets
+from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.run import Run, Segment
 
 Floats = NDArray[np.float64]
@@ -49,7 +51,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Timeline:
-    """The course of a run. Curves are thinned to what a page shows; NaN separates gaps."""
+    """The course of a run; curves are thinned to what a page shows."""
 
     gyro_temp_t_s: Floats
     gyro_temp_c: Floats
@@ -60,14 +62,40 @@ class Timeline:
     spans: tuple[Span, ...]
 
 
-def read_timeline(run: Run) -> Timeline:
-    """Read a run once more for its course: temperatures, supply and segments, in bounded memory."""
-    samples = sum(record.n for record in run.segments)
-    step = max(1, samples // _CURVE_POINTS)
-    parts: list[Segment] = []
-    for record in run.segments:
-        parts += [_thinned(block, step) for block in run.iterate_segment(record)]
+def read_course(run: Run, compensator: Compensator | None) -> tuple[Timeline, dict[int, float]]:
+    """Read a run once more, in bounded memory: its course in time, and corrected means where terms need history.
 
+    Parameters
+    ----------
+    compensator : Compensator or None
+        With terms that depend on what went before; every sample then goes through it in the order of time.
+
+    Returns
+    -------
+    timeline : Timeline
+    corrected_dps : dict
+        Mean corrected rate of the good samples of each segment, by its id; empty without compensator.
+    """
+    step = max(1, sum(record.n for record in run.segments) // _CURVE_POINTS)
+    parts: list[Segment] = []
+    sums: dict[int, tuple[float, int]] = {}
+    last_c = float("nan")
+    for record in run.segments:
+        for block in run.iterate_segment(record):
+            parts.append(_thinned(block, step))
+            if compensator is None:
+                continue
+            temp_c, last_c = hold(block.gyro_temp_c, last_c)
+            since_s = None if run.power_on_t_s is None else block.t_s - run.power_on_t_s
+            rate_dps = compensator.correct(block.t_s, block.gyro_dps, temp_c, since_s)
+            good = block.good & np.isfinite(rate_dps)
+            total, count = sums.get(record.id, (0.0, 0))
+            sums[record.id] = total + float(rate_dps[good].sum()), count + int(good.sum())
+    corrected = {segment: total / count for segment, (total, count) in sums.items() if count}
+    return _timeline(run, parts), corrected
+
+
+def _timeline(run: Run, parts: list[Segment]) -> Timeline:
     def curve(time: str, value: str) -> tuple[Floats, Floats]:
         t = np.concatenate([getattr(p, time) for p in parts])
         v = np.concatenate([getattr(p, value) for p in parts])

@@ -26,7 +26,7 @@ _GRID = 61
 
 
 def _temperature_name(level: Level, tight: bool) -> str:
-    return f"{level.value:+.0f} °C" if tight else f"{level.low:g} to {level.high:g} °C"
+    return f"{round(level.value):+d} °C" if tight else f"{level.low:g} to {level.high:g} °C"
 
 
 def _curve(axes: Any, x: Floats, y: Floats, colour: Any, marker: str, marked: NDArray[np.bool_]) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
+from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.report import style
 from gyrocal.report.data import Examined
 from gyrocal.report.levels import Floats, Level, cell_edges, levels
-from gyrocal.report.scatter import RateScatter, scatter_trend
+from gyrocal.report.scatter import SignedScatter, odd_rates
 from gyrocal.units import DPS_TO_DPH, S_PER_H
 
 _MOST_RATES = 64
@@ -171,40 +172,46 @@ def _running_median(x: Floats, values: Floats, window: int) -> tuple[Floats, Flo
 
 
 @style.styled
-def scatter_figure(scatter: RateScatter) -> Figure:
-    """Scatter between data sets by rate, with its trend; rates that stand out from their neighbours are marked."""
+def scatter_figure(signed: SignedScatter, tested: ScatterByRate | None) -> Figure:
+    """Scatter between data sets by rate, with its trend; rates that stand out are marked."""
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.4)
     axes = figure.add_subplot()
-    rate, between = scatter.rate_dps, scatter.between_dps * DPS_TO_DPH
-    bars = (
-        np.stack(
-            (scatter.between_dps - scatter.between_low_dps, scatter.between_high_dps - scatter.between_dps)
-        )
-        * DPS_TO_DPH
-    )
+    rate, between = signed.rate_dps, signed.between_dps * DPS_TO_DPH
+    bars = np.stack((signed.between_dps - signed.low_dps, signed.high_dps - signed.between_dps)) * DPS_TO_DPH
     axes.errorbar(rate, between, yerr=bars, label="between data sets at one rate, 95 % interval", **_MEANS)
-    trend = scatter_trend(rate, scatter.between_dps) * DPS_TO_DPH
-    axes.plot(rate, trend, color=style.GREY, linestyle="--", label="trend with |rate|")
-    if scatter.expected_dps is not None:
+    if np.isfinite(signed.expected_dps).all():
         axes.plot(
             rate,
-            scatter.expected_dps * DPS_TO_DPH,
+            signed.expected_dps * DPS_TO_DPH,
             "^",
             color=style.GREEN,
             markerfacecolor="none",
             label="expected from the noise inside the data sets",
         )
-    sizes = scatter.size_dps[scatter.local]
-    odd = np.isclose(np.abs(rate)[:, None], sizes, rtol=1e-3, atol=1e-3).any(axis=1)
-    if odd.any():
-        ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgecolor": style.ORANGE}
-        axes.plot(rate[odd], between[odd], "o", label="more than the neighbouring rates", **ring)
-    for x, y in zip(rate[odd], between[odd], strict=True):
-        axes.annotate(
-            f"{x:+.1f}", (x, y), textcoords="offset points", xytext=(6, 4), fontsize=7, color=style.ORANGE
-        )
+    if tested is not None:
+        trend = np.interp(np.abs(rate), tested.rate_dps, tested.trend_dps * DPS_TO_DPH)
+        axes.plot(rate, trend, color=style.GREY, linestyle="--", label="trend with |rate|")
+        sizes = tested.rate_dps[odd_rates(tested)]
+        odd = np.isclose(np.abs(rate)[:, None], sizes, rtol=1e-3, atol=1e-3).any(axis=1)
+        _ring(axes, rate[odd], between[odd])
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("Table rate, deg/s")
     axes.set_ylabel("Standard deviation, deg/h")
     figure.legend(loc="outside upper center", ncols=2)
     return figure
+
+
+def _ring(axes: Any, x: Floats, y: Floats) -> None:
+    """Ring the rates that stand out, with their values."""
+    if x.size:
+        ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgecolor": style.ORANGE}
+        axes.plot(x, y, "o", label="more than the trend", **ring)
+    for at, height in zip(x, y, strict=True):
+        axes.annotate(
+            f"{at:+.1f}",
+            (at, height),
+            textcoords="offset points",
+            xytext=(6, 4),
+            fontsize=7,
+            color=style.ORANGE,
+        )

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.fusion.coefficients import Coefficients, Noise
 from gyrocal.physics.surface import SHAPE
 from gyrocal.report.data import Examined, Floats
 from gyrocal.report.levels import levels
 from gyrocal.report.page import Table
-from gyrocal.report.scatter import RateScatter
+from gyrocal.report.scatter import SignedScatter
 from gyrocal.units import DPS_TO_DPH
 
 #: Half width of a 95 % interval in standard deviations of a normal distribution.
@@ -162,20 +163,20 @@ def level_table(data: Examined, values: Floats, name: str, title: str, unit: str
     return Table(name, f"Error by {title.split(',')[0].lower()}", columns, rows, text)
 
 
-def scatter_table(scatter: RateScatter) -> Table:
+def scatter_table(signed: SignedScatter, tested: ScatterByRate | None) -> Table:
     """Scatter between data sets by rate; only in CSV, the figure shows it."""
     columns: dict[str, Any] = {
-        "rate_dps": scatter.rate_dps,
-        "count": scatter.count,
-        "between_dps": scatter.between_dps,
-        "between_low_95_dps": scatter.between_low_dps,
-        "between_high_95_dps": scatter.between_high_dps,
+        "rate_dps": signed.rate_dps,
+        "count": signed.count,
+        "between_dps": signed.between_dps,
+        "between_low_95_dps": signed.low_dps,
+        "between_high_95_dps": signed.high_dps,
+        "expected_dps": signed.expected_dps,
     }
-    if scatter.expected_dps is not None:
-        columns["expected_dps"] = scatter.expected_dps
-    nearest = np.abs(np.abs(scatter.rate_dps)[:, None] - scatter.size_dps).argmin(axis=1)
-    columns["ratio_to_neighbours"] = scatter.neighbour_ratio[nearest]
-    columns["p_value"] = scatter.neighbour_p[nearest]
+    if tested is not None:
+        nearest = np.abs(np.abs(signed.rate_dps)[:, None] - tested.rate_dps).argmin(axis=1)
+        columns["ratio_to_neighbours"] = tested.neighbours[nearest]
+        columns["p_value"] = tested.p_value[nearest]
     return Table("scatter_by_rate", "Scatter by rate", (), (), csv_text(columns), on_page=False)
 
 

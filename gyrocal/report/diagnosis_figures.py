@@ -1,0 +1,216 @@
+"""Pictures of a diagnosis: recorded against simulated, where the excess lives, and each effect before and after."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
+from gyrocal.report import style
+from gyrocal.report.diagnosis_folds import Floats, Fold, bin_rows, fold
+from gyrocal.report.levels import cell_edges, levels
+from gyrocal.units import S_PER_H
+
+_MDPS = 1e3
+_BIN_TIME_S = 60.0
+_MOST_RATES = 64
+_MOST_TEMPERATURES = 12
+_BARS = {"fmt": "o", "markersize": 3.0, "elinewidth": 0.8, "capsize": 0.0}
+_95 = 1.96
+
+
+def _hours(rows: Rows) -> Floats:
+    return np.asarray((rows.t_s - rows.t_s[0]) / S_PER_H)
+
+
+def _has_times(diagnosis: Diagnosis) -> bool:
+    return "time" not in diagnosis.not_testable
+
+
+@style.styled
+def recorded_and_simulated(diagnosis: Diagnosis, rows: Rows) -> Figure:
+    """Error of the gyro as recorded and as the model simulates it over the same sequence; below, the difference."""
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 4.2)
+    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
+    x, label = _time_axis(diagnosis, rows)
+    simulated = np.zeros(rows.t_s.size)
+    if diagnosis.surface is not None:
+        surface = diagnosis.surface.surface
+        simulated = surface.output_dps(rows.rate_dps, rows.temp_c) - rows.rate_dps
+    upper.plot(x, simulated + rows.before_dps, ".", markersize=1.5, color=style.GREY, label="recorded")
+    upper.plot(x, simulated, ".", markersize=0.8, color=style.BLUE, label="simulated: surface alone")
+    upper.set_ylabel("Output - rate, deg/s")
+    upper.legend(markerscale=5, ncols=2, loc="upper right")
+    set_x, set_y = _per_set(x, rows.before_dps, rows)
+    middle.axhline(0.0, color=style.GREY, linewidth=0.6)
+    middle.plot(x, rows.before_dps * _MDPS, ",", color="#C4C4C4", rasterized=True)
+    middle.plot(set_x, set_y * _MDPS, ".", markersize=2.5, color=style.ORANGE, label="mean of a segment")
+    limit = 1.3 * style.symmetric_limit(_smoothed(rows.before_dps, rows), 0.995) * _MDPS
+    middle.set_ylim(-limit, limit)
+    middle.set_ylabel("Recorded -\nsimulated, mdeg/s")
+    middle.legend(loc="upper right", markerscale=2)
+    lower.plot(x, rows.temp_c, ".", markersize=0.8, color=style.INK)
+    lower.set_ylabel("Gyro, °C")
+    lower.set_xlabel(label)
+    return figure
+
+
+def _time_axis(diagnosis: Diagnosis, rows: Rows) -> tuple[Floats, str]:
+    if _has_times(diagnosis):
+        return _hours(rows), "Time, h"
+    return np.arange(1.0, rows.t_s.size + 1), "Data set, in the order recorded"
+
+
+def _per_set(x: Floats, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
+    """Mean place and weighted mean value of each segment."""
+    _, number = np.unique(rows.set_index, return_inverse=True)
+    weight = 1.0 / rows.white_std_dps**2
+    total = np.bincount(number, weight)
+    place = np.bincount(number, x * weight) / total
+    return np.asarray(place), np.asarray(np.bincount(number, values * weight) / total)
+
+
+def _smoothed(values: Floats, rows: Rows) -> Floats:
+    """Means over a minute (or a data set): the scale of a picture, without the noise of single rows."""
+    minute = ((rows.t_s - rows.t_s[0]) // _BIN_TIME_S).astype(np.int64)
+    _, number = np.unique(minute * (rows.set_index.max() + 1) + rows.set_index, return_inverse=True)
+    weight = 1.0 / rows.white_std_dps**2
+    return np.asarray(np.bincount(number, values * weight) / np.bincount(number, weight))
+
+
+@style.styled
+def residual_maps(diagnosis: Diagnosis, rows: Rows) -> Figure | None:
+    """Mean residual of the data sets over rate and temperature, before and after; None without a surface to map."""
+    chosen = rows.is_set & np.isfinite(rows.before_dps)
+    if not chosen.any() or np.ptp(rows.rate_dps[chosen]) == 0:
+        return None
+    panels = [("Surface alone", rows.before_dps)]
+    if diagnosis.effects:
+        panels.append(("Surface and named physics", rows.after_dps))
+    maps = [_cells(rows, values, chosen) for _, values in panels]
+    limit = style.symmetric_limit(maps[0][2]) * _MDPS
+    figure = style.new_figure(style.TWO_COLUMNS_IN if len(panels) > 1 else 4.5, 2.9)
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for panel, (title, _), (rates, temps, mean) in zip(axes, panels, maps, strict=True):
+        drawn = panel.pcolormesh(
+            rates, temps, mean * _MDPS, cmap=style.DIVERGING, vmin=-limit, vmax=limit, rasterized=True
+        )
+        panel.set_title(f"{title}: {np.sqrt(np.nanmean(mean**2)) * _MDPS:.2f} mdeg/s rms")
+        panel.set_xlabel("Table rate, deg/s")
+        panel.set_facecolor("#EFEFEF")
+        panel.grid(visible=False)
+    axes[0].set_ylabel("Gyro temperature, °C")
+    figure.colorbar(drawn, ax=list(axes), label="Mean residual, mdeg/s", extend="both", pad=0.01)
+    return figure
+
+
+def _cells(rows: Rows, values: Floats, chosen: np.ndarray) -> tuple[Floats, Floats, Floats]:
+    _, number = np.unique(rows.set_index[chosen], return_inverse=True)
+    weight = 1.0 / rows.white_std_dps[chosen] ** 2
+    total = np.bincount(number, weight)
+    rate, temp, mean = (
+        np.asarray(np.bincount(number, v[chosen] * weight) / total)
+        for v in (rows.rate_dps, rows.temp_c, values)
+    )
+    rates, _ = levels(rate, most=_MOST_RATES, bins=24)
+    temps, _ = levels(temp, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    table = np.full((len(temps), len(rates)), np.nan)
+    for i, level in enumerate(temps):
+        for j, column in enumerate(rates):
+            inside = np.intersect1d(level.rows, column.rows)
+            if inside.size:
+                table[i, j] = mean[inside].mean()
+    return cell_edges(rates), cell_edges(temps), table
+
+
+@style.styled
+def residual_over_time(diagnosis: Diagnosis, rows: Rows) -> Figure:
+    """Minute means of the residual over time, before and after."""
+    panels = [("Surface alone", rows.before_dps, style.ORANGE)]
+    if diagnosis.effects:
+        panels.append(("Surface and named physics", rows.after_dps, style.BLUE))
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 1.9 * len(panels) + 0.3)
+    axes = figure.subplots(len(panels), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    x, label = _time_axis(diagnosis, rows)
+    minutes = _smoothed(x, rows)
+    held = _smoothed(rows.is_set.astype(np.float64), rows) > 0.5
+    for panel, (title, values, colour) in zip(axes, panels, strict=True):
+        y = _smoothed(values, rows) * _MDPS
+        panel.axhline(0.0, color=style.GREY, linewidth=0.6)
+        panel.plot(minutes[~held], y[~held], ".", color=style.GREY, markersize=2, label="ramps and soaks")
+        panel.plot(minutes[held], y[held], ".", color=colour, markersize=3, label="data sets")
+        panel.set_title(f"{title}: {np.sqrt(np.mean(y**2)):.2f} mdeg/s rms of minute means")
+        panel.set_ylabel("Residual, mdeg/s")
+    axes[0].legend(ncols=2, loc="upper right", markerscale=2)
+    limit = 1.25 * style.symmetric_limit(_smoothed(rows.before_dps, rows), 0.998) * _MDPS
+    axes[0].set_ylim(-limit, limit)
+    axes[-1].set_xlabel(label)
+    return figure
+
+
+@style.styled
+def residual_over_angle(diagnosis: Diagnosis, rows: Rows) -> Figure | None:
+    """The residual over one turn of the table, each data set's mean taken out; None without a logged angle."""
+    use = np.isfinite(rows.angle_deg) & (rows.rate_dps != 0) & np.isfinite(rows.before_dps)
+    if use.sum() < 100:
+        return None
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 2.5)
+    constant, with_rate = figure.subplots(1, 2)
+    bins, x = bin_rows(rows.angle_deg[use] % 360.0)
+    _, sets = np.unique(rows.set_index[use], return_inverse=True)
+    weight = 1.0 / rows.white_std_dps[use] ** 2
+    for panel, gain, unit in (
+        (constant, np.full(use.sum(), 1 / _MDPS), "Residual, mdeg/s"),
+        (with_rate, rows.rate_dps[use] / 100.0 / _MDPS, "Residual ÷ rate,\nmdeg/s at 100 deg/s"),
+    ):
+        panel.axhline(0.0, color=style.GREY, linewidth=0.6)
+        for name, values, colour in (
+            ("surface alone", rows.before_dps, style.ORANGE),
+            ("surface and named physics", rows.after_dps, style.BLUE),
+        ):
+            if name != "surface alone" and not diagnosis.effects:
+                continue
+            v = values[use]
+            v = v - (np.bincount(sets, v * weight) / np.bincount(sets, weight))[sets]
+            information = np.bincount(bins, gain**2 * weight)
+            mean = np.bincount(bins, v * gain * weight) / information
+            half = _95 / np.sqrt(information)
+            panel.errorbar(x, mean, yerr=half, color=colour, label=name, **_BARS)
+        panel.set_xlabel("Table angle, deg")
+        panel.set_ylabel(unit)
+        panel.set_xticks(range(0, 361, 60))
+    constant.set_title("Same size at every rate")
+    with_rate.set_title("Growing with rate")
+    constant.legend()
+    return figure
+
+
+@style.styled
+def before_and_after(folded: Fold, effect: NamedEffect) -> Figure:
+    """An effect on its own coordinate: the residual before with the effect's law, and what is left after."""
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 2.6)
+    left, right = figure.subplots(1, 2, sharey=True, sharex=True)
+    half = _95 * folded.std_error
+    _bars(left, folded.x, folded.before, half, style.ORANGE)
+    order = np.argsort(folded.x)
+    left.plot(folded.x[order], folded.law[order], color=style.INK, linewidth=1.0, label=effect.effect)
+    left.set_title("Before")
+    left.legend()
+    _bars(right, folded.x, folded.after, half, style.BLUE)
+    right.set_title("After")
+    left.set_ylabel(f"Residual, {folded.coordinate.unit}")
+    for panel in (left, right):
+        panel.set_xlabel(folded.coordinate.label)
+    return figure
+
+
+def _bars(panel: Axes, x: Floats, y: Floats, half: Floats, colour: str) -> None:
+    panel.axhline(0.0, color=style.GREY, linewidth=0.6)
+    panel.errorbar(x, y, yerr=np.nan_to_num(half), color=colour, **_BARS)
+
+
+def effect_figure(rows: Rows, effect: NamedEffect) -> Figure | None:
+    """Picture of one named effect; None where the record has no coordinate to fold it on."""
+    folded = fold(rows, effect)
+    return None if folded is None else before_and_after(folded, effect)

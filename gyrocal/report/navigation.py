@@ -1,0 +1,332 @@
+"""What `gyrocal replay` writes: trajectories, states, the table, figures, and one page that holds them all."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import gyrocal
+from gyrocal.errors import InputError
+from gyrocal.fusion import STATES, Coefficients, load_coefficients
+from gyrocal.navigation.align import METHODS
+from gyrocal.navigation.replay import CONDITIONS, DriveSource, LogReplay, Track, replay_log
+from gyrocal.navigation.survey import compare_yaw
+from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
+from gyrocal.records.bags import is_bag, iterate_bag
+from gyrocal.records.columns import ColumnMap, read_column_map
+from gyrocal.records.csvio import Floats, format_columns
+from gyrocal.records.drive import iterate_drive_log
+from gyrocal.records.files import make_output_directory, write_atomically
+from gyrocal.records.robot import Robot, read_robot
+from gyrocal.report.navigation_figures import (
+    draw_bars,
+    draw_errors,
+    draw_innovations,
+    draw_states,
+    draw_trajectories,
+    in_truth_frame,
+)
+from gyrocal.report.page import Page, Picture, render_page
+from gyrocal.report.page import Table as PageTable
+from gyrocal.report.style import render
+
+#: Schema of summary.json.
+SCHEMA = "gyrocal-replay/1"
+
+Report = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class ReplayRequest:
+    """What to replay; see `gyrocal replay --help`."""
+
+    logs: Sequence[Path]
+    robot: Path
+    out: Path
+    coefficients: Path | None = None
+    columns: Path | None = None
+    method: str | None = None
+    returns: bool = False
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Table and summary, as printed; everything is in `files` too, by path below the output directory."""
+
+    table: Table
+    summary: Mapping[str, Any]
+    remarks: tuple[str, ...]
+    files: Mapping[str, bytes]
+
+
+def replay_to_directory(request: ReplayRequest, report: Report) -> ReplayResult:
+    """Replay the logs, then write everything to the output directory: all of it or nothing."""
+    robot = read_robot(request.robot)
+    coefficients = load_coefficients(request.coefficients) if request.coefficients else None
+    columns = read_column_map(request.columns) if request.columns else None
+    sources = _sources(request.logs, robot, columns)
+    make_output_directory(request.out)
+    replays = []
+    for k, source in enumerate(sources):
+        report(0.7 * k / len(sources), f"replay {source.name}")
+        replays.append(
+            replay_log(source, robot, coefficients, method=request.method, returns=request.returns)
+        )
+    result = build(replays, robot, coefficients, report)
+    for name, data in result.files.items():
+        path = request.out / name
+        path.parent.mkdir(exist_ok=True)
+        write_atomically(path, data)
+    report(1.0, "")
+    return result
+
+
+def _sources(logs: Sequence[Path], robot: Robot, columns: ColumnMap | None) -> list[DriveSource]:
+    sources: list[DriveSource] = []
+    for path in logs:
+        name = path.stem if path.is_file() else path.name
+        if any(s.name == name for s in sources):
+            raise InputError(
+                f"{path}: another log is called {name!r} too. Rename one: the outputs carry the names."
+            )
+
+        def blocks(path: Path = path) -> Any:
+            if is_bag(path):
+                return iterate_bag(path, robot.wheel_separation_m, robot.metres_per_radian)
+            return iterate_drive_log(path, robot.metres_per_tick, columns)
+
+        sources.append(DriveSource(name, blocks))
+    return sources
+
+
+def build(
+    replays: Sequence[LogReplay], robot: Robot, coefficients: Coefficients | None, report: Report
+) -> ReplayResult:
+    """Everything that is written, from replayed logs; the same logs give the same bytes."""
+    table = make_table(replays)
+    remarks = _remarks(replays, robot, coefficients)
+    summary = {
+        "schema": SCHEMA,
+        "software": f"gyrocal {gyrocal.__version__}",
+        "robot": {"wheel_separation_m": robot.wheel_separation_m, "static_s": robot.static_s}
+        | {"initial_std": dict(robot.initial_std), "noise": dict(robot.noise)}
+        | {"defaults_used": list(robot.defaulted)},
+        "coefficients": dict(coefficients.sensor) if coefficients else None,
+        "table": table.to_json(),
+        "logs": [_log_summary(r, robot) for r in replays],
+        "remarks": list(remarks),
+    }
+    files: dict[str, bytes] = {"table.csv": table.csv().encode()}
+    files["summary.json"] = (json.dumps(_plain(summary), indent=1, allow_nan=False) + "\n").encode()
+    for replay in replays:
+        files[f"trajectories/{replay.name}.csv"] = _trajectories_csv(replay).encode()
+        for track in replay.tracks:
+            if track.condition.filtering:
+                name = f"states/{replay.name}_{track.condition.id}.csv"
+                files[name] = _states_csv(replay, track).encode()
+    pictures = []
+    figures = _figures(replays, table)
+    for k, (picture, figure) in enumerate(figures):
+        report(0.7 + 0.3 * k / len(figures), f"draw {picture.name}")
+        png = render(figure, "png")
+        files[f"figures/{picture.name}.png"] = png
+        files[f"figures/{picture.name}.svg"] = render(figure, "svg")
+        pictures.append(replace(picture, png=png))
+    files["replay.html"] = render_page(_page(replays, table, remarks, pictures, robot, coefficients)).encode()
+    return ReplayResult(table, summary, remarks, files)
+
+
+def _plain(value: Any) -> Any:
+    """Strict JSON: NaN and infinity become null, arrays lists."""
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def _remarks(
+    replays: Sequence[LogReplay], robot: Robot, coefficients: Coefficients | None
+) -> tuple[str, ...]:
+    found: list[str] = []
+    methods = {t.alignment.method for r in replays for t in r.tracks if t.alignment}
+    found += [f"Alignment with truth by {METHODS[m]}." for m in sorted(methods)]
+    if coefficients is None:
+        found.append("No coefficient file was given: only the conditions without calibration.")
+    if robot.defaulted:
+        found.append(
+            "The robot file does not give, and defaults stand for: " + ", ".join(robot.defaulted) + "."
+        )
+    said: dict[str, list[str]] = {}
+    for replay in replays:
+        for note in replay.notes:
+            said.setdefault(note, []).append(replay.name)
+    for note, names in said.items():
+        found.append(
+            f"{note} ({', '.join(names) if len(names) < len(replays) or len(names) == 1 else 'all logs'})."
+        )
+    return tuple(found)
+
+
+def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
+    found = replay.survey
+    return {
+        "log": replay.name,
+        "direction": replay.direction,
+        "rows": found.rows,
+        "duration_s": found.duration_s,
+        "distance_m": found.distance_m,
+        "truth_rows": found.truth_rows,
+        "yaw": compare_yaw(found, robot.wheel_separation_m).to_json(),
+        "observability": replay.observability,
+        "conditions": {t.condition.id: _track_summary(t, robot) for t in replay.tracks},
+        "notes": list(replay.notes),
+    }
+
+
+def _track_summary(track: Track, robot: Robot) -> dict[str, Any]:
+    result: dict[str, Any] = {
+        "static_bias_dps": track.bias.bias_dps if track.bias else None,
+        "static_bias_sigma_dps": track.bias.sigma_dps if track.bias else None,
+        "counts": {k: v for k, v in vars(track.counts).items() if v},
+    }
+    if track.errors:
+        e = track.errors
+        result["position_error_m"] = {"rms": e.rms_m, "max": e.max_m, "end": e.end_m, "return": e.return_m}
+        result["position_error_m"]["truth_rows"] = e.rows
+    if track.alignment:
+        a = track.alignment
+        result["alignment"] = {"method": METHODS[a.method], "rotation_deg": a.rotation_deg}
+        result["alignment"] |= {"x_m": a.x_m, "y_m": a.y_m, "sigma": list(a.sigma)}
+    if track.condition.filtering:
+        result["nis"] = {"mean": track.nis, "rows": track.nis_rows}
+        result["estimates"] = {
+            name: {"value": float(track.states[-1, k]), "sigma": float(track.std[-1, k])}
+            for k, name in enumerate(STATES)
+        }
+    return result
+
+
+def _trajectories_csv(replay: LogReplay) -> str:
+    columns: dict[str, tuple[Floats, str]] = {"t_s": (replay.t_s, "%.4f")}
+    if np.isfinite(replay.truth).any():
+        for k, name in enumerate(("truth_x_m", "truth_y_m", "truth_heading_deg")):
+            columns[name] = (replay.truth[:, k], "%.4f")
+    for track in replay.tracks:
+        x, y = in_truth_frame(track)
+        rotation = track.alignment.rotation_deg if track.alignment else 0.0
+        columns[f"{track.condition.id}_x_m"] = (x, "%.4f")
+        columns[f"{track.condition.id}_y_m"] = (y, "%.4f")
+        columns[f"{track.condition.id}_heading_deg"] = (track.heading_deg + rotation, "%.4f")
+    return format_columns(columns)
+
+
+def _states_csv(replay: LogReplay, track: Track) -> str:
+    columns: dict[str, tuple[Floats, str]] = {"t_s": (replay.t_s, "%.4f")}
+    for k, name in enumerate(STATES):
+        columns[name] = (track.states[:, k], "%.8g")
+        columns[f"{name}_sigma"] = (track.std[:, k], "%.6g")
+    columns["innovation_deg"] = (track.innovation_deg, "%.6g")
+    columns["innovation_sigma_deg"] = (track.innovation_sigma_deg, "%.6g")
+    return format_columns(columns)
+
+
+def shown(replays: Sequence[LogReplay]) -> list[LogReplay]:
+    """Logs whose errors and states are drawn: the first of each direction."""
+    return list({r.direction: r for r in reversed(replays)}.values())[::-1]
+
+
+def _figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Picture, Figure]]:
+    result = [
+        (
+            Picture(
+                "trajectories",
+                "Trajectories of all runs",
+                "Dead reckoning in each condition (the paper's figure 4), over the truth where there is one. Dots: end of each run.",
+            ),
+            draw_trajectories(replays, table),
+        )
+    ]
+    if table.measure != "none":
+        caption = (
+            f"{MEASURES[table.measure].capitalize()} of every run, logarithmic; dashed: mean of the block."
+        )
+        result.append((Picture("table", "Errors of all runs", caption), draw_bars(table)))
+    for replay in shown(replays):
+        name = replay.name
+        if any(t.alignment for t in replay.tracks):
+            caption = "Error against truth. Grey: two standard deviations, as the filter itself states them."
+            result.append((Picture(f"errors_{name}", f"Errors of {name}", caption), draw_errors(replay)))
+        caption = (
+            "Encoder heading minus gyro heading before each update (eq. 13); black: two standard deviations."
+        )
+        result.append(
+            (Picture(f"innovations_{name}", f"Innovations of {name}", caption), draw_innovations(replay))
+        )
+        caption = (
+            "Constants that the filter estimates, with two standard deviations. A band as wide at the end as at the "
+            "start has learnt nothing: what a log cannot tell stays at its prior."
+        )
+        result.append((Picture(f"states_{name}", f"States of {name}", caption), draw_states(replay)))
+    return result
+
+
+def verdict(table: Table) -> str:
+    """The result in one sentence."""
+    mean = table.means[-1].errors_m
+    if table.measure == "none":
+        return f"{len(table.rows)} logs replayed; {MEASURES['none']}."
+    sizes = [f"{100 * mean[c.id]:.1f} cm ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
+    text = f"Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
+    factors = [
+        f"{v:.2g}-fold by {k}"
+        for k, v in table.factors[table.means[-1].direction].items()
+        if not math.isnan(v)
+    ]
+    return text + (f" Improvement: {', '.join(factors)}." if factors else "")
+
+
+def _page(
+    replays: Sequence[LogReplay],
+    table: Table,
+    remarks: Sequence[str],
+    pictures: Sequence[Picture],
+    robot: Robot,
+    coefficients: Coefficients | None,
+) -> Page:
+    mean = table.means[-1].errors_m
+    key = [(c.label, "-" if math.isnan(mean[c.id]) else f"{100 * mean[c.id]:.1f} cm") for c in CONDITIONS]
+    tables = [
+        PageTable(
+            "table", "Table II of these runs", HEADINGS, table.lines(), table.csv(), MEASURES[table.measure]
+        ),
+        _estimates_table(replays),
+    ]
+    provenance = {
+        "software": f"gyrocal {gyrocal.__version__}",
+        "logs": ", ".join(r.name for r in replays),
+        "robot file": robot.source.name,
+        "calibration": str(coefficients.sensor.get("model")) if coefficients else "none",
+    }
+    return Page("Dead reckoning", verdict(table), key, remarks, pictures, tables, provenance)
+
+
+def _estimates_table(replays: Sequence[LogReplay]) -> PageTable:
+    columns = ("run, condition", *(STATES[k] for k in (3, 4, 5, 7, 8)))
+    rows = []
+    for replay in replays:
+        for track in replay.tracks:
+            if track.condition.filtering:
+                cells = [f"{track.states[-1, k]:.2g} ± {track.std[-1, k]:.1g}" for k in (3, 4, 5, 7, 8)]
+                rows.append((f"{replay.name}, {track.condition.label}", *cells))
+    csv = "\n".join(",".join(f'"{cell}"' for cell in row) for row in (columns, *rows)) + "\n"
+    return PageTable("estimates", "What the filter estimated (± one sigma)", columns, rows, csv)

@@ -1,0 +1,137 @@
+"""Figures: units on every axis, a curve for each temperature, nothing hidden, the same bytes each time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.report import figures_error, figures_residual, figures_run, style
+from gyrocal.report.data import Span, Timeline
+from gyrocal.report.scatter import signed_scatter
+from tests.report.examples import SURFACE, examined, grid
+
+COEFFICIENTS = Coefficients({}, SURFACE, np.diag(np.full(12, 1e-8)), Valid((-100, 100), (-10, 50)))
+
+
+def timeline() -> Timeline:
+    """Ten minutes of a run with one unsettled segment."""
+    t_s = np.arange(0.0, 600.0, 5.0)
+    spans = (
+        Span(0, 300, 0.0, "soak", "ok"),
+        Span(310, 400, 50.0, "rate", "unsettled"),
+        Span(410, 600, -50.0, "rate", "ok"),
+    )
+    return Timeline(t_s, 20 + t_s / 60, t_s, 21 + t_s / 60, np.empty(0), np.empty(0), spans)
+
+
+def scatter() -> Figure:
+    """Scatter figure of the grid."""
+    signed = signed_scatter(grid())
+    assert signed is not None
+    return figures_residual.scatter_figure(signed, None)
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "figure_1": lambda: figures_error.error_against_rate(grid(), SURFACE),
+    "figure_2": lambda: figures_error.error_against_temperature(grid(), SURFACE),
+    "figure_3a": lambda: figures_error.error_before(grid(), SURFACE),
+    "figure_3b": lambda: figures_error.error_after(grid(), SURFACE),
+    "residual_map": lambda: figures_residual.residual_map(grid()),
+    "residual_over_time": lambda: figures_residual.residual_over_time(grid()),
+    "scatter": scatter,
+    "timeline": lambda: figures_run.run_timeline(timeline()),
+    "coefficients": lambda: figures_run.coefficient_figure(COEFFICIENTS),
+}
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_same_bytes_whatever_the_users_settings(name: str) -> None:
+    first = FIGURES[name]()
+    with mpl.rc_context({"font.size": 20, "axes.grid": False, "lines.linewidth": 9, "savefig.dpi": 50}):
+        second = FIGURES[name]()
+        for kind in ("png", "svg") if name == "figure_1" else ("svg",):
+            a, b = style.render(first, kind), style.render(second, kind)
+            assert a == b
+            assert len(a) > 3000
+    assert b"<dc:date>" not in style.render(first, "svg")
+
+
+@pytest.mark.parametrize("name", [n for n in FIGURES if n not in ("coefficients",)])
+def test_every_axis_says_its_unit(name: str) -> None:
+    units = ("deg/s", "deg/h", "°C", " h", " V", "data set")
+    for axes in FIGURES[name]().axes:
+        if not axes.get_visible():
+            continue
+        for label in (axes.get_xlabel(), axes.get_ylabel()):
+            assert not label or any(unit in label for unit in units), label
+
+
+def test_figure_1_has_a_curve_for_each_temperature() -> None:
+    figure = figures_error.error_against_rate(grid(), SURFACE)
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["+50 °C", "+40 °C", "+30 °C", "+20 °C", "+10 °C", "+0 °C", "-10 °C"]
+
+
+def test_figure_1_bins_continuous_temperatures() -> None:
+    rng = np.random.default_rng(1)
+    rate = np.tile(np.linspace(-100, 100, 41), 12)
+    data = examined(rate, rng.normal(0, 1e-2, rate.size), rng.uniform(37, 49, rate.size))
+    (legend,) = figures_error.error_against_rate(data, SURFACE).legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == [f"{low} to {low + 2} °C" for low in range(48, 35, -2)]
+
+
+def test_every_data_set_is_drawn_and_marked_ones_are_hollow() -> None:
+    data = grid()
+    marked = np.zeros(len(data.sets), dtype=bool)
+    marked[[3, 50]] = True
+    (axes,) = figures_error.error_against_rate(replace(data, marked=marked), SURFACE).axes
+    points = [line for line in axes.get_lines() if line.get_linestyle() == "None"]
+    solid = sum(np.size(p.get_xdata()) for p in points if p.get_markerfacecolor() != "white")
+    hollow = sum(np.size(p.get_xdata()) for p in points if p.get_markerfacecolor() == "white")
+    assert (solid, hollow) == (len(data.sets) - 2, 2)
+
+
+def test_residual_cells_by_hand() -> None:
+    rate = np.repeat([-10.0, 10.0], 4)
+    temp = np.tile([0.0, 0.0, 40.0, 40.0], 2)
+    residual = np.array([1.0, 3.0, 5.0, 5.0, 2.0, 2.0, -1.0, 1.0])
+    rate_edges, temp_edges, mean, count = figures_residual.residual_cells(examined(rate, residual, temp))
+    np.testing.assert_allclose(rate_edges, [-20, 0, 20])
+    np.testing.assert_allclose(temp_edges, [-20, 20, 60])
+    np.testing.assert_allclose(mean, [[2.0, 2.0], [5.0, 0.0]])
+    np.testing.assert_allclose(count, 2)
+
+
+def test_signed_maps_are_centred_on_zero() -> None:
+    figure = figures_residual.residual_map(grid())
+    meshes = [c for axes in figure.axes for c in axes.collections if c.get_array() is not None]
+    limits = [mesh.get_clim() for mesh in meshes if mesh.get_cmap().name == style.DIVERGING]
+    assert limits
+    assert all(low == -high for low, high in limits)
+
+
+def test_residuals_without_times_go_over_their_number() -> None:
+    data = examined(np.linspace(-100, 100, 40), np.zeros(40))
+    axes = figures_residual.residual_over_time(data).axes
+    assert any("Number of the data set" in a.get_xlabel() for a in axes)
+
+
+def test_unsettled_segments_are_marked() -> None:
+    (legend,) = [a.get_legend() for a in figures_run.run_timeline(timeline()).axes if a.get_legend()]
+    assert legend is not None
+    assert "unsettled (1)" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_coefficient_cells_hold_value_and_error() -> None:
+    axes = figures_run.coefficient_figure(COEFFICIENTS).axes[0]
+    texts = [t.get_text() for t in axes.texts]
+    assert len(texts) == 12
+    assert texts[0] == "+0.050000\n± 0.000100"
