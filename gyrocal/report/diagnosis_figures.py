@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.report import style
@@ -16,7 +19,7 @@ _MDPS = 1e3
 _BIN_TIME_S = 60.0
 _MOST_RATES = 64
 _MOST_TEMPERATURES = 12
-_BARS = {"fmt": "o", "markersize": 3.0, "elinewidth": 0.8, "capsize": 0.0}
+_BARS: dict[str, Any] = {"fmt": "o", "markersize": 3.0, "elinewidth": 0.8, "capsize": 0.0}
 _95 = 1.96
 
 
@@ -79,12 +82,21 @@ def _smoothed(values: Floats, rows: Rows) -> Floats:
     return np.asarray(np.bincount(number, values * weight) / np.bincount(number, weight))
 
 
-@style.styled
-def residual_maps(diagnosis: Diagnosis, rows: Rows) -> Figure | None:
-    """Mean residual of the data sets over rate and temperature, before and after; None without a surface to map."""
+def has_surface(rows: Rows) -> bool:
+    """Whether data sets at more than one rate are there to map."""
     chosen = rows.is_set & np.isfinite(rows.before_dps)
-    if not chosen.any() or np.ptp(rows.rate_dps[chosen]) == 0:
-        return None
+    return bool(chosen.any() and np.ptp(rows.rate_dps[chosen]) > 0)
+
+
+def turning(rows: Rows) -> NDArray[np.bool_]:
+    """Rows with a known table angle while the table turns, shape (n,)."""
+    return np.asarray(np.isfinite(rows.angle_deg) & (rows.rate_dps != 0) & np.isfinite(rows.before_dps))
+
+
+@style.styled
+def residual_maps(diagnosis: Diagnosis, rows: Rows) -> Figure:
+    """Mean residual of the data sets over rate and temperature, before and after."""
+    chosen = rows.is_set & np.isfinite(rows.before_dps)
     panels = [("Surface alone", rows.before_dps)]
     if diagnosis.effects:
         panels.append(("Surface and named physics", rows.after_dps))
@@ -105,7 +117,7 @@ def residual_maps(diagnosis: Diagnosis, rows: Rows) -> Figure | None:
     return figure
 
 
-def _cells(rows: Rows, values: Floats, chosen: np.ndarray) -> tuple[Floats, Floats, Floats]:
+def _cells(rows: Rows, values: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
     _, number = np.unique(rows.set_index[chosen], return_inverse=True)
     weight = 1.0 / rows.white_std_dps[chosen] ** 2
     total = np.bincount(number, weight)
@@ -150,11 +162,9 @@ def residual_over_time(diagnosis: Diagnosis, rows: Rows) -> Figure:
 
 
 @style.styled
-def residual_over_angle(diagnosis: Diagnosis, rows: Rows) -> Figure | None:
-    """The residual over one turn of the table, each data set's mean taken out; None without a logged angle."""
-    use = np.isfinite(rows.angle_deg) & (rows.rate_dps != 0) & np.isfinite(rows.before_dps)
-    if use.sum() < 100:
-        return None
+def residual_over_angle(diagnosis: Diagnosis, rows: Rows) -> Figure:
+    """The residual over one turn of the table, each data set's mean taken out."""
+    use = turning(rows)
     figure = style.new_figure(style.TWO_COLUMNS_IN, 2.5)
     constant, with_rate = figure.subplots(1, 2)
     bins, x = bin_rows(rows.angle_deg[use] % 360.0)

@@ -50,6 +50,7 @@ class Page:
     pictures: Sequence[Picture]
     tables: Sequence[Table]
     provenance: Mapping[str, str] = field(default_factory=dict)
+    beside: str = "Every table with all its digits, and every figure as PNG and SVG, stands beside this page."
 
 
 def render_page(page: Page) -> str:
