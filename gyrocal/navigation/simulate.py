@@ -33,8 +33,8 @@ class Spread:
     wheel_scale_std : float
         Relative error of each side's wheel radius.
     metres_per_tick : float
-    turn_slip_std, turn_slip_s : float
-        Relative wander of the effective separation within a run, and its correlation time.
+    turn_slip_deg_per_rt_deg : float
+        Random walk of the wheels' slip in turns: its standard deviation after a turn of one degree.
     bumps_per_m, bump_m : float
         Bumps a metre on each side, and the mean distance that one adds to the count (never takes away).
     """
@@ -44,8 +44,7 @@ class Spread:
     separation_run_std: float = 0.005
     wheel_scale_std: float = 0.002
     metres_per_tick: float = 2.6e-5
-    turn_slip_std: float = 0.02
-    turn_slip_s: float = 1.0
+    turn_slip_deg_per_rt_deg: float = 0.1
     bumps_per_m: float = 1.0
     bump_m: float = 0.0005
 
@@ -157,8 +156,9 @@ def _encoders(
     """Distance since the row before of the left and right side, in whole ticks."""
     spread = robot.spread
     run_factor = 1.0 + rng.normal(0.0, spread.separation_run_std)
-    slip = 1.0 + spread.turn_slip_std * _wander(path.t_s.size, dt_s / spread.turn_slip_s, rng)
-    half_m = 0.5 * robot.wheel_separation_m * run_factor * slip * path.turn_deg * DEG_TO_RAD
+    slip_deg = spread.turn_slip_deg_per_rt_deg * np.sqrt(np.abs(path.turn_deg))
+    turn_deg = run_factor * path.turn_deg + slip_deg * rng.standard_normal(path.t_s.size)
+    half_m = 0.5 * robot.wheel_separation_m * turn_deg * DEG_TO_RAD
     sides = []
     for travel_m, scale in (
         (path.distance_m - half_m, robot.scale_left),
@@ -171,13 +171,3 @@ def _encoders(
         ticks = np.floor(np.cumsum(counted_m) / spread.metres_per_tick)
         sides.append(np.diff(ticks, prepend=0.0) * spread.metres_per_tick)
     return sides[0], sides[1]
-
-
-def _wander(n: int, step: float, rng: np.random.Generator) -> Floats:
-    """Ornstein-Uhlenbeck process of unit variance; `step` is the interval over the correlation time."""
-    from scipy.signal import lfilter
-
-    decay = np.exp(-step)
-    drive_noise = rng.standard_normal(n) * np.sqrt(1.0 - decay**2)
-    drive_noise[0] = rng.standard_normal()
-    return np.asarray(lfilter([1.0], [1.0, -decay], drive_noise))

@@ -294,3 +294,52 @@ def _compare(encoder: Floats, gyro: Floats) -> tuple[float, float]:
     if see == 0.0 or sgg == 0.0:
         return np.inf if see == 0.0 else 0.0, 0.0
     return (sgg / see) ** 0.5, seg / (see * sgg) ** 0.5
+
+
+@dataclass(frozen=True)
+class YawComparison:
+    """Encoder turns against gyro turns over windows of `WINDOW_S`: ``encoder = ratio * gyro + offset``.
+
+    `ratio` is the effective wheel separation over the assumed one (a skid steer: above 1), times the gyro's own
+    scale; a heading log alone cannot tell the two apart. Sigmas by delete-a-block jackknife over ten blocks.
+    """
+
+    encoder_total_deg: float
+    gyro_total_deg: float
+    ratio: float
+    ratio_sigma: float
+    offset_dps: float
+    offset_sigma_dps: float
+    correlation: float
+    effective_separation_m: float
+
+    def to_json(self) -> dict[str, float]:
+        """Plain data."""
+        return dict(vars(self))
+
+
+def compare_yaw(found: Survey, wheel_separation_m: float) -> YawComparison:
+    """How encoder turns relate to gyro turns."""
+    encoder = (found.right_m - found.left_m) / wheel_separation_m * RAD_TO_DEG
+    gyro = found.gyro_deg
+    fitted = _line(gyro, encoder)
+    groups = np.array_split(np.arange(gyro.size), min(10, gyro.size // 3))
+    left_out = np.array([_line(np.delete(gyro, g), np.delete(encoder, g)) for g in groups])
+    count = len(groups)
+    sigma = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    return YawComparison(
+        float(encoder.sum()),
+        float(gyro.sum()),
+        fitted[0],
+        float(sigma[0]),
+        fitted[1] / WINDOW_S,
+        float(sigma[1]) / WINDOW_S,
+        _compare(encoder, gyro)[1],
+        fitted[0] * wheel_separation_m,
+    )
+
+
+def _line(x: Floats, y: Floats) -> tuple[float, float]:
+    middle = x - x.mean()
+    slope = float(middle @ y / (middle @ middle)) if middle.any() else np.nan
+    return slope, float(y.mean() - slope * x.mean())

@@ -39,7 +39,7 @@ NOISE_DEFAULTS: Mapping[str, float] = {
     "bias_walk_dps_per_rt_s": 0.0,
     "heading_noise_deg": 0.1,
 }
-_TOP = ("wheel_separation_m", "metres_per_tick", "static_s", "initial_std", "noise")
+_TOP = ("wheel_separation_m", "metres_per_tick", "wheel_radius_m", "static_s", "initial_std", "noise")
 _STATIC_S = 10.0
 
 
@@ -51,6 +51,8 @@ class Robot:
     ----------
     metres_per_tick : (left, right) or None
         None: the log must be in metres.
+    wheel_radius_m : float or None
+        Needed only for ROS bags with wheel angles.
     static_s : float
         How long the robot stands at the start; 0: it does not, and no static bias can be taken.
     initial_std, noise : mapping
@@ -62,6 +64,7 @@ class Robot:
     source: Path
     wheel_separation_m: float
     metres_per_tick: tuple[float, float] | None
+    wheel_radius_m: float | None
     static_s: float
     initial_std: Mapping[str, float]
     noise: Mapping[str, float]
@@ -97,7 +100,10 @@ def read_robot(path: Path) -> Robot:
     }
     initial = _table(path, "initial_std", raw, defaults, defaulted)
     noise = _table(path, "noise", raw, NOISE_DEFAULTS, defaulted)
-    return Robot(path, separation_m, _ticks(path, raw), static_s, initial, noise, defaulted=tuple(defaulted))
+    radius = raw.get("wheel_radius_m")
+    radius_m = None if radius is None else _number(path, "wheel_radius_m", radius, positive=True)
+    ticks = _ticks(path, raw)
+    return Robot(path, separation_m, ticks, radius_m, static_s, initial, noise, tuple(defaulted))
 
 
 def format_robot(

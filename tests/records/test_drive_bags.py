@@ -1,0 +1,212 @@
+"""ROS 1 and 2 bags and MCAP, written by the rosbags library itself, read as drive logs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrocal.errors import DataError, InputError, ProfileError
+from gyrocal.records.bags import Wheels, is_bag, iterate_bag, read_bag
+
+rosbags = pytest.importorskip("rosbags")
+
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+from rosbags.rosbag2 import StoragePlugin  # noqa: E402
+from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+
+STORE1 = get_typestore(Stores.ROS1_NOETIC)
+STORE2 = get_typestore(Stores.ROS2_HUMBLE)
+SEPARATION_M, SPEED_MPS, TURN_RADPS = 0.5, 1.2, 0.3
+WHEELS = Wheels(SEPARATION_M, 0.1)
+
+
+class Messages:
+    """Messages of a robot that drives a circle, in the types of one ROS."""
+
+    def __init__(self, store: Any, ros1: bool) -> None:
+        self.store, self.ros1 = store, ros1
+
+    def type(self, name: str) -> Any:
+        return self.store.types[name]
+
+    def header(self, t_s: float) -> Any:
+        time = self.type("builtin_interfaces/msg/Time")(sec=int(t_s), nanosec=round((t_s % 1) * 1e9))
+        extra = {"seq": 0} if self.ros1 else {}
+        return self.type("std_msgs/msg/Header")(stamp=time, frame_id="base", **extra)
+
+    def vector(self, z: float = 0.0) -> Any:
+        return self.type("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=z)
+
+    def pose(self, t_s: float) -> Any:
+        radius, heading = SPEED_MPS / TURN_RADPS, TURN_RADPS * t_s
+        point = self.type("geometry_msgs/msg/Point")(
+            x=radius * np.sin(heading), y=radius * (1 - np.cos(heading)), z=0.0
+        )
+        turn = self.type("geometry_msgs/msg/Quaternion")(
+            x=0.0, y=0.0, z=np.sin(heading / 2), w=np.cos(heading / 2)
+        )
+        return self.type("geometry_msgs/msg/Pose")(position=point, orientation=turn)
+
+    def imu(self, t_s: float) -> Any:
+        return self.type("sensor_msgs/msg/Imu")(
+            header=self.header(t_s),
+            orientation=self.pose(0.0).orientation,
+            orientation_covariance=np.zeros(9),
+            angular_velocity=self.vector(TURN_RADPS),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self.vector(),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+
+    def odometry(self, t_s: float) -> Any:
+        twist = self.type("geometry_msgs/msg/Twist")(linear=self.vector(), angular=self.vector())
+        return self.type("nav_msgs/msg/Odometry")(
+            header=self.header(t_s),
+            child_frame_id="base",
+            pose=self.type("geometry_msgs/msg/PoseWithCovariance")(
+                pose=self.pose(t_s), covariance=np.zeros(36)
+            ),
+            twist=self.type("geometry_msgs/msg/TwistWithCovariance")(twist=twist, covariance=np.zeros(36)),
+        )
+
+    def joints(self, t_s: float, names: tuple[str, ...]) -> Any:
+        half = 0.5 * SEPARATION_M * TURN_RADPS
+        speeds = [SPEED_MPS + (half if "right" in name else -half) for name in names]
+        angles = np.array([s * t_s / 0.1 for s in speeds])
+        return self.type("sensor_msgs/msg/JointState")(
+            header=self.header(t_s), name=list(names), position=angles, velocity=angles, effort=angles
+        )
+
+    def temperature(self, t_s: float) -> Any:
+        return self.type("sensor_msgs/msg/Temperature")(
+            header=self.header(t_s), temperature=20.0 + t_s, variance=0.0
+        )
+
+
+def write_bag(path: Path, kind: str, topics: dict[str, str], *, wheel_delay_s: float = 0.0) -> Path:
+    """A bag of 3 s: gyro at 50 Hz, wheels at 20 Hz; `topics` maps topic to type."""
+    ros1 = kind == "bag"
+    m = Messages(STORE1 if ros1 else STORE2, ros1)
+    times = {
+        topic: np.arange(1.0, 4.0, 0.02 if t == "sensor_msgs/msg/Imu" else 0.05)
+        for topic, t in topics.items()
+    }
+    names = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
+    if "none" in path.stem:
+        names = ("a", "b", "c", "d")
+    build = {
+        "sensor_msgs/msg/Imu": m.imu,
+        "nav_msgs/msg/Odometry": m.odometry,
+        "sensor_msgs/msg/JointState": lambda t: m.joints(t, names),
+        "sensor_msgs/msg/Temperature": m.temperature,
+    }
+    writer: Any = (
+        Writer1(path)
+        if ros1
+        else Writer2(
+            path,
+            version=9,
+            storage_plugin=StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3,
+        )
+    )
+    with writer:
+        rows = sorted((t, topic) for topic, ts in times.items() for t in ts)
+        connections = {
+            topic: writer.add_connection(topic, t, typestore=m.store) for topic, t in topics.items()
+        }
+        serialize = m.store.serialize_ros1 if ros1 else m.store.serialize_cdr
+        for t, topic in rows:
+            late = wheel_delay_s if topic != "/imu" else 0.0
+            raw = serialize(build[topics[topic]](t + late), topics[topic])
+            writer.write(connections[topic], round(t * 1e9), raw)
+    return path
+
+
+IMU_ODOMETRY = {"/imu": "sensor_msgs/msg/Imu", "/odom": "nav_msgs/msg/Odometry"}
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+@pytest.mark.parametrize("wheels", ["nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"])
+def test_a_circle_reads_as_a_circle(tmp_path: Path, kind: str, wheels: str) -> None:
+    topics = {"/imu": "sensor_msgs/msg/Imu", "/wheels": wheels, "/t": "sensor_msgs/msg/Temperature"}
+    path = write_bag(tmp_path / ("run.bag" if kind == "bag" else "run"), kind, topics)
+    assert is_bag(path)
+    log = read_bag(path, WHEELS)
+    duration_s = log.t_s[-1] - log.t_s[0]
+    half = 0.5 * SEPARATION_M * TURN_RADPS
+    assert log.left_m.sum() == pytest.approx((SPEED_MPS - half) * duration_s, rel=1e-4)
+    assert log.right_m.sum() == pytest.approx((SPEED_MPS + half) * duration_s, rel=1e-4)
+    np.testing.assert_allclose(log.gyro_dps, np.degrees(TURN_RADPS))
+    np.testing.assert_allclose(np.diff(log.t_s), 0.02, atol=1e-6)
+    np.testing.assert_allclose(np.diff(log.gyro_temp_c), 0.02, atol=1e-6)
+    assert np.isnan(log.truth_x_m).all()
+    blocks = list(iterate_bag(path, WHEELS, chunk_rows=40))
+    assert sum(map(len, blocks)) == len(log)
+    if kind != "bag":
+        (inside,) = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
+        np.testing.assert_array_equal(read_bag(inside, WHEELS).t_s, log.t_s)
+
+
+def test_truth_is_taken_from_the_named_topic(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", "mcap", IMU_ODOMETRY | {"/truth": "nav_msgs/msg/Odometry"})
+    log = read_bag(path, WHEELS, {"wheels": "/odom", "truth": "/truth"})
+    known = np.flatnonzero(np.isfinite(log.truth_x_m))
+    assert known.size > 50
+    t_s = 1.0 + log.t_s[known]
+    np.testing.assert_allclose(log.truth_heading_deg[known], np.degrees(TURN_RADPS * t_s), atol=0.4)
+
+
+def test_several_candidates_are_not_chosen_between(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run.bag", "bag", IMU_ODOMETRY | {"/odom2": "nav_msgs/msg/Odometry"})
+    with pytest.raises(InputError) as error:
+        read_bag(path, WHEELS)
+    assert str(error.value).endswith(
+        "several (/odom, /odom2) of type nav_msgs/msg/Odometry or sensor_msgs/msg/JointState; say which one is wheels with --topic wheels=TOPIC."
+    )
+    with pytest.raises(InputError, match="topic '/imu' cannot be wheels"):
+        read_bag(path, WHEELS, {"wheels": "/imu"})
+
+
+def test_a_bag_without_gyro_is_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run.bag", "bag", {"/odom": "nav_msgs/msg/Odometry"})
+    with pytest.raises(InputError, match="none of type sensor_msgs/msg/Imu; say which one is imu"):
+        read_bag(path, WHEELS)
+
+
+def test_joints_need_a_radius_and_sides(tmp_path: Path) -> None:
+    topics = {"/imu": "sensor_msgs/msg/Imu", "/joints": "sensor_msgs/msg/JointState"}
+    with pytest.raises(ProfileError, match="no wheel_radius_m; add it there"):
+        read_bag(write_bag(tmp_path / "run.bag", "bag", topics), Wheels(0.5))
+    with pytest.raises(InputError, match="names must contain left and right"):
+        read_bag(write_bag(tmp_path / "none.bag", "bag", topics), WHEELS)
+
+
+def test_clocks_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run.bag", "bag", IMU_ODOMETRY, wheel_delay_s=100.0)
+    with pytest.raises(DataError, match="gyro and wheels do not overlap in time"):
+        read_bag(path, WHEELS)
+
+
+def test_what_is_not_a_bag_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "fake.bag"
+    path.write_bytes(b"not a bag at all")
+    with pytest.raises(InputError, match="is not a readable ROS bag"):
+        read_bag(path, WHEELS)
+    with pytest.raises(InputError, match="no such file"):
+        read_bag(tmp_path / "none.bag", WHEELS)
+
+
+def test_without_the_extra_one_sentence_says_how_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(InputError) as error:
+        read_bag(tmp_path / "a.bag", WHEELS)
+    assert str(error.value).endswith(
+        "reading ROS bags needs the rosbags library; install it with: pip install 'gyrocal[ros]'."
+    )
