@@ -1,0 +1,343 @@
+"""`gyrocal report`: a recording and its coefficients to figures, tables and one page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import gyrocal
+from gyrocal.calibration.covariance import Scatter, estimate_scatter
+from gyrocal.calibration.datasets import Recording, load_recording
+from gyrocal.calibration.fit import scaled_surface
+from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
+from gyrocal.fusion.coefficients import Coefficients, load_coefficients
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.report import figures_error, figures_residual, figures_run, tables
+from gyrocal.report.data import Examined, Floats, Timeline, read_course
+from gyrocal.report.output import check_output, write_directory
+from gyrocal.report.page import Page, Picture, Table, render_page
+from gyrocal.report.scatter import SignedScatter, scatter_statements, signed_scatter
+from gyrocal.report.style import render
+from gyrocal.units import DPS_TO_DPH
+
+#: Share done, 0 to 1, and what is being done.
+Progress = Callable[[float, str], None]
+
+#: Seed of the permutation test: the same recording gives the same report.
+_SEED = 2100
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """What to draw, with what, and where to write it."""
+
+    recording: Path
+    coefficients: Path
+    out: Path
+    counts_per_dps: float | None = None
+    force_sensor: bool = False
+
+
+@dataclass(frozen=True)
+class ReportResult:
+    """What was written, and the numbers on top of the page."""
+
+    out: Path
+    verdict: str
+    before_dps: float
+    after_dps: float
+    data_sets: int
+    marked: int
+    figures: tuple[str, ...]
+    missing: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return {
+            "page": str(self.out / "report.html"),
+            "verdict": self.verdict,
+            "error_before_rms_dps": self.before_dps,
+            "error_after_rms_dps": self.after_dps,
+            "data_sets": self.data_sets,
+            "outliers_and_unsettled": self.marked,
+            "figures": list(self.figures),
+            "not_drawn": dict(self.missing),
+            "remarks": list(self.remarks),
+        }
+
+
+@dataclass(frozen=True)
+class _Material:
+    """Everything that figures and tables are made of."""
+
+    recording: Recording
+    coefficients: Coefficients
+    data: Examined
+    reasons: dict[int, str]
+    timeline: Timeline | None
+    signed: SignedScatter | None
+    tested: ScatterByRate | None
+    notes: tuple[str, ...]
+
+
+def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
+    """Draw everything that the recording carries and write it to ``config.out``.
+
+    Raises
+    ------
+    InputError, DataError, CoefficientError, OutputError
+        Nothing is written then.
+    """
+    check_output(config.out)
+    material = _gather(config, progress)
+    pictures: list[Picture] = []
+    files: dict[str, bytes | str] = {}
+    drawings = _drawings(material)
+    for number, (name, title, caption, draw) in enumerate(drawings):
+        progress(0.3 + 0.65 * number / len(drawings), title)
+        drawn = draw()
+        if isinstance(drawn, str):
+            pictures.append(Picture(name, title, caption, missing=drawn))
+            continue
+        png = render(drawn, "png")
+        files |= {f"figures/{name}.png": png, f"figures/{name}.svg": render(drawn, "svg")}
+        pictures.append(Picture(name, title, caption, png))
+    page = _page(material, pictures)
+    files |= {f"tables/{table.name}.csv": table.csv for table in page.tables}
+    files["report.html"] = render_page(page)
+    write_directory(config.out, files)
+    progress(1.0, "")
+    data = material.data
+    return ReportResult(
+        out=config.out,
+        verdict=page.verdict,
+        before_dps=_rms(data.sets.error_dps),
+        after_dps=_rms(data.residual_dps),
+        data_sets=len(data.sets),
+        marked=int(data.marked.sum()),
+        figures=tuple(p.name for p in pictures if p.png),
+        missing=tuple((p.name, p.missing) for p in pictures if not p.png),
+        remarks=tuple(page.remarks),
+    )
+
+
+def _gather(config: ReportConfig, progress: Progress) -> _Material:
+    progress(0.0, "reading")
+    coefficients = load_coefficients(config.coefficients)
+    recording = load_recording(config.recording, config.counts_per_dps)
+    notes = check_sensor(coefficients.sensor, recording.sensor, config.recording, force=config.force_sensor)
+    compensator = Compensator(coefficients)
+    sets, timeline = recording.sets, None
+    corrected = coefficients.correct(sets.gyro_dps, sets.temp_c)
+    if recording.run is not None:
+        refuse_compensated(recording.run)
+        progress(0.1, "reading the course of the run")
+        timeline, means = read_course(recording.run, compensator if compensator.terms else None)
+        corrected = np.array([means.get(int(s), c) for s, c in zip(sets.segment, corrected, strict=True)])
+    elif compensator.terms:
+        notes += ("the terms beside the surface need a run; for this table the surface alone is drawn",)
+    progress(0.2, "scatter and outliers")
+    scatter = estimate_scatter(sets, scaled_surface(sets).design(sets.gyro_dps, sets.temp_c))
+    outliers, _, scatter = find_outliers(sets, scatter)
+    reasons = {o.row: f"{o.reason} ({o.sigmas:+.1f} sigma)" for o in outliers}
+    for row in np.flatnonzero(sets.outcome != "ok"):
+        reasons[int(row)] = "; ".join(filter(None, (str(sets.outcome[row]), reasons.get(int(row), ""))))
+    marked = np.zeros(len(sets), dtype=bool)
+    marked[list(reasons)] = True
+    residual = corrected - sets.rate_dps
+    data = Examined(sets, residual, _expected_sigma(recording, scatter, coefficients), marked)
+    tested = scatter_by_rate(sets, residual, np.random.default_rng(_SEED))
+    return _Material(
+        recording,
+        coefficients,
+        data,
+        reasons,
+        timeline,
+        signed_scatter(data),
+        tested,
+        (*recording.notes, *notes),
+    )
+
+
+def _expected_sigma(recording: Recording, scatter: Scatter, coefficients: Coefficients) -> Floats:
+    """Standard deviation of each residual: scatter as estimated, and the uncertainty of the coefficients."""
+    sets = recording.sets
+    noise = np.nan_to_num(sets.mean_variance_dps2) + scatter.levels[0]
+    noise = noise + scatter.levels[1] + scatter.levels[2] * sets.rate_dps**2
+    return np.asarray(np.sqrt(noise + coefficients.sigma_dps(sets.gyro_dps, sets.temp_c) ** 2))
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+_Drawing = tuple[str, str, str, Callable[[], Figure | str]]
+
+
+def _drawings(m: _Material) -> list[_Drawing]:
+    """Name, title, caption and drawing function of each figure; a sentence instead of a figure says why there is none."""
+    data, surface = m.data, m.coefficients.surface
+    over = "time" if data.sets.timed else "the number of the data set, since the recording has no times"
+    return [
+        (
+            "figure_1",
+            "Figure 1. Error against rate, before calibration",
+            "A point is a data set, a line the fitted surface at that temperature. Look for the cubic shape, and for how it "
+            "turns with temperature. Hollow points are outliers or unsettled.",
+            lambda: figures_error.error_against_rate(data, surface),
+        ),
+        (
+            "figure_2",
+            "Figure 2. Error against temperature at several rates, before calibration",
+            "Lines are the fitted surface. Look for points that leave their line at the ends: that is more than a quadratic.",
+            lambda: figures_error.error_against_temperature(data, surface),
+        ),
+        (
+            "figure_3a",
+            "Figure 3a. Error over rate and temperature, before calibration",
+            "Left the fitted surface with the data sets as dots, right the same from above; lines join equal errors.",
+            lambda: figures_error.error_before(data, surface),
+        ),
+        (
+            "figure_3b",
+            "Figure 3b. Error over rate and temperature, after calibration",
+            "Each data set on a stem from zero: left on the height scale of figure 3a, right enlarged. It should look like grass, "
+            "without waves.",
+            lambda: figures_error.error_after(data, surface),
+        ),
+        (
+            "residual_map",
+            "Residual over rate and temperature",
+            "Mean residual in each cell; the margins show the means by rate and by temperature. Colour that comes in patches, or margins off zero by more "
+            "than their intervals, are structure that twelve terms do not follow.",
+            lambda: figures_residual.residual_map(data),
+        ),
+        (
+            "residual_over_time",
+            f"Residual over {over}",
+            "Bars are what scatter and coefficient uncertainty lead one to expect (95 %). A running median that wanders is drift; "
+            "steps are events.",
+            lambda: figures_residual.residual_over_time(data),
+        ),
+        (
+            "scatter_by_rate",
+            "Scatter of data sets by rate",
+            "Standard deviation of the residuals at each rate. A slope away from zero rate is scatter that grows with rate; ringed rates scatter more than the trend.",
+            lambda: (
+                "No three rates were measured four times or more: scatter cannot be told from shape."
+                if m.signed is None
+                else figures_residual.scatter_figure(m.signed, m.tested)
+            ),
+        ),
+        (
+            "timeline",
+            "Course of the run",
+            "Chamber and gyro temperature, table rate and supply. The gyro should have caught up with the chamber before rates begin; "
+            "unsettled segments are shaded.",
+            lambda: (
+                "The recording is a table of data sets: it holds no course in time."
+                if m.timeline is None
+                else figures_run.run_timeline(m.timeline)
+            ),
+        ),
+        (
+            "coefficients",
+            "Coefficients with standard errors",
+            "In deg/s, on scaled output u and temperature v. Pale cells are many standard errors from zero; dark ones could be left out.",
+            lambda: figures_run.coefficient_figure(m.coefficients),
+        ),
+    ]
+
+
+def _page(m: _Material, pictures: list[Picture]) -> Page:
+    data = m.data
+    before, after = (_rms(x) * DPS_TO_DPH for x in (data.sets.error_dps, data.residual_dps))
+    sensor = " ".join(str(m.coefficients.sensor.get(key, "")) for key in ("model", "serial")).strip()
+    return Page(
+        title=f"Calibration report: {sensor or 'unknown gyro'}",
+        verdict=_verdict(m, before, after),
+        key_figures=_key_figures(m, before, after),
+        remarks=_remarks(m),
+        pictures=pictures,
+        tables=_tables(m),
+        provenance=_provenance(m),
+    )
+
+
+def _verdict(m: _Material, before_dph: float, after_dph: float) -> str:
+    same = m.coefficients.provenance.get("recording_sha256") == m.recording.sha256
+    return (
+        f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms to "
+        f"{after_dph:.4g} deg/h rms, {before_dph / after_dph:.3g} times less"
+        + (
+            ", on the recording that they were fitted to."
+            if same
+            else ", on a recording that they were not fitted to."
+        )
+    )
+
+
+def _key_figures(m: _Material, before_dph: float, after_dph: float) -> list[tuple[str, str]]:
+    sets = m.data.sets
+    return [
+        ("Error before, rms", f"{before_dph:.4g} deg/h"),
+        ("Error after, rms", f"{after_dph:.4g} deg/h"),
+        ("Factor", f"{before_dph / after_dph:.3g}"),
+        ("Data sets", str(len(sets))),
+        ("Outliers, unsettled", str(len(m.reasons))),
+        ("Rates", f"{sets.rate_dps.min():+.4g} to {sets.rate_dps.max():+.4g} deg/s"),
+        ("Temperatures", f"{sets.temp_c.min():.3g} to {sets.temp_c.max():.3g} °C"),
+    ]
+
+
+def _remarks(m: _Material) -> list[str]:
+    said = scatter_statements(m.tested) if m.tested is not None else []
+    sets, mask = m.data.sets, m.recording.masked
+    flags = int(np.count_nonzero(m.coefficients.flags(sets.gyro_dps, sets.temp_c)))
+    if flags:
+        said.append(
+            f"{flags} data sets lie outside the range of rate or temperature that the coefficients cover."
+        )
+    if mask.bad_status or mask.non_finite:
+        said.append(
+            f"{mask.bad_status} samples of bad status and {mask.non_finite} that are not numbers were left out of the means."
+        )
+    said += [
+        f"Segment {e.segment} ({e.rate_dps:+.4g} deg/s) gives no data set: {e.reason}."
+        for e in m.recording.excluded
+    ]
+    return said + [f"{note[:1].upper()}{note[1:]}." for note in m.notes]
+
+
+def _tables(m: _Material) -> list[Table]:
+    data = m.data
+    found = [
+        tables.coefficient_table(m.coefficients),
+        tables.noise_table(m.coefficients.noise),
+        tables.marked_table(data, m.reasons),
+        tables.level_table(data, data.sets.temp_c, "error_by_temperature", "Temperature, °C", "temp_c"),
+        tables.level_table(data, data.sets.rate_dps, "error_by_rate", "Rate, deg/s", "rate_dps"),
+        tables.data_set_table(data, m.reasons),
+    ]
+    if m.signed is not None:
+        found.append(tables.scatter_table(m.signed, m.tested))
+    return found
+
+
+def _provenance(m: _Material) -> dict[str, str]:
+    said = {
+        "Recording": m.recording.source.name,
+        "Recording sha256": m.recording.sha256,
+        "Samples": str(m.recording.n_samples) if m.recording.n_samples else "not known",
+        "Drawn by": f"gyrocal {gyrocal.__version__}",
+    }
+    for key, value in m.coefficients.provenance.items():
+        said[f"Coefficients: {key.replace('_', ' ')}"] = str(value)
+    return said
