@@ -1,0 +1,57 @@
+"""``gyrocal export``: coefficients for a robot's firmware."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from gyrocal.calibration.export import CType
+
+
+@click.command("export")
+@click.argument("coefficients", type=click.Path(path_type=Path))
+@click.option("--format", "form", type=click.Choice(["c-header"]), default="c-header", show_default=True)
+@click.option("--output", "-o", type=click.Path(path_type=Path), help="File to write; without it, stdout.")
+@click.option(
+    "--type",
+    "ctype",
+    type=click.Choice(["both", "float", "double"]),
+    default="both",
+    show_default=True,
+    help="Which functions to write.",
+)
+@click.option(
+    "--prefix", default="gyrocal", show_default=True, help="First part of every name in the header."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print what was exported as JSON on stdout; needs -o.")
+def command(
+    coefficients: Path, form: str, output: Path | None, ctype: CType, prefix: str, as_json: bool
+) -> None:
+    """Write COEFFICIENTS as a C99 header without dependencies.
+
+    It holds PREFIX_error, PREFIX_correct and PREFIX_flags in double, and the same ending in f in float. The
+    error in float is within 1e-6 deg/s of the coefficient file's; the corrected rate in float has the steps
+    of a float besides (7.6e-6 deg/s at 100 deg/s).
+
+    Example: gyrocal export fog.json --format c-header -o fog.h
+    """
+    from gyrocal.calibration.export import export_c_header, write_header
+    from gyrocal.cli.console import emit_json
+    from gyrocal.fusion.coefficients import load_coefficients
+
+    if as_json and output is None:
+        raise click.UsageError("--json prints what was exported; say with -o where the header itself goes.")
+    export = export_c_header(load_coefficients(coefficients), ctype, prefix)
+    if output is None:
+        click.echo(export.text, nl=False)
+        return
+    write_header(export, output)
+    if as_json:
+        emit_json(export.to_json() | {"output": str(output)})
+        return
+    click.echo(f"{output}: {', '.join(export.functions)}.")
+    if export.not_exported:
+        click.echo(f"Terms of the bench, not exported: {', '.join(export.not_exported)}.")

@@ -1,0 +1,158 @@
+"""The C header against Python, compiled by gcc as strictly as it goes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from gyrocal.calibration.export import CType, export_c_header, power_of_two_surface
+from gyrocal.cli import gyrocal_command
+from gyrocal.errors import CoefficientError, InputError
+from gyrocal.fusion import Coefficients, Term, Valid
+from gyrocal.physics.effect import Floats
+from gyrocal.physics.surface import Surface
+
+GCC = shutil.which("gcc")
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+POINTS = 10_000
+
+MAIN = """
+#include <stdio.h>
+#include "fog.h"
+int main(void)
+{
+    double p[2];
+    while (fread(p, sizeof p, 1, stdin) == 1) {
+        const float g = (float)p[0], t = (float)p[1];
+        double out[6];
+        out[0] = fog_error(p[0], p[1]);
+        out[1] = fog_correct(p[0], p[1]);
+        out[2] = fog_errorf(g, t);
+        out[3] = fog_correctf(g, t);
+        out[4] = fog_flags(p[0], p[1]);
+        out[5] = fog_flagsf(g, t);
+        fwrite(out, sizeof out, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def rd2100(seed: int = 0, size: float = 1.0) -> Coefficients:
+    """Surface of the class of the paper's Table I: 0.5 % nonlinearity, 2 % scale and 0.2 deg/s bias over temperature."""
+    rng = np.random.default_rng(seed)
+    spread = size * np.array([[0.1, 0.1, 0.05], [2.0, 1.0, 0.3], [0.3, 0.1, 0.05], [1.5, 0.3, 0.1]])
+    surface = Surface(spread * rng.normal(size=(4, 3)), 1.7 * rng.normal(), 96.4, 21.3 + rng.normal(), 29.7)
+    return Coefficients(
+        {"model": "RD2100 */ ", "serial": "7"}, surface, np.eye(12), Valid((-100.0, 100.1), (-10.3, 50.0))
+    )
+
+
+def run_c(tmp_path: Path, coefficients: Coefficients, points: Floats, *flags: str) -> Floats:
+    (tmp_path / "fog.h").write_text(export_c_header(coefficients, prefix="fog").text, encoding="utf-8")
+    (tmp_path / "main.c").write_text(MAIN, encoding="utf-8")
+    program = tmp_path / "program"
+    subprocess.run([str(GCC), *FLAGS, *flags, "-o", program, tmp_path / "main.c"], check=True)
+    out = subprocess.run([program], input=points.astype("<f8").tobytes(), stdout=subprocess.PIPE, check=True)
+    return np.frombuffer(out.stdout, dtype=np.float64).reshape(-1, 6)
+
+
+def random_points(seed: int) -> Floats:
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-100, 100.1, POINTS), rng.uniform(-10.3, 50, POINTS)])
+    points[: POINTS // 2] = points[: POINTS // 2].astype(np.float32)
+    return points
+
+
+@pytest.mark.skipif(GCC is None, reason="gcc is absent")
+@pytest.mark.parametrize(
+    ("size", "flags"), [(1.0, ["-O0"]), (1.0, ["-O3", "-march=native", "-ffp-contract=fast"]), (5.0, ["-O2"])]
+)
+def test_c_equals_python(tmp_path: Path, size: float, flags: list[str]) -> None:
+    c = rd2100(3, size)
+    points = random_points(1)
+    out = run_c(tmp_path, c, points, *flags)
+    gyro, temp = points.T
+    error = c.surface.error_dps(gyro, temp)
+    assert np.abs(out[:, 0] - error).max() < 1e-13
+    assert np.abs(out[:, 1] - c.correct(gyro, temp)).max() < 1e-13
+    # The float functions see the rounded inputs; so must Python.
+    gyro, temp = points.astype(np.float32).astype(np.float64).T
+    error = c.surface.error_dps(gyro, temp)
+    assert np.abs(error).max() > size
+    worst = np.abs(out[:, 2] - error).max()
+    assert worst <= 1e-6
+    # Half a step of a float at the error's size and a little: nothing but the last rounding is left.
+    assert np.all(np.abs(out[:, 2] - error) <= 0.51 * np.spacing(np.abs(error).astype(np.float32)))
+    half_step = 0.5 * np.spacing(np.abs(gyro - error).astype(np.float32))
+    assert np.all(np.abs(out[:, 3] - (gyro - error)) <= half_step + 1e-6)
+
+
+@pytest.mark.skipif(GCC is None, reason="gcc is absent")
+def test_flags(tmp_path: Path) -> None:
+    c = rd2100()
+    points = np.array(
+        [[0, 20], [-100, -10.3], [-100.5, 20], [101, 60], [0, -11], [np.nan, 20], [5, np.nan], [np.inf, 20]]
+    )
+    out = run_c(tmp_path, c, points)
+    np.testing.assert_array_equal(out[:, 4], c.flags(*points.T))
+    np.testing.assert_array_equal(out[:, 5], c.flags(*points.T))
+
+
+@pytest.mark.skipif(GCC is None, reason="gcc is absent")
+@pytest.mark.parametrize("ctype", ["float", "double"])
+def test_one_type_alone_compiles(tmp_path: Path, ctype: CType) -> None:
+    export = export_c_header(rd2100(), ctype)
+    suffix = "f" if ctype == "float" else ""
+    assert export.functions == tuple(f"gyrocal_{name}{suffix}" for name in ("error", "correct", "flags"))
+    (tmp_path / "h.h").write_text(export.text, encoding="utf-8")
+    source = f'#include "h.h"\nint main(void) {{ return gyrocal_flags{suffix}(gyrocal_correct{suffix}(1, 2), 20); }}'
+    (tmp_path / "m.c").write_text(source, encoding="utf-8")
+    subprocess.run([str(GCC), *FLAGS, "-c", "-o", tmp_path / "m.o", tmp_path / "m.c"], check=True)
+
+
+def test_power_of_two_surface_is_the_same_surface() -> None:
+    surface = rd2100(5).surface
+    same = power_of_two_surface(surface)
+    assert struct.unpack("<I", struct.pack("<f", same.rate_scale_dps))[0] & 0x7FFFFF == 0
+    gyro, temp = random_points(2).T
+    np.testing.assert_allclose(same.error_dps(gyro, temp), surface.error_dps(gyro, temp), atol=1e-13)
+
+
+def test_runtime_terms_and_bad_prefixes_are_refused() -> None:
+    c = rd2100()
+    lag = Term("thermal_lag", {"amplitude": {"value": 1.0}}, True)
+    with pytest.raises(
+        CoefficientError, match="hold the term thermal_lag, which the C header does not carry"
+    ):
+        export_c_header(Coefficients(c.sensor, c.surface, c.covariance_dps2, c.valid, terms=(lag,)))
+    with pytest.raises(InputError, match="a C identifier"):
+        export_c_header(c, prefix="my gyro")
+
+
+def test_the_command(tmp_path: Path) -> None:
+    c = rd2100()
+    source, header = tmp_path / "c.json", tmp_path / "c.h"
+    eccentric = Term("table_eccentricity", {"amplitude": {"value": 1.0}}, False)
+    c = Coefficients(c.sensor, c.surface, c.covariance_dps2, c.valid, terms=(eccentric,))
+    source.write_text(c.to_text(), encoding="utf-8")
+    run = CliRunner()
+    said = run.invoke(gyrocal_command, ["export", str(source), "-o", str(header)], catch_exceptions=False)
+    assert "gyrocal_error, gyrocal_correct, gyrocal_flags, gyrocal_errorf" in said.stdout
+    assert "not exported: table_eccentricity" in said.stdout
+    text = run.invoke(gyrocal_command, ["export", str(source)], catch_exceptions=False).stdout
+    assert text == header.read_text(encoding="utf-8")
+    digest = json.loads(source.read_text(encoding="utf-8"))["sha256"]
+    assert digest in text
+    assert "@" not in text
+    assert '"model": "RD2100 * / "' in text
+    facts = run.invoke(gyrocal_command, ["export", str(source), "-o", str(header), "--json"]).stdout
+    assert json.loads(facts)["coefficients_sha256"] == digest
+    assert run.invoke(gyrocal_command, ["export", str(source), "--json"]).exit_code == 2
