@@ -70,9 +70,10 @@ def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Bas
     """Recording minus what `surface` predicts at the recorded rates and temperatures."""
     terms = carried_terms(series) if terms is None else terms
     output = surface.output_dps(series.rate_dps, series.temp_c)
-    return Base(
-        surface, series.gyro_dps - output, surface.design(output, series.temp_c)[:, terms], terms
-    )
+    # What the output gains from a coefficient: the surface is a function of the output itself (eq. 5).
+    slope = 1.0 - surface.slope_per_dps(output, series.temp_c)
+    design = surface.design(output, series.temp_c)[:, terms] / slope[:, None]
+    return Base(surface, series.gyro_dps - output, design, terms)
 
 
 def fit_surface(series: Series, added_dps: Floats | None = None) -> Base:

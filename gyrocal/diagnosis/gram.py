@@ -59,7 +59,31 @@ class Projection:
             diagonal = self.gram[index, index]
             usable = diagonal > _CAPTURED * self.norm[index]
             return np.where(usable, self.score[index] ** 2 / np.where(usable, diagonal, 1.0), 0.0)
+        if points.shape[1] == 2:
+            return self._pair_gains(points)
         return np.array([self.block(row)[0] for row in points])
+
+    def _pair_gains(self, points: Ints) -> Floats:
+        i, j = points.T
+        usable = np.minimum(
+            self.gram[i, i] - _CAPTURED * self.norm[i], self.gram[j, j] - _CAPTURED * self.norm[j]
+        )
+        a, d, c = self.gram[i, i], self.gram[j, j], self.gram[i, j]
+        determinant = a * d - c**2
+        usable = (usable > 0) & (determinant > _PARALLEL * a * d)
+        x, y = self.score[i], self.score[j]
+        gains = (d * x**2 - 2.0 * c * x * y + a * y**2) / np.where(usable, determinant, 1.0)
+        for row in np.flatnonzero(~usable):
+            gains[row] = self.block(points[row])[0]
+        return np.asarray(gains)
+
+    def restricted(self, columns: Ints) -> Floats:
+        """Gram matrix, record in row 0, of some of the columns."""
+        inner = np.empty((columns.size + 1, columns.size + 1))
+        inner[0, 0] = self.rss
+        inner[0, 1:] = inner[1:, 0] = self.score[columns]
+        inner[1:, 1:] = self.gram[np.ix_(columns, columns)]
+        return inner
 
     def block(self, columns: Ints) -> tuple[float, int]:
         """Chi-square of a block of columns, and its degrees of freedom."""
@@ -75,23 +99,31 @@ class Projection:
         return float(np.sum(along**2 / values[kept])), int(kept.sum())
 
 
-def project(gram: Floats, model: Ints) -> Projection:
-    """Project columns `model` out of a Gram matrix whose row 0 is the record.
+def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projection:
+    """Project a model out of a Gram matrix whose row 0 is the record.
 
     Parameters
     ----------
     gram : ndarray, shape (1 + p, 1 + p)
     model : ndarray of int
         Column numbers (from 0, the record not counted); may be collinear.
+    mixtures : ndarray, shape (p, m), optional
+        Further model columns, as mixtures of the columns.
     """
-    columns = model + 1
     norm = np.diag(gram).copy()
-    if columns.size:
-        scale = np.sqrt(np.maximum(norm[columns], 1e-300))
-        A = gram[np.ix_(columns, columns)] / np.outer(scale, scale)
-        values, vectors = np.linalg.eigh(A)
+    cross = gram[model + 1]
+    inner = cross[:, model + 1]
+    if mixtures is not None and mixtures.size:
+        mixed = mixtures.T @ gram[1:]
+        inner = np.block(
+            [[inner, mixed[:, model + 1].T], [mixed[:, model + 1], mixed[:, 1:] @ mixtures]]
+        )
+        cross = np.concatenate([cross, mixed])
+    if cross.size:
+        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        values, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
         kept = values > 1e-10 * values[-1]
-        half = (vectors[:, kept] / np.sqrt(values[kept])).T @ (gram[columns] / scale[:, None])
+        half = (vectors[:, kept] / np.sqrt(values[kept])).T @ (cross / scale[:, None])
         gram = gram - half.T @ half
     return Projection(gram[1:, 1:], gram[1:, 0].copy(), norm[1:], float(gram[0, 0]))
 
@@ -146,6 +178,24 @@ def log_evidence(gains: Floats, df: int, n: int) -> float:
     half = 0.5 * gains
     top = float(half.max())
     return top + float(np.log(np.mean(np.exp(half - top)))) - 0.5 * df * float(np.log(n))
+
+
+def random_evidence(projection: Projection, columns: Ints) -> float:
+    """Evidence of a block whose amplitudes are independent draws of one unknown size, nats.
+
+    The size is averaged over a net of octaves, so nothing is tuned. A block of k amplitudes pays for what the
+    draws could have been, not a fixed price for each.
+    """
+    A, b = projection.gram[np.ix_(columns, columns)], projection.score[columns]
+    values, vectors = np.linalg.eigh(A)
+    kept = values > _CAPTURED * float(np.max(projection.norm[columns]))
+    if not kept.any():
+        return -np.inf
+    lam, along = values[kept], (vectors[:, kept].T @ b) ** 2
+    size2 = np.geomspace(0.3, 1e7, 48)[:, None] / float(np.median(lam))
+    each = 0.5 * along * size2 / (1.0 + size2 * lam) - 0.5 * np.log1p(size2 * lam)
+    total = each.sum(axis=1)
+    return float(total.max() + np.log(np.mean(np.exp(total - total.max()))))
 
 
 def holm(p_values: Floats, level: float) -> NDArray[np.bool_]:

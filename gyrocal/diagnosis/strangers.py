@@ -130,8 +130,6 @@ def _in_temperature_rate(s: Series, enter: Enter) -> None:
         enter("scale factor by lagged temperature", "temperature_rate", np.column_stack(lagged) * s.rate_dps[:, None])
         branch = s.history.play_at(0.1 * float(np.ptp(s.history.temp_c)), s.t_s) - s.temp_c
         enter("scale factor by branch", "temperature_branch", branch * s.rate_dps)
-    if s.chamber_c is not None:
-        enter("chamber against gyro temperature", "temperature_rate", s.chamber_c - s.temp_c)
 
 
 def _in_rate(s: Series, enter: Enter) -> None:
@@ -164,9 +162,6 @@ def _in_angle(s: Series, enter: Enter) -> None:
     enter("harmonic of the table angle", "table_angle", np.column_stack(constant), 2)
     growing = [s.rate_dps * f(k * theta) for k in range(3, 9) for f in (np.cos, np.sin)]
     enter("harmonic of the table angle growing with rate", "table_angle", np.column_stack(growing), 2)
-    square = [s.rate_dps * abs(x) * f(k * theta) for x in (0.01,) for k in (1, 2) for f in (np.cos, np.sin)]
-    enter("harmonic growing with the square of rate", "table_angle",
-          np.column_stack(square) * np.abs(s.rate_dps)[:, None], 2)
     sectors = np.floor(np.mod(s.angle_deg, 360.0) / 15.0)
     moving = (np.abs(s.rate_dps) > 0)[:, None]
     enter("one sector of the table", "table_angle", ((sectors[:, None] == np.arange(24)) & moving).astype(np.float64))
