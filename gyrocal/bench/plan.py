@@ -243,7 +243,7 @@ def _duration_s(profile: Profile, kind: str, difference_c: float) -> tuple[float
         ramp_s = ramp_time_s(profile, difference_c)
         return ramp_s, ramp_s + profile.ramp.deadline_s
     if kind == "soak":
-        return profile.soak.time_s, profile.soak.deadline_s
+        return max(profile.soak.time_s, profile.soak.expected_s or 0.0), profile.soak.deadline_s
     length_s = profile.plan.static_s if kind == "static" else profile.plan.dwell_s
     return length_s, length_s
 

@@ -102,6 +102,7 @@ class SoakSpec:
     time_s: float = number(0.0, _DAY_S, "s", 1800.0)
     slope_c_per_min: float = number(0.0001, 100.0, "deg C/min", 0.02)
     slope_over_s: float = number(10.0, 7200.0, "s", 300.0)
+    expected_s: float | None = number(0.0, 7 * _DAY_S, "s", None)
     deadline_s: float = number(1.0, 7 * _DAY_S, "s", 7200.0)
     on_deadline: str = choice(*_POLICIES, default="unsettled")
 

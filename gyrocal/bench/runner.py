@@ -19,8 +19,8 @@ from gyrocal.records.journal import RunWriter
 from gyrocal.units import S_PER_MIN
 
 _DEG_PER_TURN = 360.0
-#: Ramps and soaks drain the gyro this seldom: its temperature moves by less than 0.5 deg C meanwhile.
-_SLOW_DRAIN_S = 5.0
+#: Long segments are written this often; the gyro's case, minutes behind the air, moves by less than 0.5 deg C meanwhile.
+_SLOW_DRAIN_S = 10.0
 #: Without a single sample for this long, or for this many sample intervals, the gyro is gone.
 _SILENCE_S = 10.0
 _SILENT_SAMPLES = 50.0
@@ -315,37 +315,38 @@ class Runner:
                 return self._late(step, why, spec.on_deadline)
 
     def _record_slowly(self, step: Step, recorder: Recorder) -> ChamberReading:
-        """Record for one slow drain; returns the worst chamber reading of it, that is the farthest off."""
-        worst: ChamberReading | None = None
+        """Record for one slow drain; returns the chamber reading that was farthest off."""
         until_s = self._clock.now_s() + _SLOW_DRAIN_S
-        while worst is None or self._clock.now_s() < until_s - 1e-9:
-            _, chamber = self._look(self._profile.record.bench_period_s, abandon=True)
-            if worst is None or abs(chamber.temp_c - step.chamber_c) >= abs(worst.temp_c - step.chamber_c):
-                worst = chamber
+        return self._record_until(step, recorder, until_s)[2]
+
+    def _record_until(
+        self, step: Step, recorder: Recorder, until_s: float
+    ) -> tuple[float, float, ChamberReading]:
+        """Record up to a time; returns how far table and chamber were off at worst, and the worst chamber reading."""
+        worst_dps, worst_c, worst = 0.0, -1.0, None
+        while worst is None or until_s - self._clock.now_s() > 1e-9:
+            period_s = min(self._profile.record.bench_period_s, max(until_s - self._clock.now_s(), 1e-3))
+            table, chamber = self._look(period_s, abandon=step.kind != "rate")
+            worst_dps = max(worst_dps, _finite_or_far(table.rate_dps - self._rate_dps))
+            off_c = _finite_or_far(chamber.temp_c - step.chamber_c)
+            if off_c >= worst_c:
+                worst_c, worst = off_c, chamber
         recorder.add(self._drain(), self._take_rows())
         self._tell(step)
-        return worst
+        return worst_dps, worst_c, worst
 
     def _record_dwell(self, step: Step, recorder: Recorder, length_s: float) -> str:
         """Record at one rate; a rate or a chamber that leaves its window makes the data set unsettled."""
         outcome = "ok" if self._soak_outcome == "ok" else "unsettled"
         end_s = self._clock.now_s() + length_s
-        while (left_s := end_s - self._clock.now_s()) > 1e-9:
-            period_s = min(self._profile.record.bench_period_s, left_s)
-            table, chamber = self._look(period_s, abandon=step.kind == "static")
-            recorder.add(self._drain(), self._take_rows())
-            off_dps = abs(table.rate_dps - self._rate_dps)
-            off_c = abs(chamber.temp_c - step.chamber_c)
-            disturbed = (
-                not off_dps <= self._profile.settle.tolerance_dps or not off_c <= self._profile.soak.window_c
-            )
+        while end_s - self._clock.now_s() > 1e-9:
+            until_s = min(end_s, self._clock.now_s() + _SLOW_DRAIN_S)
+            off_dps, off_c, _ = self._record_until(step, recorder, until_s)
+            disturbed = off_dps > self._profile.settle.tolerance_dps or off_c > self._profile.soak.window_c
             if disturbed and outcome == "ok":
                 outcome = "unsettled"
-                self._warn(
-                    step,
-                    f"while recording, the table was {off_dps:.3g} deg/s and the chamber {off_c:.3g} °C off",
-                )
-            self._tell(step)
+                why = f"while recording, the table was up to {off_dps:.3g} deg/s and the chamber {off_c:.3g} °C off"
+                self._warn(step, why)
         return outcome
 
     def _late(self, step: Step, why: str, policy: str) -> str:
@@ -435,3 +436,8 @@ class Runner:
         left_s = max(total_s - self._done_s - within_s, 0.0)
         last_c = self._rows[-1].chamber_temp_c if self._rows else float("nan")
         self._watch.progress(Progress(1.0 - left_s / total_s, left_s, step, last_c, self._gyro_temp_c))
+
+
+def _finite_or_far(difference: float) -> float:
+    """Size of a difference; a reading that is no number is infinitely far off."""
+    return abs(difference) if np.isfinite(difference) else np.inf

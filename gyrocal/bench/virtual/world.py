@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from itertools import accumulate
+from dataclasses import dataclass, replace
+from math import copysign, exp
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,6 @@ from gyrocal.errors import DeviceError
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Conditions, Memory
 from gyrocal.physics.gyro import GyroModel, GyroStream
-from gyrocal.physics.kernels import LagMemory, lag
 from gyrocal.units import S_PER_MIN
 
 Floats = NDArray[np.float64]
@@ -63,17 +63,15 @@ class World:
         self._reference_error = 0.0
         self._step_t_s = start_s
         self._step_dps = 0.0
-        self._encoder = (0.0, 0.0)
+        self._before_deg = 0.0
         # chamber
-        self._set_c = spec.start_temp_c
-        self._target_c = spec.start_temp_c
+        self._target_c = self._set_c = self._still_air_c = self._air_c = self._case_c = spec.start_temp_c
         self._ramp_c_per_s = spec.chamber.max_ramp_c_per_min / S_PER_MIN
-        self._air_memory: LagMemory | None = None
-        self._case_memory: LagMemory | None = None
-        self._air_c = spec.start_temp_c
-        # gyro
+        # what the gyro has still to see: angles (with the one before), case temperatures, commands by block
         self._memory: dict[str, Memory] = {}
-        self._waiting: list[Conditions] = []
+        self._angles_deg = [0.0]
+        self._cases_c: list[float] = []
+        self._commands: list[tuple[int, float, float, float, float]] = []
 
     @property
     def now_s(self) -> float:
@@ -112,8 +110,10 @@ class World:
     # readings
 
     def read_table(self) -> tuple[float, float]:
-        """Rate and unwrapped angle as the encoder resolves them."""
-        return self._encoder
+        """Rate over the last sample and unwrapped angle, as the encoder resolves them."""
+        step = self.spec.table.encoder_step_deg
+        before, now = (round(angle / step) for angle in (self._before_deg, self._angles_deg[-1]))
+        return round((now - before) * step / self._dt_s, 9), round(now * step, 9)
 
     def read_chamber(self) -> tuple[float, float]:
         """Air temperature and set point."""
@@ -122,16 +122,14 @@ class World:
 
     def read_supply(self) -> float:
         """Volts at the gyro, to a millivolt."""
-        on = self._compressor_on(np.array([self.now_s]))
-        volts = self._supply_v(np.array([self._rate_dps]), on)[0]
+        volts = self._supply_v(abs(self._rate_dps), self._compressor_on(self.now_s))
         return round(float(volts + self.spec.supply.noise_v * self._read_rng.standard_normal()), 3)
 
     def take_gyro(self) -> GyroSamples:
         """The gyro's samples since the last call; only now are they worked out, in one block."""
-        if not self._waiting:
+        if not self._commands:
             return GyroSamples()
-        c = _joined(self._waiting)
-        self._waiting = []
+        c = self._conditions()
         gyro_dps = self._stream.analogue(self._dt_s, c.rate_dps, c.temp_c)
         for effect_id in self.spec.effects:
             if effect_id not in _OF_THE_REFERENCE + _OF_THE_CONVERTER:
@@ -146,101 +144,88 @@ class World:
     # time
 
     def advance_to(self, now_s: float) -> None:
-        """Let time pass up to `now_s`, in whole samples."""
+        """Let time pass up to `now_s`, in whole samples.
+
+        A scalar loop: between two readings lie a handful of samples, too few for arrays to pay.
+        """
         n = int(np.floor((now_s - self._start_s) / self._dt_s + 1e-6)) - self._samples
         if n <= 0:
             return
-        t_s: Floats = self._start_s + self._dt_s * np.arange(
-            self._samples + 1, self._samples + n + 1, dtype=np.float64
-        )
+        self._advance_chamber(n)
+        self._advance_table(n)
         self._samples += n
-        case_c = self._advance_chamber(t_s)
-        rate_dps, angle_deg = self._advance_table(t_s)
-        self._waiting.append(
-            Conditions(
-                t_s=t_s,
-                rate_dps=rate_dps,
-                temp_c=case_c,
-                dt_s=self._dt_s,
-                angle_deg=angle_deg,
-                supply_v=self._supply_v(rate_dps, self._compressor_on(t_s)),
-                since_power_on_s=t_s - self.spec.power_on_t_s,
-                since_step_s=t_s - self._step_t_s,
-                step_dps=np.full(n, self._step_dps),
-                command_dps=np.full(n, self._target_dps),
-            )
-        )
+        self._commands.append((n, self._target_dps, self._reference_error, self._step_t_s, self._step_dps))
 
-    def _advance_table(self, t_s: Floats) -> tuple[Floats, Floats]:
-        """True mean rate over each sample and angle at its end."""
-        table, n = self.spec.table, t_s.size
-        after_s = self._dt_s * np.arange(n + 1)
-        change = self._target_dps - self._rate_dps
-        spin_s = np.minimum(after_s, abs(change) / table.max_acceleration_dps2)
-        acceleration = np.copysign(table.max_acceleration_dps2, change)
-        rate_dps = self._rate_dps + acceleration * spin_s if change else np.full(n + 1, self._rate_dps)
-        turned = (self._rate_dps + rate_dps) / 2 * spin_s + self._target_dps * (after_s - spin_s)
-        moving = rate_dps[1:] != 0.0
-        wobble_deg = self._advance_wobble(n) * moving
-        angle_deg = self._angle_deg + turned[1:] + wobble_deg
-        before_deg = np.concatenate(([self._encoder_deg()], angle_deg[:-1]))
-        encoder_dps = (angle_deg - before_deg) / self._dt_s
-        self._angle_deg += float(turned[-1])
-        self._rate_dps = float(rate_dps[-1]) if spin_s[-1] == after_s[-1] else self._target_dps
-        self._wobble_deg = float(wobble_deg[-1])
-        step = table.encoder_step_deg
-        self._encoder = (
-            round(round(float(encoder_dps[-1]) * self._dt_s / step) * step / self._dt_s, 9),
-            round(round(float(angle_deg[-1]) / step) * step, 9),
+    def _advance_table(self, n: int) -> None:
+        """Speed up or slow down at the table's acceleration; a braked table stands still, a turning one wobbles."""
+        table, dt_s = self.spec.table, self._dt_s
+        spin_dps = table.max_acceleration_dps2 * dt_s
+        decay = float(np.exp(-dt_s / _WOBBLE_S))
+        push_deg = table.wobble_deg * float(np.sqrt(1.0 - decay**2))
+        rate_dps, angle_deg, wobble_deg = self._rate_dps, self._angle_deg, self._wobble_deg
+        for draw in self._table_rng.standard_normal(n).tolist():
+            change = self._target_dps - rate_dps
+            after_dps = self._target_dps if abs(change) <= spin_dps else rate_dps + copysign(spin_dps, change)
+            angle_deg += (rate_dps + after_dps) / 2.0 * dt_s
+            rate_dps = after_dps
+            wobble_deg = decay * wobble_deg + push_deg * draw if rate_dps else 0.0
+            self._before_deg = self._angles_deg[-1]
+            self._angles_deg.append(angle_deg + wobble_deg)
+        self._rate_dps, self._angle_deg, self._wobble_deg = rate_dps, angle_deg, wobble_deg
+
+    def _advance_chamber(self, n: int) -> None:
+        """Set point on its ramp, air behind the set point, compressor ripple on the air, case behind the air."""
+        chamber, dt_s = self.spec.chamber, self._dt_s
+        step_c = self._ramp_c_per_s * dt_s
+        to_air, to_case = 1.0 - exp(-dt_s / chamber.air_s), 1.0 - exp(-dt_s / chamber.case_s)
+        set_c, still_c, case_c = self._set_c, self._still_air_c, self._case_c
+        for k in range(self._samples + 1, self._samples + n + 1):
+            change = self._target_c - set_c
+            set_c = self._target_c if abs(change) <= step_c else set_c + copysign(step_c, change)
+            still_c += to_air * (set_c - still_c)
+            phase = (self._start_s + k * dt_s) / chamber.ripple_period_s % 1.0
+            self._air_c = still_c + chamber.ripple_c * (4.0 * abs(phase - 0.5) - 1.0)
+            case_c += to_case * (self._air_c - case_c)
+            self._cases_c.append(case_c)
+        self._set_c, self._still_air_c, self._case_c = set_c, still_c, case_c
+
+    def _conditions(self) -> Conditions:
+        """Everything since the last call, in the encoder's eyes; clears what was kept for it."""
+        lengths, target, reference, step_t, step = (
+            np.array(column) for column in zip(*self._commands, strict=True)
         )
+        n = int(lengths.sum())
+        angle_deg = np.array(self._angles_deg)
+        t_s: Floats = self._start_s + self._dt_s * np.arange(
+            self._samples - n + 1, self._samples + 1, dtype=np.float64
+        )
+        encoder_dps = np.diff(angle_deg) / self._dt_s
         c = Conditions(
-            t_s,
-            encoder_dps,
-            np.full(n, np.nan),
-            angle_deg=angle_deg,
-            command_dps=np.full(n, self._target_dps),
+            t_s=t_s,
+            rate_dps=encoder_dps,
+            temp_c=np.array(self._cases_c),
+            dt_s=self._dt_s,
+            angle_deg=angle_deg[1:],
+            supply_v=self._supply_v(np.abs(encoder_dps), self._compressor_on(t_s)),
+            since_power_on_s=t_s - self.spec.power_on_t_s,
+            since_step_s=t_s - np.repeat(step_t, lengths),
+            step_dps=np.repeat(step, lengths),
+            command_dps=np.repeat(target, lengths),
         )
-        true_dps = encoder_dps * (1.0 + self._reference_error)
+        true_dps = encoder_dps * (1.0 + np.repeat(reference, lengths))
         for effect_id in self.spec.effects:
             if effect_id in _OF_THE_REFERENCE:
                 true_dps = true_dps + self._error_dps(effect_id, c, encoder_dps)
-        return true_dps, angle_deg
+        self._commands, self._cases_c, self._angles_deg = [], [], self._angles_deg[-1:]
+        return replace(c, rate_dps=true_dps)
 
-    def _encoder_deg(self) -> float:
-        return self._angle_deg + self._wobble_deg
+    def _compressor_on(self, t_s: Any) -> Any:
+        """The compressor runs while the air falls: the first half of each period. Scalar or array."""
+        return t_s / self.spec.chamber.ripple_period_s % 1.0 < 0.5
 
-    def _advance_wobble(self, n: int) -> Floats:
-        """Position error of the servo: first-order noise, kept within bounds by its loop."""
-        decay = float(np.exp(-self._dt_s / _WOBBLE_S))
-        drive = (
-            self.spec.table.wobble_deg * np.sqrt(1.0 - decay**2) * self._table_rng.standard_normal(n)
-        ).tolist()
-        path = list(accumulate(drive, lambda last, push: decay * last + push, initial=self._wobble_deg))
-        return np.array(path[1:])
-
-    def _advance_chamber(self, t_s: Floats) -> Floats:
-        """Temperature of the gyro's case at the end of each sample."""
-        chamber = self.spec.chamber
-        change = self._target_c - self._set_c
-        after_s = self._dt_s * np.arange(1, t_s.size + 1)
-        set_c = self._set_c + np.copysign(np.minimum(self._ramp_c_per_s * after_s, abs(change)), change)
-        self._set_c = float(set_c[-1])
-        behind_c, self._air_memory = lag(t_s, set_c, chamber.air_s, self._air_memory)
-        phase = t_s / chamber.ripple_period_s % 1.0
-        air_c = set_c - behind_c + chamber.ripple_c * (4.0 * np.abs(phase - 0.5) - 1.0)
-        self._air_c = float(air_c[-1])
-        behind_c, self._case_memory = lag(t_s, air_c, chamber.case_s, self._case_memory)
-        return np.asarray(air_c - behind_c)
-
-    def _compressor_on(self, t_s: Floats) -> NDArray[np.bool_]:
-        """The compressor runs while the air falls: the first half of each period."""
-        return np.asarray(t_s / self.spec.chamber.ripple_period_s % 1.0 < 0.5)
-
-    def _supply_v(self, rate_dps: Floats, compressor_on: NDArray[np.bool_]) -> Floats:
+    def _supply_v(self, speed_dps: Any, compressor_on: Any) -> Any:
         supply = self.spec.supply
-        return np.asarray(
-            supply.nominal_v - supply.sag_v * np.abs(rate_dps) / 100.0 - supply.compressor_v * compressor_on
-        )
+        return supply.nominal_v - supply.sag_v * speed_dps / 100.0 - supply.compressor_v * compressor_on
 
     def _error_dps(self, effect_id: str, c: Conditions, gyro_dps: Floats) -> Floats:
         given = replace(c, gyro_dps=gyro_dps)
@@ -248,15 +233,3 @@ class World:
             given, self.spec.effects[effect_id], self.spec.gyro.surface, self._memory.get(effect_id)
         )
         return error
-
-
-def _joined(blocks: list[Conditions]) -> Conditions:
-    """Blocks in a row as one."""
-    if len(blocks) == 1:
-        return blocks[0]
-    arrays = {
-        f.name: np.concatenate([getattr(b, f.name) for b in blocks])
-        for f in fields(Conditions)
-        if isinstance(getattr(blocks[0], f.name), np.ndarray)
-    }
-    return Conditions(**arrays, dt_s=blocks[0].dt_s)
