@@ -9,8 +9,9 @@ from gyrocal.fusion.coefficients import (
     parse_coefficients,
 )
 from gyrocal.fusion.compensation import Compensator, Corrected
-from gyrocal.fusion.navigator import STATES, Counts, NavigationState, Navigator, Trajectory
+from gyrocal.fusion.navigator import STATES, Counts, Navigator, Trajectory
 from gyrocal.fusion.robot import FilterNoise, InitialStd, RobotParameters
+from gyrocal.fusion.static_bias import StaticBias, static_bias
 
 __all__ = [
     "STATES",
@@ -20,13 +21,14 @@ __all__ = [
     "Counts",
     "FilterNoise",
     "InitialStd",
-    "NavigationState",
     "Navigator",
     "Noise",
     "RobotParameters",
+    "StaticBias",
     "Term",
     "Trajectory",
     "Valid",
     "load_coefficients",
     "parse_coefficients",
+    "static_bias",
 ]

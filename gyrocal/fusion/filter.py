@@ -4,73 +4,85 @@ Conventions: x forward, y left, counter-clockwise (REP 103): the paper's Y is x 
 An *error* is estimate minus truth, as in eqs. 7 and 11: measured U_R = (1 + S_R) true U_R, assumed
 D = true D + dD, assumed B = true B + dB.
 
-Order of the states inside: x, y, psi, phi, S_R, S_L, dD, dB_s, dB_rb. Psi and phi stand before the constants that
+Order of the states inside: x, y, psi, phi, dB_rb, dB_s, S_R, S_L, dD. Psi and phi stand before the constants that
 drive them, so the transition matrix F is unit upper triangular. The covariance is carried as P = U diag(d) U',
-U unit upper triangular: then F P F' is F U with the same d, and noise and measurement are rank-one changes that
-keep d >= 0 (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977). P is symmetric and
-positive by construction, after any number of steps.
+U unit upper triangular: then F P F' is F U with the same d, noise is a Gram-Schmidt step on the pose's columns, and
+a measurement a rank-one change, all of which keep d >= 0 (Bierman, Factorization Methods for Discrete Sequential
+Estimation, 1977, ch. V and VI). P is symmetric and positive by construction, after any number of steps.
 
-Imported at the first step of a `Navigator`, since numba takes a while to load; without numba the same functions
-run as they stand.
+Imported when a `Navigator` is made, since numba takes a while to load; without numba the same functions run as
+they stand.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import Any
 
-import numpy as np
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
-try:
-    from numba import njit
-except ImportError:
-    COMPILED = False
-
-    def jit(function: Any) -> Any:
-        """The function as it is."""
-        return function
-
-else:
-    COMPILED = True
-
-    def jit(function: Any) -> Any:
-        """The function compiled, kept on disk where Python may write its cache."""
-        try:
-            return njit(function, cache=True, error_model="numpy")
-        except RuntimeError:  # no writable place for the cache: compile in each process
-            return njit(function, error_model="numpy")
-
-
-# Navigation states; the first nine stand at the index of their errors. Parameters are what eqs. 6 and 10 use:
-# 1/(1 + S_R), 1/(1 + S_L), D, B_s, B_rb.
-X, Y, PSI, PHI, RIGHT, LEFT, WIDTH, SCALE, BIAS = range(9)
-# Memory between steps: last speed and gyro rate, running median of the time step, the last row, steps without encoders.
+# Navigation states; the first nine stand at the index of their errors. The constants are what eqs. 10 and 6 use:
+# B_rb, B_s, 1/(1 + S_R), 1/(1 + S_L), D.
+X, Y, PSI, PHI, BIAS, SCALE, RIGHT, LEFT, WIDTH = range(9)
+# Memory: last speed and rate, running median of the time step, the last row, steps without encoders.
 SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND = range(9, 16)
 NAVIGATION_SIZE = 16
 
-# Noise figures, squared: per metre, per radian turned, per second, per second, of one measurement; gate; gap factor.
-SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP = range(7)
+# Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
+# static bias in deg/s; D of the robot file.
+SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, FILE_WIDTH = range(9)
 
 # What is counted.
 ROWS, UPDATES, GATED, GAPS, DUPLICATES, REPEATED, NO_ENCODERS, NO_GYRO = range(8)
+COUNTS_SIZE = 8
+
+# Rows of the matrix `m`: U, then d, then scratch: U'h, the same times d, gain, a noise vector, variances and vectors
+# of the Gram-Schmidt step.
+D, SEEN, WEIGHED, GAIN, VECTOR, Q, W = range(9, 16)
+MATRIX_SHAPE = (W + 7, 9)
+_N = 9
+
+# The paper's order (eq. 12): place here, and unit outside.
+PLACE = (X, Y, PSI, RIGHT, LEFT, WIDTH, PHI, SCALE, BIAS)
+UNIT = (1.0, 1.0, RAD_TO_DEG, 1.0, 1.0, 1.0, RAD_TO_DEG, 1.0, RAD_TO_DEG)
 
 #: Share by which the running median follows a longer or shorter time step.
 _MEDIAN_STEP = 0.01
 
-_STATES = 9
+njit: Any = None
+with contextlib.suppress(ImportError):
+    from numba import njit
+#: The loop allocates nothing; counting references to its arrays would take longer than the arithmetic.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 
-@jit
-def _usable(nav: Any, noise: Any, counts: Any, dt: float, left: float, right: float, gyro: float) -> Any:
-    """What may be used of a row: (anything, encoders, gyro, a measurement)."""
+def part(function: Any) -> Any:
+    """A function compiled into the loop that calls it; as it is without numba."""
+    return njit(function, forceinline=True, **_OPTIONS) if njit else function
+
+
+def whole(function: Any) -> Any:
+    """The loop compiled, and kept on disk where Python may write its cache; as it is without numba."""
+    if njit is None:
+        return function
+    try:
+        return njit(function, cache=True, **_OPTIONS)
+    except RuntimeError:  # no writable place for the cache: compile in each process
+        return njit(function, **_OPTIONS)
+
+
+@part
+def _usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float) -> Any:
+    """What may be used of a row: (anything, encoders, gyro)."""
     first = counts[ROWS] == 0
     counts[ROWS] += 1
     if dt == 0.0 and not first:
         counts[DUPLICATES] += 1
         if left == nav[LAST_LEFT] and right == nav[LAST_RIGHT] and gyro == nav[LAST_GYRO]:
             counts[REPEATED] += 1
-            return False, False, False, False
-    gap = nav[PERIOD] > 0.0 and dt > noise[GAP] * nav[PERIOD]
+            return False, False, False
+    gap = nav[PERIOD] > 0.0 and dt > figures[GAP] * nav[PERIOD]
     if gap:
         counts[GAPS] += 1
     if nav[PERIOD] == 0.0:
@@ -86,106 +98,114 @@ def _usable(nav: Any, noise: Any, counts: Any, dt: float, left: float, right: fl
     if not finite:
         counts[NO_GYRO] += 1
     nav[LAST_LEFT], nav[LAST_RIGHT], nav[LAST_GYRO] = left, right, gyro
-    usable = finite and not gap
-    return True, encoders, usable, encoders and usable and dt > 0.0
+    return True, encoders, finite and not gap
 
 
-@jit
-def _add_noise(u: Any, d: Any, vector: Any, variance: float, last: int) -> None:
-    """Add variance * vector vector' to P (Agee and Turner); entries of `vector` after `last` are zero; it is used up."""
-    for j in range(last, -1, -1):
-        grown = d[j] + variance * vector[j] * vector[j]
+@part
+def _add_noise(m: Any, place: int, variance: float) -> None:
+    """Add noise of one state to P, a rank-one change (Agee and Turner)."""
+    for i in range(place):
+        m[VECTOR, i] = 0.0
+    m[VECTOR, place] = 1.0
+    for j in range(place, -1, -1):
+        here = m[VECTOR, j]
+        grown = m[D, j] + variance * here * here
         if grown > 0.0:
-            gain = variance * vector[j] / grown
-            variance *= d[j] / grown
-            d[j] = grown
+            gain = variance * here / grown
+            variance *= m[D, j] / grown
+            m[D, j] = grown
             for i in range(j):
-                vector[i] -= vector[j] * u[i, j]
-                u[i, j] += gain * vector[i]
+                m[VECTOR, i] -= here * m[i, j]
+                m[i, j] += gain * m[VECTOR, i]
 
 
-@jit
+@part
 def _propagate(
-    u: Any, sin: float, cos: float, travel: float, u_right: float, u_left: float, by_wheels: Any, by_gyro: Any
-) -> None:
-    """U becomes F U: the errors over one step (eqs. 8, 9, 11, at the mid-point heading).
-
-    `by_wheels` (5,) and `by_gyro` (5,) are the derivatives of the increments of psi and phi by the parameters.
-    """
-    for j in range(PSI, _STATES):
-        turned_psi = 0.0
-        turned_phi = 0.0
-        for i in range(5):
-            turned_psi += by_wheels[i] * u[RIGHT + i, j]
-            turned_phi += by_gyro[i] * u[RIGHT + i, j]
-        heading = u[PSI, j] + 0.5 * turned_psi
-        stretch = 0.5 * (u_right * u[RIGHT, j] + u_left * u[LEFT, j])
-        u[X, j] += cos * stretch - sin * travel * heading
-        u[Y, j] += sin * stretch + cos * travel * heading
-        u[PSI, j] += turned_psi
-        u[PHI, j] += turned_phi
+    m: Any, sin: float, cos: float, right: float, left: float, width: float, rate: float, dt: float, encoders: bool,
+    gyro: bool,
+) -> None:  # fmt: skip
+    """U becomes F U: the errors over one step (eqs. 8, 9, 11), at the mid-point heading."""
+    travel, turned = 0.5 * (right + left), (right - left) / width
+    known = 0.5 if encoders else 0.0
+    for j in range(PSI, _N):
+        by_gyro = dt * (m[BIAS, j] + rate * m[SCALE, j])
+        by_wheels = (right * m[RIGHT, j] - left * m[LEFT, j] - turned * m[WIDTH, j]) / width
+        psi = by_wheels if encoders else by_gyro
+        heading = m[PSI, j] + 0.5 * psi
+        along = known * (right * m[RIGHT, j] + left * m[LEFT, j])
+        m[X, j] += cos * along - sin * travel * heading
+        m[Y, j] += sin * along + cos * travel * heading
+        m[PSI, j] += psi
+        m[PHI, j] += by_gyro if gyro or not encoders else by_wheels
 
 
-@jit
-def _heading_row(
-    row: Any, wheels: bool, u_right: float, u_left: float, width: float, omega: float, dt: float
-) -> None:
-    """Derivatives of a heading increment by (S_R, S_L, dD, dB_s, dB_rb): eq. 8 or eq. 11."""
-    row[:] = 0.0
-    if wheels:
-        row[0] = u_right / width
-        row[1] = -u_left / width
-        row[2] = (u_left - u_right) / (width * width)
-    else:
-        row[3] = omega * dt
-        row[4] = dt
+@part
+def _noise_vector(m: Any, k: int, variance: float, x: float, y: float, psi: float, phi: float) -> None:
+    m[Q, k] = variance
+    m[W + k, X], m[W + k, Y], m[W + k, PSI], m[W + k, PHI] = x, y, psi, phi
 
 
-@jit
-def _add_process_noise(
-    u: Any, d: Any, noise: Any, sin: float, cos: float, wheels: Any, dt: float, blind: float, gyro: bool, v: Any
-) -> None:
-    """Noise of one step: wheels along and across, gyro, bias. `wheels`: travel, turn, U_R, U_L, D."""
-    travel, turned, u_right, u_left, width = wheels
-    along_x, along_y = 0.5 * cos, 0.5 * sin
+@part
+def _add_pose_noise(m: Any) -> None:
+    """Add noise vectors 4 to 6 of `_noise_vector` to P: weighted Gram-Schmidt on the pose's columns of U (Thornton)."""
+    for k in range(BIAS):
+        m[Q, k] = m[D, k]
+        m[W + k, k] = 1.0
+        for i in range(k):
+            m[W + k, i] = m[i, k]
+    for j in range(PHI, -1, -1):
+        total = 0.0
+        for k in range(j, 7):
+            total += m[Q, k] * m[W + k, j] * m[W + k, j]
+        m[D, j] = total
+        inverse = 1.0 / total if total > 0.0 else 0.0
+        for i in range(j):
+            shared = 0.0
+            for k in range(j, 7):
+                shared += m[Q, k] * m[W + k, j] * m[W + k, i]
+            shared *= inverse
+            m[i, j] = shared
+            for k in range(j, 7):
+                m[W + k, i] -= shared * m[W + k, j]
+
+
+@part
+def _spread(
+    m: Any, figures: Any, sin: float, cos: float, u_right: float, u_left: float, width: float, turned: float,
+    dt: float, blind: float, gyro: bool,
+) -> None:  # fmt: skip
+    """Process noise of one step: of the wheels, along and in heading; of the gyro; of its bias."""
+    travel = 0.5 * (u_right + u_left)
     across_x, across_y = -0.5 * sin * travel, 0.5 * cos * travel  # a heading error grows evenly over the step
+    walk = figures[WALK] * dt if gyro else 0.0
     if blind == 0.0:
-        # Independent errors of the two wheels: w_R + w_L along, (w_R - w_L) / D in heading; they correlate.
-        right, left = noise[SLIP] * abs(u_right), noise[SLIP] * abs(u_left)
-        both = right + left
-        heading = both / (width * width) + noise[TURN] * abs(turned)
-        if heading > 0.0:
-            cross = (right - left) / width / heading
-            v[X], v[Y] = across_x + cross * along_x, across_y + cross * along_y
-            v[PSI], v[PHI] = 1.0, 0.0 if gyro else 1.0
-            _add_noise(u, d, v, heading, PHI)
-            v[X], v[Y] = along_x, along_y
-            _add_noise(u, d, v, both - cross * cross * heading, Y)
+        # Independent errors of the wheels, (w_R + w_L) / 2 along and (w_R - w_L) / D in heading, correlate.
+        right, left = figures[SLIP] * abs(u_right), figures[SLIP] * abs(u_left)
+        heading = (right + left) / (width * width) + figures[TURN] * abs(turned)
+        cross = 0.5 * (right - left) / (width * heading) if heading > 0.0 else 0.0
+        along = max(0.25 * (right + left) - cross * cross * heading, 0.0)
+        _noise_vector(
+            m, 4, heading, across_x + cross * cos, across_y + cross * sin, 1.0, 0.0 if gyro else 1.0
+        )
+        _noise_vector(m, 5, along, cos, sin, 0.0, 0.0)
+        _noise_vector(m, 6, walk, 0.0, 0.0, 0.0, 1.0)
     else:
-        # A held reading errs the same way in each step: variances m^2 in all after m steps, as sum of 2 m - 1.
+        # A held reading errs the same way in each step: variance m^2 in all after m steps, as sum of 2 m - 1.
         grown = 2.0 * blind - 1.0
-        v[X], v[Y] = cos, sin
-        _add_noise(u, d, v, grown * travel * travel, Y)
-        if not gyro:
-            v[X], v[Y], v[PSI], v[PHI] = across_x, across_y, 1.0, 1.0
-            _add_noise(u, d, v, grown * turned * turned, PHI)
-    if gyro:
-        v[X], v[Y], v[PSI], v[PHI] = 0.0, 0.0, 0.0, 1.0
-        if blind > 0.0:
-            v[X], v[Y], v[PSI] = across_x, across_y, 1.0
-        _add_noise(u, d, v, noise[WALK] * dt, PHI)
-    if noise[BIAS_WALK] > 0.0:
-        v[:] = 0.0
-        v[BIAS] = 1.0
-        _add_noise(u, d, v, noise[BIAS_WALK] * dt, BIAS)
+        _noise_vector(m, 4, 0.0 if gyro else grown * turned * turned, across_x, across_y, 1.0, 1.0)
+        _noise_vector(m, 5, grown * travel * travel, cos, sin, 0.0, 0.0)
+        _noise_vector(m, 6, walk, across_x, across_y, 1.0, 1.0)
+    _add_pose_noise(m)
+    if figures[BIAS_WALK] > 0.0:
+        _add_noise(m, BIAS, figures[BIAS_WALK] * dt)
 
 
-@jit
+@part
 def _advance(
-    nav: Any, u: Any, d: Any, noise: Any, row: Any, encoders: bool, gyro: bool, filtering: bool, scratch: Any
-) -> None:
+    nav: Any, m: Any, figures: Any, dt: float, left: float, right: float, rate: float, encoders: bool, gyro: bool,
+    filtering: bool,
+) -> None:  # fmt: skip
     """One step of odometry (eqs. 6, 7) and gyro heading (eq. 10), and of the errors' covariance."""
-    dt, left, right, rate = row
     width = nav[WIDTH]
     if encoders:
         nav[BLIND] = 0.0
@@ -204,18 +224,12 @@ def _advance(
     middle = nav[PSI] + 0.5 * by_wheels if filtering else nav[PHI] + 0.5 * by_gyro
     sin, cos = math.sin(middle), math.cos(middle)
     if filtering:
-        if encoders and gyro:
-            # Eq. 8 holds at the true distances. Measured ones bring their slip into the matrix, where it looks like
-            # knowledge of D apart from B_s; the gyro's turn is far cleaner than the wheels'.
-            u_right, u_left = travel + 0.5 * width * by_gyro, travel - 0.5 * width * by_gyro
-        _heading_row(scratch[0], encoders, u_right, u_left, width, nav[RATE], dt)
-        _heading_row(scratch[1], encoders and not gyro, u_right, u_left, width, nav[RATE], dt)
-        if encoders:
-            _propagate(u, sin, cos, travel, u_right, u_left, scratch[0], scratch[1])
-        else:
-            _propagate(u, sin, cos, travel, 0.0, 0.0, scratch[0], scratch[1])
-        wheels = (travel, by_wheels, u_right, u_left, width)
-        _add_process_noise(u, d, noise, sin, cos, wheels, dt, nav[BLIND], gyro, scratch[2])
+        # Eq. 8 holds at the true distances. Measured ones bring their slip into the matrix, where it looks like
+        # knowledge of D apart from B_s; the gyro's turn is far cleaner than the wheels'.
+        half = 0.5 * width * by_gyro if encoders else 0.0
+        u_right, u_left = travel + half, travel - half
+        _propagate(m, sin, cos, u_right, u_left, width, nav[RATE], dt, encoders, gyro)
+        _spread(m, figures, sin, cos, u_right, u_left, width, by_gyro, dt, nav[BLIND], gyro)
     nav[X] += cos * travel
     nav[Y] += sin * travel
     nav[PSI] += by_wheels
@@ -224,104 +238,103 @@ def _advance(
         nav[SPEED] = travel / dt
 
 
-@jit
-def _project(u: Any, d: Any, variance: float, f: Any, v: Any) -> Any:
-    """Variance of psi - phi (eq. 13) with a measurement of `variance`; f = U'h, v = d f."""
-    for j in range(PSI, _STATES):
-        f[j] = u[PSI, j] - u[PHI, j]
-        v[j] = d[j] * f[j]
-        variance += f[j] * v[j]
+@part
+def _project(m: Any, variance: float) -> Any:
+    """Variance of psi - phi (eq. 13) measured with `variance`; leaves U'h and d U'h in their rows."""
+    for j in range(PSI, _N):
+        m[SEEN, j] = m[PSI, j] - m[PHI, j]
+        m[WEIGHED, j] = m[D, j] * m[SEEN, j]
+        variance += m[SEEN, j] * m[WEIGHED, j]
     return variance
 
 
-@jit
-def _measure(nav: Any, u: Any, d: Any, noise: Any, counts: Any, scratch: Any) -> Any:
-    """Measurement z = psi - phi (eq. 13), its gate, and the feedback; returns z and its variance."""
-    f, v, gain = scratch[0], scratch[1], scratch[2]
+@part
+def _update(m: Any, variance: float) -> Any:
+    """Bierman's update of U and d; leaves the gain in its row, to be divided by the number returned."""
+    for i in range(_N):
+        m[GAIN, i] = 0.0
+    inverse = 1.0 / variance
+    for j in range(PSI, _N):
+        weighed = m[WEIGHED, j]
+        slope = -m[SEEN, j] * inverse
+        before = variance
+        variance += m[SEEN, j] * weighed
+        inverse = 1.0 / variance
+        m[D, j] *= before * inverse
+        for i in range(j):
+            held = m[i, j]
+            m[i, j] += m[GAIN, i] * slope
+            m[GAIN, i] += held * weighed
+        m[GAIN, j] = weighed
+    return variance
+
+
+@part
+def _measure(nav: Any, m: Any, figures: Any, counts: Any) -> Any:
+    """Measurement z = psi - phi (eq. 13), its gate, and the feedback; returns the variance of z."""
     z = nav[PSI] - nav[PHI]
-    variance = _project(u, d, noise[MEASUREMENT], f, v)
+    expected = _project(m, figures[MEASUREMENT])
     counts[UPDATES] += 1
-    if z * z > noise[GATE] * variance:
+    if z * z > figures[GATE] * expected:
         # Both headings are integrals, so a jump between them stays: dropping it would bar every later one too.
         # Wheels slip, gyros do not: psi takes the jump, and the constants are left alone.
         counts[GATED] += 1
-        gain[:] = 0.0
-        gain[PSI] = 1.0
-        _add_noise(u, d, gain, z * z - variance, PSI)
-        _project(u, d, noise[MEASUREMENT], f, v)
-    gain[:] = 0.0
-    alpha = noise[MEASUREMENT]
-    for j in range(PSI, _STATES):
-        before = alpha
-        alpha += f[j] * v[j]
-        d[j] *= before / alpha
-        slope = -f[j] / before
-        gain[j] = v[j]
-        for i in range(j):
-            held = u[i, j]
-            u[i, j] += gain[i] * slope
-            gain[i] += held * v[j]
-    z_scaled = z / alpha
+        _add_noise(m, PSI, z * z - expected)
+        _project(m, figures[MEASUREMENT])
+    z /= _update(m, figures[MEASUREMENT])
     for i in range(RIGHT):
-        nav[i] -= gain[i] * z_scaled
-    nav[RIGHT] *= 1.0 - gain[RIGHT] * z_scaled  # the parameter is 1 / (1 + S)
-    nav[LEFT] *= 1.0 - gain[LEFT] * z_scaled
-    for i in range(WIDTH, _STATES):
-        nav[i] -= gain[i] * z_scaled
-    return z, variance
+        nav[i] -= m[GAIN, i] * z
+    nav[RIGHT] *= 1.0 - m[GAIN, RIGHT] * z  # the constant is 1 / (1 + S)
+    nav[LEFT] *= 1.0 - m[GAIN, LEFT] * z
+    nav[WIDTH] -= m[GAIN, WIDTH] * z
+    return expected
 
 
-@jit
+@part
+def _report(nav: Any, m: Any, figures: Any, states: Any, std: Any, k: int, filtering: bool) -> None:
+    """States and standard deviations in the paper's order (eq. 12), degrees; errors of the assumed figures."""
+    states[k, 0], states[k, 1], states[k, 2] = nav[X], nav[Y], nav[PSI] * RAD_TO_DEG
+    states[k, 3], states[k, 4] = 1.0 / nav[RIGHT] - 1.0, 1.0 / nav[LEFT] - 1.0
+    states[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
+    states[k, 6], states[k, 7], states[k, 8] = (
+        nav[PHI] * RAD_TO_DEG,
+        1.0 - nav[SCALE],
+        0.0 - nav[BIAS] * RAD_TO_DEG,
+    )
+    for c in range(_N if filtering else 0):
+        variance = m[D, PLACE[c]]
+        for j in range(PLACE[c] + 1, _N):
+            variance += m[PLACE[c], j] * m[PLACE[c], j] * m[D, j]
+        std[k, c] = UNIT[c] * math.sqrt(variance)
+
+
+@whole
 def navigate(
-    nav: Any,
-    u: Any,
-    d: Any,
-    noise: Any,
-    dt: Any,
-    left: Any,
-    right: Any,
-    gyro: Any,
-    track: Any,
-    variance: Any,
-    innovation: Any,
-    counts: Any,
-) -> None:
-    """Run rows through odometry and filter; `nav`, `u`, `d` and `counts` carry the state to the next block.
+    nav: Any, m: Any, figures: Any, counts: Any, dt: Any, left: Any, right: Any, gyro: Any, states: Any, std: Any,
+    innovation: Any, filtering: bool,
+) -> None:  # fmt: skip
+    """Run rows through odometry and filter; `nav`, `m` and `counts` carry what is known to the next block.
 
     Parameters
     ----------
-    nav : ndarray, shape (NAVIGATION_SIZE,)
-        Navigation states and memory, changed in place.
-    u, d : ndarray, shapes (9, 9) and (9,)
-        Covariance of the errors, ``P = U diag(d) U'``, changed in place.
-    noise : ndarray, shape (7,)
-    dt, left, right, gyro : ndarray, shape (n,), s, m, m, rad/s
-    track : ndarray, shape (n, up to 9)
-        Out: the first navigation states after each row.
-    variance : ndarray, shape (n, 9) or (0, 9)
-        Out: diagonal of P after each row. No rows: no filter, heading from the gyro alone.
-    innovation : ndarray, shape (n, 2)
-        Out: psi - phi before the update, rad, and its variance; NaN where nothing was measured.
-    counts : ndarray of int64, shape (8,)
+    nav, m, figures, counts : ndarray, shapes (NAVIGATION_SIZE,), MATRIX_SHAPE, (9,) and, of int64, (COUNTS_SIZE,)
+    dt, left, right, gyro : ndarray, shape (n,), s, m, m, deg/s
+    states : ndarray, shape (n, 9)
+        Out, in the paper's order.
+    std, innovation : ndarray, shapes (n, 9) and (n, 2), or without rows
+        Out: standard deviations; psi - phi before the update and its standard deviation, deg, NaN where nothing
+        was measured.
+    filtering : bool
+        False: heading from the gyro alone, no covariance.
     """
-    filtering = variance.shape[0] > 0
-    scratch = np.zeros((3, _STATES))
     for k in range(dt.size):
-        some, encoders, usable, measured = _usable(nav, noise, counts, dt[k], left[k], right[k], gyro[k])
+        some, encoders, usable = _usable(nav, figures, counts, dt[k], left[k], right[k], gyro[k])
         if some:
-            row = (dt[k], left[k], right[k], gyro[k])
-            _advance(nav, u, d, noise, row, encoders, usable, filtering, scratch)
-        for j in range(track.shape[1]):
-            track[k, j] = nav[j]
+            rate = (gyro[k] - figures[STATIC_BIAS]) * DEG_TO_RAD
+            _advance(nav, m, figures, dt[k], left[k], right[k], rate, encoders, usable, filtering)
         if filtering:
-            innovation[k, 0] = np.nan
-            innovation[k, 1] = np.nan
-            if some and measured:
-                innovation[k, 0], innovation[k, 1] = _measure(nav, u, d, noise, counts, scratch)
-                for j in range(track.shape[1]):
-                    track[k, j] = nav[j]
-            for i in range(_STATES):
-                total = 0.0
-                for j in range(i, _STATES):
-                    total += u[i, j] * u[i, j] * d[j]
-                variance[k, i] = total
+            innovation[k, 0] = innovation[k, 1] = math.nan
+            if some and encoders and usable and dt[k] > 0.0:
+                innovation[k, 0] = (nav[PSI] - nav[PHI]) * RAD_TO_DEG
+                innovation[k, 1] = math.sqrt(_measure(nav, m, figures, counts)) * RAD_TO_DEG
+        _report(nav, m, figures, states, std, k, filtering)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 
 from gyrocal.errors import ProfileError
 
@@ -12,8 +12,7 @@ from gyrocal.errors import ProfileError
 class InitialStd:
     """Initial standard deviations of the nine error states, in the paper's order (eq. 12).
 
-    Position and encoder heading against gyro heading are zero where the frame is defined by the start. A zero
-    keeps a state out of the filter: it is never estimated.
+    Zero for the pose where the start defines the frame. A constant of zero is never estimated.
     """
 
     x_m: float = 0.0
@@ -37,12 +36,10 @@ class FilterNoise:
         Random error of a wheel's distance after one metre; grows with the square root of the distance.
     turn_slip_deg_per_rt_deg : float
         Random error of the encoder heading after a turn of one degree (skid steer); same growth.
-    angle_random_walk_deg_per_rt_h : float
-        Of the gyro (IEEE 952).
-    bias_walk_dps_per_rt_s : float
-        Growth of the gyro bias; zero is the paper's random constant (eq. 11).
+    angle_random_walk_deg_per_rt_h, bias_walk_dps_per_rt_s : float
+        Of the gyro (IEEE 952); no bias walk is the paper's random constant (eq. 11).
     heading_noise_deg : float
-        White error v of the measured heading difference (eq. 13): encoder ticks, time stamps. Positive.
+        White error v of the heading difference (eq. 13): encoder ticks, time stamps. Positive.
     """
 
     wheel_slip_m_per_rt_m: float = 0.01
@@ -54,20 +51,15 @@ class FilterNoise:
 
 @dataclass(frozen=True)
 class RobotParameters:
-    """A robot as the filter sees it.
+    """A robot as the filter sees it; ProfileError where a figure is not finite, negative, or a wrong zero.
 
     Attributes
     ----------
     gate_sigma : float
-        An innovation beyond this many of its standard deviations is counted as a slip of the wheels. 5 has a
+        An innovation beyond this many of its standard deviations counts as a slip of the wheels; 5 has a
         false-alarm rate of 5.7e-7 a step (chi-square, one degree of freedom).
     gap_factor : float
-        A time step above this multiple of the running median step is a gap: the gyro is not integrated over it.
-
-    Raises
-    ------
-    ProfileError
-        A figure is not finite, negative, or zero where it must be positive.
+        A time step above this multiple of the running median is a gap: the gyro is not integrated over it.
     """
 
     wheel_separation_m: float
@@ -77,16 +69,12 @@ class RobotParameters:
     gap_factor: float = 5.0
 
     def __post_init__(self) -> None:
-        figures = {"wheel_separation_m": self.wheel_separation_m, "gate_sigma": self.gate_sigma}
-        figures |= {"gap_factor": self.gap_factor}
-        for group in (self.initial_std, self.noise):
-            figures |= {f.name: getattr(group, f.name) for f in fields(group)}
-        for name, value in figures.items():
+        own = {k: v for k, v in vars(self).items() if isinstance(v, (int, float))}
+        positive = {**own, "heading_noise_deg": self.noise.heading_noise_deg}
+        for name, value in {**asdict(self.initial_std), **asdict(self.noise)}.items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise ProfileError(f"robot: {name} = {value}; give a finite figure that is not negative.")
-        positive = {"wheel_separation_m", "gate_sigma", "heading_noise_deg"}
-        for name in sorted(positive):
-            if figures[name] == 0.0:
-                raise ProfileError(f"robot: {name} = 0; give a positive figure.")
-        if self.gap_factor <= 1.0:
-            raise ProfileError(f"robot: gap_factor = {self.gap_factor}; a gap is longer than a usual step: above 1.")
+        for name, value in positive.items():
+            least = 1.0 if name == "gap_factor" else 0.0
+            if not (math.isfinite(value) and value > least):
+                raise ProfileError(f"robot: {name} = {value}; give a finite figure above {least:g}.")
