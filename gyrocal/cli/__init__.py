@@ -6,6 +6,7 @@ Commands are imported when they run, so that ``gyrocal --help`` answers at once.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import traceback
 
@@ -60,6 +61,10 @@ def gyrocal_command(debug: bool) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every GyrocalError becomes one sentence on stderr and its own exit code."""
     argv = sys.argv[1:] if arguments is None else arguments
+    # One thread for linear algebra: the matrices are small, threads cost more than they give, and sums taken in
+    # another order on another number of cores would change the last digits.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("MKL_NUM_THREADS", "1")
     try:
         gyrocal_command(args=arguments, prog_name="gyrocal")
     except GyrocalError as error:

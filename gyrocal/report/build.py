@@ -14,11 +14,12 @@ import gyrocal
 from gyrocal.calibration.covariance import Scatter, estimate_scatter
 from gyrocal.calibration.datasets import Recording, load_recording
 from gyrocal.calibration.fit import scaled_surface
+from gyrocal.calibration.noise import NoiseFigures, noise_figures
 from gyrocal.calibration.provenance import check_sensor, refuse_compensated
 from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.report import figures_error, figures_residual, figures_run, tables
+from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, tables
 from gyrocal.report.data import Examined, Floats, Timeline, read_course
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, Table, render_page
@@ -84,6 +85,7 @@ class _Material:
     timeline: Timeline | None
     signed: SignedScatter | None
     tested: ScatterByRate | None
+    noise: NoiseFigures
     notes: tuple[str, ...]
 
 
@@ -154,16 +156,11 @@ def _gather(config: ReportConfig, progress: Progress) -> _Material:
     residual = corrected - sets.rate_dps
     data = Examined(sets, residual, _expected_sigma(recording, scatter, coefficients), marked)
     tested = scatter_by_rate(sets, residual, np.random.default_rng(_SEED))
-    return _Material(
-        recording,
-        coefficients,
-        data,
-        reasons,
-        timeline,
-        signed_scatter(data),
-        tested,
-        (*recording.notes, *notes),
-    )
+    progress(0.25, "Allan deviation")
+    noise = noise_figures(recording, coefficients.surface)
+    signed = signed_scatter(data)
+    notes = (*recording.notes, *notes)
+    return _Material(recording, coefficients, data, reasons, timeline, signed, tested, noise, notes)
 
 
 def _expected_sigma(recording: Recording, scatter: Scatter, coefficients: Coefficients) -> Floats:
@@ -234,6 +231,15 @@ def _drawings(m: _Material) -> list[_Drawing]:
                 "No three rates were measured four times or more: scatter cannot be told from shape."
                 if m.signed is None
                 else figures_residual.scatter_figure(m.signed, m.tested)
+            ),
+        ),
+        (
+            "allan_deviation",
+            "Allan deviation at rest",
+            f"From {m.noise.record_s / 3600:.3g} h at rest, gaps not bridged, bias over temperature removed. The slope of −1/2 is angle "
+            f"random walk; a floor would be bias instability: {m.noise.statement}.",
+            lambda: (
+                figures_noise.allan_deviation(m.noise) if m.noise.points else f"Reason: {m.noise.statement}."
             ),
         ),
         (
@@ -328,6 +334,8 @@ def _tables(m: _Material) -> list[Table]:
     ]
     if m.signed is not None:
         found.append(tables.scatter_table(m.signed, m.tested))
+    if m.noise.points:
+        found.append(tables.allan_table(m.noise))
     return found
 
 

@@ -42,7 +42,6 @@ _RC: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": "#444444",
     "axes.formatter.limits": (-4, 5),
-    "axes.formatter.use_mathtext": True,
     "axes.grid": True,
     "axes.labelsize": 8,
     "axes.linewidth": 0.6,
@@ -98,6 +97,8 @@ def render(figure: Figure, kind: str) -> bytes:
     metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": "gyrocal"}
     with mpl.rc_context(_RC):
         figure.savefig(stream, format=kind, metadata=metadata, dpi=PNG_DPI)
+    # The layout is worked out once: a second format then has the same, and takes half the time.
+    figure.set_layout_engine("none")
     return stream.getvalue()
 
 

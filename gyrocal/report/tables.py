@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.fusion.coefficients import Coefficients, Noise
 from gyrocal.physics.surface import SHAPE
@@ -178,6 +179,19 @@ def scatter_table(signed: SignedScatter, tested: ScatterByRate | None) -> Table:
         columns["ratio_to_neighbours"] = tested.neighbours[nearest]
         columns["p_value"] = tested.p_value[nearest]
     return Table("scatter_by_rate", "Scatter by rate", (), (), csv_text(columns), on_page=False)
+
+
+def allan_table(noise: NoiseFigures) -> Table:
+    """Allan deviation with intervals; only in CSV."""
+    columns = {
+        "tau_s": [p.tau_s for p in noise.points],
+        "adev_dps": [p.adev_dps for p in noise.points],
+        "low_95_dps": [p.low_dps for p in noise.points],
+        "high_95_dps": [p.high_dps for p in noise.points],
+        "degrees_of_freedom": [p.dof for p in noise.points],
+    }
+    text = csv_text({name: np.concatenate(parts) for name, parts in columns.items()})
+    return Table("allan_deviation", "Allan deviation", (), (), text, on_page=False)
 
 
 def _rms(values: Floats) -> float:
