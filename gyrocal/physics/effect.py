@@ -153,8 +153,8 @@ def need_surface(surface: Surface | None, effect: str) -> Surface:
 
 
 @dataclass(frozen=True)
-class Effect:
-    """An effect of the catalogue.
+class Described:
+    """What is said of every effect, on the bench or on the robot.
 
     Attributes
     ----------
@@ -163,17 +163,13 @@ class Effect:
     equation, statement, reference : str
         The law; what it is, in one plain sentence for a user; where it is written.
     needs : tuple of str
-        Channels (fields of `Conditions`) without which it cannot be seen.
+        Channels (fields of the conditions) without which it cannot be seen.
     seen_in : str
         Coordinate of formats.md where its residual has structure.
     looks_like : tuple of str
         Ids that the same data may not tell apart.
     runtime : bool
         Whether a robot can evaluate it (from gyro, temperature and its history, time since power-on).
-    error_dps : Response
-        ``(error in deg/s, memory)`` of a block; `memory` None at the start.
-    has_memory : bool
-        Whether the error depends on earlier samples.
     """
 
     id: str
@@ -186,8 +182,6 @@ class Effect:
     looks_like: tuple[str, ...]
     reference: str
     runtime: bool
-    error_dps: Response = field(repr=False)
-    has_memory: bool = False
 
     def typical(self) -> dict[str, float]:
         """The usual size of each parameter."""
@@ -215,6 +209,22 @@ class Effect:
                 msg = f"Effect {self.id}: {name} is {value:g} {p.unit}; allowed is {p.low:g} to {p.high:g}."
                 raise InputError(msg)
         return self.typical() | {name: float(value) for name, value in given.items()}
+
+
+@dataclass(frozen=True)
+class Effect(Described):
+    """An effect on the bench.
+
+    Attributes
+    ----------
+    error_dps : Response
+        ``(error in deg/s, memory)`` of a block; `memory` None at the start.
+    has_memory : bool
+        Whether the error depends on earlier samples.
+    """
+
+    error_dps: Response = field(repr=False)
+    has_memory: bool = False
 
 
 def amplitude(unit: str, bound: float, typical: float, meaning: str, *, linear: bool = True) -> Parameter:
