@@ -6,11 +6,13 @@ squares (eq. 5); the chamber's ramps and the table's own errors, which `gyrocal 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gyrocal.fusion import Coefficients, Valid
 from gyrocal.physics.gyro import GyroModel, GyroStream
-from gyrocal.physics.surface import Surface
+from gyrocal.physics.surface import SHAPE, Surface
 
 #: The paper's bench: -100..100 deg/s, here in steps of 10, and -10..50 deg C in steps of 10; 20 s a data set.
 RATES_DPS = np.linspace(-100.0, 100.0, 21)
@@ -32,24 +34,18 @@ def calibrate_unit(model: GyroModel, rng: np.random.Generator) -> Coefficients:
     for k in range(rate.size):
         mean_dps[k] = gyro.samples(dt_s, np.full(samples, rate[k]), temp[k]).mean()
         mean_c[k] = gyro.temperatures(np.full(samples, temp[k])).mean()
-    empty = Surface(np.zeros((4, 3)), 0.0, RATES_DPS[-1], float(TEMPERATURES_C.mean()), 30.0)
+    empty = Surface(np.zeros(SHAPE), 0.0, float(RATES_DPS[-1]), float(TEMPERATURES_C.mean()), 30.0)
     design = empty.design(mean_dps, mean_c)
     error = mean_dps - rate  # eq. 1
-    solution, *_ = np.linalg.lstsq(design, error)
+    solution = np.asarray(np.linalg.lstsq(design, error)[0], dtype=np.float64)
     scatter = error - design @ solution
     variance = float(scatter @ scatter) / (error.size - solution.size)
-    surface = Surface(
-        solution.reshape(4, 3),
-        empty.rate_center_dps,
-        empty.rate_scale_dps,
-        empty.temp_center_c,
-        empty.temp_scale_c,
-    )
+    surface = replace(empty, coefficients_dps=solution.reshape(SHAPE))
     valid = Valid((float(mean_dps.min()), float(mean_dps.max())), (float(mean_c.min()), float(mean_c.max())))
     return Coefficients(
         sensor={"model": "KVH E-Core RD2100, simulated"},
         surface=surface,
-        covariance_dps2=variance * np.linalg.inv(design.T @ design),
+        covariance_dps2=np.asarray(variance * np.linalg.inv(design.T @ design), dtype=np.float64),
         valid=valid,
         provenance={"method": "least squares on simulated data sets", "data_sets": int(rate.size)},
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from gyrocal.errors import DataError
 from gyrocal.fusion import (
     Coefficients,
+    Compensator,
     Counts,
     FilterNoise,
     InitialStd,
@@ -19,6 +21,7 @@ from gyrocal.fusion import (
     RobotParameters,
     StaticBias,
     Trajectory,
+    static_bias,
 )
 from gyrocal.navigation.align import (
     Alignment,
@@ -98,8 +101,8 @@ class Track:
     nis: float
     nis_rows: int
     bias: StaticBias | None
-    alignment: Alignment | None
-    errors: PositionErrors | None
+    alignment: Alignment | None = None
+    errors: PositionErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ class LogReplay:
     t_s: Floats
     truth: Floats
     tracks: tuple[Track, ...]
+    observability: Mapping[str, Any]
     notes: tuple[str, ...]
 
     def track(self, condition_id: str) -> Track | None:
@@ -136,6 +140,7 @@ def replay_log(
     *,
     method: str | None = None,
     returns: bool = False,
+    power_on_t_s: float | None = None,
 ) -> LogReplay:
     """Replay one log in all conditions that it allows.
 
@@ -147,6 +152,8 @@ def replay_log(
         How truth and estimate are aligned; None: by the start pose where the truth has headings there.
     returns : bool
         The robot came back to its start: without truth, that alone tells the return error.
+    power_on_t_s : float, optional
+        When the gyro was switched on, on the log's clock; some calibrations need it.
 
     Raises
     ------
@@ -161,13 +168,20 @@ def replay_log(
         c for c in CONDITIONS if not c.calibrated or _calibration_usable(found, coefficients, notes)
     ]
     head = _head(source, robot.static_s, notes)
-    biases = {c.calibrated: _bias(head, robot, coefficients if c.calibrated else None) for c in conditions}
+    try:
+        biases = {
+            calibrated: _bias(head, robot, coefficients if calibrated else None, power_on_t_s)
+            for calibrated in sorted({c.calibrated for c in conditions})
+        }
+    except DataError as error:
+        raise DataError(f"{source.name}: {error}") from error
     navigators = [
         Navigator(
             parameters_of(robot),
             coefficients if c.calibrated else None,
             filtering=c.filtering,
             static_bias_dps=b.bias_dps if (b := biases[c.calibrated]) else 0.0,
+            power_on_t_s=power_on_t_s,
         )
         for c in conditions
     ]
@@ -178,7 +192,7 @@ def replay_log(
         _check_validity(found, navigator, notes)
         tracks.append(_compare(track, truth, found, method, returns))
     return LogReplay(
-        source.name, _direction(tracks[0]), found, t_s, truth, tuple(tracks), tuple(dict.fromkeys(notes))
+        source.name, _direction(tracks[0]), found, t_s, truth, tuple(tracks), {}, tuple(dict.fromkeys(notes))
     )
 
 
@@ -208,6 +222,19 @@ def _head(source: DriveSource, static_s: float, notes: list[str]) -> DriveBlock 
         if rows < len(block):
             break
     return join(parts)
+
+
+def _bias(
+    head: DriveBlock | None, robot: Robot, coefficients: Coefficients | None, power_on_t_s: float | None
+) -> StaticBias | None:
+    """Static bias of the (compensated) rates at rest."""
+    if head is None:
+        return None
+    rate = head.gyro_dps
+    if coefficients is not None:
+        since_s = None if power_on_t_s is None else head.t_s - power_on_t_s
+        rate = Compensator(coefficients).correct(head.t_s, rate, head.gyro_temp_c, since_s)
+    return static_bias(head.t_s, head.left_m, head.right_m, rate, robot.static_s)
 
 
 def _run(
@@ -263,17 +290,24 @@ class _Recorder:
 
     def track(self, condition: Condition, navigator: Navigator, bias: StaticBias | None) -> Track:
         """What was recorded."""
-        arrays = [np.concatenate(parts) for parts in zip(*self._parts, strict=True)]
+        x, y, heading, states, std, z, sigma = (
+            np.concatenate(parts) for parts in zip(*self._parts, strict=True)
+        )
+        nis = self._nis_sum / self._nis_rows if self._nis_rows else math.nan
         return Track(
             condition,
-            *arrays,
-            covariance=navigator.covariance,
-            counts=navigator.counts,
-            nis=self._nis_sum / self._nis_rows if self._nis_rows else math.nan,
-            nis_rows=self._nis_rows,
-            bias=bias,
-            alignment=None,
-            errors=None,
+            x,
+            y,
+            heading,
+            states,
+            std,
+            z,
+            sigma,
+            navigator.covariance,
+            navigator.counts,
+            nis,
+            self._nis_rows,
+            bias,
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.navigation.path import Motion, TruePath, drive, square_via_points
 from gyrocal.physics.gyro import GyroModel, GyroStream
 from gyrocal.records.drive import DriveBlock
-from gyrocal.units import DEG_TO_RAD, DPH_TO_DPS, EARTH_RATE_DPH, S_PER_MIN
+from gyrocal.units import DEG_TO_RAD, DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG, S_PER_MIN
 
 Floats = NDArray[np.float64]
 
@@ -138,7 +139,7 @@ def simulate_log(
     path: TruePath, model: GyroModel, robot: SimulatedRobot, day: Day, rng: np.random.Generator, dt_s: float
 ) -> DriveBlock:
     """What the robot's encoders and gyro write while it drives `path`."""
-    left_m, right_m = _encoders(path, robot, rng, dt_s)
+    left_m, right_m = encoder_steps(path, robot, rng)
     drift_c_per_s = rng.normal(0.0, day.drift_std_c_per_min) / S_PER_MIN
     temp_c = day.temp_c + rng.normal(0.0, day.temp_run_std_c) + drift_c_per_s * path.t_s
     earth_dps = EARTH_RATE_DPH * DPH_TO_DPS * np.sin(day.latitude_deg * DEG_TO_RAD)
@@ -150,9 +151,7 @@ def simulate_log(
     )
 
 
-def _encoders(
-    path: TruePath, robot: SimulatedRobot, rng: np.random.Generator, dt_s: float
-) -> tuple[Floats, Floats]:
+def encoder_steps(path: TruePath, robot: SimulatedRobot, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Distance since the row before of the left and right side, in whole ticks."""
     spread = robot.spread
     run_factor = 1.0 + rng.normal(0.0, spread.separation_run_std)
@@ -171,3 +170,36 @@ def _encoders(
         ticks = np.floor(np.cumsum(counted_m) / spread.metres_per_tick)
         sides.append(np.diff(ticks, prepend=0.0) * spread.metres_per_tick)
     return sides[0], sides[1]
+
+
+def robot_figures(spread: Spread, static_s: float) -> dict[str, Any]:
+    """Arguments of `gyrocal.records.robot.format_robot` for a robot of this spread.
+
+    One set of figures for every condition: what the builder of the robot knows (`Spread`), the gyro's data sheet
+    (small-rate slope 2 %, angle random walk, bias stability), and one tick of rounding.
+    """
+    tick_deg = spread.metres_per_tick / spread.wheel_separation_m * RAD_TO_DEG
+    return {
+        "wheel_separation_m": spread.wheel_separation_m,
+        "metres_per_tick": (spread.metres_per_tick, spread.metres_per_tick),
+        "static_s": static_s,
+        "initial_std": {
+            "x_m": 0.0,
+            "y_m": 0.0,
+            "heading_deg": 0.0,
+            "right_scale": spread.wheel_scale_std,
+            "left_scale": spread.wheel_scale_std,
+            "wheel_separation_m": spread.separation_std * spread.wheel_separation_m,
+            "gyro_heading_deg": 0.0,
+            "gyro_scale": 0.02,
+            "gyro_bias_dps": 0.002,
+        },
+        "noise": {
+            # Bumps come as a compound Poisson process: variance a metre = rate times the mean square of a bump.
+            "wheel_slip_m_per_rt_m": (2.0 * spread.bumps_per_m) ** 0.5 * spread.bump_m,
+            "turn_slip_deg_per_rt_deg": spread.turn_slip_deg_per_rt_deg,
+            "angle_random_walk_deg_per_rt_h": 5.0 / 60.0,
+            "bias_walk_dps_per_rt_s": 0.0,
+            "heading_noise_deg": tick_deg,
+        },
+    }

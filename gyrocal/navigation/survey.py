@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +49,7 @@ class Survey:
         Rows with an empty cell; rows with the time of the row before; steps above 5 times the usual one.
     """
 
-    source: Path
+    source: str
     rows: int
     t_start_s: float
     t_end_s: float
@@ -92,7 +91,7 @@ class Survey:
         return tuple(f"{count} {what}" for count, what in found if count)
 
 
-def survey(source: Path, blocks: Iterable[DriveBlock]) -> Survey:
+def survey(source: str, blocks: Iterable[DriveBlock]) -> Survey:
     """Read a log once and count what is in it. Raises what the reader raises."""
     tally = _Tally()
     for block in blocks:
@@ -173,7 +172,7 @@ class _Tally:
         self.windows.append(sums[:, :-1])
         self.open_index, self.open_sum = int(index[-1]), sums[:, -1]
 
-    def result(self, source: Path) -> Survey:
+    def result(self, source: str) -> Survey:
         left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
         medians = np.concatenate(self.steps)
         usual_dt_s = float(np.median(medians)) if medians.size else 0.0

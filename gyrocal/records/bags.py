@@ -182,5 +182,5 @@ def _assemble(path: Path, tables: Mapping[str, Floats], wheels: Wheels) -> Drive
         for column, values in zip(truth, tables["truth"][here, 1:].T, strict=True):
             column[rows[here]] = values
         truth[2] = truth[2] * RAD_TO_DEG
-    steps = (np.diff(side, prepend=side[0]) for side in (left, right))
-    return DriveBlock(1, t_s - t_s[0], *steps, imu[:, 1], temp_c, *truth)
+    left, right = (np.diff(side, prepend=side[0]) for side in (left, right))
+    return DriveBlock(1, t_s - t_s[0], left, right, imu[:, 1], temp_c, truth[0], truth[1], truth[2])

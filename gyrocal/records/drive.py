@@ -116,6 +116,13 @@ def join(blocks: Iterable[DriveBlock]) -> DriveBlock:
     return DriveBlock(parts[0].first_line, *(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 
+def cut(block: DriveBlock, rows: slice) -> DriveBlock:
+    """Some rows of a block."""
+    names = [f.name for f in fields(DriveBlock) if f.name != "first_line"]
+    first_line = block.first_line + (rows.start or 0)
+    return DriveBlock(first_line, *(getattr(block, name)[rows] for name in names))
+
+
 def format_drive_log(log: DriveBlock, metres_per_tick: float | None = None) -> str:
     """CSV text of a drive log, in metres or in whole cumulative ticks; truth that is not there is left out."""
     columns: dict[str, tuple[Floats, str]] = {"t_s": (log.t_s, "%.4f")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.errors import InputError
+from gyrocal.errors import GyrocalError, InputError
 from gyrocal.fusion import STATES, Coefficients, load_coefficients
 from gyrocal.navigation.align import METHODS
 from gyrocal.navigation.replay import CONDITIONS, DriveSource, LogReplay, Track, replay_log
 from gyrocal.navigation.survey import compare_yaw
 from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
-from gyrocal.records.bags import is_bag, iterate_bag
+from gyrocal.records.bags import Wheels, is_bag, iterate_bag
 from gyrocal.records.columns import ColumnMap, read_column_map
 from gyrocal.records.csvio import Floats, format_columns
 from gyrocal.records.drive import iterate_drive_log
@@ -54,6 +54,8 @@ class ReplayRequest:
     columns: Path | None = None
     method: str | None = None
     returns: bool = False
+    power_on_t_s: float | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -71,14 +73,15 @@ def replay_to_directory(request: ReplayRequest, report: Report) -> ReplayResult:
     robot = read_robot(request.robot)
     coefficients = load_coefficients(request.coefficients) if request.coefficients else None
     columns = read_column_map(request.columns) if request.columns else None
-    sources = _sources(request.logs, robot, columns)
+    sources = _sources(request.logs, robot, columns, request.topics)
+    existed = request.out.exists()
     make_output_directory(request.out)
-    replays = []
-    for k, source in enumerate(sources):
-        report(0.7 * k / len(sources), f"replay {source.name}")
-        replays.append(
-            replay_log(source, robot, coefficients, method=request.method, returns=request.returns)
-        )
+    try:
+        replays = _replay_all(request, sources, robot, coefficients, report)
+    except GyrocalError:
+        if not existed:
+            request.out.rmdir()
+        raise
     result = build(replays, robot, coefficients, report)
     for name, data in result.files.items():
         path = request.out / name
@@ -88,7 +91,32 @@ def replay_to_directory(request: ReplayRequest, report: Report) -> ReplayResult:
     return result
 
 
-def _sources(logs: Sequence[Path], robot: Robot, columns: ColumnMap | None) -> list[DriveSource]:
+def _replay_all(
+    request: ReplayRequest,
+    sources: Sequence[DriveSource],
+    robot: Robot,
+    coefficients: Coefficients | None,
+    report: Report,
+) -> list[LogReplay]:
+    replays = []
+    for k, source in enumerate(sources):
+        report(0.7 * k / len(sources), f"replay {source.name}")
+        replays.append(
+            replay_log(
+                source,
+                robot,
+                coefficients,
+                method=request.method,
+                returns=request.returns,
+                power_on_t_s=request.power_on_t_s,
+            )
+        )
+    return replays
+
+
+def _sources(
+    logs: Sequence[Path], robot: Robot, columns: ColumnMap | None, topics: Mapping[str, str]
+) -> list[DriveSource]:
     sources: list[DriveSource] = []
     for path in logs:
         name = path.stem if path.is_file() else path.name
@@ -99,7 +127,7 @@ def _sources(logs: Sequence[Path], robot: Robot, columns: ColumnMap | None) -> l
 
         def blocks(path: Path = path) -> Any:
             if is_bag(path):
-                return iterate_bag(path, robot.wheel_separation_m, robot.metres_per_radian)
+                return iterate_bag(path, Wheels(robot.wheel_separation_m, robot.wheel_radius_m), topics)
             return iterate_drive_log(path, robot.metres_per_tick, columns)
 
         sources.append(DriveSource(name, blocks))
@@ -187,7 +215,7 @@ def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
         "distance_m": found.distance_m,
         "truth_rows": found.truth_rows,
         "yaw": compare_yaw(found, robot.wheel_separation_m).to_json(),
-        "observability": replay.observability,
+        "observability": dict(replay.observability),
         "conditions": {t.condition.id: _track_summary(t, robot) for t in replay.tracks},
         "notes": list(replay.notes),
     }
@@ -196,7 +224,7 @@ def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
 def _track_summary(track: Track, robot: Robot) -> dict[str, Any]:
     result: dict[str, Any] = {
         "static_bias_dps": track.bias.bias_dps if track.bias else None,
-        "static_bias_sigma_dps": track.bias.sigma_dps if track.bias else None,
+        "static_bias_sigma_dps": track.bias.std_error_dps if track.bias else None,
         "counts": {k: v for k, v in vars(track.counts).items() if v},
     }
     if track.errors:

@@ -56,7 +56,7 @@ def draw_trajectories(replays: Sequence[LogReplay], table: Table) -> Figure:
     """All runs in each condition, over the truth (the paper's figure 4)."""
     present = [c for c in CONDITIONS if any(r.track(c.id) for r in replays)]
     columns = min(len(present), 4)
-    figure = new_figure(TWO_COLUMNS_IN, 2.7 if columns > 2 else 3.6)
+    figure = new_figure(TWO_COLUMNS_IN, 3.2 if columns > 2 else 4.0)
     panels = figure.subplots(1, columns, sharex=True, sharey=True, squeeze=False)[0]
     for axes, condition in zip(panels, present, strict=True):
         for replay in replays:
@@ -73,9 +73,9 @@ def draw_trajectories(replays: Sequence[LogReplay], table: Table) -> Figure:
         said = "" if np.isnan(mean) else f"\nmean error {_length(mean)}"
         axes.set_title(condition.label.replace(", ", ",\n") + said, fontsize=7.5)
         axes.set_xlabel("x, m")
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="box")
     panels[0].set_ylabel("y, m")
-    _legend_of_directions(panels[0], replays)
+    _legend_of_directions(figure, panels[0], replays)
     return figure
 
 
@@ -90,13 +90,13 @@ def _draw_truth(axes: Axes, replay: LogReplay) -> None:
         axes.plot(*replay.truth[rows, :2].T, color=GREY, linewidth=1.8, alpha=0.35, solid_capstyle="round")
 
 
-def _legend_of_directions(axes: Axes, replays: Sequence[LogReplay]) -> None:
+def _legend_of_directions(figure: Figure, axes: Axes, replays: Sequence[LogReplay]) -> None:
     found = [d for d in DIRECTIONS if any(r.direction == d for r in replays)]
     for direction in found:
         axes.plot([], [], color=_CW if direction == "cw" else _CCW, label=DIRECTIONS[direction])
     if any(np.isfinite(r.truth[:, 0]).any() for r in replays):
         axes.plot([], [], color=GREY, linewidth=1.8, alpha=0.5, label="truth")
-    axes.legend(loc="center", fontsize=6.5)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
 
 
 @styled
@@ -105,13 +105,20 @@ def draw_errors(replay: LogReplay) -> Figure:
     tracks = [t for t in replay.tracks if t.alignment is not None]
     with_heading = bool(np.isfinite(replay.truth[:, 2]).any())
     figure = new_figure(TWO_COLUMNS_IN, 4.4 if with_heading else 3.2)
-    panels = figure.subplots(1 + with_heading, len(tracks), sharex=True, sharey="row", squeeze=False)
+    panels = figure.subplots(1 + with_heading, len(tracks), sharex=True, squeeze=False)
     for column, track in enumerate(tracks):
         if with_heading:
             _draw_heading_error(panels[0, column], replay, track)
         _draw_position_error(panels[-1, column], replay, track)
         panels[0, column].set_title(track.condition.label.replace(", ", ",\n"), fontsize=7.5)
         panels[-1, column].set_xlabel("t, s")
+    # With and without the filter share a scale; with calibration the errors would vanish on that of those without.
+    for calibrated in (False, True):
+        pair = [k for k, t in enumerate(tracks) if t.condition.calibrated == calibrated]
+        for row in panels[:, pair]:
+            limits = np.array([axes.get_ylim() for axes in row])
+            for axes in row:
+                axes.set_ylim(limits[:, 0].min(), limits[:, 1].max())
     if with_heading:
         panels[0, 0].set_ylabel("heading error, deg")
     panels[-1, 0].set_ylabel("position error, m")

@@ -1,0 +1,90 @@
+"""``gyrocal replay``: drive logs through the runtime, in the paper's four conditions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gyrocal.cli.console import json_option
+
+
+def _pairs(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    pairs = dict(v.split("=", 1) for v in values if "=" in v)
+    if len(pairs) < len(values):
+        raise click.BadParameter("give PURPOSE=TOPIC, such as wheels=/odom")
+    return pairs
+
+
+@click.command("replay")
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.option(
+    "--robot", required=True, type=click.Path(path_type=Path), help="Robot file (TOML): geometry and noise."
+)
+@click.option(
+    "--coefficients",
+    "-c",
+    type=click.Path(path_type=Path),
+    help="Coefficient file; without it only the conditions without calibration.",
+)
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path), help="Directory to write; new or empty."
+)
+@click.option(
+    "--columns",
+    type=click.Path(path_type=Path),
+    help="TOML that maps a foreign log's columns, units and signs.",
+)
+@click.option(
+    "--align",
+    type=click.Choice(["start", "positions"]),
+    help="How truth and estimate are laid on each other; default: by the start pose where its heading is known.",
+)
+@click.option(
+    "--returns", is_flag=True, help="The robot came back to its start: without truth, that is the error."
+)
+@click.option("--power-on-s", type=float, help="When the gyro was switched on, on the log's clock.")
+@click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    callback=_pairs,
+    help="ROS bags: imu=, wheels=, temperature= or truth=TOPIC.",
+)
+@json_option
+def command(
+    logs: tuple[Path, ...],
+    robot: Path,
+    coefficients: Path | None,
+    out: Path,
+    columns: Path | None,
+    align: str | None,
+    returns: bool,
+    power_on_s: float | None,
+    topics: dict[str, str],
+    as_json: bool,
+) -> None:
+    """Dead reckoning of drive logs with and without calibration, with and without the Kalman filter.
+
+    LOG is a CSV (t_s, left_m, right_m or ticks, gyro_dps, gyro_temp_c, and truth where there is some), a ROS
+    bag or an MCAP file. Writes trajectories, states, one table in the layout of the paper's Table II, figures,
+    and replay.html, which holds them all. A log whose channels cannot be right is refused.
+
+    Example: gyrocal replay drives/*.csv --robot drives/robot.toml -c fog.json --out replay
+    """
+    from gyrocal.cli.console import emit_json, emit_table, progress
+    from gyrocal.navigation.table import HEADINGS
+    from gyrocal.report.navigation import ReplayRequest, replay_to_directory, verdict
+
+    request = ReplayRequest(logs, robot, out, coefficients, columns, align, returns, power_on_s, topics)
+    with progress("replay", quiet=as_json) as report:
+        result = replay_to_directory(request, report)
+    if as_json:
+        emit_json(result.summary)
+        return
+    emit_table(HEADINGS, result.table.lines())
+    click.echo("")
+    click.echo(verdict(result.table))
+    for remark in result.remarks:
+        click.echo(f"Note: {remark}")
+    click.echo(f"Page, figures and trajectories: {out}/replay.html")

@@ -1,0 +1,199 @@
+"""Table II many times over: units, days and robots drawn anew, and how the improvement factors scatter."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.navigation.bench import calibrate_unit
+from gyrocal.navigation.replay import CONDITIONS, DriveSource, LogReplay, replay_log
+from gyrocal.navigation.simulate import (
+    CCW,
+    CW,
+    Day,
+    SimulatedRun,
+    Spread,
+    draw_day,
+    draw_robot,
+    robot_figures,
+    simulate_experiment,
+)
+from gyrocal.navigation.table import FACTORS, Table, make_table
+from gyrocal.physics.gyro import GyroModel, rd2100_unit
+from gyrocal.physics.surface import Surface
+from gyrocal.records.robot import Robot
+
+Floats = NDArray[np.float64]
+
+_STREAM_BENCH, _STREAM_CHANGE = 11, 12
+
+
+@dataclass(frozen=True)
+class World:
+    """What experiments are drawn from. The default is the paper's robot with the data sheet's gyro.
+
+    The further fields change one physical input each, to see what it does to the factors:
+
+    Attributes
+    ----------
+    nonlinearity, temperature_slope : float
+        Factor on the terms of second and third order in rate with the slope that goes with them, and on all terms
+        in temperature.
+    bias_instability_deg_per_h : float or None
+        None: the unit's own.
+    scale_change_std : float
+        Scale factor error that appears between bench and drive (ageing, supply, mounting).
+    temp_offset_std_c : float
+        Reported temperature on the robot minus that of the coil (gradients in the housing), within a day.
+    """
+
+    spread: Spread = field(default_factory=Spread)
+    runs: int = 5
+    static_s: float = 10.0
+    temp_range_c: tuple[float, float] = (5.0, 35.0)
+    nonlinearity: float = 1.0
+    temperature_slope: float = 1.0
+    bias_instability_deg_per_h: float | None = None
+    scale_change_std: float = 0.0
+    temp_offset_std_c: float = 0.0
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Mean errors of each experiment, m, shape (experiments, 4), in the order of `CONDITIONS`, by direction."""
+
+    world: World
+    seed: int
+    cw_m: Floats
+    ccw_m: Floats
+
+    @property
+    def all_m(self) -> Floats:
+        """Mean over both directions."""
+        return np.asarray(0.5 * (self.cw_m + self.ccw_m))
+
+    def factors(self) -> dict[str, Floats]:
+        """Improvement factors of each experiment over no calibration and no filter, shape (experiments,)."""
+        index = {c.id: k for k, c in enumerate(CONDITIONS)}
+        mean = self.all_m
+        return {name: mean[:, 0] / mean[:, index[condition]] for name, condition in FACTORS.items()}
+
+
+def simulated_robot_file(world: World) -> Robot:
+    """The robot file of a world: the same for every experiment and every condition."""
+    figures = robot_figures(world.spread, world.static_s)
+    return Robot(source=Path("simulated"), wheel_radius_m=None, **figures)
+
+
+def unit_of(world: World, unit_seed: int) -> GyroModel:
+    """One gyro, as it is on the bench."""
+    model = rd2100_unit(unit_seed)
+    c = model.surface.coefficients_dps.copy()
+    # The factory's best line takes 0.6 u of u^3 (rd2100_unit): it shrinks with the cubic that it belongs to.
+    c[1, 0] += 0.6 * (1.0 - world.nonlinearity) * c[3, 0]
+    c[2:] *= world.nonlinearity
+    c[:2, 1:] *= world.temperature_slope
+    surface = replace(model.surface, coefficients_dps=c)
+    instability = world.bias_instability_deg_per_h
+    return replace(
+        model,
+        surface=surface,
+        bias_instability_deg_per_h=model.bias_instability_deg_per_h if instability is None else instability,
+    )
+
+
+def simulate_and_replay(world: World, seed: int, unit_seed: int | None = None) -> list[LogReplay]:
+    """One experiment: bench run of a unit, drives of a robot with it, every run in four conditions."""
+    model = unit_of(world, seed if unit_seed is None else unit_seed)
+    coefficients = calibrate_unit(model, np.random.default_rng([seed, _STREAM_BENCH]))
+    robot = simulated_robot_file(world)
+    return [
+        replay_log(DriveSource(run.name, partial(_once, run)), robot, coefficients)
+        for run in simulate_drives(world, model, seed)
+    ]
+
+
+def simulate_drives(
+    world: World, model: GyroModel, seed: int, directions: tuple[int, ...] = (CW, CCW)
+) -> list[SimulatedRun]:
+    """The drives of one experiment: a robot and a day drawn, `World.runs` runs in each direction."""
+    rng = np.random.default_rng([seed, _STREAM_CHANGE])
+    scale_change = world.scale_change_std * rng.standard_normal()
+    temp_offset_c = world.temp_offset_std_c * rng.standard_normal()
+    c = model.surface.coefficients_dps.copy()
+    c[1, 0] += scale_change * model.surface.rate_scale_dps
+    changed: Surface = replace(model.surface, coefficients_dps=c)
+    day: Day = draw_day(seed, *world.temp_range_c)
+    runs = simulate_experiment(
+        replace(model, surface=changed),
+        draw_robot(world.spread, seed),
+        day,
+        seed,
+        runs=world.runs,
+        directions=directions,
+        static_s=world.static_s,
+    )
+    return [
+        replace(run, log=replace(run.log, gyro_temp_c=run.log.gyro_temp_c + temp_offset_c)) for run in runs
+    ]
+
+
+def _once(run: SimulatedRun) -> Iterator:  # type: ignore[type-arg]
+    yield run.log
+
+
+def experiment(world: World, seed: int) -> tuple[list[float], list[float]]:
+    """Mean errors of the clockwise and of the counter-clockwise runs in the four conditions, m."""
+    table: Table = make_table(simulate_and_replay(world, seed))
+    means = {row.direction: [row.errors_m[c.id] for c in CONDITIONS] for row in table.means}
+    return means["cw"], means["ccw"]
+
+
+def monte_carlo(
+    world: World,
+    experiments: int,
+    seed: int,
+    report: Callable[[int], None],
+    workers: int | None = None,
+) -> MonteCarlo:
+    """Many experiments on all cores; the result does not depend on how many there are.
+
+    Parameters
+    ----------
+    report : callable
+        Told the number of experiments done.
+    workers : int, optional
+        Processes; None: one a core. 1: in this process.
+    """
+    seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(experiments, dtype=np.uint32)]
+    rows = []
+    for row in _map(partial(experiment, world), seeds, workers or cores()):
+        rows.append(row)
+        report(len(rows))
+    errors = np.array(rows)
+    return MonteCarlo(world, seed, errors[:, 0], errors[:, 1])
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _map(
+    function: Callable[[int], tuple[list[float], list[float]]], seeds: Sequence[int], workers: int
+) -> Iterator[tuple[list[float], list[float]]]:
+    if workers == 1:
+        yield from map(function, seeds)
+        return
+    # Fresh processes: a fork would copy the locks of numba's and BLAS's threads.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(seeds)), mp_context=context) as pool:
+        yield from pool.map(function, seeds, chunksize=4)
