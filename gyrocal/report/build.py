@@ -319,7 +319,7 @@ def _remarks(m: _Material) -> list[str]:
         f"Segment {e.segment} ({e.rate_dps:+.4g} deg/s) gives no data set: {e.reason}."
         for e in m.recording.excluded
     ]
-    return said + [f"{note[:1].upper()}{note[1:]}." for note in m.notes]
+    return said + [f"Note: {note.rstrip('.')}." for note in m.notes]
 
 
 def _tables(m: _Material) -> list[Table]:

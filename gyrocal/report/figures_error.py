@@ -70,7 +70,7 @@ def error_against_temperature(data: Examined, surface: Surface) -> Figure:
         temp = data.sets.temp_c[rows]
         _curve(axes, temp, data.sets.error_dps[rows], colour, marker, data.marked[rows])
         line = np.linspace(data.sets.temp_c.min(), data.sets.temp_c.max(), 201)
-        error = surface.error_dps(float(data.sets.gyro_dps[rows].mean()), line)
+        error = surface.output_dps(level.value, line) - level.value
         axes.plot(line, error, color=colour, linewidth=0.9)
         axes.plot([], [], color=colour, marker=marker, label=f"{level.value:+.1f} deg/s")
     axes.set_xlabel(TEMPERATURE_LABEL)

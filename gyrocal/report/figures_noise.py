@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from gyrocal.calibration.noise import Interval, NoiseFigures
 from gyrocal.report import style
@@ -15,6 +16,12 @@ from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH
 
 #: Flat part of the Allan deviation over the bias instability B: sqrt(2 ln 2 / pi) (IEEE 952, annex C).
 _FLAT = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
+
+
+def _minor_label(value: float, _: object) -> str:
+    """2 and 5 of each decade; more would not fit."""
+    leading = value / 10.0 ** np.floor(np.log10(value) + 1e-9)
+    return f"{value:g}" if round(float(leading)) in (2, 5) else ""
 
 
 @style.styled
@@ -48,6 +55,9 @@ def allan_deviation(noise: NoiseFigures) -> Figure:
     axes.set_xlabel("Averaging time τ, s")
     axes.set_ylabel("Allan deviation, deg/h")
     axes.grid(which="minor", linewidth=0.2)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(FuncFormatter(_minor_label))
     axes.legend(loc="best")
     return figure
 

@@ -37,7 +37,7 @@ def run_timeline(timeline: Timeline) -> Figure:
     warm.plot(timeline.gyro_temp_t_s / S_PER_H, timeline.gyro_temp_c, color=style.ORANGE, label="gyro")
     warm.set_ylabel("Temperature, °C")
     x, y = _rate_steps(timeline)
-    rate.plot(x, y, color=style.BLUE, linewidth=0.7)
+    rate.plot(x, y, color=style.BLUE, linewidth=1.5, solid_capstyle="butt")
     rate.set_ylabel("Table rate, deg/s")
     if with_supply:
         panels[2].plot(timeline.supply_t_s / S_PER_H, timeline.supply_v, color=style.GREEN, linewidth=0.6)
