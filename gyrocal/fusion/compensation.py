@@ -11,13 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, Coefficients
 from gyrocal.physics.effect import Conditions, Memory
-from gyrocal.physics.terms import runtime_term
+from gyrocal.physics.terms import runtime_term, solve_rate
 
 Floats = NDArray[np.float64]
-
-#: The rate at which effects are evaluated is solved to this, deg/s, in at most so many rounds.
-_TOLERANCE_DPS = 1e-11
-_ROUNDS = 60
 
 
 @dataclass(frozen=True)
@@ -32,8 +28,7 @@ class Corrected:
 class Compensator:
     """Corrects a stream of samples; blocks of any size, and single samples, give the same numbers.
 
-    Effects add to the output of a gyro that has the surface alone, ``w = (g - e) - S(g - e, T)`` with
-    ``e = sum e(w, T, ...)``: solved by iteration, sample by sample. Feed samples in the order of time.
+    Effects add to the output of a gyro that has the surface alone (`solve_rate`). Feed samples in time order.
 
     Attributes
     ----------
@@ -108,30 +103,10 @@ class Compensator:
         return gyro, Conditions(t, gyro, temp, since_power_on_s=since)
 
     def _solve(self, gyro: Floats, c: Conditions) -> tuple[Floats, list[Floats]]:
-        surface = self.coefficients.surface
-        with np.errstate(over="ignore", invalid="ignore"):
-            rate = gyro - surface.error_dps(gyro, c.temp_c)
-        if not self.terms:
-            return rate, []
-        errors, memories = [np.zeros(rate.shape) for _ in self.terms], self._memories
-        moving = np.ones(rate.shape, dtype=bool)
-        with np.errstate(over="ignore", invalid="ignore"):  # a wild sample diverges to NaN, alone
-            for _ in range(_ROUNDS):
-                now = Conditions(c.t_s, rate, c.temp_c, since_power_on_s=c.since_power_on_s)
-                new = [
-                    t.effect.error_dps(now, t.parameters, surface, memory)
-                    for t, memory in zip(self.terms, self._memories, strict=True)
-                ]
-                # Who has converged stays as he is, so that neighbours in the block cannot change him.
-                errors = [np.where(moving, e, old) for (e, _), old in zip(new, errors, strict=True)]
-                memories = [memory for _, memory in new]
-                alone = gyro - sum(errors)
-                before, rate = rate, np.where(moving, alone - surface.error_dps(alone, c.temp_c), rate)
-                moving &= np.abs(rate - before) > _TOLERANCE_DPS
-                if not moving.any():
-                    break
-        self._memories = memories
-        return np.where(moving, np.nan, rate), errors
+        rate, errors, self._memories = solve_rate(
+            self.coefficients.surface, self.terms, self._memories, gyro, c
+        )
+        return rate, errors
 
 
 def correct_without_history(coefficients: Coefficients, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:

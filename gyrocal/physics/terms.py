@@ -1,14 +1,21 @@
-"""Terms of a coefficient file as effects that a robot evaluates."""
+"""Terms of a coefficient file as effects that a robot evaluates, and the inverse of a gyro that has them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from gyrocal.errors import CoefficientError, InputError
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import Effect
+from gyrocal.physics.effect import Conditions, Effect, Floats, Memory
+from gyrocal.physics.surface import Surface
+
+#: The rate at which effects are evaluated is solved to this, deg/s, in at most so many rounds.
+_TOLERANCE_DPS = 1e-11
+_ROUNDS = 60
 
 #: Channels of `Conditions` that a robot has.
 ROBOT_CHANNELS = frozenset({"t_s", "rate_dps", "temp_c", "since_power_on_s"})
@@ -54,3 +61,48 @@ def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) ->
         )
     amplitude = abs(values["amplitude"])
     return RuntimeTerm(effect, values, sigma / amplitude if amplitude else 0.0)
+
+
+def solve_rate(
+    surface: Surface,
+    terms: Sequence[RuntimeTerm],
+    memories: Sequence[Memory],
+    gyro_dps: Floats,
+    c: Conditions,
+) -> tuple[Floats, list[Floats], list[Memory]]:
+    """Rate that gave the output `gyro_dps`: ``w = (g - e) - S(g - e, T)`` with ``e = sum e(w, T, ...)``.
+
+    Solved by iteration, each sample for itself: who has converged stays as he is, so that neighbours in a
+    block cannot change him.
+
+    Parameters
+    ----------
+    memories : what the call before returned; None for each term at the start
+    c : Conditions, whose ``rate_dps`` is not read
+
+    Returns
+    -------
+    rate_dps : ndarray, shape (n,); NaN where nothing solves it
+    errors_dps : a list with each term's share, shape (n,)
+    memories : for the next block
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # a wild sample diverges to NaN, alone
+        rate = gyro_dps - surface.error_dps(gyro_dps, c.temp_c)
+        if not terms:
+            return rate, [], []
+        errors, after = [np.zeros(rate.shape) for _ in terms], list(memories)
+        moving = np.ones(rate.shape, dtype=bool)
+        for _ in range(_ROUNDS):
+            now = replace(c, rate_dps=rate)
+            new = [
+                t.effect.error_dps(now, t.parameters, surface, m)
+                for t, m in zip(terms, memories, strict=True)
+            ]
+            errors = [np.where(moving, e, old) for (e, _), old in zip(new, errors, strict=True)]
+            after = [memory for _, memory in new]
+            alone = gyro_dps - np.sum(errors, axis=0)
+            before, rate = rate, np.where(moving, alone - surface.error_dps(alone, c.temp_c), rate)
+            moving &= np.abs(rate - before) > _TOLERANCE_DPS
+            if not moving.any():
+                break
+    return np.where(moving, np.nan, rate), errors, after
