@@ -23,6 +23,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "apply": ("apply", "Correct a recording with a coefficient file, to CSV."),
     "export": ("export", "Export coefficients for a robot's firmware."),
     "report": ("report", "Draw the figures and tables of a calibration."),
+    "diagnose": ("diagnose", "Find, name and model the physics that a calibration lacks."),
+    "blind": ("blind", "Prove diagnose on your own profile: hidden physics, sealed answers."),
     "replay": ("replay", "Dead reckoning of drive logs, with and without calibration and filter."),
     "simulate": ("simulate", "Simulate robot drives with the virtual gyro."),
     "probe": ("probe", "Say what is on a port: nothing, unknown bytes, or which gyro."),

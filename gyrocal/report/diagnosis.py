@@ -254,3 +254,16 @@ def _improvement_cells(i: Improvement) -> tuple[str, ...]:
         f"{i.logloss_before:.2f}",
         f"{i.logloss_after:.2f}",
     )
+
+
+def improvement_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Error before and after on data that the fit did not see, against the noise floor, in a sentence."""
+    i = diagnosis.improvement
+    if i is None:
+        return []
+    low, high = (x * 1e3 for x in i.interval_95)
+    return [
+        f"On data that the fit did not see ({i.scheme}) the error fell from {i.heldout_rms_before_dps * 1e3:.3g} to "
+        f"{i.heldout_rms_after_dps * 1e3:.3g} mdeg/s rms (drop {low:.2g} to {high:.2g} at 95 %), noise floor "
+        f"{i.noise_floor_dps * 1e3:.3g} mdeg/s; log-loss from {i.logloss_before:.2f} to {i.logloss_after:.2f} nats a data set."
+    ]

@@ -1,0 +1,90 @@
+"""``gyrocal diagnose``: where a recording departs from the model, and which physics the model lacks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+
+if TYPE_CHECKING:
+    from gyrocal.report.diagnosis_build import DiagnoseResult
+
+
+@click.command("diagnose")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "--coefficients",
+    "-c",
+    type=click.Path(path_type=Path),
+    help="Model to simulate from; without it the surface is fitted to the recording first.",
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the results.")
+@click.option(
+    "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
+)
+@click.option(
+    "--bench-hours",
+    type=click.FloatRange(min=0.1),
+    default=8.0,
+    show_default=True,
+    help="Bench time that the next experiment may take.",
+)
+@click.option(
+    "--seed", type=int, default=0, show_default=True, help="Of the Monte Carlo nulls and bootstraps."
+)
+@click.option("--force-sensor", is_flag=True, help="Accept coefficients of another model or serial number.")
+@json_option
+def command(
+    recording: Path,
+    coefficients: Path | None,
+    out: Path,
+    counts_per_dps: float | None,
+    bench_hours: float,
+    seed: int,
+    force_sensor: bool,
+    as_json: bool,
+) -> None:
+    """Compare RECORDING (a run directory or a table of data sets) with its simulation and name what is missing.
+
+    Writes diagnosis.json, diagnosis.html with pictures, surface.json (the model before), improved.json where
+    physics was found (a coefficient file with that physics as terms), and next_experiment.toml where an
+    experiment would settle a doubt.
+
+    Example: gyrocal diagnose run --out diagnosis
+    """
+    from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
+
+    config = DiagnoseConfig(recording, out, coefficients, counts_per_dps, bench_hours, seed, force_sensor)
+    with progress("diagnose", quiet=as_json) as tell:
+        result = write_diagnosis(config, tell)
+    if as_json:
+        emit_json(result.diagnosis.to_json())
+        return
+    _say(result)
+
+
+def _say(result: DiagnoseResult) -> None:
+    from gyrocal.report.diagnosis import VERDICT_SENTENCES, improvement_sentences, tables
+
+    found = result.diagnosis
+    click.echo(VERDICT_SENTENCES[found.verdict])
+    for sentence in (*found.sentences, *improvement_sentences(found)):
+        click.echo(f"- {sentence}")
+    for table in tables(found):
+        if table.rows and table.name in ("located", "effects", "alternatives"):
+            click.echo("")
+            emit_table(table.columns, table.rows, table.title)
+    if found.not_testable:
+        click.echo("\nNot testable with this record:")
+        for what, why in found.not_testable.items():
+            click.echo(f"  {what}, because {why}.")
+    for note in found.notes:
+        click.echo(f"Note: {note}.")
+    click.echo(f"\nPictures and numbers: open {result.out / 'diagnosis.html'}")
+    if "improved.json" in result.files:
+        click.echo(f"Coefficients with the named physics: {result.out / 'improved.json'}")
+    if "next_experiment.toml" in result.files:
+        click.echo(f"Measure next: gyrocal acquire {result.out / 'next_experiment.toml'} --out RUN")

@@ -1,0 +1,368 @@
+"""The experiment that settles a doubt: which plan tells the named effect from what else it could be.
+
+The share R^2 of an effect's whitened signature that another captures, and the effect's signal-to-noise ratio d'
+under the noise that is there, are known before any data: to tell the two at 20 : 1 the expected difference in
+log-likelihood, d'^2 (1 - R^2)/2, must be 3 nats, so d' >= sqrt(6/(1 - R^2)) (physics-report.md, B.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from gyrocal.diagnosis.base import simulate
+from gyrocal.diagnosis.columns import conditions_of
+from gyrocal.diagnosis.gram import project
+from gyrocal.diagnosis.hypotheses import TWINS, law, phase_columns, shapes_of
+from gyrocal.diagnosis.planned import Design, Reach, designs, duration_h, planned_series, to_profile
+from gyrocal.diagnosis.result import Diagnosis, NamedEffect
+from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.surface import Surface
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPH_TO_DPS
+
+Floats = NDArray[np.float64]
+
+#: Evidence that counts as settled: 20 : 1, in nats.
+_SETTLED_NATS = 3.0
+_GOOD_POWER = 0.95
+_MOST_REPEATS = 10
+_USUAL_RAMP_C_PER_MIN = 2.0
+#: Of the report's figures, a standard unit, where the record carries none.
+_USUAL_WALK_DEG_PER_RT_H = 0.083
+_WITH_PHASE = ("earth_rate_tilt", "magnetic", "g_sensitivity", "table_eccentricity", "step_response")
+_MDPS = 1e-3
+
+#: Where structure is left unexplained: the plan that shows it best.
+_PLAN_FOR = {
+    "rate": "fine_rates",
+    "temperature": "levels",
+    "temperature_rate": "ramps_soaks",
+    "temperature_branch": "loops",
+    "time": "repeats",
+    "time_since_power_on": "power_on",
+    "table_angle": "turns",
+    "time_since_step": "grid",
+    "data_set_index": "grid",
+}
+#: What no profile can do: it needs a hand.
+_BY_HAND = {
+    frozenset(
+        ("earth_rate_tilt", "magnetic")
+    ): "turn the bench by 90 degrees, or put a magnet beside the gyro: the line follows the field, not the bench",
+    frozenset(
+        ("earth_rate_tilt", "g_sensitivity")
+    ): "tilt the table by another, known angle: gravity and earth rate grow with it by different known amounts",
+    frozenset(("magnetic", "g_sensitivity")): "tilt the table by another, known angle: only gravity follows",
+}
+_SUPPLY_BY_HAND = "step the supply voltage by a few tenths of a volt between data sets, in random order"
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How well a plan tells an effect from another.
+
+    Attributes
+    ----------
+    d_prime : float
+        Signal-to-noise ratio of the effect in the planned record.
+    captured : float
+        Share R^2 of its signature that the other captures.
+    power : float
+        Probability of at least 20 : 1 for the true one.
+    """
+
+    other: str
+    d_prime: float
+    captured: float
+    power: float
+
+    @property
+    def d_prime_needed(self) -> float:
+        """d' at which 20 : 1 is expected."""
+        return float(np.sqrt(2.0 * _SETTLED_NATS / max(1.0 - self.captured, 1e-9)))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An experiment, and what it will tell."""
+
+    sentence: str
+    separates: tuple[str, ...]
+    profile: dict[str, Any] | None
+    bench_hours: float | None
+    expected_power: float | None
+    separations: tuple[Separation, ...]
+    by_hand: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry ``next_experiment`` of the diagnosis."""
+        return {
+            "statement": self.sentence,
+            "separates": list(self.separates),
+            "profile": self.profile,
+            "bench_hours": self.bench_hours,
+            "expected_power": self.expected_power,
+            "pairs": [
+                {
+                    "against": s.other,
+                    "d_prime": s.d_prime,
+                    "d_prime_needed": s.d_prime_needed,
+                    "captured_share": s.captured,
+                    "power": s.power,
+                }
+                for s in self.separations
+            ],
+            "by_hand": list(self.by_hand),
+        }
+
+
+def propose(diagnosis: Diagnosis, bench: Mapping[str, Any], bench_hours: float) -> Proposal | None:
+    """The plan that separates the strongest unsettled class best, or shows best what is left; None without doubt.
+
+    Parameters
+    ----------
+    bench : mapping
+        The profile that the recording was made with, as read; empty if unknown.
+    bench_hours : float
+        Bench time that the plan may take.
+    """
+    if diagnosis.surface is None:
+        return None
+    reach = _reach(diagnosis, bench)
+    sensor = {**diagnosis.surface.sensor, **bench.get("sensor", {})}
+    unsettled = [e for e in diagnosis.effects if e.alternatives]
+    if unsettled:
+        return _separating(diagnosis, unsettled[0], reach, sensor, bench, bench_hours)
+    remaining = [p.coordinate for p in diagnosis.located if p.remains]
+    if diagnosis.verdict in ("partly_explained", "unexplained"):
+        remaining = remaining or [p.coordinate for p in diagnosis.located]
+        return _showing(remaining, reach, sensor, bench, bench_hours)
+    return None
+
+
+def _reach(diagnosis: Diagnosis, bench: Mapping[str, Any]) -> Reach:
+    valid = diagnosis.surface.valid if diagnosis.surface is not None else None
+    rate = max(map(abs, valid.rate_dps)) if valid else 100.0
+    low, high = valid.temp_c if valid else (-10.0, 50.0)
+    ramp = float(bench.get("ramp", {}).get("rate_c_per_min", _USUAL_RAMP_C_PER_MIN))
+    fast = float(bench.get("limits", {}).get("max_ramp_c_per_min", ramp))
+    # Whole numbers inside the calibrated range: a set point that noise has widened could be out of limits.
+    return Reach(
+        float(np.floor(rate + 0.5)), float(np.ceil(low + 0.5)), float(np.floor(high - 0.5)), ramp, fast
+    )
+
+
+def _separating(
+    diagnosis: Diagnosis,
+    effect: NamedEffect,
+    reach: Reach,
+    sensor: Mapping[str, Any],
+    bench: Mapping[str, Any],
+    bench_hours: float,
+) -> Proposal:
+    others = [a.effect for a in effect.alternatives]
+    twins = {effect.effect, *TWINS.get(effect.effect, ())}
+    on_bench = [o for o in others if o not in twins and CATALOGUE[o].family != "sampling"]
+    by_hand = [text for pair, text in _BY_HAND.items() if pair <= {effect.effect, *others}]
+    if "supply" in (CATALOGUE[e].seen_in for e in (effect.effect, *others)):
+        by_hand.append(_SUPPLY_BY_HAND)
+    best: tuple[Design, tuple[Separation, ...]] | None = None
+    if on_bench:
+        best = best_design(diagnosis, effect, on_bench, reach, bench_hours)
+    names = (effect.effect, *others)
+    if best is None:
+        remedy = "; ".join(by_hand) or f"no plan within {bench_hours:g} h of bench time separates them"
+        return Proposal(f"To tell {_either(names)}: {remedy}.", names, None, None, None, (), tuple(by_hand))
+    design, separations = best
+    power = min(s.power for s in separations)
+    hours = duration_h(design, reach)
+    sentence = f"To tell {_either(names)}, measure {design.purpose} ({hours:.1f} h): expected to reach 20 : 1 with a probability of {power:.0%}"
+    times = repeats_needed(separations)
+    if power < _GOOD_POWER - 0.005:
+        sentence += (
+            f", or {_GOOD_POWER:.0%} when it is measured {times} times"
+            if times <= _MOST_REPEATS
+            else ", and no bench time in reach would raise that to certainty"
+        )
+    sentence += f"; by hand: {'; '.join(by_hand)}." if by_hand else "."
+    return Proposal(
+        sentence,
+        names,
+        to_profile(design, reach, sensor, bench),
+        round(hours, 3),
+        round(power, 4),
+        separations,
+        tuple(by_hand),
+    )
+
+
+def repeats_needed(separations: Sequence[Separation]) -> int:
+    """How often a plan must be run so that every pair reaches `_GOOD_POWER`."""
+    quantile = float(norm.ppf(_GOOD_POWER))
+    needed = (quantile + float(np.sqrt(quantile**2 + 2.0 * _SETTLED_NATS))) ** 2
+    each = min(s.d_prime**2 * (1.0 - s.captured) for s in separations)
+    return int(np.ceil(needed / max(each, needed / 1e6)))
+
+
+def _either(names: Sequence[str]) -> str:
+    return f"{names[0]} from {' and '.join(names[1:])}"
+
+
+def _showing(
+    remaining: Sequence[str],
+    reach: Reach,
+    sensor: Mapping[str, Any],
+    bench: Mapping[str, Any],
+    bench_hours: float,
+) -> Proposal | None:
+    """A plan that resolves the coordinate where unexplained structure lives."""
+    if not remaining:
+        return None
+    place = remaining[0]
+    if place == "supply":
+        return Proposal(
+            f"To see what lives in supply: {_SUPPLY_BY_HAND}.", (), None, None, None, (), (_SUPPLY_BY_HAND,)
+        )
+    named = {d.name: d for d in designs(reach)}
+    design = named.get(_PLAN_FOR.get(place, "grid"), named["grid"])
+    hours = duration_h(design, reach)
+    if hours > bench_hours:
+        return None
+    sentence = f"To see what lives in {place}, measure {design.purpose} ({hours:.1f} h)."
+    return Proposal(sentence, (), to_profile(design, reach, sensor, bench), round(hours, 3), None, (), ())
+
+
+def best_design(
+    diagnosis: Diagnosis, effect: NamedEffect, others: Sequence[str], reach: Reach, bench_hours: float
+) -> tuple[Design, tuple[Separation, ...]] | None:
+    """The shortest design with good power against every other effect, else the one of most power."""
+    found: list[tuple[float, float, Design, tuple[Separation, ...]]] = []
+    for design in designs(reach):
+        hours = duration_h(design, reach)
+        if hours <= bench_hours:
+            pairs = separate(diagnosis, effect, others, design, reach)
+            found.append((min(p.power for p in pairs), hours, design, pairs))
+    good = [f for f in found if f[0] >= _GOOD_POWER]
+    if good:
+        return min(good, key=lambda f: f[1])[2:]
+    return max(found, key=lambda f: f[0])[2:] if found else None
+
+
+def separate(
+    diagnosis: Diagnosis, effect: NamedEffect, others: Sequence[str], design: Design, reach: Reach
+) -> tuple[Separation, ...]:
+    """What a design would tell about an effect of the size that was found, against each of the others."""
+    surface = diagnosis.surface.surface if diagnosis.surface is not None else None
+    series = planned_series(design, reach, _walk_dps_rt_s(diagnosis))
+    if surface is None:
+        return ()
+    base = simulate(series, surface).design
+    signature = _signature(effect, series, surface)
+    grids = [_grid(other, series, surface) for other in others]
+    columns = np.column_stack([signature, base, *(g for grid in grids for g in grid)])
+    white = NoiseModel(series).whiten(_levels(diagnosis), columns)[0]
+    left = project(white.T @ white, np.arange(base.shape[1]))
+    first, pairs = base.shape[1], []
+    for other, grid in zip(others, grids, strict=True):
+        captured = 0.0
+        for point in grid:
+            captured = max(captured, left.block(np.arange(first, first + point.shape[1]))[0])
+            first += point.shape[1]
+        share = min(captured / left.rss, 1.0) if left.rss > 0 else 1.0
+        d_prime = float(np.sqrt(max(left.rss, 0.0)))
+        pairs.append(Separation(other, d_prime, share, power_of(d_prime, share)))
+    return tuple(pairs)
+
+
+def power_of(d_prime: float, captured: float) -> float:
+    """Probability that the log-likelihood ratio exceeds 3 nats when its mean is half its variance."""
+    variance = d_prime**2 * max(1.0 - captured, 0.0)
+    if variance <= 0:
+        return 0.0
+    return float(norm.sf((_SETTLED_NATS - variance / 2.0) / np.sqrt(variance)))
+
+
+def _signature(effect: NamedEffect, series: Series, surface: Surface) -> Floats:
+    """The named effect in the planned rows, at its estimated size, shape (n,)."""
+    shape = {k: e.value for k, e in effect.parameters.items() if k != "amplitude"}
+    c = conditions_of(series)
+    if effect.effect == "reference_rate_error":
+        return np.asarray(_reference_columns(series).sum(axis=1) * effect.parameters["amplitude"].value)
+    if "at_s" in shape:
+        # The old instant means nothing in a new run: what matters is a jump in its middle.
+        shape["at_s"] = float(series.t_s.mean())
+    size = effect.parameters["amplitude"].value if "amplitude" in effect.parameters else 1.0
+    return np.asarray(size * law(effect.effect, c, shape, surface))
+
+
+def _grid(effect: str, series: Series, surface: Surface) -> list[Floats]:
+    """Columns of an effect for each of its shapes in the planned rows, each of shape (n, k)."""
+    c = conditions_of(series)
+    if effect == "reference_rate_error":
+        return [_reference_columns(series)]
+    known = CATALOGUE[effect]
+    if any(getattr(c, need) is None for need in known.needs):
+        return [np.zeros((len(series), 1))]
+    if effect in _WITH_PHASE:
+        return [phase_columns(effect, c, s) for s in shapes_of(effect, series)]
+    return [law(effect, c, s, surface)[:, None] for s in shapes_of(effect, series)]
+
+
+def _reference_columns(series: Series) -> Floats:
+    """One odd column for each size of rate, in units of 1 ppm with alternating signs."""
+    size = np.round(np.abs(series.rate_dps), 3)
+    sizes = np.unique(size[size > 0])
+    if sizes.size == 0:
+        return np.zeros((len(series), 1))
+    return np.column_stack(
+        [np.where(size == s, (-1) ** k * series.rate_dps * 1e-6, 0.0) for k, s in enumerate(sizes)]
+    )
+
+
+def _walk_dps_rt_s(diagnosis: Diagnosis) -> float:
+    noise = diagnosis.noise
+    walk = noise.angle_random_walk_deg_per_rt_h if noise is not None else None
+    return (walk or _USUAL_WALK_DEG_PER_RT_H) * DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+
+
+def _levels(diagnosis: Diagnosis) -> NoiseLevels:
+    """Noise levels in the planned rows, whose ``white_std_dps`` is the white noise itself."""
+    noise = diagnosis.noise
+    if noise is None:
+        return NoiseLevels(1.0, 1e-9, 1e-9)
+    # A decade apart, processes of variance s^2 add up to the density s^2/(ln 10 f), which is B^2/(pi f).
+    flicker = noise.bias_instability_deg_per_h * DPH_TO_DPS * float(np.sqrt(np.log(10.0) / np.pi))
+    return NoiseLevels(1.0, max(flicker, 1e-9), max(noise.rate_jitter_ppm * 1e-6, 1e-9))
+
+
+def to_toml(profile: Mapping[str, Any]) -> str:
+    """TOML text of a profile: plain keys first, then its tables."""
+    return "\n".join(_toml_lines(profile, "")) + "\n"
+
+
+def _toml_lines(table: Mapping[str, Any], path: str) -> list[str]:
+    plain = {k: v for k, v in table.items() if not isinstance(v, Mapping)}
+    nested = {k: v for k, v in table.items() if isinstance(v, Mapping)}
+    lines = [f"{key} = {_toml_value(value)}" for key, value in plain.items()]
+    for key, value in nested.items():
+        name = f"{path}.{key}" if path else key
+        lines += ["", f"[{name}]", *_toml_lines(value, name)]
+    return lines
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        return f'"{escaped}"'
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
+    return repr(value)

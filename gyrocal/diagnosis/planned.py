@@ -1,0 +1,261 @@
+"""Bench plans that separate effects, as data: a profile for `acquire`, and the rows that it would record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.series import Raw, Series
+from gyrocal.units import S_PER_H, S_PER_MIN
+
+Floats = NDArray[np.float64]
+
+#: What a plan assumes of a bench whose figures it does not know.
+_CASE_LAG_S = 400.0
+_AIR_LAG_S = 60.0
+_SETTLE_S = 4.0
+_ROW_LONG_S = 5.0
+_ROW_SET_S = 1.0
+#: Sections of the profile at hand that describe the bench, not the plan.
+_OF_BENCH = ("gyro", "table", "chamber", "bench", "limits", "settle", "record", "safe", "virtual")
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What a plan may ask for: largest rate, temperatures, usual and largest slope of the chamber."""
+
+    rate_dps: float
+    low_c: float
+    high_c: float
+    ramp_c_per_min: float
+    fast_ramp_c_per_min: float
+
+    @property
+    def middle_c(self) -> float:
+        """Middle of the temperatures, to a whole degree."""
+        return float(round((self.low_c + self.high_c) / 2))
+
+
+@dataclass(frozen=True)
+class Design:
+    """A plan: temperatures in the order of their visits, rates at each, and how long everything takes.
+
+    Attributes
+    ----------
+    purpose : str
+        What it does, in words that go into a sentence.
+    rates_dps : tuple of float
+        Positive; every data set is taken with both signs, shuffled.
+    ramp_rates_dps : tuple of float
+        Table rates during ramps and soaks, visit after visit.
+    from_power_on : bool
+        The run begins with the power-on of a gyro that was off for long.
+    """
+
+    name: str
+    purpose: str
+    temperatures_c: tuple[float, ...]
+    rates_dps: tuple[float, ...] = ()
+    dwell_s: float = 20.0
+    soak_s: float = 900.0
+    static_s: float = 0.0
+    ramp_rates_dps: tuple[float, ...] = (0.0,)
+    from_power_on: bool = False
+    fast: bool = False
+
+    def ramp_c_per_min(self, reach: Reach) -> float:
+        """Slope of its ramps."""
+        return reach.fast_ramp_c_per_min if self.fast else reach.ramp_c_per_min
+
+
+def designs(reach: Reach) -> list[Design]:
+    """Canned plans within reach, each the best that is known for one kind of doubt (physics-report.md, D.7)."""
+    w, low, mid, high = reach.rate_dps, reach.low_c, reach.middle_c, reach.high_c
+    fine = tuple(np.round(np.linspace(0.05, 1.0, 20) * w, 3).tolist())
+    near_zero = tuple(np.round(np.geomspace(0.005, 1.0, 12) * w, 3).tolist())
+    top = tuple(np.round(np.linspace(0.4, 1.0, 13) * w, 3).tolist())
+    levels = np.round(np.linspace(low, high, 7), 1).tolist()
+    interleaved = (*levels[::2], *levels[1::2][::-1])
+    turning = (round(0.8 * w, 3), round(-0.8 * w, 3))
+    # The same visit again and again: bias wanders between data sets, so many short ones tell more than few long.
+    again = (mid,) * 6
+    return [
+        Design("ramps", "ramps up and down at rest", (low, high, low, high, mid), soak_s=600.0),
+        Design("ramps_soaks", "ramps with long soaks at rest", (low, mid, high, mid, low), soak_s=2700.0),
+        Design("fast_ramps", "fast ramps with soaks at rest", (low, high) * 3, soak_s=1500.0, fast=True),
+        Design("loops", "inner loops of temperature", (low, high, mid, high, low, mid, low), soak_s=1800.0),
+        Design(
+            "turning_ramps",
+            "ramps while the table turns",
+            (low, high, low, high, low),
+            soak_s=600.0,
+            ramp_rates_dps=turning,
+        ),
+        Design("near_zero", "rates dense near zero", again, near_zero, soak_s=60.0),
+        Design("fine_rates", "fine rates", again, fine, soak_s=60.0),
+        Design("top_rates", "rates dense at the upper end", again, top, soak_s=60.0),
+        Design("grid", "all rates at temperatures visited out of order", interleaved, fine[1::2]),
+        Design(
+            "power_on",
+            "hours at rest from power-on",
+            (mid,),
+            soak_s=300.0,
+            static_s=14400.0,
+            from_power_on=True,
+        ),
+        Design(
+            "repeats", "the same rates again and again", (mid,) * 8, (0.2 * w, 0.5 * w, 0.9 * w), 60.0, 1200.0
+        ),
+        Design("turns", "slow and fast turns", again, (0.05 * w, 0.2 * w, 0.5 * w, w), 60.0, 60.0),
+        Design("levels", "many temperatures up and down", _up_and_down(low, high), (0.5 * w,), 60.0, 1500.0),
+    ]
+
+
+def _up_and_down(low: float, high: float) -> tuple[float, ...]:
+    up = np.round(np.linspace(low, high, 9), 1).tolist()
+    return (*up[::2], *up[-2::-2])
+
+
+def to_profile(
+    design: Design, reach: Reach, sensor: Mapping[str, Any], bench: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The profile of a design, with the devices, limits and virtual bench of `bench` (a profile at hand)."""
+    plan: dict[str, Any] = {
+        "temperatures_c": list(design.temperatures_c),
+        "temperature_order": "listed",
+        "rates_dps": list(design.rates_dps),
+        "both_signs": True,
+        "rate_order": "shuffled",
+        "zero_first_and_last": bool(design.rates_dps),
+        "dwell_s": design.dwell_s,
+        "ramp_rates_dps": list(design.ramp_rates_dps),
+    }
+    if design.static_s:
+        plan["static_s"] = design.static_s
+    known = {
+        k: sensor[k]
+        for k in ("model", "serial", "sample_rate_hz", "rate_range_dps", "temp_range_c")
+        if k in sensor
+    }
+    profile: dict[str, Any] = {
+        "title": f"Next experiment: {design.purpose}",
+        "sensor": {
+            "model": "unknown",
+            "sample_rate_hz": 10.0,
+            "rate_range_dps": [-reach.rate_dps, reach.rate_dps],
+            "temp_range_c": [reach.low_c, reach.high_c],
+            **known,
+        },
+        "plan": plan,
+        "ramp": {"rate_c_per_min": design.ramp_c_per_min(reach)},
+        # What the gyro does while it comes to rest is wanted in the record, so its own slope does not have to vanish.
+        "soak": {
+            "time_s": design.soak_s,
+            "slope_c_per_min": 100.0,
+            "slope_over_s": min(300.0, design.soak_s),
+        },
+    }
+    if design.from_power_on:
+        profile["sensor"]["on_before_s"] = 0.0
+    return profile | {key: bench[key] for key in _OF_BENCH if key in bench}
+
+
+@dataclass(frozen=True)
+class _Piece:
+    kind: str
+    start_s: float
+    length_s: float
+    rate_dps: float
+    set_c: float
+
+
+def _pieces(design: Design, reach: Reach) -> list[_Piece]:
+    """Segments in the order in which the bench takes them."""
+    rng = np.random.default_rng(1)
+    found: list[_Piece] = []
+    at, from_c = 0.0, reach.middle_c
+
+    def add(kind: str, length_s: float, rate_dps: float, set_c: float) -> None:
+        nonlocal at
+        found.append(_Piece(kind, at, length_s, rate_dps, set_c))
+        at += length_s + _SETTLE_S
+
+    for visit, temp_c in enumerate(design.temperatures_c):
+        turning = design.ramp_rates_dps[visit % len(design.ramp_rates_dps)]
+        ramp_s = abs(temp_c - from_c) / design.ramp_c_per_min(reach) * S_PER_MIN
+        if ramp_s > 0:
+            add("ramp", ramp_s, turning, temp_c)
+        add("soak", design.soak_s, turning, temp_c)
+        if design.static_s and visit == 0:
+            add("static", design.static_s, 0.0, temp_c)
+        both = np.array([*design.rates_dps, *(-r for r in design.rates_dps)])
+        if both.size:
+            for rate in (0.0, *rng.permutation(both).tolist(), 0.0):
+                add("rate", design.dwell_s, rate, temp_c)
+        from_c = temp_c
+    return found
+
+
+def duration_h(design: Design, reach: Reach) -> float:
+    """Bench time of a design."""
+    last = _pieces(design, reach)[-1]
+    return (last.start_s + last.length_s) / S_PER_H
+
+
+def _lagged(x: Floats, tau_s: float) -> Floats:
+    a = 1.0 - np.exp(-1.0 / tau_s)
+    return np.asarray(lfilter([a], [1.0, a - 1.0], x - x[0]) + x[0])
+
+
+def planned_series(design: Design, reach: Reach, walk_dps_rt_s: float) -> Series:
+    """Rows that a design would record, without noise and without a gyro.
+
+    Parameters
+    ----------
+    walk_dps_rt_s : float
+        White noise: standard deviation of a mean over one second, deg/s.
+    """
+    pieces = _pieces(design, reach)
+    end_s = pieces[-1].start_s + pieces[-1].length_s
+    grid = np.arange(0.0, end_s + 2.0)
+    knots = [(0.0, reach.middle_c), *((p.start_s + p.length_s, p.set_c) for p in pieces)]
+    set_point = np.interp(grid, [k[0] for k in knots], [k[1] for k in knots])
+    case = _lagged(_lagged(set_point, _AIR_LAG_S), _CASE_LAG_S)
+    parts: list[tuple[Floats, Floats]] = []
+    for p in pieces:
+        row_s = _ROW_SET_S if p.kind == "rate" else _ROW_LONG_S
+        count = max(int(p.length_s / row_s), 1)
+        parts.append((p.start_s + (np.arange(count, dtype=np.float64) + 0.5) * row_s, np.full(count, row_s)))
+    t_s = np.concatenate([t for t, _ in parts])
+    averaging = np.concatenate([a for _, a in parts])
+    number = np.repeat(np.arange(len(pieces)), [t.size for t, _ in parts])
+    rate = np.array([p.rate_dps for p in pieces])
+    history = temperature_history(grid, case)
+    starts = np.array([p.start_s for p in pieces])
+    moved = np.concatenate([[0.0], np.cumsum(rate * np.array([p.length_s + _SETTLE_S for p in pieces]))[:-1]])
+    empty = np.empty(0)
+    return Series(
+        name=design.name,
+        t_s=t_s,
+        gyro_dps=rate[number],
+        rate_dps=rate[number],
+        temp_c=history.temp_at(t_s),
+        white_std_dps=walk_dps_rt_s / np.sqrt(averaging),
+        averaging_s=averaging,
+        set_index=number.astype(np.int64),
+        is_set=np.array([p.kind == "rate" for p in pieces])[number],
+        temp_rate_c_per_min=history.rate_at(t_s),
+        history=history,
+        raw=Raw(empty, empty, t_s.size),
+        angle_deg=moved[number] + rate[number] * (t_s - starts[number]),
+        supply_v=None,
+        since_power_on_s=t_s if design.from_power_on else t_s + S_PER_H,
+        since_set_s=t_s - starts[number],
+        step_dps=np.diff(rate, prepend=0.0)[number],
+    )
