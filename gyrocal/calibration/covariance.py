@@ -33,6 +33,11 @@ TIME_CONSTANTS_S = (2.0, 20.0, 200.0, 2000.0, 20000.0)
 #: Without times the order of the data sets stands for them; time constants in data sets.
 TIME_CONSTANTS_SETS = (1.0, 10.0, 100.0, 1000.0)
 
+#: Without times a step of temperature of this share of the span was a soak, taken to last this many data sets:
+#: half an hour against 20 s. Left out, drift between temperatures would pass for structure in temperature.
+_SOAK_STEP = 0.05
+_SOAK_SETS = 100.0
+
 #: A level below this share of the scatter is none.
 _NOTHING = 1e-6
 
@@ -103,9 +108,15 @@ def scatter_parts(sets: DataSets) -> tuple[Floats, tuple[Floats, ...], bool]:
         duration = np.where(np.isfinite(sets.duration_s) & (sets.duration_s > 0), sets.duration_s, 1.0)
         correlation = flicker_correlation(sets.t_s, duration, TIME_CONSTANTS_S)
     else:
-        order = sets.segment.astype(np.float64)
-        correlation = flicker_correlation(order, np.ones(len(sets)), TIME_CONSTANTS_SETS)
+        correlation = flicker_correlation(order_of(sets), np.ones(len(sets)), TIME_CONSTANTS_SETS)
     return known, (np.ones(len(sets)), correlation, sets.rate_dps**2), sets.timed
+
+
+def order_of(sets: DataSets) -> Floats:
+    """Place of each data set in the order of the recording, shape (n,), with room for soaks between temperatures."""
+    step = np.abs(np.diff(sets.temp_c, prepend=sets.temp_c[0]))
+    soaks = np.cumsum(step > _SOAK_STEP * np.ptp(sets.temp_c)) if np.ptp(sets.temp_c) > 0 else 0
+    return np.asarray(sets.segment + _SOAK_SETS * soaks, dtype=np.float64)
 
 
 def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
@@ -123,10 +134,12 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
     unit = max(float(residual @ residual) / (len(sets) - design.shape[1]), 1e-30)
     sizes = np.array([np.mean(_diagonal(part)) for part in parts])
     # Levels are sought as logarithms of their share of the scatter: positive, and of one size.
-    scale: Floats = np.where(sizes > 0, unit / np.where(sizes > 0, sizes, 1.0), 0.0)
+    scale: Floats = np.asarray(
+        np.where(sizes > 0, unit / np.where(sizes > 0, sizes, 1.0), 0.0), dtype=np.float64
+    )
 
     def cost(log_share: Floats) -> tuple[float, Floats]:
-        levels: Floats = scale * np.exp(log_share)
+        levels: Floats = np.asarray(scale * np.exp(log_share), dtype=np.float64)
         value, slope = _restricted_likelihood(known, parts, levels, basis, error_dps)
         return value, slope * levels
 
@@ -139,7 +152,7 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
         options={"ftol": 1e-10, "gtol": 1e-5, "maxiter": 200},
     )
     share = np.exp(found.x)
-    levels: Floats = np.where(share > _NOTHING, scale * share, 0.0)
+    levels: Floats = np.asarray(np.where(share > _NOTHING, scale * share, 0.0), dtype=np.float64)
     # Whatever is estimated, the matrix stays regular: rounding is noise too.
     matrix = _matrix(known + 1e-12 * unit, parts, levels)
     information = _average_information(matrix, parts, levels, basis, error_dps)

@@ -30,6 +30,8 @@ Weights = Literal["gls", "ols"]
 
 #: Number of coefficients.
 TERMS = SHAPE[0] * SHAPE[1]
+ALL_TERMS = np.ones(TERMS, dtype=np.bool_)
+BIAS_TERMS = np.arange(TERMS) < SHAPE[1]
 
 
 @dataclass(frozen=True)
@@ -67,12 +69,12 @@ class SurfaceFit:
     @property
     def std_dps(self) -> Floats:
         """Standard errors of the coefficients, shape (4, 3), deg/s."""
-        return np.sqrt(np.diag(self.covariance_dps2)).reshape(SHAPE)
+        return np.asarray(np.sqrt(np.diag(self.covariance_dps2)).reshape(SHAPE))
 
     def half_width_dps(self, level: float = 0.95) -> Floats:
         """Half widths of the coefficients' confidence intervals, shape (4, 3), deg/s."""
         factor = stats.t.ppf(0.5 + 0.5 * level, self.dof)
-        return self.std_dps * np.asarray(factor).reshape(SHAPE)
+        return np.asarray(self.std_dps * np.asarray(factor).reshape(SHAPE))
 
     @property
     def condition(self) -> float:
@@ -98,28 +100,31 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def fit_surface(sets: DataSets, weights: Weights = "gls") -> SurfaceFit:
+def fit_surface(sets: DataSets, weights: Weights = "gls", terms: NDArray[np.bool_] = ALL_TERMS) -> SurfaceFit:
     """Fit the twelve terms to data sets that `checks.check_surface` has passed.
 
     Parameters
     ----------
     weights : {"gls", "ols"}
         Weight by the estimated covariance of the scatter, or equally as the paper does.
+    terms : ndarray of bool, shape (12,)
+        Terms to fit, row-major over (i, j); the others are zero. `BIAS_TERMS` is the bias over temperature.
     """
-    design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)
+    design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)[:, terms]
     scatter = estimate_scatter(sets, design)
     error_dps = sets.error_dps
-    ols_gain = np.linalg.pinv(design)
-    gain = gls_gain(scatter.matrix, design) if weights == "gls" else ols_gain
-    surface = scaled_surface(sets, gain @ error_dps)
-    ols = scaled_surface(sets, ols_gain @ error_dps)
+    ols_gain: Floats = np.asarray(np.linalg.pinv(design), dtype=np.float64)
+    gain: Floats = gls_gain(scatter.matrix, design) if weights == "gls" else ols_gain
+    place = np.eye(TERMS)[:, terms]
+    surface = scaled_surface(sets, place @ gain @ error_dps)
+    ols = scaled_surface(sets, place @ ols_gain @ error_dps)
     predicted = surface.error_dps(sets.gyro_dps, sets.temp_c)
     return SurfaceFit(
         sets=sets,
         surface=surface,
         weights=weights,
-        covariance_dps2=gain @ scatter.matrix @ gain.T,
-        dof=_degrees_of_freedom(scatter, gain, len(sets) - TERMS),
+        covariance_dps2=place @ gain @ scatter.matrix @ gain.T @ place.T,
+        dof=place @ _degrees_of_freedom(scatter, gain, len(sets) - design.shape[1]) + ~terms,
         scatter=scatter,
         design=design,
         predicted_dps=predicted,
@@ -149,7 +154,7 @@ def _degrees_of_freedom(scatter: Scatter, gain: Floats, most: int) -> Floats:
     spread = np.einsum("ki,ij,kj->k", slopes, level_covariance, slopes)
     with np.errstate(divide="ignore"):
         dof = 2.0 * variance**2 / spread
-    return np.clip(dof, 1.0, float(max(most, 1)))
+    return np.asarray(np.clip(dof, 1.0, float(max(most, 1))))
 
 
 def studentised_residuals(scatter: Scatter, error_dps: Floats) -> Floats:

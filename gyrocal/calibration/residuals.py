@@ -14,7 +14,7 @@ from scipy import linalg, stats
 
 from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection
 from gyrocal.calibration.datasets import DataSets
-from gyrocal.calibration.fit import scaled_surface, studentised_residuals
+from gyrocal.calibration.fit import studentised_residuals
 from gyrocal.calibration.groups import indicators, rate_groups, temperature_groups, time_groups
 
 Floats = NDArray[np.float64]
@@ -99,6 +99,7 @@ def find_outliers(sets: DataSets, scatter: Scatter) -> tuple[tuple[Outlier, ...]
 
     In rounds: a large outlier widens the estimated scatter and so hides smaller ones.
     """
+    design = scatter.design
     kept = np.ones(len(sets), dtype=np.bool_)
     found: dict[int, tuple[float, float]] = {}
     for _ in range(_OUTLIER_ROUNDS):
@@ -113,9 +114,9 @@ def find_outliers(sets: DataSets, scatter: Scatter) -> tuple[tuple[Outlier, ...]
         found |= {int(rows[i]): (float(t[i]), float(p[i])) for i in np.flatnonzero(new)}
         kept[rows[new]] = False
         rest = sets.select(kept)
-        scatter = estimate_scatter(rest, scaled_surface(sets).design(rest.gyro_dps, rest.temp_c))
+        scatter = estimate_scatter(rest, design[kept])
     rest = sets.select(kept)
-    surface_dps = _predicted_from(rest, scatter, sets)
+    surface_dps = _predicted_from(rest, scatter, design)
     outliers = [
         Outlier(
             row=row,
@@ -132,11 +133,11 @@ def find_outliers(sets: DataSets, scatter: Scatter) -> tuple[tuple[Outlier, ...]
     return (*outliers, *_peaks(sets)), kept, scatter
 
 
-def _predicted_from(rest: DataSets, scatter: Scatter, sets: DataSets) -> Floats:
+def _predicted_from(rest: DataSets, scatter: Scatter, design: Floats) -> Floats:
     lower = linalg.cholesky(scatter.matrix, lower=True)
     white = linalg.solve_triangular(lower, np.column_stack([scatter.design, rest.error_dps]), lower=True)
     coefficients = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]
-    return np.asarray(scaled_surface(sets).design(sets.gyro_dps, sets.temp_c) @ coefficients)
+    return np.asarray(design @ coefficients)
 
 
 def _peaks(sets: DataSets) -> list[Outlier]:
@@ -258,7 +259,8 @@ def scatter_by_rate(sets: DataSets, residual_dps: Floats, rng: np.random.Generat
     std = np.sqrt((deviation**2) @ members / n)
     center = speed @ members / n
     p_value, growth = _permutation_tests(ratio, level, speed, members, rng)
-    at_center = np.interp(center, *(v[np.argsort(speed)] for v in (speed, line)))
+    order = np.argsort(speed)
+    at_center = np.interp(center, speed[order], line[order])
     return ScatterByRate(
         rate_dps=center,
         n=n.astype(np.int64),
@@ -301,4 +303,4 @@ def _permutation_tests(
 def _against_neighbours(std: Floats) -> Floats:
     lower = np.concatenate([std[1:2], std[:-1]])
     upper = np.concatenate([std[1:], std[-2:-1]])
-    return std / np.maximum(0.5 * (lower + upper), np.finfo(float).tiny)
+    return np.asarray(std / np.maximum(0.5 * (lower + upper), np.finfo(float).tiny))

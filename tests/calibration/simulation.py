@@ -24,13 +24,15 @@ SURFACE = Surface(
 
 def flicker(rng: np.random.Generator, size: int, floor_dps: float, step_s: float = 1.0) -> Floats:
     """1/f noise on a grid by FFT; ``S(f) = B^2 / (2 pi f)``, so that its Allan floor is 0.664 B = `floor_dps`."""
+    # Made four times as fine and averaged: a gyro averages over its sample time, so nothing is cut at Nyquist.
+    fine, step_s = 4 * size, step_s / 4
     b = floor_dps / 0.664
-    padded = 4 * size
+    padded = 4 * fine
     f = np.fft.rfftfreq(padded, step_s)
     f[0] = np.inf
     amplitude = np.sqrt(b**2 / (2 * np.pi * f) / (2 * step_s) * padded)
     spectrum = amplitude * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)) / np.sqrt(2)
-    return np.asarray(np.fft.irfft(spectrum, padded)[:size] * np.sqrt(2))
+    return np.asarray(np.fft.irfft(spectrum, padded)[:fine].reshape(-1, 4).mean(axis=1) * np.sqrt(2))
 
 
 def schedule(rng: np.random.Generator, rates: Floats, temps: Floats, set_s: float, soak_s: float) -> Floats:

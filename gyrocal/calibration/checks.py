@@ -1,0 +1,178 @@
+"""Whether the data can carry the fit: asked before it, answered with what is missing and what to measure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrocal.calibration.datasets import DataSets, Recording
+from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
+from gyrocal.calibration.groups import distinct
+from gyrocal.errors import DataError
+from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER
+
+#: Least span of temperature, °C, that a calibration over temperature means anything for.
+LEAST_TEMPERATURE_SPAN_C = 3.0
+#: The smaller of the two signs' largest rates, as a share of the larger.
+_OTHER_SIGN = 0.2
+#: A scaled design above this condition has columns that the data do not tell apart (a full grid has 25).
+_WORST_CONDITION = 1e4
+#: Rounding of the temperature that may explain this share of the residual, and up to twice the residual, matters.
+_ROUNDING_SHARE = 0.5
+#: More data sets than this make the covariance matrix too large.
+MOST_DATA_SETS = 3000
+_LISTED = 6
+
+
+def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) -> tuple[str, ...]:
+    """Refuse data that cannot carry a surface of twelve terms.
+
+    Parameters
+    ----------
+    sets : DataSets
+        Those that go into the fit.
+    force : bool
+        Turn what is doubtful (saturated, stuck) into notes. What is missing stays an error.
+
+    Returns
+    -------
+    notes : tuple of str
+
+    Raises
+    ------
+    DataError
+        With what is missing and what to measure.
+    """
+    source = recording.source
+    rates = distinct(sets.rate_dps)
+    if rates == 1:
+        raise DataError(
+            f"{source}: a recording at one rate ({sets.rate_dps[0]:+.4g} deg/s) carries no surface. "
+            "Record at least 4 rates of both signs, or take it as bias over temperature with --bias-only."
+        )
+    if len(sets) <= TERMS:
+        raise DataError(
+            f"{source}: {len(sets)} data sets for {TERMS} coefficients are too few. "
+            "Record at least 4 rates at each of 3 temperatures, and some more to see the scatter."
+        )
+    if len(sets) > MOST_DATA_SETS:
+        raise DataError(
+            f"{source}: {len(sets)} data sets are more than the fit takes ({MOST_DATA_SETS}). "
+            "Average neighbouring rows of the same rate and temperature into one data set."
+        )
+    _check_rates(source.as_posix(), sets, rates)
+    _check_temperatures(recording, sets, "surface")
+    condition = np.linalg.cond(scaled_surface(sets).design(sets.gyro_dps, sets.temp_c))
+    if not condition < _WORST_CONDITION:
+        raise DataError(
+            f"{source}: rates and temperatures do not vary independently (condition {condition:.2g} of the scaled "
+            f"design; a full grid has 25). Record every rate at 3 temperatures at least."
+        )
+    return _doubts(recording, sets, force)
+
+
+def _check_rates(source: str, sets: DataSets, rates: int) -> None:
+    low, high = float(sets.rate_dps.min()), float(sets.rate_dps.max())
+    if low >= 0 or high <= 0 or min(-low, high) < _OTHER_SIGN * max(-low, high):
+        raise DataError(
+            f"{source}: rates run from {low:+.4g} to {high:+.4g} deg/s: one sign only. "
+            "Record the same rates in the other direction too; the error need not be odd in the rate."
+        )
+    if rates < RATE_ORDER + 1:
+        raise DataError(
+            f"{source}: {rates} distinct rates do not carry order {RATE_ORDER} in rate. "
+            f"Record at least {RATE_ORDER + 1}, spread over the range of the gyro."
+        )
+
+
+def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> None:
+    span, levels = float(np.ptp(sets.temp_c)), distinct(sets.temp_c)
+    if span < 1e-3 and recording.run is not None:
+        chamber = [r.chamber_c for r in recording.run.segments]
+        if max(chamber) - min(chamber) >= LEAST_TEMPERATURE_SPAN_C:
+            raise DataError(
+                f"{recording.source}: the gyro's temperature is stuck at {sets.temp_c[0]:.2f} °C while the chamber "
+                f"went from {min(chamber):.0f} to {max(chamber):.0f} °C. Repair the sensor and record again."
+            )
+    if span < LEAST_TEMPERATURE_SPAN_C:
+        raise DataError(
+            f"{recording.source}: every data set is at one temperature ({sets.temp_c.min():.2f} to "
+            f"{sets.temp_c.max():.2f} °C), which carries no {what} over temperature. "
+            f"Record at least {TEMPERATURE_ORDER + 1} temperatures, spread over the range of use."
+        )
+    if levels < TEMPERATURE_ORDER + 1:
+        raise DataError(
+            f"{recording.source}: {levels} distinct temperatures do not carry order {TEMPERATURE_ORDER} in "
+            f"temperature. Record at least {TEMPERATURE_ORDER + 1}, spread over the range of use."
+        )
+
+
+def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
+    saturated = set(recording.sets.segment[recording.saturated].tolist())
+    at_rail = [row for row in range(len(sets)) if int(sets.segment[row]) in saturated]
+    stuck_sets = (sets.gyro_std_dps == 0) & (sets.n > 1) & (sets.rate_dps != 0)
+    stuck = [row for row in np.flatnonzero(stuck_sets).tolist() if row not in at_rail]
+    if float(np.ptp(sets.gyro_dps)) == 0:
+        raise DataError(
+            f"{recording.source}: the gyro says {sets.gyro_dps[0]:.6g} at every rate: it is stuck. "
+            "Check its power and its cable, and record again."
+        )
+    doubts = [
+        (at_rail, "saturated: samples stand at the recording's extreme value"),
+        (stuck, "stuck: every sample has the same value"),
+    ]
+    notes = []
+    for rows, what in doubts:
+        if not rows:
+            continue
+        listed = ", ".join(sets.describe(row) for row in rows[:_LISTED]) + (
+            ", ..." if len(rows) > _LISTED else ""
+        )
+        if not force:
+            ids = ",".join(str(sets.segment[row]) for row in rows[:_LISTED])
+            raise DataError(
+                f"{recording.source}: {len(rows)} data sets are {what} ({listed}). "
+                f"Leave them out with --exclude {ids}, or say --force."
+            )
+        notes.append(f"{len(rows)} data sets are {what} ({listed}); used because of --force")
+    zero = (sets.gyro_std_dps == 0) & (sets.n > 1) & (sets.rate_dps == 0)
+    if zero.any():
+        notes.append(
+            f"at rest the output does not move in {int(zero.sum())} data sets (coarse steps or a dead zone)"
+        )
+    return tuple(notes)
+
+
+def check_bias(recording: Recording, sets: DataSets) -> None:
+    """Refuse data that cannot carry a bias over temperature.
+
+    Raises
+    ------
+    DataError
+        More than one rate and none of them zero, or too few data sets or temperatures.
+    """
+    if len(sets) <= TEMPERATURE_ORDER + 1:
+        raise DataError(
+            f"{recording.source}: {len(sets)} data sets at one rate are too few for a bias of order "
+            f"{TEMPERATURE_ORDER} in temperature. Record at least {TEMPERATURE_ORDER + 2}, spread over temperature."
+        )
+    _check_temperatures(recording, sets, "bias")
+
+
+def check_rounding(recording: Recording, fit: SurfaceFit, *, force: bool = False) -> tuple[str, ...]:
+    """Weigh what whole-degree temperatures do to the fit.
+
+    Rounding to 1 °C is an error of 0.29 °C rms, which the slope of the surface turns into deg/s. Where that is more
+    than twice the residual the temperatures cannot be rounded: they are exact, or nominal.
+    """
+    if not recording.whole_degrees:
+        return ()
+    half = 0.5
+    g, t = fit.sets.gyro_dps, fit.sets.temp_c
+    slope = fit.surface.error_dps(g, t + half) - fit.surface.error_dps(g, t - half)
+    effect, residual = rms(slope) / np.sqrt(12.0), rms(fit.residual_dps)
+    text = f"temperatures are whole degrees: rounding makes {effect:.2g} deg/s rms, the residual is {residual:.2g} deg/s"
+    if _ROUNDING_SHARE * residual < effect < 2.0 * residual and not force:
+        raise DataError(
+            f"{recording.source}: {text}. Log the gyro's temperature with 0.1 °C or finer, or say --force."
+        )
+    return (text,)

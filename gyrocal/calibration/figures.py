@@ -1,0 +1,104 @@
+"""Figures of merit of a calibrated gyro, named after IEEE Std 952 (fiber-optic gyro test procedures).
+
+Each figure is ``{"value", "std", "unit", "meaning"}``; standard deviations carry the covariance of the
+coefficients through the figure's slope, found by differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.fusion.coefficients import Valid
+from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.units import DPS_TO_DPH
+
+Floats = NDArray[np.float64]
+
+_GRID = 81
+_PPM = 1e6
+
+
+def merit_figures(surface: Surface, covariance_dps2: Floats, valid: Valid) -> dict[str, dict[str, Any]]:
+    """Figures of merit over the valid range of rate and temperature."""
+    rates = np.linspace(*valid.rate_dps, _GRID)
+    temps = np.linspace(*valid.temp_c, _GRID)
+    middle = 0.5 * (valid.temp_c[0] + valid.temp_c[1])
+    full = max(abs(valid.rate_dps[0]), abs(valid.rate_dps[1]))
+
+    def slope(s: Surface, temp_c: float, sign: int = 0) -> float:
+        """Scale factor error: slope of the error over the output by least squares, over one sign or both."""
+        g = rates if sign == 0 else rates[rates * sign > 0]
+        return float(np.polyfit(g, s.error_dps(g, temp_c), 1)[0])
+
+    def spread(values: list[float]) -> float:
+        return max(values) - min(values)
+
+    def off_line(s: Surface) -> Floats:
+        e = s.error_dps(rates, middle)
+        return np.asarray(e - np.polyval(np.polyfit(rates, e, 1), rates))
+
+    slopes_over_temperature = np.linspace(*valid.temp_c, 13)
+    laws: dict[str, tuple[str, str, Callable[[Surface], float]]] = {
+        "bias": (
+            "deg/h",
+            f"error at zero output, {middle:.1f} °C",
+            lambda s: float(s.error_dps(0.0, middle)) * DPS_TO_DPH,
+        ),
+        "bias_over_temperature": (
+            "deg/h peak to peak",
+            "range of the error at zero output",
+            lambda s: float(np.ptp(s.error_dps(0.0, temps))) * DPS_TO_DPH,
+        ),
+        "scale_factor_error": (
+            "ppm",
+            f"slope of the error over the output, {middle:.1f} °C",
+            lambda s: slope(s, middle) * _PPM,
+        ),
+        "scale_factor_over_temperature": (
+            "ppm peak to peak",
+            "range of that slope",
+            lambda s: spread([slope(s, float(t)) for t in slopes_over_temperature]) * _PPM,
+        ),
+        "scale_factor_asymmetry": (
+            "ppm",
+            f"slope for positive less that for negative rates, {middle:.1f} °C",
+            lambda s: (slope(s, middle, 1) - slope(s, middle, -1)) * _PPM,
+        ),
+        "scale_factor_nonlinearity": (
+            "% of full scale rms",
+            f"error less its straight line, {middle:.1f} °C",
+            lambda s: float(np.sqrt(np.mean(off_line(s) ** 2))) / full * 100.0,
+        ),
+    }
+    figures = {}
+    for name, (unit, meaning, law) in laws.items():
+        value, std = _propagated(law, surface, covariance_dps2)
+        figures[name] = {"value": value, "std": std, "unit": unit, "meaning": meaning}
+    return figures
+
+
+def bias_figures(surface: Surface, covariance_dps2: Floats, valid: Valid) -> dict[str, dict[str, Any]]:
+    """The figures that a record at one rate carries."""
+    near_zero = Valid((valid.rate_dps[0], valid.rate_dps[0] + 1.0), valid.temp_c)
+    figures = merit_figures(surface, covariance_dps2, near_zero)
+    return {name: figures[name] for name in ("bias", "bias_over_temperature")}
+
+
+def _propagated(
+    law: Callable[[Surface], float], surface: Surface, covariance_dps2: Floats
+) -> tuple[float, float]:
+    """Value of a figure and its standard deviation to first order."""
+    value = law(surface)
+    c = surface.coefficients_dps.ravel()
+    steps = np.sqrt(np.diag(covariance_dps2))
+    slopes = np.zeros(c.size)
+    for k in np.flatnonzero(steps > 0):
+        moved = c.copy()
+        moved[k] += steps[k]
+        slopes[k] = (law(replace(surface, coefficients_dps=moved.reshape(SHAPE))) - value) / steps[k]
+    return value, float(np.sqrt(max(slopes @ covariance_dps2 @ slopes, 0.0)))
