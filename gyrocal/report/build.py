@@ -330,7 +330,8 @@ def _tables(m: _Material) -> list[Table]:
         tables.marked_table(data, m.reasons),
         tables.level_table(data, data.sets.temp_c, "error_by_temperature", "Temperature, °C", "temp_c"),
         tables.level_table(data, data.sets.rate_dps, "error_by_rate", "Rate, deg/s", "rate_dps"),
-        tables.data_set_table(data, m.reasons),
+        tables.data_set_table(m.recording.source, data),
+        tables.residual_table(data, m.reasons),
     ]
     if m.signed is not None:
         found.append(tables.scatter_table(m.signed, m.tested))

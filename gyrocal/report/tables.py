@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.fusion.coefficients import Coefficients, Noise
 from gyrocal.physics.surface import SHAPE
+from gyrocal.records.datasets import DataSetTable, format_data_sets
 from gyrocal.report.data import Examined, Floats
 from gyrocal.report.levels import levels
 from gyrocal.report.page import Table
@@ -84,7 +86,27 @@ def noise_table(noise: Noise) -> Table:
     return Table("noise", "Noise", ("Figure", "Value", "95 % interval", "Unit"), rows, text)
 
 
-def data_set_table(data: Examined, reasons: Mapping[int, str]) -> Table:
+def data_set_table(source: Path, data: Examined) -> Table:
+    """The data sets as a table that `fit` and `diagnose` read (formats.md); only in CSV."""
+    sets = data.sets
+
+    def known(values: Floats) -> Floats | None:
+        return values if np.isfinite(values).all() else None
+
+    table = DataSetTable(
+        source,
+        sets.rate_dps,
+        sets.gyro_dps,
+        sets.temp_c,
+        known(sets.gyro_std_dps),
+        known(sets.n),
+        known(sets.t_s),
+        known(sets.temp_rate_c_per_min),
+    )
+    return Table("data_sets", "Data sets", (), (), format_data_sets(table), on_page=False)
+
+
+def residual_table(data: Examined, reasons: Mapping[int, str]) -> Table:
     """Every data set before and after; only in CSV. `reasons` says, by row, why a data set is marked."""
     sets = data.sets
     text = csv_text(
@@ -97,13 +119,11 @@ def data_set_table(data: Examined, reasons: Mapping[int, str]) -> Table:
             "error_before_dps": sets.error_dps,
             "residual_dps": data.residual_dps,
             "sigma_dps": data.sigma_dps,
-            "gyro_std_dps": sets.gyro_std_dps,
-            "n": sets.n,
             "outcome": sets.outcome,
             "marked": [reasons.get(row, "") for row in range(len(sets))],
         }
     )
-    return Table("data_sets", "Data sets", (), (), text, on_page=False)
+    return Table("residuals", "Residuals", (), (), text, on_page=False)
 
 
 def marked_table(data: Examined, reasons: Mapping[int, str]) -> Table:
