@@ -6,9 +6,9 @@ D = true D + dD, assumed B = true B + dB.
 
 Order of the states inside: x, y, psi, phi, dB_rb, dB_s, S_R, S_L, dD. Psi and phi stand before the constants that
 drive them, so the transition matrix F is unit upper triangular. The covariance is carried as P = U diag(d) U',
-U unit upper triangular: then F P F' is F U with the same d, noise is a Gram-Schmidt step on the pose's columns, and
-a measurement a rank-one change, all of which keep d >= 0 (Bierman, Factorization Methods for Discrete Sequential
-Estimation, 1977, ch. V and VI). P is symmetric and positive by construction, after any number of steps.
+U unit upper triangular: then F P F' is F U with the same d, and noise and measurement are rank-one changes that keep
+d >= 0 (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977). P is symmetric and positive by
+construction, after any number of steps.
 
 Imported when a `Navigator` is made, since numba takes a while to load; without numba the same functions run as
 they stand.
@@ -37,10 +37,9 @@ SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, FILE_WIDTH = r
 ROWS, UPDATES, GATED, GAPS, DUPLICATES, REPEATED, NO_ENCODERS, NO_GYRO = range(8)
 COUNTS_SIZE = 8
 
-# Rows of the matrix `m`: U, then d, then scratch: U'h, the same times d, gain, a noise vector, variances and vectors
-# of the Gram-Schmidt step.
-D, SEEN, WEIGHED, GAIN, VECTOR, Q, W = range(9, 16)
-MATRIX_SHAPE = (W + 7, 9)
+# Rows of the matrix `m`: U, d, and scratch: U'h, the same times d, gain, a noise vector.
+D, SEEN, WEIGHED, GAIN, V = range(9, 14)
+MATRIX_ROWS = 14
 _N = 9
 
 # The paper's order (eq. 12): place here, and unit outside.
@@ -102,21 +101,20 @@ def _usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: 
 
 
 @part
-def _add_noise(m: Any, place: int, variance: float) -> None:
-    """Add noise of one state to P, a rank-one change (Agee and Turner)."""
-    for i in range(place):
-        m[VECTOR, i] = 0.0
-    m[VECTOR, place] = 1.0
-    for j in range(place, -1, -1):
-        here = m[VECTOR, j]
+def _add_noise(m: Any, variance: float, x: float, y: float, psi: float, phi: float, bias: float) -> None:
+    """Add variance v v' to P, v given by its entries: a rank-one change (Agee and Turner)."""
+    m[V, X], m[V, Y], m[V, PSI], m[V, PHI], m[V, BIAS] = x, y, psi, phi, bias
+    last = BIAS if bias != 0.0 else (PHI if phi != 0.0 else PSI)
+    for j in range(last, -1, -1):
+        here = m[V, j]
         grown = m[D, j] + variance * here * here
         if grown > 0.0:
             gain = variance * here / grown
             variance *= m[D, j] / grown
             m[D, j] = grown
             for i in range(j):
-                m[VECTOR, i] -= here * m[i, j]
-                m[i, j] += gain * m[VECTOR, i]
+                m[V, i] -= here * m[i, j]
+                m[i, j] += gain * m[V, i]
 
 
 @part
@@ -140,64 +138,30 @@ def _propagate(
 
 
 @part
-def _noise_vector(m: Any, k: int, variance: float, x: float, y: float, psi: float, phi: float) -> None:
-    m[Q, k] = variance
-    m[W + k, X], m[W + k, Y], m[W + k, PSI], m[W + k, PHI] = x, y, psi, phi
-
-
-@part
-def _add_pose_noise(m: Any) -> None:
-    """Add noise vectors 4 to 6 of `_noise_vector` to P: weighted Gram-Schmidt on the pose's columns of U (Thornton)."""
-    for k in range(BIAS):
-        m[Q, k] = m[D, k]
-        m[W + k, k] = 1.0
-        for i in range(k):
-            m[W + k, i] = m[i, k]
-    for j in range(PHI, -1, -1):
-        total = 0.0
-        for k in range(j, 7):
-            total += m[Q, k] * m[W + k, j] * m[W + k, j]
-        m[D, j] = total
-        inverse = 1.0 / total if total > 0.0 else 0.0
-        for i in range(j):
-            shared = 0.0
-            for k in range(j, 7):
-                shared += m[Q, k] * m[W + k, j] * m[W + k, i]
-            shared *= inverse
-            m[i, j] = shared
-            for k in range(j, 7):
-                m[W + k, i] -= shared * m[W + k, j]
-
-
-@part
 def _spread(
-    m: Any, figures: Any, sin: float, cos: float, u_right: float, u_left: float, width: float, turned: float,
-    dt: float, blind: float, gyro: bool,
+    m: Any, figures: Any, sin: float, cos: float, right: float, left: float, width: float, dt: float, blind: float,
+    gyro: bool,
 ) -> None:  # fmt: skip
-    """Process noise of one step: of the wheels, along and in heading; of the gyro; of its bias."""
-    travel = 0.5 * (u_right + u_left)
-    across_x, across_y = -0.5 * sin * travel, 0.5 * cos * travel  # a heading error grows evenly over the step
+    """Process noise of one step: of the wheels, the gyro and its bias."""
+    travel, turned = 0.5 * (right + left), (right - left) / width
+    x, y = -0.5 * sin * travel, 0.5 * cos * travel  # a heading error grows evenly over the step
     walk = figures[WALK] * dt if gyro else 0.0
     if blind == 0.0:
-        # Independent errors of the wheels, (w_R + w_L) / 2 along and (w_R - w_L) / D in heading, correlate.
-        right, left = figures[SLIP] * abs(u_right), figures[SLIP] * abs(u_left)
-        heading = (right + left) / (width * width) + figures[TURN] * abs(turned)
-        cross = 0.5 * (right - left) / (width * heading) if heading > 0.0 else 0.0
-        along = max(0.25 * (right + left) - cross * cross * heading, 0.0)
-        _noise_vector(
-            m, 4, heading, across_x + cross * cos, across_y + cross * sin, 1.0, 0.0 if gyro else 1.0
-        )
-        _noise_vector(m, 5, along, cos, sin, 0.0, 0.0)
-        _noise_vector(m, 6, walk, 0.0, 0.0, 0.0, 1.0)
+        per_m, phi = 1.0 / width, 0.0 if gyro else 1.0
+        along_x, along_y = 0.5 * cos, 0.5 * sin
+        slip = figures[SLIP]
+        _add_noise(m, slip * abs(right), along_x + x * per_m, along_y + y * per_m, per_m, phi * per_m, 0.0)
+        _add_noise(m, slip * abs(left), along_x - x * per_m, along_y - y * per_m, -per_m, -phi * per_m, 0.0)
+        if figures[TURN] > 0.0:
+            _add_noise(m, figures[TURN] * abs(turned), x, y, 1.0, phi, 0.0)
+        _add_noise(m, walk, 0.0, 0.0, 0.0, 1.0, 0.0)
     else:
         # A held reading errs the same way in each step: variance m^2 in all after m steps, as sum of 2 m - 1.
         grown = 2.0 * blind - 1.0
-        _noise_vector(m, 4, 0.0 if gyro else grown * turned * turned, across_x, across_y, 1.0, 1.0)
-        _noise_vector(m, 5, grown * travel * travel, cos, sin, 0.0, 0.0)
-        _noise_vector(m, 6, walk, across_x, across_y, 1.0, 1.0)
-    _add_pose_noise(m)
+        _add_noise(m, grown * travel * travel, cos, sin, 0.0, 0.0, 0.0)
+        _add_noise(m, walk if gyro else grown * turned * turned, x, y, 1.0, 1.0, 0.0)
     if figures[BIAS_WALK] > 0.0:
-        _add_noise(m, BIAS, figures[BIAS_WALK] * dt)
+        _add_noise(m, figures[BIAS_WALK] * dt, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @part
@@ -226,10 +190,9 @@ def _advance(
     if filtering:
         # Eq. 8 holds at the true distances. Measured ones bring their slip into the matrix, where it looks like
         # knowledge of D apart from B_s; the gyro's turn is far cleaner than the wheels'.
-        half = 0.5 * width * by_gyro if encoders else 0.0
-        u_right, u_left = travel + half, travel - half
+        u_right, u_left = travel + 0.5 * width * by_gyro, travel - 0.5 * width * by_gyro
         _propagate(m, sin, cos, u_right, u_left, width, nav[RATE], dt, encoders, gyro)
-        _spread(m, figures, sin, cos, u_right, u_left, width, by_gyro, dt, nav[BLIND], gyro)
+        _spread(m, figures, sin, cos, u_right, u_left, width, dt, nav[BLIND], gyro)
     nav[X] += cos * travel
     nav[Y] += sin * travel
     nav[PSI] += by_wheels
@@ -279,7 +242,7 @@ def _measure(nav: Any, m: Any, figures: Any, counts: Any) -> Any:
         # Both headings are integrals, so a jump between them stays: dropping it would bar every later one too.
         # Wheels slip, gyros do not: psi takes the jump, and the constants are left alone.
         counts[GATED] += 1
-        _add_noise(m, PSI, z * z - expected)
+        _add_noise(m, z * z - expected, 0.0, 0.0, 1.0, 0.0, 0.0)
         _project(m, figures[MEASUREMENT])
     z /= _update(m, figures[MEASUREMENT])
     for i in range(RIGHT):
@@ -317,7 +280,7 @@ def navigate(
 
     Parameters
     ----------
-    nav, m, figures, counts : ndarray, shapes (NAVIGATION_SIZE,), MATRIX_SHAPE, (9,) and, of int64, (COUNTS_SIZE,)
+    nav, m, figures, counts : ndarray, shapes (NAVIGATION_SIZE,), (MATRIX_ROWS, 9), (9,) and, of int64, (COUNTS_SIZE,)
     dt, left, right, gyro : ndarray, shape (n,), s, m, m, deg/s
     states : ndarray, shape (n, 9)
         Out, in the paper's order.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -44,35 +44,22 @@ class Counts:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the robot was (x forward, y left, counter-clockwise; REP 103), row by row; of `step`: of its one row.
+    """Where the robot was (x forward, y left, counter-clockwise; REP 103): shape (n,), or () from `step`.
 
-    Attributes
-    ----------
-    heading_deg : ndarray, shape (n,)
-        Heading that the position follows, not wrapped: of the filter, or of the gyro alone.
-    states, std : ndarray, shape (n, 9)
-        In the order of `STATES`. Without the filter the errors stay zero and `std` is NaN.
-    innovation_deg, innovation_sigma_deg : ndarray, shape (n,)
-        psi - phi before the update, and the deviation expected of it; NaN where nothing was measured.
-    flags : ndarray of int, shape (n,)
-        `Coefficients.flags`; zeros without a calibration.
-    counts : Counts
-        Since the navigator was made, at the last row.
+    `states` and `std` have another axis, of 9, in the order of `STATES`; without the filter the errors stay zero
+    and `std` and innovation are NaN.
     """
 
     t_s: Any
     x_m: Any
     y_m: Any
-    heading_deg: Any
+    heading_deg: Any  # what the position follows, not wrapped: of the filter, or of the gyro alone
     states: Any
     std: Any
-    innovation_deg: Any
-    innovation_sigma_deg: Any
-    flags: Any
-    counts: Counts
-
-    def __len__(self) -> int:
-        return int(np.size(self.t_s))
+    innovation_deg: Any  # psi - phi before the update; NaN where nothing was measured
+    innovation_sigma_deg: Any  # what the filter expects of it
+    flags: Any  # `Coefficients.flags`; zeros without a calibration
+    counts: Counts  # since the navigator was made, at the last row
 
 
 class Navigator:
@@ -94,15 +81,9 @@ class Navigator:
     """
 
     def __init__(
-        self,
-        robot: RobotParameters,
-        coefficients: Coefficients | None = None,
-        *,
-        filtering: bool = True,
-        static_bias_dps: float = 0.0,
-        estimate_scale: bool | None = None,
-        power_on_t_s: float | None = None,
-    ) -> None:
+        self, robot: RobotParameters, coefficients: Coefficients | None = None, *, filtering: bool = True,
+        static_bias_dps: float = 0.0, estimate_scale: bool | None = None, power_on_t_s: float | None = None,
+    ) -> None:  # fmt: skip
         # numba takes a while to load, and who only reads coefficients needs none of it.
         from gyrocal.fusion import filter as loop
 
@@ -118,8 +99,7 @@ class Navigator:
         self._nav[[loop.RIGHT, loop.LEFT, loop.SCALE]] = 1.0
         self._nav[loop.WIDTH] = robot.wheel_separation_m
         self._figures = _figures(robot, static_bias_dps)
-        self._matrix = np.zeros(loop.MATRIX_SHAPE)
-        self._matrix[:9] = np.eye(9)
+        self._matrix = np.eye(loop.MATRIX_ROWS, 9)
         self._matrix[loop.D, loop.PLACE] = (np.array(astuple(robot.initial_std)) / loop.UNIT) ** 2
         if not (coefficients is None if estimate_scale is None else estimate_scale):
             self._matrix[loop.D, loop.SCALE] = 0.0
@@ -133,34 +113,21 @@ class Navigator:
     def covariance(self) -> Floats:
         """Covariance of the nine errors in the order and units of `STATES`, shape (9, 9)."""
         rows = self._matrix[self._loop.PLACE, :] * np.reshape(self._loop.UNIT, (9, 1))
-        return np.asarray((rows * self._matrix[self._loop.D]) @ rows.T)
+        half = rows * np.sqrt(self._matrix[self._loop.D])
+        return np.asarray(half @ half.T)
 
     def run(
-        self,
-        t_s: ArrayLike,
-        left_m: ArrayLike,
-        right_m: ArrayLike,
-        gyro_dps: ArrayLike,
+        self, t_s: ArrayLike, left_m: ArrayLike, right_m: ArrayLike, gyro_dps: ArrayLike,
         temp_c: ArrayLike | None = None,
-    ) -> Trajectory:
+    ) -> Trajectory:  # fmt: skip
         """Take the next rows, arrays of shape (n,); a log in blocks of any size gives the same numbers.
 
         `left_m` and `right_m` are the distances of the wheels since the row before, `gyro_dps` is the raw output.
-
-        Raises
-        ------
-        DataError
-            Time is not finite or goes back; lengths differ; the states are no longer finite.
+        DataError where time is not finite or goes back, lengths differ, or the result is no longer finite.
         """
         t = np.array(t_s, dtype=np.float64, ndmin=1)
-        return self._run(
-            t,
-            np.diff(t, prepend=t[:1] if math.isnan(self.t_s) else self.t_s),
-            left_m,
-            right_m,
-            gyro_dps,
-            temp_c,
-        )
+        dt = np.diff(t, prepend=t[:1] if math.isnan(self.t_s) else self.t_s)
+        return self._run(t, dt, left_m, right_m, gyro_dps, temp_c)
 
     def step(
         self, dt_s: float, left_m: float, right_m: float, gyro_dps: float, temp_c: float | None = None
@@ -168,98 +135,62 @@ class Navigator:
         """Take one row, `dt_s` after the row before (0 for the very first); returns that row, without an axis."""
         t = np.array([dt_s if math.isnan(self.t_s) else self.t_s + dt_s])
         row = self._run(t, np.array([float(dt_s)]), left_m, right_m, gyro_dps, temp_c)
-        return replace(row, **{k: v[0] for k, v in vars(row).items() if k != "counts"})
+        return Trajectory(**{k: v if k == "counts" else v[0] for k, v in vars(row).items()})
 
     def _run(
-        self,
-        t: Floats,
-        dt: Floats,
-        left: ArrayLike,
-        right: ArrayLike,
-        gyro: ArrayLike,
-        temp: ArrayLike | None,
-    ) -> Trajectory:
-        if not (dt >= 0.0).all():
-            k = int(np.argmin(dt >= 0.0))
-            raise DataError(
-                f"row {self._counts[0] + k}: the time step is {dt[k]:g} s; times must be finite and in order: mend the log."
-            )
-        rate, flags = self._compensate(t, np.array(gyro, dtype=np.float64, ndmin=1), temp)
-        distances = [np.array(d, dtype=np.float64, ndmin=1) for d in (left, right)]
-        if any(a.shape != t.shape for a in (rate, *distances)):
-            raise DataError(
-                "time, distances and gyro differ in their number of rows: give one of each in a row."
-            )
-        states = np.empty((t.size, 9))
-        std, innovation = np.broadcast_to(math.nan, (t.size, 9)), np.broadcast_to(math.nan, (t.size, 2))
+        self, t: Floats, dt: Floats, left: ArrayLike, right: ArrayLike, gyro: ArrayLike, temp: ArrayLike | None
+    ) -> Trajectory:  # fmt: skip
+        if not (dt >= 0.0).all() or np.isinf(dt).any():
+            k = int(np.argmin((dt >= 0.0) & np.isfinite(dt)))
+            msg = f"row {self._counts[0] + k}: the time step is {dt[k]:g} s; times must be finite and in order: mend the log."
+            raise DataError(msg)
+        left, right, gyro = (np.array(a, dtype=np.float64, ndmin=1) for a in (left, right, gyro))
+        if not left.shape == right.shape == gyro.shape == t.shape:
+            msg = "time, distances and gyro differ in their number of rows: give one of each in a row."
+            raise DataError(msg)
+        rate, flags = self._compensate(t, gyro, temp)
+        states, nothing = np.empty((t.size, 9)), np.broadcast_to(math.nan, (t.size, 9))
+        std, innovation = nothing, nothing[:, :2]
+        outputs = (states, states, states)
         if self.filtering:
             std, innovation = np.empty((t.size, 9)), np.empty((t.size, 2))
-        outputs = (states, std, innovation) if self.filtering else (states, states, states)
-        self._loop.navigate(
-            self._nav,
-            self._matrix,
-            self._figures,
-            self._counts,
-            dt,
-            *distances,
-            rate,
-            *outputs,
-            self.filtering,
-        )
+            outputs = (states, std, innovation)
+        carried = (self._nav, self._matrix, self._figures, self._counts)
+        self._loop.navigate(*carried, dt, left, right, rate, *outputs, self.filtering)
         if not np.isfinite(self._nav[:9]).all():
-            raise DataError(
-                "position or heading is no longer finite: check units and scale of distances and gyro."
-            )
+            msg = "position or heading is no longer finite: check units and scale of distances and gyro."
+            raise DataError(msg)
         self.t_s = float(t[-1]) if t.size else self.t_s
-        heading = states[:, 2 if self.filtering else 6]
+        x, y, heading = states.T[[0, 1, 2 if self.filtering else 6]]
         return Trajectory(
-            t,
-            states[:, 0],
-            states[:, 1],
-            heading,
-            states,
-            std,
-            innovation[:, 0],
-            innovation[:, 1],
-            flags,
-            self.counts,
+            t, x, y, heading, states, std, innovation[:, 0], innovation[:, 1], flags, self.counts
         )
 
     def _compensate(
         self, t: Floats, gyro: Floats, temp_c: ArrayLike | None
     ) -> tuple[Floats, NDArray[np.int64]]:
-        """Rates by the calibration, a missing temperature held at the last one, and flags."""
-        if self._compensator is None:
+        """Rates by the calibration, a missing temperature held at the last one; and flags."""
+        if self._compensator is None or self.coefficients is None:
             return gyro, np.zeros(gyro.size, dtype=np.int64)
         if temp_c is None:
-            raise DataError(
-                "a calibration needs the gyro's temperature, and the log has none: replay without it."
-            )
+            msg = "a calibration needs the gyro's temperature, and the log has none: replay without it."
+            raise DataError(msg)
         temp = np.append(self._temp_c, np.broadcast_to(np.asarray(temp_c, dtype=np.float64), gyro.shape))
         finite = np.isfinite(temp)
         temp = temp[np.maximum.accumulate(np.where(finite, np.arange(temp.size), 0))]
         self._temp_c = float(temp[-1])
         since = None if self._power_on_t_s is None else t - self._power_on_t_s
-        corrected = self._compensator.evaluate(t, gyro, temp[1:], since)
-        flags = corrected.flags | np.where(finite[1:], 0, FLAG_NOT_FINITE)
-        self._flagged += [np.count_nonzero(~finite[1:])] + [
-            np.count_nonzero(flags & flag) for flag in (FLAG_RATE, FLAG_TEMPERATURE)
-        ]
-        return corrected.rate_dps, flags
+        flags = self.coefficients.flags(gyro, temp[1:]) | np.where(finite[1:], 0, FLAG_NOT_FINITE)
+        counted = [~finite[1:], flags & FLAG_RATE, flags & FLAG_TEMPERATURE]
+        self._flagged += [np.count_nonzero(rows) for rows in counted]
+        return self._compensator.correct(t, gyro, temp[1:], since), flags
 
 
 def _figures(robot: RobotParameters, static_bias_dps: float) -> Floats:
     """Figures of the compiled loop: variances in metres, radians and seconds, and limits."""
-    n = robot.noise
-    squared = np.array(
-        [
-            n.wheel_slip_m_per_rt_m,
-            # Turning by a radian is turning by 57.3 deg: deg^2/deg times pi/180 is rad^2/rad.
-            n.turn_slip_deg_per_rt_deg * math.sqrt(DEG_TO_RAD),
-            n.angle_random_walk_deg_per_rt_h * DEG_PER_RT_H_TO_DPS_PER_RT_HZ * DEG_TO_RAD,
-            n.bias_walk_dps_per_rt_s * DEG_TO_RAD,
-            n.heading_noise_deg * DEG_TO_RAD,
-            robot.gate_sigma,
-        ]
-    )
-    return np.append(squared**2, [robot.gap_factor, static_bias_dps, robot.wheel_separation_m])
+    slip, turn, walk, bias_walk, heading = astuple(robot.noise)
+    walk *= DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+    # Turning by a radian is turning by 57.3 deg: deg^2/deg times pi/180 is rad^2/rad.
+    in_radians = [turn / math.sqrt(DEG_TO_RAD), walk, bias_walk, heading]
+    squared = np.array([slip, *(DEG_TO_RAD * v for v in in_radians), robot.gate_sigma]) ** 2
+    return np.append(squared, [robot.gap_factor, static_bias_dps, robot.wheel_separation_m])

@@ -28,25 +28,13 @@ class InitialStd:
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Process and measurement noise.
+    """Process and measurement noise; that of the processes grows with the square root of distance, turn or time."""
 
-    Attributes
-    ----------
-    wheel_slip_m_per_rt_m : float
-        Random error of a wheel's distance after one metre; grows with the square root of the distance.
-    turn_slip_deg_per_rt_deg : float
-        Random error of the encoder heading after a turn of one degree (skid steer); same growth.
-    angle_random_walk_deg_per_rt_h, bias_walk_dps_per_rt_s : float
-        Of the gyro (IEEE 952); no bias walk is the paper's random constant (eq. 11).
-    heading_noise_deg : float
-        White error v of the heading difference (eq. 13): encoder ticks, time stamps. Positive.
-    """
-
-    wheel_slip_m_per_rt_m: float = 0.01
-    turn_slip_deg_per_rt_deg: float = 0.0
-    angle_random_walk_deg_per_rt_h: float = 0.08
-    bias_walk_dps_per_rt_s: float = 0.0
-    heading_noise_deg: float = 0.1
+    wheel_slip_m_per_rt_m: float = 0.01  # a wheel's distance after one metre
+    turn_slip_deg_per_rt_deg: float = 0.0  # encoder heading after a turn of one degree (skid steer)
+    angle_random_walk_deg_per_rt_h: float = 0.08  # of the gyro (IEEE 952)
+    bias_walk_dps_per_rt_s: float = 0.0  # of the gyro; zero is the paper's random constant (eq. 11)
+    heading_noise_deg: float = 0.1  # white error v of the heading difference (eq. 13): ticks, time stamps
 
 
 @dataclass(frozen=True)
@@ -69,12 +57,11 @@ class RobotParameters:
     gap_factor: float = 5.0
 
     def __post_init__(self) -> None:
-        own = {k: v for k, v in vars(self).items() if isinstance(v, (int, float))}
-        positive = {**own, "heading_noise_deg": self.noise.heading_noise_deg}
-        for name, value in {**asdict(self.initial_std), **asdict(self.noise)}.items():
+        limits = {"wheel_separation_m": 0.0, "gate_sigma": 0.0, "heading_noise_deg": 0.0, "gap_factor": 1.0}
+        figures = {k: v for k, v in vars(self).items() if k in limits}
+        for name, value in (asdict(self.initial_std) | asdict(self.noise)).items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise ProfileError(f"robot: {name} = {value}; give a finite figure that is not negative.")
-        for name, value in positive.items():
-            least = 1.0 if name == "gap_factor" else 0.0
-            if not (math.isfinite(value) and value > least):
-                raise ProfileError(f"robot: {name} = {value}; give a finite figure above {least:g}.")
+        for name, value in (figures | {"heading_noise_deg": self.noise.heading_noise_deg}).items():
+            if not (math.isfinite(value) and value > limits[name]):
+                raise ProfileError(f"robot: {name} = {value}; give a finite figure above {limits[name]:g}.")

@@ -21,7 +21,7 @@ _HUBER = 2.5
 
 @dataclass(frozen=True)
 class StaticBias:
-    """Bias at rest with its standard error (white and correlated noise), over `n` samples in `duration_s`."""
+    """Bias at rest and its standard error (of white and correlated noise), from `n` samples over `duration_s`."""
 
     bias_dps: float
     std_error_dps: float
@@ -32,39 +32,33 @@ class StaticBias:
 def static_bias(
     t_s: ArrayLike, left_m: ArrayLike, right_m: ArrayLike, rate_dps: ArrayLike, static_s: float
 ) -> StaticBias:
-    """Huber mean of the rates in the first `static_s` seconds; rates of a calibrated gyro are given compensated.
+    """Huber mean of the rates, shape (n,), in the first `static_s` seconds; of a calibrated gyro, compensated ones.
 
-    The standard error is that of the Newey-West long-run variance, or of white noise where that is larger.
-    It says nothing of bias that changes after the rest.
-
-    Raises
-    ------
-    DataError
-        The rest is too short or empty, or the robot moves in it.
+    The standard error is by the Newey-West long-run variance, at least that of white noise. It says nothing of a
+    bias that changes after the rest. DataError where the rest is too short or empty, or the robot moves in it.
     """
     t, left, right, rate = (np.asarray(a, dtype=np.float64) for a in (t_s, left_m, right_m, rate_dps))
     if static_s < LEAST_STATIC_S:
-        raise DataError(
-            f"static_s is {static_s:g} s, and a static bias takes {LEAST_STATIC_S:g} to 10 s at rest: stand longer."
-        )
-    first = (t - t[:1] <= static_s) & np.isfinite(rate)
-    if np.count_nonzero(first) < 10 or t[first][-1] - t[0] < 0.8 * static_s:
-        raise DataError(
-            f"the log has {np.count_nonzero(first)} finite gyro samples in its first {static_s:g} s, too few for a static bias."
-        )
-    moved = max(float(np.nansum(np.abs(d[t - t[0] <= static_s]))) for d in (left, right))
-    t, rate = t[first], rate[first]
+        msg = f"static_s is {static_s:g} s, and a static bias takes {LEAST_STATIC_S:g} to 10 s at rest: stand longer."
+        raise DataError(msg)
+    rest = t - t[:1] <= static_s
+    good = rest & np.isfinite(rate)
+    n = int(np.count_nonzero(good))
+    if n < 10 or t[good][-1] - t[0] < 0.8 * static_s:
+        msg = f"the log has only {n} finite gyro samples in its first {static_s:g} s, too few for a static bias: stand longer."
+        raise DataError(msg)
+    moved = max(float(np.nansum(np.abs(distance[rest]))) for distance in (left, right))
+    t, rate = t[good], rate[good]
     turned = _largest_departure(t, rate)
     if moved > MOVED_M or turned > TURNED_DPS:
-        raise DataError(
-            f"the robot moves in its first {static_s:g} s (wheels {moved * 1e3:.3g} mm, gyro {turned:.2g} deg/s from its median for a second): let it stand, or shorten static_s."
-        )
-    mean, weighted = _huber(rate)
-    return StaticBias(mean, math.sqrt(_variance_of_mean(weighted)), rate.size, float(t[-1] - t[0]))
+        msg = f"the robot moves in its first {static_s:g} s (wheels {moved * 1e3:.3g} mm, gyro off its median by {max(turned, 0.0):.2g} deg/s): let it stand, or shorten static_s."
+        raise DataError(msg)
+    mean, influence = _huber(rate)
+    return StaticBias(mean, math.sqrt(_variance_of_mean(influence)), n, float(t[-1] - t[0]))
 
 
 def _largest_departure(t: NDArray[np.float64], rate: NDArray[np.float64]) -> float:
-    """Largest departure of a one-second mean from the median of all, beyond what white noise does to it."""
+    """Largest departure of a one-second mean from the median of all, beyond 5 sigma of white noise."""
     second = np.floor(t - t[0]).astype(np.int64)
     n = np.bincount(second)
     means = np.bincount(second, weights=rate)[n > 0] / n[n > 0]
@@ -73,22 +67,18 @@ def _largest_departure(t: NDArray[np.float64], rate: NDArray[np.float64]) -> flo
 
 
 def _huber(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-    """Huber mean and the influence of each sample on it."""
+    """Huber mean, and the influence of each sample on it."""
     mean = float(np.median(x))
-    scale = 1.4826 * float(np.median(np.abs(x - mean))) or float(np.std(x))
-    if scale == 0.0:
-        return mean, np.zeros(x.size)
+    limit = _HUBER * (1.4826 * float(np.median(np.abs(x - mean))) or float(np.std(x)))
     for _ in range(50):
-        mean += float(np.mean(np.clip(x - mean, -_HUBER * scale, _HUBER * scale)))
-    clipped = np.clip(x - mean, -_HUBER * scale, _HUBER * scale)
-    return mean, clipped / np.mean(np.abs(x - mean) < _HUBER * scale)
+        mean += float(np.mean(np.clip(x - mean, -limit, limit)))
+    inside = float(np.mean(np.abs(x - mean) <= limit))
+    return mean, np.clip(x - mean, -limit, limit) / inside
 
 
 def _variance_of_mean(x: NDArray[np.float64]) -> float:
-    """Variance of the mean of a series of mean zero: Newey-West with a bandwidth of 1.3 sqrt(n), at least white."""
+    """Variance of the mean of a series about zero: Newey-West, bandwidth 1.3 sqrt(n), at least white."""
     n = x.size
-    white = float(x @ x) / (n - 1)
-    bandwidth = min(n - 1, math.ceil(1.3 * math.sqrt(n)))
-    lags = np.arange(1, bandwidth + 1)
-    shared = np.array([x[k:] @ x[:-k] for k in lags]) / n
-    return max(white, white + 2.0 * float((1.0 - lags / (bandwidth + 1)) @ shared)) / n
+    lags = np.arange(1, min(n, math.ceil(1.3 * math.sqrt(n)) + 1))
+    shared = (1.0 - lags / (lags.size + 1)) @ np.array([x[k:] @ x[:-k] for k in lags])
+    return float(x @ x + 2.0 * max(shared, 0.0)) / (n - 1) / n
