@@ -25,9 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal import __version__
-from gyrocal.errors import CoefficientError, InputError
+from gyrocal.calibration.export_terms import TermSource, term_source
+from gyrocal.errors import InputError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, Coefficients
 from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.terms import RuntimeTerm, runtime_term
 from gyrocal.records.files import write_atomically
 
 Floats = NDArray[np.float64]
@@ -44,6 +46,7 @@ class Export:
 
     text: str
     functions: tuple[str, ...]
+    terms: tuple[str, ...]
     not_exported: tuple[str, ...]
     sha256: str
     sensor: dict[str, Any]
@@ -53,6 +56,7 @@ class Export:
         return {
             "format": "c-header",
             "functions": list(self.functions),
+            "terms": list(self.terms),
             "terms_of_the_bench_not_exported": list(self.not_exported),
             "coefficients_sha256": self.sha256,
             "sensor": self.sensor,
@@ -72,26 +76,28 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
     InputError
         `prefix` is no C identifier.
     CoefficientError
-        The file holds a runtime term that a header without state cannot carry.
+        The file holds a runtime term that cannot be evaluated, or that has no C.
     """
     if not re.fullmatch(r"[a-z_][a-z0-9_]*", prefix):
         raise InputError(
             f"--prefix is {prefix!r}; a C identifier of small letters, digits and underscores is wanted."
         )
-    runtime = [term.effect for term in coefficients.terms if term.runtime]
-    if runtime:
-        raise CoefficientError(
-            f"The coefficients hold the term {runtime[0]}, which the C header does not carry yet: its surface alone "
-            "would be wrong. Use gyrocal.fusion.Compensator on the robot, or export the coefficients from before diagnose."
-        )
-    parts, functions = [_DOCUMENT, _GUARD], []
-    for kind, template, suffix in (("double", _DOUBLE, ""), ("float", _FLOAT, "f")):
+    terms = tuple(runtime_term(t.effect, t.parameters) for t in coefficients.terms if t.runtime)
+    parts = [_DOCUMENT, _GUARD]
+    functions: list[str] = []
+    for kind, suffix in (("double", ""), ("float", "f")):
         if ctype in ("both", kind):
-            parts.append(template + _FLAGS)
+            state, text = _functions(coefficients, terms, kind, suffix)
+            parts += [state] * (state != "" and not functions)
+            parts.append(text)
             functions += [f"{prefix}_{name}{suffix}" for name in ("error", "correct", "flags")]
-            parts[-1] = _fill(parts[-1], _numbers(coefficients, kind) | {"real": kind, "f": suffix})
+    libm = any(t.effect.has_memory or "since_power_on_s" in t.effect.needs for t in terms)
     digest = json.loads(coefficients.to_text())["sha256"]
     head = {
+        "terms": _comment(", ".join(t.effect.id for t in terms) or "none beside the surface"),
+        "library": "the mathematics library (-lm)" if libm else "no library",
+        "math": "#include <math.h>\n" if libm else "",
+        "more": _MORE if terms else "",
         "version": __version__,
         "sensor": _comment(json.dumps(dict(coefficients.sensor), sort_keys=True)),
         "sha256": digest,
@@ -101,8 +107,30 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
         "temp_high": f"{coefficients.valid.temp_c[1]:g}",
     }
     text = _fill("\n".join([*parts, _END]), head).replace("PREFIX", prefix).replace("GUARD", prefix.upper())
-    bench = tuple(term.effect for term in coefficients.terms)
-    return Export(text, tuple(functions), bench, digest, dict(coefficients.sensor))
+    bench = tuple(term.effect for term in coefficients.terms if not term.runtime)
+    return Export(
+        text, tuple(functions), tuple(t.effect.id for t in terms), bench, digest, dict(coefficients.sensor)
+    )
+
+
+def _functions(
+    coefficients: Coefficients, terms: tuple[RuntimeTerm, ...], kind: str, suffix: str
+) -> tuple[str, str]:
+    """C of the state, which both types share, and of the functions in one type."""
+    surface = _DOUBLE if kind == "double" else _FLOAT
+    pair = "@real@ gyro_dps, @real@ temp_c"
+    source = TermSource("", "", pair, "gyro_dps, temp_c")
+    if terms:
+        number, tolerance = (_double, "1e-11") if kind == "double" else (_float, "1e-5f")
+        source = term_source(terms, number, tolerance)
+    template = "\n".join(part for part in (surface, source.text, _FLAGS) if part)
+    names = {
+        "surface": "surface" if terms else "error",
+        "parameters": source.parameters,
+        "arguments": source.arguments,
+    }
+    values = names | _numbers(coefficients, kind) | {"real": kind, "f": suffix}
+    return source.state, _fill(template, values)
 
 
 def _fill(template: str, values: dict[str, str]) -> str:
@@ -200,22 +228,31 @@ _DOCUMENT = """\
  *
  * Sensor        @sensor@
  * Coefficients  sha256 @sha256@
+ * Terms         @terms@
  * Valid         @rate_low@ to @rate_high@ deg/s, @temp_low@ to @temp_high@ deg C
  *
  * error    error of the gyro at its output (deg/s) and temperature (deg C), deg/s
  * correct  corrected rate: output minus error, deg/s
  * flags    sum of 1: rate, 2: temperature outside the valid range, 4: not finite; 0 is good
  *
- * C99, no library. Not for -ffast-math, which breaks the sums of two floats and the tests for NaN.
- * In float the error is exact to its last digit; the corrected rate has the steps of a float
+@more@ * C99, @library@. Not for -ffast-math, which breaks the sums of two floats and the tests for NaN.
+ * In float the surface is exact to its last digit; the corrected rate has the steps of a float
  * (7.6e-6 deg/s at 100 deg/s). Who integrates over hours adds up output and error apart.
  */"""
+
+_MORE = """\
+ * dt_s     time since the sample before, s (0 for the first); call error or correct once a sample
+ * state    what the error remembers of earlier temperatures; set all members to zero before the first sample
+ * since_power_on_s   time since the gyro was switched on, s
+ * An argument that the terms do not need is left out.
+ *
+"""
 
 _GUARD = """\
 #ifndef GUARD_SURFACE_H
 #define GUARD_SURFACE_H
 
-#include <stdint.h>
+@math@#include <stdint.h>
 
 #ifdef __FAST_MATH__
 #error "this header needs IEEE arithmetic: compile it without -ffast-math"
@@ -223,7 +260,7 @@ _GUARD = """\
 """
 
 _DOUBLE = """\
-static inline double PREFIX_error(double gyro_dps, double temp_c)
+static inline double PREFIX_@surface@(double gyro_dps, double temp_c)
 {
     static const double c[4][3] = {
 @table@
@@ -287,7 +324,7 @@ static inline PREFIX_pair PREFIX_step(PREFIX_pair a, PREFIX_pair x, PREFIX_pair 
     return PREFIX_sum(s.hi, s.lo + (p.lo + a.hi * x.lo + a.lo * x.hi + b.lo));
 }
 
-static inline float PREFIX_errorf(float gyro_dps, float temp_c)
+static inline float PREFIX_@surface@f(float gyro_dps, float temp_c)
 {
     static const PREFIX_pair c[4][3] = {
 @table@
@@ -307,10 +344,10 @@ static inline float PREFIX_errorf(float gyro_dps, float temp_c)
 }
 """
 
-_FLAGS = """
-static inline @real@ PREFIX_correct@f@(@real@ gyro_dps, @real@ temp_c)
+_FLAGS = """\
+static inline @real@ PREFIX_correct@f@(@parameters@)
 {
-    return gyro_dps - PREFIX_error@f@(gyro_dps, temp_c);
+    return gyro_dps - PREFIX_error@f@(@arguments@);
 }
 
 static inline int PREFIX_flags@f@(@real@ gyro_dps, @real@ temp_c)

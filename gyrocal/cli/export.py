@@ -36,6 +36,9 @@ def command(
     error in float is within 1e-6 deg/s of the coefficient file's; the corrected rate in float has the steps
     of a float besides (7.6e-6 deg/s at 100 deg/s).
 
+    Terms of `diagnose` that a robot can evaluate go along. Those that remember earlier temperatures bring a
+    small state and need the time step; the header says how to call.
+
     Example: gyrocal export fog.json --format c-header -o fog.h
     """
     from gyrocal.calibration.export import export_c_header, write_header
@@ -53,5 +56,7 @@ def command(
         emit_json(export.to_json() | {"output": str(output)})
         return
     click.echo(f"{output}: {', '.join(export.functions)}.")
+    if export.terms:
+        click.echo(f"Terms beside the surface: {', '.join(export.terms)}.")
     if export.not_exported:
         click.echo(f"Terms of the bench, not exported: {', '.join(export.not_exported)}.")

@@ -27,7 +27,7 @@ _SAME_RATE_DPS = 1e-3
 _SAME_TIME_S = 1e-6
 
 #: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
-_ROUNDS = 10
+ROUNDS = 10
 
 _SEED = shape("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
@@ -68,7 +68,7 @@ def _fit_direction(c: Conditions, p: Mapping[str, float], surface: Surface | Non
     output = c.rate_dps
     # A fixed number of rounds, never a test of the whole block: a wild sample must not stop its neighbours.
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             output = c.rate_dps + surface.error_dps(output, c.temp_c)
         error = surface.error_dps(c.rate_dps, c.temp_c) - surface.error_dps(output, c.temp_c)
     return np.asarray(p["amplitude"] * error)

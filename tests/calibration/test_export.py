@@ -6,18 +6,23 @@ import json
 import shutil
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from gyrocal.calibration.export import CType, export_c_header, power_of_two_surface
+from gyrocal.calibration.export_terms import term_source
 from gyrocal.cli import gyrocal_command
 from gyrocal.errors import CoefficientError, InputError
-from gyrocal.fusion import Coefficients, Term, Valid
+from gyrocal.fusion import Coefficients, Compensator, Term, Valid
+from gyrocal.physics.catalogue import CATALOGUE, find_effect
 from gyrocal.physics.effect import Floats
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import RuntimeTerm
 
 GCC = shutil.which("gcc")
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
@@ -126,13 +131,95 @@ def test_power_of_two_surface_is_the_same_surface() -> None:
     np.testing.assert_allclose(same.error_dps(gyro, temp), surface.error_dps(gyro, temp), atol=1e-13)
 
 
-def test_runtime_terms_and_bad_prefixes_are_refused() -> None:
+TERMS_MAIN = """
+#include <stdio.h>
+#include "fog.h"
+int main(void)
+{
+    double p[4];
+    STATES
+    while (fread(p, sizeof p, 1, stdin) == 1) {
+        double out[2];
+        out[0] = fog_error(ARGUMENTS);
+        out[1] = fog_errorf(ARGUMENTSF);
+        fwrite(out, sizeof out, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def typical_term(effect_id: str, **values: float) -> Term:
+    effect = find_effect(effect_id)
+    parameters = effect.complete(values)
+    entries: dict[str, Any] = {
+        k: {"value": v, "std": 0.0, "unit": effect.parameter(k).unit} for k, v in parameters.items()
+    }
+    return Term(effect_id, entries, True)
+
+
+def run_terms(tmp_path: Path, c: Coefficients, rows: Floats) -> Floats:
+    export = export_c_header(c, prefix="fog")
+    (tmp_path / "fog.h").write_text(export.text, encoding="utf-8")
+    source = TERMS_MAIN.replace(
+        "STATES", "fog_state s = {0}, sf = {0};" if "fog_state" in export.text else ""
+    )
+    for name, cast, state in (("ARGUMENTSF", "(float)", "&sf"), ("ARGUMENTS", "", "&s")):
+        arguments = [f"{cast}p[1]", f"{cast}p[2]"]
+        arguments = [state, f"{cast}p[0]", *arguments] if "fog_state" in export.text else arguments
+        arguments += [f"{cast}p[3]"] if "warm_up" in export.terms else []
+        source = source.replace(name, ", ".join(arguments))
+    (tmp_path / "main.c").write_text(source, encoding="utf-8")
+    program = tmp_path / "program"
+    libm = ["-lm"] if "math.h" in export.text else []
+    command: list[str | Path] = [str(GCC), *FLAGS, "-O2", "-o", program, tmp_path / "main.c", *libm]
+    subprocess.run(command, check=True)
+    out = subprocess.run([program], input=rows.astype("<f8").tobytes(), stdout=subprocess.PIPE, check=True)
+    return np.frombuffer(out.stdout, dtype=np.float64).reshape(-1, 2)
+
+
+RUNTIME = [effect.id for effect in CATALOGUE.values() if effect.runtime]
+SETS = {effect_id: (effect_id,) for effect_id in RUNTIME} | {
+    "all": tuple(RUNTIME),
+    "two lags": ("thermal_lag", "shupe", "scale_asymmetry"),
+    "no state": ("sagnac_sine", "temperature_order"),
+}
+
+
+@pytest.mark.skipif(GCC is None, reason="gcc is absent")
+@pytest.mark.parametrize("effects", SETS.values(), ids=list(SETS))
+def test_terms_in_c_equal_the_compensator(tmp_path: Path, effects: tuple[str, ...]) -> None:
+    # Errors of 1.5 deg/s, as the paper's gyro has them: a float's digits are a share of the error.
+    base = rd2100(3, 0.3)
+    c = replace(base, terms=tuple(typical_term(e) for e in effects))
+    rng = np.random.default_rng(4)
+    dt = rng.choice([0.0, 0.0078125, 0.125, 30.0], POINTS, p=[0.01, 0.5, 0.48, 0.01])
+    dt[0] = 0.0
+    t = np.cumsum(dt)
+    gyro = rng.uniform(-100, 100, POINTS)
+    temp = 20 + 28 * np.sin(t / 700) + rng.normal(0, 0.01, POINTS)
+    temp[rng.random(POINTS) < 0.01] = np.nan
+    # Numbers that a float holds, so that both types see the same.
+    rows = np.column_stack([dt, gyro, temp, t + 64.0]).astype(np.float32).astype(np.float64)
+    out = run_terms(tmp_path, c, rows)
+    dt, gyro, temp, since = rows.T
+    error = gyro - Compensator(c).correct(np.cumsum(dt), gyro, temp, since)
+    np.testing.assert_array_equal(np.isnan(out[:, 0]), np.isnan(error))
+    good = ~np.isnan(error)
+    assert good.mean() > 0.9
+    assert np.abs(out[good, 0] - error[good]).max() < 1e-10
+    assert np.abs(out[good, 1] - error[good]).max() <= 1e-6
+
+
+def test_terms_that_cannot_be_exported_and_bad_prefixes_are_refused() -> None:
     c = rd2100()
-    lag = Term("thermal_lag", {"amplitude": {"value": 1.0}}, True)
+    with pytest.raises(CoefficientError, match="magnetic is marked runtime, and a robot cannot evaluate it"):
+        export_c_header(replace(c, terms=(Term("magnetic", {}, True),)))
+    novel = replace(find_effect("shupe"), id="novel")
     with pytest.raises(
-        CoefficientError, match="hold the term thermal_lag, which the C header does not carry"
+        CoefficientError, match=r"hold the term novel, which cannot be written in C.*Compensator"
     ):
-        export_c_header(Coefficients(c.sensor, c.surface, c.covariance_dps2, c.valid, terms=(lag,)))
+        term_source((RuntimeTerm(novel, novel.typical(), 0.0),), repr, "0")
     with pytest.raises(InputError, match="a C identifier"):
         export_c_header(c, prefix="my gyro")
 
@@ -141,12 +228,13 @@ def test_the_command(tmp_path: Path) -> None:
     c = rd2100()
     source, header = tmp_path / "c.json", tmp_path / "c.h"
     eccentric = Term("table_eccentricity", {"amplitude": {"value": 1.0}}, False)
-    c = Coefficients(c.sensor, c.surface, c.covariance_dps2, c.valid, terms=(eccentric,))
+    c = replace(c, terms=(eccentric, typical_term("shupe")))
     source.write_text(c.to_text(), encoding="utf-8")
     run = CliRunner()
     said = run.invoke(gyrocal_command, ["export", str(source), "-o", str(header)], catch_exceptions=False)
     assert "gyrocal_error, gyrocal_correct, gyrocal_flags, gyrocal_errorf" in said.stdout
     assert "not exported: table_eccentricity" in said.stdout
+    assert "Terms beside the surface: shupe." in said.stdout
     text = run.invoke(gyrocal_command, ["export", str(source)], catch_exceptions=False).stdout
     assert text == header.read_text(encoding="utf-8")
     digest = json.loads(source.read_text(encoding="utf-8"))["sha256"]
