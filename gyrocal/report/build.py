@@ -11,27 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.calibration.covariance import Scatter, estimate_scatter
-from gyrocal.calibration.datasets import Recording, load_recording
-from gyrocal.calibration.fit import scaled_surface
-from gyrocal.calibration.noise import NoiseFigures, noise_figures
-from gyrocal.calibration.provenance import check_sensor, refuse_compensated
-from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
-from gyrocal.fusion.coefficients import Coefficients, load_coefficients
-from gyrocal.fusion.compensation import Compensator
 from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, tables
-from gyrocal.report.data import Examined, Floats, Timeline, read_course
+from gyrocal.report.gather import Material, Progress, gather
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, Table, render_page
-from gyrocal.report.scatter import SignedScatter, scatter_statements, signed_scatter
+from gyrocal.report.scatter import scatter_statements
 from gyrocal.report.style import render
 from gyrocal.units import DPS_TO_DPH
-
-#: Share done, 0 to 1, and what is being done.
-Progress = Callable[[float, str], None]
-
-#: Seed of the permutation test: the same recording gives the same report.
-_SEED = 2100
 
 
 @dataclass(frozen=True)
@@ -74,21 +60,6 @@ class ReportResult:
         }
 
 
-@dataclass(frozen=True)
-class _Material:
-    """Everything that figures and tables are made of."""
-
-    recording: Recording
-    coefficients: Coefficients
-    data: Examined
-    reasons: dict[int, str]
-    timeline: Timeline | None
-    signed: SignedScatter | None
-    tested: ScatterByRate | None
-    noise: NoiseFigures
-    notes: tuple[str, ...]
-
-
 def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
     """Draw everything that the recording carries and write it to ``config.out``.
 
@@ -98,7 +69,9 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
         Nothing is written then.
     """
     check_output(config.out)
-    material = _gather(config, progress)
+    material = gather(
+        config.recording, config.coefficients, config.counts_per_dps, config.force_sensor, progress
+    )
     pictures: list[Picture] = []
     files: dict[str, bytes | str] = {}
     drawings = _drawings(material)
@@ -120,8 +93,8 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
     return ReportResult(
         out=config.out,
         verdict=page.verdict,
-        before_dps=_rms(data.sets.error_dps),
-        after_dps=_rms(data.residual_dps),
+        before_dps=material.before_dps,
+        after_dps=material.after_dps,
         data_sets=len(data.sets),
         marked=int(data.marked.sum()),
         figures=tuple(p.name for p in pictures if p.png),
@@ -130,55 +103,12 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
     )
 
 
-def _gather(config: ReportConfig, progress: Progress) -> _Material:
-    progress(0.0, "reading")
-    coefficients = load_coefficients(config.coefficients)
-    recording = load_recording(config.recording, config.counts_per_dps)
-    notes = check_sensor(coefficients.sensor, recording.sensor, config.recording, force=config.force_sensor)
-    compensator = Compensator(coefficients)
-    sets, timeline = recording.sets, None
-    corrected = coefficients.correct(sets.gyro_dps, sets.temp_c)
-    if recording.run is not None:
-        refuse_compensated(recording.run)
-        progress(0.1, "reading the course of the run")
-        timeline, means = read_course(recording.run, compensator if compensator.terms else None)
-        corrected = np.array([means.get(int(s), c) for s, c in zip(sets.segment, corrected, strict=True)])
-    elif compensator.terms:
-        notes += ("the terms beside the surface need a run; for this table the surface alone is drawn",)
-    progress(0.2, "scatter and outliers")
-    scatter = estimate_scatter(sets, scaled_surface(sets).design(sets.gyro_dps, sets.temp_c))
-    outliers, _, scatter = find_outliers(sets, scatter)
-    reasons = {o.row: f"{o.reason} ({o.sigmas:+.1f} sigma)" for o in outliers}
-    for row in np.flatnonzero(sets.outcome != "ok"):
-        reasons[int(row)] = "; ".join(filter(None, (str(sets.outcome[row]), reasons.get(int(row), ""))))
-    marked = np.zeros(len(sets), dtype=bool)
-    marked[list(reasons)] = True
-    residual = corrected - sets.rate_dps
-    data = Examined(sets, residual, _expected_sigma(recording, scatter, coefficients), marked)
-    tested = scatter_by_rate(sets, residual, np.random.default_rng(_SEED))
-    progress(0.25, "Allan deviation")
-    noise = noise_figures(recording, coefficients.surface)
-    signed = signed_scatter(data)
-    notes = (*recording.notes, *notes)
-    return _Material(recording, coefficients, data, reasons, timeline, signed, tested, noise, notes)
-
-
-def _expected_sigma(recording: Recording, scatter: Scatter, coefficients: Coefficients) -> Floats:
-    """Standard deviation of each residual: scatter as estimated, and the uncertainty of the coefficients."""
-    sets = recording.sets
-    noise = np.nan_to_num(sets.mean_variance_dps2) + scatter.levels[0]
-    noise = noise + scatter.levels[1] + scatter.levels[2] * sets.rate_dps**2
-    return np.asarray(np.sqrt(noise + coefficients.sigma_dps(sets.gyro_dps, sets.temp_c) ** 2))
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
+_ONE_RATE = "The recording is at a single rate: there is a bias over temperature, and nothing over rate."
 
 _Drawing = tuple[str, str, str, Callable[[], Figure | str]]
 
 
-def _drawings(m: _Material) -> list[_Drawing]:
+def _drawings(m: Material) -> list[_Drawing]:
     """Name, title, caption and drawing function of each figure; a sentence instead of a figure says why there is none."""
     data, surface = m.data, m.coefficients.surface
     over = "time" if data.sets.timed else "the number of the data set, since the recording has no times"
@@ -188,7 +118,7 @@ def _drawings(m: _Material) -> list[_Drawing]:
             "Figure 1. Error against rate, before calibration",
             "A point is a data set, a line the fitted surface at that temperature. Look for the cubic shape, and for how it "
             "turns with temperature. Hollow points are outliers or unsettled.",
-            lambda: figures_error.error_against_rate(data, surface),
+            lambda: _ONE_RATE if m.one_rate else figures_error.error_against_rate(data, surface),
         ),
         (
             "figure_2",
@@ -200,21 +130,21 @@ def _drawings(m: _Material) -> list[_Drawing]:
             "figure_3a",
             "Figure 3a. Error over rate and temperature, before calibration",
             "Left the fitted surface with the data sets as dots, right the same from above; lines join equal errors.",
-            lambda: figures_error.error_before(data, surface),
+            lambda: _ONE_RATE if m.one_rate else figures_error.error_before(data, surface),
         ),
         (
             "figure_3b",
             "Figure 3b. Error over rate and temperature, after calibration",
             "Each data set on a stem from zero: left on the height scale of figure 3a, right enlarged. It should look like grass, "
             "without waves.",
-            lambda: figures_error.error_after(data, surface),
+            lambda: _ONE_RATE if m.one_rate else figures_error.error_after(data, surface),
         ),
         (
             "residual_map",
             "Residual over rate and temperature",
             "Mean residual in each cell; the margins show the means by rate and by temperature. Colour that comes in patches, or margins off zero by more "
             "than their intervals, are structure that twelve terms do not follow.",
-            lambda: figures_residual.residual_map(data),
+            lambda: _ONE_RATE if m.one_rate else figures_residual.residual_map(data),
         ),
         (
             "residual_over_time",
@@ -262,9 +192,8 @@ def _drawings(m: _Material) -> list[_Drawing]:
     ]
 
 
-def _page(m: _Material, pictures: list[Picture]) -> Page:
-    data = m.data
-    before, after = (_rms(x) * DPS_TO_DPH for x in (data.sets.error_dps, data.residual_dps))
+def _page(m: Material, pictures: list[Picture]) -> Page:
+    before, after = m.before_dps * DPS_TO_DPH, m.after_dps * DPS_TO_DPH
     sensor = " ".join(str(m.coefficients.sensor.get(key, "")) for key in ("model", "serial")).strip()
     return Page(
         title=f"Calibration report: {sensor or 'unknown gyro'}",
@@ -277,20 +206,16 @@ def _page(m: _Material, pictures: list[Picture]) -> Page:
     )
 
 
-def _verdict(m: _Material, before_dph: float, after_dph: float) -> str:
-    same = m.coefficients.provenance.get("recording_sha256") == m.recording.sha256
+def _verdict(m: Material, before_dph: float, after_dph: float) -> str:
+    whose = "the recording that they were fitted to" if m.own else "a recording that they were not fitted to"
+    before = "about its mean" if m.one_rate else "about the best single scale factor"
     return (
-        f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms to "
-        f"{after_dph:.4g} deg/h rms, {before_dph / after_dph:.3g} times less"
-        + (
-            ", on the recording that they were fitted to."
-            if same
-            else ", on a recording that they were not fitted to."
-        )
+        f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms {before} to "
+        f"{after_dph:.4g} deg/h rms, {before_dph / max(after_dph, 1e-12):.3g} times less, on {whose}."
     )
 
 
-def _key_figures(m: _Material, before_dph: float, after_dph: float) -> list[tuple[str, str]]:
+def _key_figures(m: Material, before_dph: float, after_dph: float) -> list[tuple[str, str]]:
     sets = m.data.sets
     return [
         ("Error before, rms", f"{before_dph:.4g} deg/h"),
@@ -303,7 +228,7 @@ def _key_figures(m: _Material, before_dph: float, after_dph: float) -> list[tupl
     ]
 
 
-def _remarks(m: _Material) -> list[str]:
+def _remarks(m: Material) -> list[str]:
     said = scatter_statements(m.tested) if m.tested is not None else []
     sets, mask = m.data.sets, m.recording.masked
     flags = int(np.count_nonzero(m.coefficients.flags(sets.gyro_dps, sets.temp_c)))
@@ -322,7 +247,7 @@ def _remarks(m: _Material) -> list[str]:
     return said + [f"Note: {note.rstrip('.')}." for note in m.notes]
 
 
-def _tables(m: _Material) -> list[Table]:
+def _tables(m: Material) -> list[Table]:
     data = m.data
     found = [
         tables.coefficient_table(m.coefficients),
@@ -340,7 +265,7 @@ def _tables(m: _Material) -> list[Table]:
     return found
 
 
-def _provenance(m: _Material) -> dict[str, str]:
+def _provenance(m: Material) -> dict[str, str]:
     said = {
         "Recording": m.recording.source.name,
         "Recording sha256": m.recording.sha256,

@@ -1,0 +1,149 @@
+"""A recording and its coefficients, read, compared and tested: what figures and tables are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrocal.calibration.checks import MOST_DATA_SETS
+from gyrocal.calibration.coarsen import coarsen
+from gyrocal.calibration.covariance import Scatter
+from gyrocal.calibration.datasets import DataSets, Recording, load_recording
+from gyrocal.calibration.fit import ALL_TERMS, BIAS_TERMS, fit_surface
+from gyrocal.calibration.noise import NoiseFigures, noise_figures
+from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
+from gyrocal.fusion.coefficients import Coefficients, load_coefficients
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.report.data import Examined, Floats, Timeline, read_course
+from gyrocal.report.scatter import SignedScatter, signed_scatter
+
+#: Share done, 0 to 1, and what is being done.
+Progress = Callable[[float, str], None]
+
+#: Seed of the permutation test: the same recording gives the same report.
+_SEED = 2100
+#: Long logs at one rate are averaged to this many data sets.
+_MOST_AT_ONE_RATE = 1500
+
+
+@dataclass(frozen=True)
+class Material:
+    """Everything that figures and tables are made of.
+
+    Attributes
+    ----------
+    reasons : dict
+        Why a data set is marked, by its row.
+    before_dps, after_dps : float
+        Error about the best single scale factor and bias (about the mean at one rate), and residual, both rms.
+    own : bool
+        The coefficients were fitted to this recording.
+    one_rate : bool
+        The recording is at a single rate: bias over temperature, no surface.
+    """
+
+    recording: Recording
+    coefficients: Coefficients
+    data: Examined
+    reasons: dict[int, str]
+    timeline: Timeline | None
+    signed: SignedScatter | None
+    tested: ScatterByRate | None
+    noise: NoiseFigures
+    before_dps: float
+    after_dps: float
+    own: bool
+    one_rate: bool
+    notes: tuple[str, ...]
+
+
+def gather(
+    source: Path, coefficient_file: Path, counts_per_dps: float | None, force_sensor: bool, progress: Progress
+) -> Material:
+    """Read a recording and coefficients, correct the one with the other, and test what is left.
+
+    Raises
+    ------
+    InputError, DataError, CoefficientError
+        Bad files, compensated rates, or coefficients of another sensor.
+    """
+    progress(0.0, "reading")
+    coefficients = load_coefficients(coefficient_file)
+    recording = load_recording(source, counts_per_dps)
+    notes = recording.notes + check_sensor(coefficients.sensor, recording.sensor, source, force=force_sensor)
+    if recording.run is not None:
+        refuse_compensated(recording.run)
+    one_rate = float(np.ptp(recording.sets.rate_dps)) == 0.0
+    sets, block = coarsen(recording.sets, _MOST_AT_ONE_RATE if one_rate else MOST_DATA_SETS)
+    if block > 1:
+        notes += (f"{len(recording.sets)} rows were averaged in blocks of {block} neighbours",)
+    progress(0.1, "correcting")
+    corrected, timeline, more = _corrected(recording, sets, coefficients)
+    progress(0.2, "scatter and outliers")
+    fit = fit_surface(sets, "gls", BIAS_TERMS if one_rate else ALL_TERMS)
+    reasons = _reasons(sets, fit.scatter)
+    marked = np.zeros(len(sets), dtype=bool)
+    marked[list(reasons)] = True
+    residual = corrected - sets.rate_dps
+    data = Examined(sets, residual, _expected_sigma(sets, fit.scatter, coefficients), marked)
+    tested = scatter_by_rate(sets, residual, np.random.default_rng(_SEED))
+    progress(0.25, "Allan deviation")
+    return Material(
+        recording=recording,
+        coefficients=coefficients,
+        data=data,
+        reasons=reasons,
+        timeline=timeline,
+        signed=signed_scatter(data),
+        tested=tested,
+        noise=noise_figures(recording, coefficients.surface),
+        before_dps=_rms_about_line(sets, 0 if one_rate else 1),
+        after_dps=float(np.sqrt(np.mean(residual**2))),
+        own=coefficients.provenance.get("source_sha256") == recording.sha256,
+        one_rate=one_rate,
+        notes=notes + more,
+    )
+
+
+def _corrected(
+    recording: Recording, sets: DataSets, coefficients: Coefficients
+) -> tuple[Floats, Timeline | None, tuple[str, ...]]:
+    """Corrected mean of each data set, the course of the run, and notes on terms that were not applied."""
+    compensator = Compensator(coefficients)
+    corrected = coefficients.correct(sets.gyro_dps, sets.temp_c)
+    notes = tuple(
+        f"the term {effect} belongs to the bench and is not taken away from the gyro"
+        for effect in compensator.not_applied
+    )
+    if recording.run is not None:
+        timeline, means = read_course(recording.run, compensator if compensator.terms else None)
+        corrected = np.array([means.get(int(s), c) for s, c in zip(sets.segment, corrected, strict=True)])
+        return corrected, timeline, notes
+    if compensator.terms:
+        notes += ("the terms beside the surface need a run; for this table the surface alone is applied",)
+    return corrected, None, notes
+
+
+def _reasons(sets: DataSets, scatter: Scatter) -> dict[int, str]:
+    """Why data sets are marked: outliers with their distance, unsettled ones by their outcome."""
+    outliers, _, _ = find_outliers(sets, scatter)
+    reasons = {o.row: f"{o.reason} ({o.sigmas:+.1f} sigma)" for o in outliers}
+    for row in np.flatnonzero(sets.outcome != "ok").tolist():
+        reasons[row] = "; ".join(filter(None, (str(sets.outcome[row]), reasons.get(row, ""))))
+    return reasons
+
+
+def _expected_sigma(sets: DataSets, scatter: Scatter, coefficients: Coefficients) -> Floats:
+    """Standard deviation of each residual: scatter as estimated, and the uncertainty of the coefficients."""
+    coefficient_sigma = coefficients.sigma_dps(sets.gyro_dps, sets.temp_c)
+    return np.asarray(np.sqrt(np.diag(scatter.matrix) + coefficient_sigma**2))
+
+
+def _rms_about_line(sets: DataSets, order: int) -> float:
+    line = np.polynomial.polynomial.polyvander(sets.gyro_dps, order)
+    off = sets.error_dps - line @ np.linalg.lstsq(line, sets.error_dps, rcond=None)[0]
+    return float(np.sqrt(np.mean(off**2)))

@@ -1,0 +1,57 @@
+"""A fitted surface against the truth, which only a simulation knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.surface import SHAPE, Surface
+
+_GRID = 41
+_Z95 = 1.959964
+
+
+@dataclass(frozen=True)
+class TruthComparison:
+    """How a calibration compares with the surface that it was to find.
+
+    Attributes
+    ----------
+    inside, terms : int
+        Coefficients whose 95 % interval holds the truth, of how many.
+    rms_dps, largest_dps : float
+        Difference of fitted and true error over the valid range, deg/s.
+    expected_rms_dps : float
+        What the coefficients' own covariance says it should be, deg/s.
+    """
+
+    inside: int
+    terms: int
+    rms_dps: float
+    largest_dps: float
+    expected_rms_dps: float
+
+
+def compare_with_truth(coefficients: Coefficients, truth: Surface) -> TruthComparison:
+    """Compare over the valid range; both surfaces are polynomials of the same orders, so terms compare one to one."""
+    valid = coefficients.valid
+    gyro, temp = (
+        grid.ravel()
+        for grid in np.meshgrid(np.linspace(*valid.rate_dps, _GRID), np.linspace(*valid.temp_c, _GRID))
+    )
+    fitted = coefficients.surface
+    true_error = truth.error_dps(gyro, temp)
+    true_terms = np.linalg.lstsq(fitted.design(gyro, temp), true_error, rcond=None)[0].reshape(SHAPE)
+    sigma = np.sqrt(np.diag(coefficients.covariance_dps2)).reshape(SHAPE)
+    off = np.abs(fitted.coefficients_dps - true_terms)
+    difference = fitted.error_dps(gyro, temp) - true_error
+    expected = coefficients.sigma_dps(gyro, temp)
+    return TruthComparison(
+        inside=int(np.count_nonzero(off <= _Z95 * sigma)),
+        terms=off.size,
+        rms_dps=float(np.sqrt(np.mean(difference**2))),
+        largest_dps=float(np.abs(difference).max()),
+        expected_rms_dps=float(np.sqrt(np.mean(expected**2))),
+    )
