@@ -2,13 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gyrocal.diagnosis.result import Diagnosis
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.analysis import Analysis, analyse
+from gyrocal.diagnosis.gate import Gate, gate
+from gyrocal.diagnosis.hypotheses import TWINS, untestable
+from gyrocal.diagnosis.improve import Refined, coefficients_of, refine, surface_coefficients
+from gyrocal.diagnosis.heldout import improvements
+from gyrocal.diagnosis.locate import lack_of_fit, locate
+from gyrocal.diagnosis.result import (
+    Alternative,
+    Diagnosis,
+    Improvement,
+    Located,
+    NamedEffect,
+    NoiseFigures,
+    Rows,
+)
+from gyrocal.diagnosis.scatter import (
+    Finding,
+    bad_set_findings,
+    bad_sets,
+    clock_findings,
+    outlier_findings,
+    step_findings,
+    variance_places,
+)
+from gyrocal.diagnosis.search import Member
+from gyrocal.diagnosis.sentences import sentences
+from gyrocal.diagnosis.series import Series, series_of_run, series_of_table
+from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.records.datasets import DataSetTable
-from gyrocal.records.run import Run
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.records.datasets import DataSetTable, read_data_sets
+from gyrocal.records.run import Run, is_run_directory, read_run
+
+Floats = NDArray[np.float64]
+
+#: Evidence (nats) within which two laws explain the data alike: 20 to 1.
+CLASS_NATS = 3.0
 
 
 @dataclass(frozen=True)
@@ -21,13 +57,20 @@ class Options:
         Family-wise rate at which an effect may be named where there is none.
     seed : int
         Of the Monte Carlo nulls and the bootstrap.
-    latitude_deg : float or None
-        Of the bench, where the record does not say.
+    heldout : bool
+        Whether to measure the improvement on data left out (about half of the time it takes).
     """
 
     false_alarm_rate: float = 0.01
     seed: int = 0
-    latitude_deg: float | None = None
+    heldout: bool = True
+
+
+def series_of(recording: Path | Run | DataSetTable) -> Series:
+    """Rows of any recording that `diagnose` takes."""
+    if isinstance(recording, Path):
+        recording = read_run(recording) if is_run_directory(recording) else read_data_sets(recording)
+    return series_of_run(recording) if isinstance(recording, Run) else series_of_table(recording)
 
 
 def diagnose(
@@ -43,5 +86,125 @@ def diagnose(
         A run directory, or a table of data sets (read it first where it is in counts).
     coefficients : Coefficients, optional
         The model to simulate from; without it the surface is fitted to the recording first.
+
+    Raises
+    ------
+    InputError, DataError
+        The recording cannot be read, or is too short to be examined.
     """
-    raise NotImplementedError
+    options = options or Options()
+    whole = series_of(recording)
+    if len(whole) < 30:
+        raise DataError(f"{whole.name}: has {len(whole)} rows; a diagnosis needs at least 30. Record longer.")
+    numbers, off_dps = bad_sets(whole)
+    findings = bad_set_findings(whole, numbers, off_dps)
+    series = whole.take(~np.isin(whole.set_index, numbers)) if numbers.size else whole
+    analysis = analyse(series, options.false_alarm_rate, options.seed)
+    remaining = lack_of_fit(analysis, options.false_alarm_rate)
+    decided = gate(analysis.members, remaining)
+    located = locate(analysis, remaining, options.false_alarm_rate)
+    white = analysis.levels.white * analysis.setup.model.typical_white
+    findings += outlier_findings(series) + step_findings(series, _sample_white(series, analysis))
+    findings += clock_findings(series)
+    scatter = variance_places(analysis, options.false_alarm_rate)
+    refined = refine(analysis, decided)
+    gains, total = improvements(analysis, refined, decided, options.seed) if options.heldout else ({}, None)
+    effects = tuple(_named(m, refined, gains.get(m.hypothesis.id)) for m in decided.named)
+    effects += tuple(_found(f) for f in findings)
+    scatter = _explained_scatter(scatter, decided, findings)
+    everywhere = (*located, *(f.place for f in findings), *scatter)
+    verdict = _verdict(effects, decided, bool(remaining), bool(scatter))
+    diagnosis = Diagnosis(
+        recording=whole.name,
+        verdict=verdict,
+        located=tuple(everywhere),
+        effects=effects,
+        not_testable=dict(series.untestable) | untestable(series),
+        sentences=(),
+        noise=_noise_figures(series, analysis, white),
+        improvement=total,
+        surface=coefficients or surface_coefficients(series, analysis),
+        improved=coefficients_of(series, analysis, refined, decided) if decided.named else None,
+        rows=_rows(series, analysis, refined),
+        notes=(*series.notes, *decided.reasons),
+    )
+    return replace(diagnosis, sentences=sentences(diagnosis))
+
+
+def _sample_white(series: Series, analysis: Analysis) -> float:
+    """White noise of one sample of a data set, deg/s."""
+    return float(analysis.levels.white * np.max(series.white_std_dps[series.is_set], initial=0.0))
+
+
+def _verdict(effects: tuple[NamedEffect, ...], decided: Gate, remaining: bool, scatter: bool) -> str:
+    unnamed = bool(decided.withheld) or remaining or scatter
+    if effects:
+        return "partly_explained" if unnamed else "explained"
+    return "unexplained" if unnamed else "consistent"
+
+
+def _explained_scatter(
+    scatter: list[Located], decided: Gate, findings: list[Finding]
+) -> list[Located]:
+    """Scatter that a named effect brings with it is no excess of its own."""
+    names = {m.hypothesis.id for m in decided.named} | {f.effect for f in findings}
+    if names & {"bursts", "mechanical_resonance", "quantisation", "truncation", "dead_zone"}:
+        return [replace(s, remains=False) for s in scatter if s.coordinate not in ("rate", "data_set_index", "time")]
+    return scatter
+
+
+def _named(member: Member, refined: Refined, improvement: Improvement | None) -> NamedEffect:
+    effect = CATALOGUE[member.hypothesis.id]
+    rivals = [Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement)
+              for e, loss in member.rivals if e in CATALOGUE and loss < CLASS_NATS]
+    twins = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in TWINS.get(effect.id, ())]
+    return NamedEffect(
+        effect.id,
+        effect.family,
+        effect.statement,
+        refined.parameters[effect.id],
+        member.p_value,
+        (*twins, *rivals),
+        improvement,
+        effect.runtime,
+    )
+
+
+def _found(finding: Finding) -> NamedEffect:
+    effect = CATALOGUE[finding.effect]
+    return NamedEffect(
+        effect.id, effect.family, finding.statement, finding.parameters, finding.p_value, (), None, False
+    )
+
+
+def _noise_figures(series: Series, analysis: Analysis, white: float) -> NoiseFigures:
+    levels = analysis.levels
+    walk = None
+    if np.all(series.averaging_s > 0):
+        walk = 60.0 * levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
+    # The processes are a decade apart, so that one takes the share of B^2/(2 pi f) over a decade (IEEE 952).
+    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / (2.0 * np.pi)) * 3600.0
+    return NoiseFigures(white, walk, float(flicker), 1e6 * levels.jitter)
+
+
+def _rows(series: Series, analysis: Analysis, refined: Refined) -> Rows:
+    def known(values: Floats | None) -> Floats:
+        return np.full(len(series), np.nan) if values is None else values
+
+    return Rows(
+        t_s=series.t_s,
+        rate_dps=series.rate_dps,
+        temp_c=series.temp_c,
+        temp_rate_c_per_min=series.temp_rate_c_per_min,
+        set_index=series.set_index,
+        is_set=series.is_set,
+        before_dps=refined.before_dps,
+        after_dps=refined.after_dps,
+        white_std_dps=analysis.levels.white * series.white_std_dps,
+        angle_deg=known(series.angle_deg),
+        supply_v=known(series.supply_v),
+        since_power_on_s=known(series.since_power_on_s),
+        since_set_s=known(series.since_set_s),
+        step_dps=known(series.step_dps),
+        effect_dps=refined.effects_dps,
+    )

@@ -25,7 +25,7 @@ Shape = Mapping[str, float]
 #: Evidence (nats) that an effect starts with. A polynomial claims no mechanism; a sign that physics excludes
 #: has to be bought; what two hypotheses share is then given to the law.
 _PRIOR = {"rate_order": -1.0, "fit_direction": -1.0, "mechanical_resonance": -1.0}
-WRONG_SIGN = -8.0
+WRONG_SIGN = -2.5
 #: Effects whose amplitude is positive by their nature.
 _POSITIVE = ("sagnac_sine", "saturation", "truncation", "thermal_lag")
 #: Same law, other cause: (the same columns explain the data exactly as well).

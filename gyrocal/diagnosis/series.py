@@ -95,6 +95,7 @@ class Series:
     has_time: bool = True
     #: Rows were averages already (white noise has no stated averaging time).
     is_table: bool = False
+    sensor_model: str = "unknown"
 
     def __len__(self) -> int:
         return int(self.t_s.size)
@@ -282,6 +283,7 @@ def _assemble_run(
     averaging = c["count"] * c["sample_s"]
     return Series(
         name=run.path.name,
+        sensor_model=run.sensor.model,
         t_s=c["t_s"],
         gyro_dps=c["gyro_dps"],
         rate_dps=c["rate_dps"],

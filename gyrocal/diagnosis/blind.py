@@ -1,0 +1,333 @@
+"""Blind trial: physics hidden in virtual bench runs, answers sealed by a hash before the diagnosis, opened after.
+
+It is a user's own proof on their own profile. It shares its formulas with the finder, so it proves less than
+recordings made by other code do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.bench.profile import Profile, load_profile
+from gyrocal.bench.session import AcquireConfig, acquire
+from gyrocal.diagnosis.base import Base, fit_surface
+from gyrocal.diagnosis.columns import conditions_of
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.gram import project
+from gyrocal.diagnosis.hypotheses import TWINS, law, untestable
+from gyrocal.diagnosis.next_experiment import to_toml
+from gyrocal.diagnosis.result import Diagnosis
+from gyrocal.diagnosis.series import Series, series_of_run
+from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels
+from gyrocal.errors import ProfileError
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.records.run import read_run
+
+Floats = NDArray[np.float64]
+#: What diagnoses a run directory; a test puts another in its place.
+Finder = Callable[[Path], Diagnosis]
+#: Share done, 0 to 1, and what is being done.
+Progress = Callable[[float, str], None]
+
+#: Strengths that are drawn, d' after the surface is fitted: from what cannot be named to what cannot be missed.
+_D_PRIMES = (6.0, 8.0, 12.0, 20.0, 40.0, 100.0)
+#: How often nothing, one, two, or three effects are hidden.
+_COUNTS = (0.2, 0.5, 0.2, 0.1)
+#: Their size is not free: the surface is cubic in the one or in the other; the clock, the lattice and the bursts are what they are.
+_OF_ONE_SIZE = ("fit_direction", "quantisation", "time_base", "bursts")
+
+
+@dataclass(frozen=True)
+class BlindConfig:
+    """How many trials, with which seed, on which profile."""
+
+    trials: int
+    seed: int
+    profile: str = "quick"
+    false_alarm_rate: float = 0.01
+
+
+@dataclass(frozen=True)
+class Secret:
+    """What a trial hides: effect to parameters, and effect to d'; sealed with a nonce so that it cannot be guessed."""
+
+    effects: Mapping[str, Mapping[str, float]]
+    d_primes: Mapping[str, float]
+    unit_seed: int
+    noise_seed: int
+    nonce: str
+
+    def text(self) -> str:
+        """Canonical JSON: what is hashed."""
+        return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+    def seal(self) -> str:
+        """The commitment: sha256 of the canonical text."""
+        return hashlib.sha256(self.text().encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial, opened.
+
+    Attributes
+    ----------
+    commitment : str
+        Written down before the run was diagnosed.
+    covered : mapping
+        ``effect.parameter`` to whether its 95 % interval holds the truth, for effects that were rightly named.
+    gain_share : float or None
+        Expected gain on a fresh run as a share of what an oracle gains that knows the effects' shapes.
+    """
+
+    number: int
+    commitment: str
+    secret: Secret
+    verdict: str
+    named: tuple[str, ...]
+    classes: tuple[tuple[str, ...], ...]
+    covered: Mapping[str, bool] = field(default_factory=dict)
+    gain_share: float | None = None
+
+    @property
+    def truth(self) -> tuple[str, ...]:
+        """Hidden effects, the strongest first."""
+        d = self.secret.d_primes
+        return tuple(sorted(self.secret.effects, key=lambda e: -d.get(e, 0.0)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, the secret opened."""
+        return {
+            "trial": self.number,
+            "commitment_sha256": self.commitment,
+            "opened": json.loads(self.secret.text()),
+            "verdict": self.verdict,
+            "named": list(self.named),
+            "classes": [list(c) for c in self.classes],
+            "covered": dict(self.covered),
+            "gain_share": self.gain_share,
+        }
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """A clean run of the profile: what its record can carry, and how strongly each effect shows in it."""
+
+    series: Series
+    base: Base
+    levels: NoiseLevels
+
+    def d_prime(self, error_dps: Floats) -> float:
+        """Signal-to-noise ratio of an error in the rows, the surface fitted."""
+        columns = np.column_stack([error_dps, self.base.design])
+        white = NoiseModel(self.series).whiten(self.levels, columns)[0]
+        return float(np.sqrt(max(project(white.T @ white, np.arange(self.base.design.shape[1])).rss, 0.0)))
+
+    def error_dps(self, effect: str, parameters: Mapping[str, float]) -> Floats:
+        """An effect in the rows of the record."""
+        shape = {k: v for k, v in parameters.items() if k != "amplitude"}
+        unit = law(effect, conditions_of(self.series), shape, self.base.surface, parameters.get("phase_rad"))
+        return np.asarray(parameters["amplitude"] * unit)
+
+
+def rehearse(run: Path) -> Rehearsal:
+    """Reduce a clean run."""
+    series = series_of_run(read_run(run))
+    base = fit_surface(series)
+    levels = estimate_levels(NoiseModel(series), base.residual_dps, base.design).levels
+    return Rehearsal(series, base, levels)
+
+
+def draw_secret(stage: Rehearsal, rng: np.random.Generator) -> Secret:
+    """Draw what a trial hides: nothing, one effect or several, of random shape, sign and strength."""
+    shown = [e for e in CATALOGUE if e not in untestable(stage.series)]
+    # Twins of one law cannot be hidden beside each other: nothing could tell them apart.
+    twins = {t for others in TWINS.values() for t in others}
+    known = [e for e in shown if e not in twins]
+    count = int(rng.choice(len(_COUNTS), p=_COUNTS))
+    effects: dict[str, dict[str, float]] = {}
+    strengths: dict[str, float] = {}
+    for effect in rng.choice(known, size=count, replace=False).tolist():
+        parameters = _draw_shape(effect, stage.series, rng)
+        if effect not in _OF_ONE_SIZE:
+            unit = stage.d_prime(stage.error_dps(effect, {**parameters, "amplitude": 1.0}))
+            if unit <= 0:
+                continue
+            strengths[effect] = float(rng.choice(_D_PRIMES))
+            parameters["amplitude"] = _signed(effect, strengths[effect] / unit, rng)
+        effects[effect] = parameters
+    seeds = rng.integers(1, 2**31, size=2)
+    return Secret(effects, strengths, int(seeds[0]), int(seeds[1]), rng.bytes(16).hex())
+
+
+def _signed(effect: str, size: float, rng: np.random.Generator) -> float:
+    amplitude = next(p for p in CATALOGUE[effect].parameters if p.name == "amplitude")
+    # These have a sign by their nature: a lag lags, a step truncates, a fringe folds back.
+    natural = amplitude.low >= 0 or effect in ("thermal_lag", "sagnac_sine", "saturation", "dead_zone")
+    return float(size if natural else size * rng.choice([-1.0, 1.0]))
+
+
+def _draw_shape(effect: str, series: Series, rng: np.random.Generator) -> dict[str, float]:
+    """Parameters of random shape; the amplitude is the usual one until the strength is drawn."""
+    p = CATALOGUE[effect].typical()
+    rates = np.unique(np.round(np.abs(series.rate_dps), 3))
+    full = float(rates.max())
+    span_s = float(np.ptp(series.t_s))
+    drawn = {
+        "tau_s": lambda: p["tau_s"] * float(np.exp(rng.uniform(-0.6, 0.6))),
+        "width_c": lambda: p["width_c"] * float(np.exp(rng.uniform(-0.5, 0.5))),
+        "phase_rad": lambda: float(rng.uniform(-np.pi, np.pi)),
+        "phase_rad_per_dps": lambda: float(rng.uniform(0.3, 0.8)) / full,
+        "at_s": lambda: float(series.t_s[0] + rng.uniform(0.25, 0.75) * span_s),
+        "harmonic": lambda: float(rng.integers(1, 3)),
+        "knee_dps": lambda: float(rng.uniform(0.55, 0.85)) * full,
+        "center_dps": lambda: float(rng.choice(rates[(rates > 0) & (rates < full)])),
+        "seed": lambda: float(rng.integers(1, 2**31)),
+    }
+    shape = {name: drawn[name]() if name in drawn else value for name, value in p.items()}
+    if effect == "rate_order":
+        shape |= {"order": float(rng.integers(4, 6)), "scale_dps": full}
+    if effect == "temperature_order":
+        low, high = float(series.temp_c.min()), float(series.temp_c.max())
+        shape |= {"order": 3.0, "center_c": (low + high) / 2, "scale_c": (high - low) / 2}
+    return shape
+
+
+def check_profile(config: BlindConfig) -> Profile:
+    """The profile of the trials.
+
+    Raises
+    ------
+    ProfileError
+        No such profile, or one with physics hidden in it already.
+    """
+    profile = load_profile(config.profile)
+    if profile.virtual.effects:
+        raise ProfileError(
+            f"{config.profile}: has virtual.effects already, and a blind trial draws its own. Remove them."
+        )
+    return profile
+
+
+def run_trials(
+    config: BlindConfig, commit: Callable[[int, str], None], progress: Progress, finder: Finder | None = None
+) -> list[Trial]:
+    """Hide, seal, diagnose, open and judge, trial after trial.
+
+    Parameters
+    ----------
+    commit : callable
+        Told each trial's number and commitment before its diagnosis begins.
+    finder : callable, optional
+        What diagnoses; `diagnose` unless given.
+
+    Raises
+    ------
+    ProfileError
+        No such profile, or one with physics hidden in it already.
+    """
+    profile = check_profile(config)
+    options = Options(false_alarm_rate=config.false_alarm_rate, seed=config.seed)
+    find = finder or (lambda run: diagnose(run, None, options))
+    with tempfile.TemporaryDirectory(prefix="gyrocal-blind-") as place:
+        progress(0.0, "rehearsal")
+        clean = Secret({}, {}, config.seed + 1, config.seed + 1, "")
+        stage = rehearse(_record(profile, clean, Path(place) / "rehearsal"))
+        trials = []
+        for number in range(config.trials):
+            progress(number / config.trials, f"trial {number + 1} of {config.trials}")
+            rng = np.random.default_rng([config.seed, number])
+            secret = draw_secret(stage, rng)
+            commitment = secret.seal()
+            commit(number, commitment)
+            run = _record(profile, secret, Path(place) / f"trial{number:04d}")
+            trials.append(judge(number, commitment, secret, find(run), run))
+    progress(1.0, "")
+    return trials
+
+
+class _Silent:
+    """Nobody watches a trial's run."""
+
+    def progress(self, progress: object) -> None:
+        """Nothing is shown."""
+
+    def say(self, text: str) -> None:
+        """Nothing is said."""
+
+
+def _record(profile: Profile, secret: Secret, out: Path) -> Path:
+    """Acquire a run of the profile on the virtual bench with the secret's physics in it."""
+    virtual = {
+        **profile.raw.get("virtual", {}),
+        "unit_seed": secret.unit_seed,
+        "seed": secret.noise_seed,
+        "effects": {effect: dict(p) for effect, p in secret.effects.items()},
+    }
+    source = out.with_suffix(".toml")
+    source.write_text(to_toml({**profile.raw, "virtual": virtual}), encoding="utf-8")
+    acquire(AcquireConfig(source, out, simulate=True), _Silent())
+    _hide(out)
+    return out
+
+
+def _hide(run: Path) -> None:
+    """Take the profile, which names the physics, out of the run's head: the finder must not be able to read it."""
+    head = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    head.pop("profile", None)
+    head.pop("profile_sha256", None)
+    (run / "run.json").write_text(json.dumps(head), encoding="utf-8")
+
+
+def judge(number: int, commitment: str, secret: Secret, found: Diagnosis, run: Path) -> Trial:
+    """Open a trial: check its seal, and compare the answer with the truth."""
+    if secret.seal() != commitment:
+        msg = f"trial {number}: what was opened is not what was sealed"
+        raise ValueError(msg)
+    return Trial(
+        number,
+        commitment,
+        secret,
+        found.verdict,
+        tuple(e.effect for e in found.effects),
+        tuple((e.effect, *(a.effect for a in e.alternatives)) for e in found.effects),
+        _coverage(secret, found),
+        _gain_share(secret, found, run),
+    )
+
+
+def _coverage(secret: Secret, found: Diagnosis) -> dict[str, bool]:
+    covered = {}
+    for effect in found.effects:
+        truth = secret.effects.get(effect.effect, {})
+        for name, estimate in effect.parameters.items():
+            # Phases, orders and seeds are choices of description, not sizes.
+            if name not in truth or name in ("phase_rad", "seed", "order", "harmonic", "center_c", "scale_c"):
+                continue
+            low, high = estimate.interval_95
+            values = [truth[name], -truth[name]] if "phase_rad" in truth else [truth[name]]
+            covered[f"{effect.effect}.{name}"] = any(low <= v <= high for v in values)
+    return covered
+
+
+def _gain_share(secret: Secret, found: Diagnosis, run: Path) -> float | None:
+    """What the model removes of the hidden error, in units of what an oracle removes that only fits its sizes."""
+    measured = [e for e in secret.effects if e in secret.d_primes]
+    if not measured or found.rows is None:
+        return None
+    stage = rehearse(run)
+    if found.rows.t_s.size != len(stage.series):
+        return None
+    truth = np.sum([stage.error_dps(e, secret.effects[e]) for e in measured], axis=0)
+    model = np.sum([*found.rows.effect_dps.values(), np.zeros(truth.size)], axis=0)
+    whole, left = stage.d_prime(truth), stage.d_prime(model - truth)
+    return float((1.0 - (left / whole) ** 2) / (1.0 - min(len(measured) / whole**2, 0.9)))

@@ -1,0 +1,395 @@
+"""Surface and named physics fitted together: parameters with intervals, and the improved coefficient file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.analysis import Analysis
+from gyrocal.diagnosis.base import Base, simulate, with_coefficients
+from gyrocal.diagnosis.columns import conditions_of
+from gyrocal.diagnosis.gate import Gate
+from gyrocal.diagnosis.hypotheses import law, phase_columns
+from gyrocal.diagnosis.intervals import Profile, descend, profile_interval
+from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.search import Member
+from gyrocal.diagnosis.series import Series
+from gyrocal.fusion.coefficients import Coefficients, Noise, Term, Valid
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Conditions
+from gyrocal.physics.surface import Surface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Shape parameters that are refined between the points of the grid; the others are what the grid says.
+_REFINED = {
+    "shupe_gradient": ("tau_s",),
+    "thermal_lag": ("tau_s",),
+    "thermal_hysteresis": ("width_c",),
+    "warm_up": ("tau_s",),
+    "bias_step": ("at_s",),
+    "scale_step": ("at_s",),
+    "sagnac_sine": ("phase_rad_per_dps",),
+    "saturation": ("knee_dps",),
+    "mechanical_resonance": ("center_dps", "width_dps"),
+    "step_response": ("tau_s", "frequency_hz"),
+}
+_WITH_PHASE = ("earth_rate_tilt", "table_eccentricity")
+_NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A member of the model with its refined shape.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (n, k)
+        At unit amplitude, deg/s.
+    """
+
+    member: Member
+    shape: Mapping[str, float]
+    columns: Floats
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The joint fit.
+
+    Attributes
+    ----------
+    pieces : tuple of Piece
+        All members, in the order of the analysis.
+    parameters : mapping
+        Effect id to its parameters.
+    before_dps, after_dps : ndarray, shape (n,)
+        Residual of surface alone, and of surface with all members.
+    effects_dps : mapping
+        What each named effect adds.
+    """
+
+    pieces: tuple[Piece, ...]
+    parameters: Mapping[str, Mapping[str, Estimate]]
+    before_dps: Floats
+    after_dps: Floats
+    effects_dps: Mapping[str, Floats]
+    surface: Surface
+    covariance_dps2: Floats
+    plain_surface: Surface
+    plain_covariance_dps2: Floats
+
+
+@dataclass
+class _Fit:
+    """Generalised least squares with law columns that change; surface columns are whitened once."""
+
+    analysis: Analysis
+    base: Base
+    white_base: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        columns = np.column_stack([self.base.residual_dps, self.base.design])
+        self.white_base = self.whiten(columns)
+        self._q = np.linalg.qr(self.white_base[:, 1:])[0]
+
+    def whiten(self, columns: Floats) -> Floats:
+        return self.analysis.setup.model.whiten(self.analysis.levels, columns)[0]
+
+    def rss(self, columns: Floats) -> float:
+        """Residual sum of squares with some columns beside the surface's."""
+        y = self.white_base[:, 0]
+        both = np.column_stack([y, self.whiten(columns)]) if columns.size else y[:, None]
+        both = both - self._q @ (self._q.T @ both)
+        if both.shape[1] == 1:
+            return float(both[:, 0] @ both[:, 0])
+        solution = np.linalg.lstsq(both[:, 1:], both[:, 0], rcond=1e-9)[0]
+        left = both[:, 0] - both[:, 1:] @ solution
+        return float(left @ left)
+
+    def solve(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Coefficients of surface and columns, and their covariance."""
+        X = self.white_base[:, 1:]
+        if columns.size:
+            X = np.column_stack([X, self.whiten(columns)])
+        scale = np.linalg.norm(X, axis=0)
+        scale[scale == 0] = 1.0
+        inverse = np.linalg.pinv((X / scale).T @ (X / scale), rcond=1e-12, hermitian=True)
+        coefficients = inverse @ ((X / scale).T @ self.white_base[:, 0])
+        return coefficients / scale, inverse / np.outer(scale, scale)
+
+
+def member_columns(member: Member, shape: Mapping[str, float], c: Conditions, surface: Surface, grid: Floats) -> Floats:
+    """Columns of a member at a shape: the catalogue's law, or what the search used where there is none."""
+    h = member.hypothesis
+    if not h.in_catalogue or h.random:
+        return grid[:, member.columns]
+    if h.id in _WITH_PHASE or (h.id == "step_response" and h.df == 2):
+        return phase_columns(h.id, c, shape)
+    return law(h.id, c, shape, surface)[:, None]
+
+
+def refine(analysis: Analysis, decided: Gate) -> Refined:
+    """Joint fit of the surface and all members, shapes included."""
+    setup, series = analysis.setup, analysis.setup.series
+    c = conditions_of(series)
+    plain = _Fit(analysis, setup.base)
+    alone, alone_covariance = plain.solve(np.empty((len(series), 0)))
+    members = [*decided.named, *decided.withheld]
+    pieces, profiles = _refine_shapes(analysis, members, c, plain)
+    columns = [p.columns for p in pieces]
+    fit, base, solution, covariance = plain, setup.base, alone, alone_covariance
+    for _ in range(3):
+        stacked = np.concatenate(columns, axis=1) if columns else np.empty((len(series), 0))
+        solution, covariance = fit.solve(stacked)
+        surface = _moved(base, solution)
+        base = simulate(series, surface, setup.base.terms)
+        fit = _Fit(analysis, base)
+        if not columns:
+            break
+    stacked = np.concatenate(columns, axis=1) if columns else np.empty((len(series), 0))
+    solution, _ = fit.solve(stacked)
+    p = base.design.shape[1]
+    covariance = _with_shapes(fit, pieces, profiles, stacked, solution, c)
+    parameters, effects, first = {}, {}, p
+    for piece in pieces:
+        rows = np.arange(first, first + piece.columns.shape[1])
+        first += rows.size
+        if piece.member in decided.named:
+            key = piece.member.hypothesis.id
+            effects[key] = piece.columns @ solution[rows]
+            parameters[key] = _estimates(
+                analysis, piece, solution[rows], covariance[np.ix_(rows, rows)], profiles
+            )
+    return Refined(
+        tuple(pieces),
+        parameters,
+        setup.base.residual_dps - setup.base.design @ alone,
+        base.residual_dps - base.design @ solution[:p] - stacked @ solution[p:],
+        effects,
+        _moved(base, solution),
+        _full(covariance[:p, :p], base.terms),
+        _moved(setup.base, alone),
+        _full(alone_covariance, setup.base.terms),
+    )
+
+
+def _moved(base: Base, solution: Floats) -> Surface:
+    known = base.surface.coefficients_dps.ravel()[base.terms]
+    return with_coefficients(base.surface, base.terms, known + solution[: base.terms.size])
+
+
+def _full(covariance: Floats, terms: Ints) -> Floats:
+    full = np.zeros((12, 12))
+    full[np.ix_(terms, terms)] = covariance
+    return full
+
+
+def _refine_shapes(
+    analysis: Analysis, members: Sequence[Member], c: Conditions, fit: _Fit
+) -> tuple[list[Piece], dict[tuple[str, str], Profile]]:
+    """Shapes between the points of the grid, one parameter at a time, and profile intervals of them."""
+    surface, grid = analysis.setup.base.surface, analysis.setup.columns
+    shapes = [dict(m.hypothesis.shapes[m.point]) for m in members]
+
+    def columns_of(k: int) -> Floats:
+        return member_columns(members[k], shapes[k], c, surface, grid)
+
+    columns = [columns_of(k) for k in range(len(members))]
+    handles = []
+    for k, member in enumerate(members):
+        if not member.hypothesis.in_catalogue:
+            continue
+        for name in _REFINED.get(member.hypothesis.id, ()):
+            if shapes[k].get(name, 0.0) != 0.0:
+                handles.append((k, name, _reach(member, name)))
+
+    def loss(k: int, name: str, value: float) -> float:
+        shape = {**shapes[k], name: value}
+        trial = member_columns(members[k], shape, c, surface, grid)
+        rest = [columns[i] if i != k else trial for i in range(len(members))]
+        return fit.rss(np.concatenate(rest, axis=1))
+
+    profiles: dict[tuple[str, str], Profile] = {}
+    for sweep in range(3 if len(handles) > 1 else 1):
+        for k, name, reach in handles:
+            shapes[k][name] = descend(
+                lambda value, k=k, name=name: loss(k, name, value),  # type: ignore[misc]
+                shapes[k][name],
+                reach,
+                candidates=_instants_near(analysis, shapes[k][name]) if name == "at_s" else None,
+            )
+            columns[k] = columns_of(k)
+        if sweep and len(handles) <= 1:
+            break
+    for k, name, reach in handles:
+        limits = _limits(members[k].hypothesis.id, name)
+        profiles[members[k].hypothesis.id, name] = profile_interval(
+            lambda value, k=k, name=name: loss(k, name, value),  # type: ignore[misc]
+            shapes[k][name],
+            reach,
+            limits,
+            candidates=_instants_near(analysis, shapes[k][name]) if name == "at_s" else None,
+        )
+    pieces = [Piece(m, s, x) for m, s, x in zip(members, shapes, columns, strict=True)]
+    return pieces, profiles
+
+
+def _reach(member: Member, name: str) -> float:
+    """Ratio between neighbours on the grid of a shape parameter."""
+    values = np.unique([s[name] for s in member.hypothesis.shapes if name in s])
+    values = values[values > 0]
+    if values.size < 2:
+        return 2.0
+    return float(np.clip(np.max(values[1:] / values[:-1]), 1.02, 3.0))
+
+
+def _limits(effect: str, name: str) -> tuple[float, float]:
+    found = next(p for p in CATALOGUE[effect].parameters if p.name == name)
+    return found.low, found.high
+
+
+def _instants_near(analysis: Analysis, at_s: float) -> Floats:
+    """Instants between rows around a candidate, at most 81."""
+    t = analysis.setup.series.t_s
+    middle = int(np.searchsorted(t, at_s))
+    near = np.arange(max(middle - 400, 1), min(middle + 400, t.size))
+    between = 0.5 * (t[near - 1] + t[near])
+    wide = np.diff(t)[near - 1]
+    # Instants in gaps come first: a step between data sets shows as such. The rest is thinned.
+    chosen = np.union1d(np.flatnonzero(wide > 2.0 * np.median(wide)), np.arange(0, near.size, 10))
+    return np.asarray(between[chosen])
+
+
+def _with_shapes(
+    fit: _Fit,
+    pieces: Sequence[Piece],
+    profiles: Mapping[tuple[str, str], Profile],
+    stacked: Floats,
+    solution: Floats,
+    c: Conditions,
+) -> Floats:
+    """Covariance of all linear coefficients with the uncertainty of the shapes: their tangents are columns too."""
+    p, first = fit.base.design.shape[1], fit.base.design.shape[1]
+    tangents = []
+    for piece in pieces:
+        rows = np.arange(first, first + piece.columns.shape[1])
+        first += rows.size
+        for name in _REFINED.get(piece.member.hypothesis.id, ()):
+            if (piece.member.hypothesis.id, name) not in profiles or name == "at_s":
+                continue
+            value = piece.shape[name]
+            ahead = member_columns(piece.member, {**piece.shape, name: 1.02 * value}, c, fit.base.surface, stacked)
+            tangents.append((ahead - piece.columns) @ solution[rows])
+    extended = np.column_stack([stacked, *tangents]) if tangents else stacked
+    _, covariance = fit.solve(extended)
+    return covariance[: p + stacked.shape[1], : p + stacked.shape[1]]
+
+
+def _estimates(
+    analysis: Analysis,
+    piece: Piece,
+    values: Floats,
+    covariance: Floats,
+    profiles: Mapping[tuple[str, str], Profile],
+) -> dict[str, Estimate]:
+    """Parameters of an effect in the catalogue's units."""
+    h = piece.member.hypothesis
+    units = {p.name: p.unit for p in CATALOGUE[h.id].parameters}
+    if h.random:
+        return {"amplitude": _draw_size(analysis, h.points[0], units["amplitude"])}
+    found: dict[str, Estimate] = {}
+    if values.size == 2:
+        amplitude = float(np.hypot(*values))
+        gradient = values / amplitude
+        std = float(np.sqrt(gradient @ covariance @ gradient))
+        across = np.array([values[1], -values[0]]) / amplitude**2
+        phase_std = float(np.sqrt(across @ covariance @ across))
+        phase = float(np.arctan2(-values[1], values[0]))
+        found["phase_rad"] = _normal(phase, phase_std, "rad")
+    else:
+        amplitude, std = float(values[0]), float(np.sqrt(covariance[0, 0]))
+    for name, value in piece.shape.items():
+        profile = profiles.get((h.id, name))
+        found[name] = (
+            Estimate(value, 0.0, units[name], (value, value))
+            if profile is None
+            else Estimate(value, profile.std, units[name], profile.interval)
+        )
+    return {"amplitude": _normal(amplitude, std, units["amplitude"])} | found
+
+
+def _normal(value: float, std: float, unit: str) -> Estimate:
+    return Estimate(value, std, unit, (value - _NORMAL_95 * std, value + _NORMAL_95 * std))
+
+
+def _draw_size(analysis: Analysis, columns: Ints, unit: str) -> Estimate:
+    """Size of independent draws of which a block of amplitudes is made: marginal likelihood over its net."""
+    others = [m for m in analysis.members if not m.hypothesis.random]
+    rest = analysis.search.given(others)
+    A, b = rest.gram[np.ix_(columns, columns)], rest.score[columns]
+    lam, vectors = np.linalg.eigh(A)
+    kept = lam > 1e-6 * lam[-1]
+    along = (vectors[:, kept].T @ b) ** 2
+    lam = lam[kept]
+    size = np.geomspace(0.1, 1e5, 2000)
+    s2 = size[:, None] ** 2
+    logl = np.sum(0.5 * along * s2 / (1 + s2 * lam) - 0.5 * np.log1p(s2 * lam), axis=1)
+    best = int(np.argmax(logl))
+    inside = size[logl > logl[best] - 1.92]
+    std = float(size[best] / np.sqrt(2.0 * max(lam.size, 1)))
+    return Estimate(float(size[best]), std, unit, (float(inside[0]), float(inside[-1])))
+
+
+def _valid(series: Series) -> Valid:
+    return Valid(
+        (float(series.gyro_dps.min()), float(series.gyro_dps.max())),
+        (float(series.temp_c.min()), float(series.temp_c.max())),
+    )
+
+
+def _noise(series: Series, analysis: Analysis) -> Noise:
+    if not np.all(series.averaging_s > 0):
+        return Noise()
+    walk = analysis.levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
+    spread = _NORMAL_95 / np.sqrt(2.0 * len(series))
+    return Noise(angle_random_walk_deg_per_rt_h=(60 * walk, 60 * walk * (1 - spread), 60 * walk * (1 + spread)))
+
+
+def surface_coefficients(series: Series, analysis: Analysis) -> Coefficients:
+    """The surface alone, fitted by generalised least squares, as a coefficient file."""
+    fit = _Fit(analysis, analysis.setup.base)
+    solution, covariance = fit.solve(np.empty((len(series), 0)))
+    return Coefficients(
+        sensor={"model": series.sensor_model},
+        surface=_moved(analysis.setup.base, solution),
+        covariance_dps2=_full(covariance, analysis.setup.base.terms),
+        valid=_valid(series),
+        noise=_noise(series, analysis),
+        provenance={"recording": series.name, "by": "diagnose"},
+    )
+
+
+def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decided: Gate) -> Coefficients:
+    """Surface refitted with the named physics, which stands in its terms."""
+    terms = []
+    for member in decided.named:
+        effect = CATALOGUE[member.hypothesis.id]
+        parameters = {
+            name: {"value": e.value, "std": e.std, "unit": e.unit}
+            for name, e in refined.parameters[effect.id].items()
+        }
+        terms.append(Term(effect.id, parameters, effect.runtime))
+    return Coefficients(
+        sensor={"model": series.sensor_model},
+        surface=refined.surface,
+        covariance_dps2=refined.covariance_dps2,
+        valid=_valid(series),
+        noise=_noise(series, analysis),
+        terms=tuple(terms),
+        provenance={"recording": series.name, "by": "diagnose"},
+    )

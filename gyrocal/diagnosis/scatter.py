@@ -1,0 +1,204 @@
+"""Changes of variance, single bad data sets, bursts, steps of the output, the sample clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from gyrocal.diagnosis.analysis import Analysis, model_columns
+from gyrocal.diagnosis.base import fit_surface
+from gyrocal.diagnosis.gram import holm
+from gyrocal.diagnosis.result import Estimate, Located
+from gyrocal.diagnosis.series import Series
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+#: A data set this many times farther off than 95 % of all others is not of this recording.
+_GROSS = 8.0
+_MOST_BAD_SHARE = 0.03
+#: Fewest isolated outliers (each beyond six standard deviations) that count as bursts.
+_FEWEST_OUTLIERS = 3
+#: Output steps that add less variance than this share of the white noise are no effect.
+_STEP_VARIANCE = 0.05
+#: Sample clocks nearer to nominal than this are as good as any.
+_CLOCK_PPM = 20.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect of sampling or scatter, found by a test of its own."""
+
+    effect: str
+    statement: str
+    parameters: dict[str, Estimate]
+    p_value: float
+    place: Located
+
+
+def set_means(series: Series, values: Floats) -> tuple[Ints, Floats]:
+    """Numbers of the data sets, and the weighted means of values over them."""
+    rows = series.is_set
+    weight = 1.0 / series.white_std_dps[rows] ** 2
+    index = series.set_index[rows]
+    total = np.bincount(index, weights=weight)
+    numbers = np.flatnonzero(total)
+    return numbers, np.bincount(index, weights=weight * values[rows])[numbers] / total[numbers]
+
+
+def bad_sets(series: Series) -> tuple[Ints, Floats]:
+    """Data sets that are grossly off a robust surface (mislabelled, disturbed), and by how much, deg/s.
+
+    At most a few: many that are off together are physics, and left to the search.
+    """
+    nothing = np.empty(0, dtype=np.int64), np.empty(0)
+    base = fit_surface(series)
+    numbers, y = set_means(series, base.residual_dps)
+    if numbers.size < 30:
+        return nothing
+    design = np.column_stack([set_means(series, column)[1] for column in base.design.T])
+    weight = np.ones(numbers.size)
+    left = y
+    for _ in range(30):
+        solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
+        left = y - design @ solution
+        spread = 1.4826 * float(np.median(np.abs(left))) + 1e-12
+        weight = np.sqrt(1.0 / (1.0 + (left / (2.0 * spread)) ** 2))
+    size = np.abs(left)
+    bad = size > _GROSS * float(np.quantile(size, 0.95))
+    if not bad.any() or bad.sum() > max(1, _MOST_BAD_SHARE * numbers.size):
+        return nothing
+    return numbers[bad], left[bad]
+
+
+def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Finding]:
+    """One finding for all data sets that are left out."""
+    if numbers.size == 0:
+        return []
+    rows = [np.flatnonzero(series.set_index == n)[0] for n in numbers]
+    names = [
+        f"number {n + 1} ({series.rate_dps[r]:g} deg/s at {series.temp_c[r]:.1f} degC, off by {1e3 * d:.3g} mdeg/s)"
+        for n, r, d in zip(numbers, rows, off_dps, strict=True)
+    ]
+    statement = f"Single data sets do not belong to the rest: {'; '.join(names)}. Mislabelled, or disturbed; left out of the fit."
+    size = float(1e3 * np.max(np.abs(off_dps)))
+    place = Located("data_set_index", "mean", statement, 1e-12, 1.0)
+    return [Finding("bursts", statement, {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))}, 1e-12, place)]
+
+
+def outlier_findings(series: Series) -> list[Finding]:
+    """Isolated samples that no Gaussian noise makes."""
+    count = series.raw.outliers_t_s.size
+    if count < _FEWEST_OUTLIERS:
+        return []
+    expected = series.raw.samples * 2.0 * float(norm.sf(5.5))
+    p = float(chi2.sf(2.0 * count, 2)) if expected < 1 else 0.5
+    size = 1e3 * float(np.sqrt(np.mean(series.raw.outliers_dps**2)))
+    share = count / series.raw.samples
+    times = series.raw.outliers_t_s / 3600.0
+    statement = f"{count} of {series.raw.samples} samples stand out of the noise by more than six standard deviations (bursts, slip ring)."
+    place = Located(
+        "data_set_index", "variance", f"single samples between {times.min():.2f} and {times.max():.2f} h", p, 0.0
+    )
+    spread = size / np.sqrt(2.0 * count)
+    low, high = chi2.ppf([0.025, 0.975], 2 * count) / 2.0
+    low_more, high_more = low / series.raw.samples, (high + 2.0) / series.raw.samples
+    return [
+        Finding(
+            "bursts",
+            statement,
+            {
+                "amplitude": Estimate(size, spread, "mdeg/s", (size - 1.96 * spread, size + 1.96 * spread)),
+                "share": Estimate(share, share / np.sqrt(count), "1", (low_more, high_more)),
+            },
+            p,
+            place,
+        )
+    ]
+
+
+def step_findings(series: Series, white_dps: float) -> list[Finding]:
+    """Output in steps coarse enough to add noise; `white_dps` is the white noise of a sample."""
+    step = series.raw.lattice_dps
+    if step is None or series.is_table or step**2 / 12.0 < _STEP_VARIANCE * white_dps**2:
+        return []
+    size = 1e3 * step
+    statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
+    place = Located("rate", "variance", "every sample lies on a lattice", 1e-12, 0.0)
+    return [Finding("quantisation", statement, {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))}, 1e-12, place)]
+
+
+def clock_findings(series: Series) -> list[Finding]:
+    """A sample clock whose samples arrive at another interval than the data sheet's."""
+    ratio, std = series.raw.interval_ratio, series.raw.interval_ratio_std
+    if ratio is None or std is None:
+        return []
+    ppm, std_ppm = 1e6 * ratio, max(1e6 * std, 0.01)
+    if abs(ppm) < max(_CLOCK_PPM, 5.0 * std_ppm):
+        return []
+    p = float(2.0 * norm.sf(min(abs(ppm) / std_ppm, 37.0)))
+    statement = f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the sample clock is off, and an output that is an angle per sample is scaled by as much."
+    place = Located("rate", "mean", "arrival times of all samples", p, 0.0)
+    value = Estimate(ppm, std_ppm, "ppm", (ppm - 1.96 * std_ppm, ppm + 1.96 * std_ppm))
+    return [Finding("time_base", statement, {"amplitude": value}, p, place)]
+
+
+def variance_places(analysis: Analysis, level: float) -> list[Located]:
+    """Where the innovations scatter more than the noise model says: by rate, angle, time and data set.
+
+    Each group's sum of squares is compared with the others', with the kurtosis that the innovations have, so
+    that heavy tails alone raise no alarm. Holm over all groups of all coordinates.
+    """
+    setup, series = analysis.setup, analysis.setup.series
+    columns = np.column_stack([setup.base.residual_dps, model_columns(setup, analysis.members)])
+    white = setup.model.whiten(analysis.levels, columns)[0]
+    solution = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=1e-10)[0]
+    squares = (white[:, 0] - white[:, 1:] @ solution) ** 2
+    found: list[tuple[str, str, float, float]] = []
+    for coordinate, groups, labels in _groupings(series):
+        count = np.bincount(groups).astype(np.float64)
+        total = np.bincount(groups, weights=squares)
+        usable = np.flatnonzero(count >= 20)
+        mean, spread = float(np.mean(squares)), float(np.std(squares))
+        for g in usable:
+            z = (total[g] - count[g] * mean) / (spread * np.sqrt(count[g]))
+            # A sum of squares is skewed: the cube root of a chi-square is nearly normal (Wilson and Hilferty).
+            df = 2.0 * count[g] * mean**2 / spread**2
+            p = float(chi2.sf(df + z * np.sqrt(2.0 * df), df))
+            found.append((coordinate, labels[g], min(1.0, 2.0 * p), total[g] - count[g] * mean))
+    if not found:
+        return []
+    p_values = np.array([f[2] for f in found])
+    passed = holm(p_values, level)
+    best: dict[str, Located] = {}
+    excess = max(float(np.sum(squares)) * 1e-3, sum(max(f[3], 0.0) for f, ok in zip(found, passed, strict=True) if ok))
+    for (coordinate, label, p, more), ok in zip(found, passed, strict=True):
+        if ok and (coordinate not in best or p < best[coordinate].p_value):
+            share = float(np.clip(more / excess, 0.0, 1.0))
+            best[coordinate] = Located(coordinate, "variance", label, min(1.0, p * len(found)), share, True)
+    return sorted(best.values(), key=lambda place: place.p_value)
+
+
+def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[str]]]:
+    found: list[tuple[str, Ints, Sequence[str]]] = []
+    sizes, by_size = np.unique(np.round(np.abs(series.rate_dps), 2), return_inverse=True)
+    if 2 < sizes.size <= 60:
+        found.append(("rate", by_size.astype(np.int64), [f"|rate| = {s:g} deg/s" for s in sizes]))
+    hours = np.linspace(series.t_s[0], series.t_s[-1], 41)
+    by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, 39)
+    where = "time" if series.has_time else "data_set_index"
+    found.append((where, by_time, [f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in zip(hours[:-1], hours[1:], strict=True)]))
+    if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:
+        sector = np.floor(np.mod(series.angle_deg, 360.0) / 15.0).astype(np.int64)
+        sector = np.where(np.abs(series.rate_dps) > 0, sector, 24)
+        names = [f"table angle {15 * k} to {15 * k + 15} deg" for k in range(24)] + ["table at rest"]
+        found.append(("table_angle", sector, names))
+    if not series.is_table:
+        last = int(series.set_index.max()) + 1
+        found.append(("data_set_index", series.set_index, [f"segment {k + 1}" for k in range(last)]))
+    return found
