@@ -1,0 +1,149 @@
+"""The blind trial with finders whose skill is known: one that is told the answer, and one that always lies."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.blind import BlindConfig, Secret, draw_secret, judge, rehearse, run_trials
+from gyrocal.diagnosis.blind_summary import Share, summarise
+from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect
+from gyrocal.errors import ProfileError
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.report.diagnosis_blind import write_blind
+from tests.diagnosis.concealed_bench import make_recording, write_run
+
+SMALL = """
+title = "Small"
+[sensor]
+model = "RD2100"
+sample_rate_hz = 10.0
+rate_range_dps = [-100.0, 100.0]
+temp_range_c = [-40.0, 75.0]
+on_before_s = 60.0
+[plan]
+temperatures_c = [0.0, 30.0]
+rates_dps = [20.0, 60.0, 100.0]
+dwell_s = 5.0
+[ramp]
+rate_c_per_min = 4.0
+[soak]
+time_s = 120.0
+slope_c_per_min = 50.0
+slope_over_s = 60.0
+"""
+
+
+def _quiet(share: float, what: str) -> None:
+    """No progress is shown."""
+
+
+def _answer(effects: dict[str, dict[str, float]], verdict: str) -> Diagnosis:
+    named = tuple(
+        NamedEffect(
+            effect,
+            CATALOGUE[effect].family,
+            CATALOGUE[effect].statement,
+            {k: Estimate(v, 0.1, "", (v - 0.1, v + 0.1)) for k, v in parameters.items()},
+            1e-9,
+            (),
+            None,
+            CATALOGUE[effect].runtime,
+        )
+        for effect, parameters in effects.items()
+    )
+    return Diagnosis("run", verdict, (), named, {}, (), None, None, None, None, None)
+
+
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("profile") / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def test_wilson_interval_of_the_literature() -> None:
+    """Newcombe 1998, table I, method 3: 81 of 263 is 0.2553 to 0.3662, 0 of 20 is 0 to 0.1611."""
+    assert Share("", 81, 263).interval_95 == pytest.approx((0.2553, 0.3662), abs=5e-5)
+    assert Share("", 0, 20).interval_95 == pytest.approx((0.0, 0.1611), abs=5e-5)
+
+
+def test_seal_tells_answers_apart_and_cannot_be_guessed() -> None:
+    secret = Secret({"shupe": {"amplitude": 1.0}}, {"shupe": 8.0}, 1, 2, "00")
+    assert secret.seal() == replace(secret).seal()
+    assert secret.seal() != replace(secret, nonce="01").seal()
+    assert secret.seal() != replace(secret, effects={}).seal()
+
+
+def test_opened_answer_must_be_the_sealed_one(tmp_path: Path) -> None:
+    secret = Secret({}, {}, 1, 2, "00")
+    with pytest.raises(ValueError, match="not what was sealed"):
+        judge(0, "0" * 64, secret, _answer({}, "consistent"), tmp_path)
+
+
+def test_drawn_strength_is_the_strength_in_the_record(tmp_path: Path) -> None:
+    write_run(make_recording([], 3, "even"), tmp_path / "run")
+    stage = rehearse(tmp_path / "run")
+    drawn = [draw_secret(stage, np.random.default_rng(k)) for k in range(12)]
+    assert {len(s.effects) for s in drawn} >= {0, 1}
+    for secret in drawn:
+        for effect, d_prime in secret.d_primes.items():
+            error = stage.error_dps(effect, secret.effects[effect])
+            assert stage.d_prime(error) == pytest.approx(d_prime, rel=1e-6)
+
+
+def test_trials_are_sealed_before_they_are_diagnosed(profile: Path) -> None:
+    events: list[str] = []
+    config = BlindConfig(2, 5, str(profile))
+
+    def finder(run: Path) -> Diagnosis:
+        events.append("diagnosed")
+        assert "profile" not in json.loads((run / "run.json").read_text())
+        return _answer({}, "consistent")
+
+    trials = run_trials(config, lambda number, seal: events.append(seal), _quiet, finder)
+    assert events == [trials[0].commitment, "diagnosed", trials[1].commitment, "diagnosed"]
+    assert [t.secret.seal() for t in trials] == [t.commitment for t in trials]
+
+
+def test_files_of_a_trial_and_a_lying_finder(profile: Path, tmp_path: Path) -> None:
+    lie = _answer({"shupe": {"amplitude": 1.0}}, "explained")
+    config = BlindConfig(2, 6, str(profile))
+    result = write_blind(config, tmp_path / "a", _quiet, lambda run: lie)
+    document = json.loads((tmp_path / "a" / "blind.json").read_text())
+    seals = [line.split()[1] for line in (tmp_path / "a" / "commitments.txt").read_text().splitlines()]
+    assert [t["commitment_sha256"] for t in document["trials"]] == seals
+    nothing = next(s for s in result.summary.shares if s.name.startswith("nothing"))
+    assert nothing.hits == nothing.trials == sum(not t.truth for t in result.trials)
+    assert (tmp_path / "a" / "blind.html").read_text().count("data:image/png") == 2
+    write_blind(config, tmp_path / "b", _quiet, lambda run: lie)
+    assert (tmp_path / "a" / "blind.json").read_bytes() == (tmp_path / "b" / "blind.json").read_bytes()
+
+
+def test_summary_of_a_finder_that_is_told_the_answer() -> None:
+    secrets = [
+        Secret({}, {}, 1, 1, ""),
+        Secret({"shupe": {"amplitude": 2.0}}, {"shupe": 8.0}, 1, 1, ""),
+        Secret({"shupe": {"amplitude": 2.0}, "warm_up": {"amplitude": 9.0, "tau_s": 500.0}}, {"shupe": 8.0, "warm_up": 12.0}, 1, 1, ""),
+    ]  # fmt: skip
+    trials = [
+        judge(n, s.seal(), s, _answer({k: dict(v) for k, v in s.effects.items()}, "explained"), Path())
+        for n, s in enumerate(secrets)
+    ]
+    shares = {s.name: (s.hits, s.trials) for s in summarise(trials).shares}
+    assert shares["nothing hidden: something named"] == (0, 1)
+    assert shares["one hidden: right name first"] == (1, 1)
+    assert shares["several hidden: exact set"] == (1, 1)
+    assert shares["parameters: 95 % interval covers"] == (4, 4)
+    assert summarise(trials).confusion == {"nothing": {"nothing": 1}, "shupe": {"shupe": 1}}
+
+
+def test_profile_that_hides_physics_already_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "spoilt.toml"
+    path.write_text(SMALL + "[virtual.effects.shupe]\n")
+    with pytest.raises(ProfileError, match=r"has virtual\.effects already"):
+        run_trials(BlindConfig(1, 1, str(path)), lambda number, seal: None, _quiet)
