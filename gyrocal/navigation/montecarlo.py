@@ -89,7 +89,7 @@ class MonteCarlo:
 
 def simulated_robot_file(world: World) -> Robot:
     """The robot file of a world: the same for every experiment and every condition."""
-    figures = robot_figures(world.spread, world.static_s)
+    figures = robot_figures(world.spread, world.static_s, 0.02 * world.nonlinearity)
     return Robot(source=Path("simulated"), wheel_radius_m=None, **figures)
 
 

@@ -172,11 +172,12 @@ def encoder_steps(path: TruePath, robot: SimulatedRobot, rng: np.random.Generato
     return sides[0], sides[1]
 
 
-def robot_figures(spread: Spread, static_s: float) -> dict[str, Any]:
+def robot_figures(spread: Spread, static_s: float, gyro_scale: float = 0.02) -> dict[str, Any]:
     """Arguments of `gyrocal.records.robot.format_robot` for a robot of this spread.
 
     One set of figures for every condition: what the builder of the robot knows (`Spread`), the gyro's data sheet
-    (small-rate slope 2 %, angle random walk, bias stability), and one tick of rounding.
+    (angle random walk, bias stability, and `gyro_scale`: a cubic of 0.5 % rms of full scale about its best line
+    has a slope of 2 % at small rates), and one tick of rounding.
     """
     tick_deg = spread.metres_per_tick / spread.wheel_separation_m * RAD_TO_DEG
     return {
@@ -191,7 +192,7 @@ def robot_figures(spread: Spread, static_s: float) -> dict[str, Any]:
             "left_scale": spread.wheel_scale_std,
             "wheel_separation_m": spread.separation_std * spread.wheel_separation_m,
             "gyro_heading_deg": 0.0,
-            "gyro_scale": 0.02,
+            "gyro_scale": gyro_scale,
             "gyro_bias_dps": 0.002,
         },
         "noise": {

@@ -14,8 +14,12 @@ from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
-#: Turns are compared over windows of this length: long enough to drown encoder ticks, short beside a turn.
-WINDOW_S = 1.0
+#: Distances and turns are summed over bins of this length.
+BIN_S = 0.2
+#: Turns are compared over sliding windows: short beside a turn to find a delay, long beside a delay otherwise.
+DELAY_WINDOW_S, WINDOW_S = 1.0, 5.0
+#: Delays up to this are looked for.
+MAX_DELAY_S = 1.0
 #: Below this angle, summed over windows, the log has no turns that anything could be learnt from.
 MIN_TURN_DEG = 20.0
 #: A correlation of encoder and gyro turns that no sound pair of channels falls below, and one that only a
@@ -43,8 +47,10 @@ class Survey:
 
     Attributes
     ----------
-    left_m, right_m, gyro_deg : ndarray, shape (windows,)
-        Sums over windows of `WINDOW_S`.
+    bin_s : ndarray, shape (bins,)
+        Ends of the bins that hold rows, from the start of the log.
+    left_m, right_m, gyro_deg : ndarray, shape (bins,)
+        Sums over the bins.
     bad_gyro, bad_encoder, duplicates, gaps : int
         Rows with an empty cell; rows with the time of the row before; steps above 5 times the usual one.
     """
@@ -54,6 +60,7 @@ class Survey:
     t_start_s: float
     t_end_s: float
     usual_dt_s: float
+    bin_s: Floats = field(repr=False)
     left_m: Floats = field(repr=False)
     right_m: Floats = field(repr=False)
     gyro_deg: Floats = field(repr=False)
@@ -111,7 +118,7 @@ class _Tally:
         self.same_since_s, self.last_gyro, self.longest_same_s = np.nan, np.nan, 0.0
         self.extreme_rows: dict[float, int] = {}
         self.windows: list[Floats] = []
-        self.open_index, self.open_sum = -1, np.zeros(3)
+        self.open_index, self.open_sum = -1, np.zeros(4)
         self.steps: list[Floats] = []
         self.long_steps: list[Floats] = []
 
@@ -162,18 +169,19 @@ class _Tally:
     def _window(self, block: DriveBlock, dt_s: Floats) -> None:
         channels = np.stack([block.left_m, block.right_m, block.gyro_dps * dt_s])
         channels = np.where(np.isfinite(channels), channels, 0.0)
-        index = np.floor((block.t_s - self.t_start_s) / WINDOW_S).astype(np.int64)
+        index = np.floor((block.t_s - self.t_start_s) / BIN_S).astype(np.int64)
         starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
         sums = np.add.reduceat(channels, starts, axis=1)
+        sums = np.vstack([(index[starts] + 1) * BIN_S, sums])
         if index[0] == self.open_index:
-            sums[:, 0] += self.open_sum
+            sums[1:, 0] += self.open_sum[1:]
         elif self.open_index >= 0:
             self.windows.append(self.open_sum[:, None])
         self.windows.append(sums[:, :-1])
         self.open_index, self.open_sum = int(index[-1]), sums[:, -1]
 
     def result(self, source: str) -> Survey:
-        left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
+        bin_s, left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
         medians = np.concatenate(self.steps)
         usual_dt_s = float(np.median(medians)) if medians.size else 0.0
         gaps = int(np.count_nonzero(np.concatenate(self.long_steps) > 5.0 * usual_dt_s))
@@ -183,6 +191,7 @@ class _Tally:
             self.t_start_s,
             self.t_end_s,
             usual_dt_s,
+            bin_s,
             left,
             right,
             gyro,
@@ -261,20 +270,17 @@ def _check_stuck(found: Survey, separation_m: float) -> None:
 
 def _check_turns(found: Survey, separation_m: float) -> None:
     name = found.source
-    gyro = found.gyro_deg - np.median(found.gyro_deg)
-    encoder = (found.right_m - found.left_m) / separation_m * RAD_TO_DEG
-    # Turning shows as single large windows; a bias or a drift does not.
-    turned = [
-        float(np.abs(turn[np.abs(turn) > 2.0 * WINDOW_S]).sum())
-        for turn in (gyro, encoder - np.median(encoder))
-    ]
+    left, right, gyro = (sliding(found, v, WINDOW_S) for v in (found.left_m, found.right_m, found.gyro_deg))
+    encoder = (right - left) / separation_m * RAD_TO_DEG
+    # A turn shows in few windows; a bias or a drift shifts them all and goes with the median.
+    turned = [float(np.max(np.abs(v - np.median(v)), initial=0.0)) for v in (gyro, encoder)]
     if max(turned) < MIN_TURN_DEG:
-        msg = f"{name}: has no turns (gyro {turned[0]:.0f} deg, encoders {turned[1]:.0f} deg in all); gyro and encoders cannot be compared. Log a drive that turns both ways."
+        msg = f"{name}: has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders); gyro and encoders cannot be compared. Log a drive that turns both ways."
         raise DataError(msg)
     ratio, correlation = _compare(encoder, gyro)
     if correlation < _CORRELATION_BAD:
         for cause, left_sign, right_sign in _HYPOTHESES:
-            other = (left_sign * found.left_m + right_sign * found.right_m) / separation_m * RAD_TO_DEG
+            other = (left_sign * left + right_sign * right) / separation_m * RAD_TO_DEG
             if _compare(other, gyro)[1] > _CORRELATION_GOOD:
                 msg = f"{name}: encoder and gyro turns disagree (correlation {correlation:.2f}): {cause}. State the signs in a mapping with --columns."
                 raise DataError(msg)
@@ -286,6 +292,16 @@ def _check_turns(found: Survey, separation_m: float) -> None:
         raise DataError(msg)
 
 
+def sliding(found: Survey, sums: Floats, window_s: float, delay_s: float = 0.0) -> Floats:
+    """Sum over a window that slides by a bin, looked at `delay_s` later; the same times for every delay."""
+    total = np.cumsum(sums)
+    first, last = found.bin_s[0] + MAX_DELAY_S, found.bin_s[-1] - window_s - MAX_DELAY_S
+    start_s = np.arange(first, max(last, first + BIN_S), BIN_S) + delay_s
+    return np.asarray(
+        np.interp(start_s + window_s, found.bin_s, total) - np.interp(start_s, found.bin_s, total)
+    )
+
+
 def _compare(encoder: Floats, gyro: Floats) -> tuple[float, float]:
     """Size of the gyro's turns over the encoders' (ratio of standard deviations) and their correlation."""
     e, g = encoder - encoder.mean(), gyro - gyro.mean()
@@ -293,52 +309,3 @@ def _compare(encoder: Floats, gyro: Floats) -> tuple[float, float]:
     if see == 0.0 or sgg == 0.0:
         return np.inf if see == 0.0 else 0.0, 0.0
     return (sgg / see) ** 0.5, seg / (see * sgg) ** 0.5
-
-
-@dataclass(frozen=True)
-class YawComparison:
-    """Encoder turns against gyro turns over windows of `WINDOW_S`: ``encoder = ratio * gyro + offset``.
-
-    `ratio` is the effective wheel separation over the assumed one (a skid steer: above 1), times the gyro's own
-    scale; a heading log alone cannot tell the two apart. Sigmas by delete-a-block jackknife over ten blocks.
-    """
-
-    encoder_total_deg: float
-    gyro_total_deg: float
-    ratio: float
-    ratio_sigma: float
-    offset_dps: float
-    offset_sigma_dps: float
-    correlation: float
-    effective_separation_m: float
-
-    def to_json(self) -> dict[str, float]:
-        """Plain data."""
-        return dict(vars(self))
-
-
-def compare_yaw(found: Survey, wheel_separation_m: float) -> YawComparison:
-    """How encoder turns relate to gyro turns."""
-    encoder = (found.right_m - found.left_m) / wheel_separation_m * RAD_TO_DEG
-    gyro = found.gyro_deg
-    fitted = _line(gyro, encoder)
-    groups = np.array_split(np.arange(gyro.size), min(10, gyro.size // 3))
-    left_out = np.array([_line(np.delete(gyro, g), np.delete(encoder, g)) for g in groups])
-    count = len(groups)
-    sigma = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    return YawComparison(
-        float(encoder.sum()),
-        float(gyro.sum()),
-        fitted[0],
-        float(sigma[0]),
-        fitted[1] / WINDOW_S,
-        float(sigma[1]) / WINDOW_S,
-        _compare(encoder, gyro)[1],
-        fitted[0] * wheel_separation_m,
-    )
-
-
-def _line(x: Floats, y: Floats) -> tuple[float, float]:
-    middle = x - x.mean()
-    slope = float(middle @ y / (middle @ middle)) if middle.any() else np.nan
-    return slope, float(y.mean() - slope * x.mean())

@@ -17,8 +17,8 @@ from gyrocal.errors import GyrocalError, InputError
 from gyrocal.fusion import STATES, Coefficients, load_coefficients
 from gyrocal.navigation.align import METHODS
 from gyrocal.navigation.replay import CONDITIONS, DriveSource, LogReplay, Track, replay_log
-from gyrocal.navigation.survey import compare_yaw
 from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
+from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.bags import Wheels, is_bag, iterate_bag
 from gyrocal.records.columns import ColumnMap, read_column_map
 from gyrocal.records.csvio import Floats, format_columns
@@ -194,6 +194,8 @@ def _remarks(
         found.append(
             "The robot file does not give, and defaults stand for: " + ", ".join(robot.defaulted) + "."
         )
+    for replay in replays if len(replays) <= 3 else ():
+        found.append(f"{replay.name}: {compare_yaw(replay.survey, robot.wheel_separation_m).sentence()}.")
     said: dict[str, list[str]] = {}
     for replay in replays:
         for note in replay.notes:
