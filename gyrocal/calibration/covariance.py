@@ -129,17 +129,15 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
     """
     known, parts, timed = scatter_parts(sets)
     error_dps = sets.error_dps
-    basis = linalg.qr(design, mode="economic")[0]
+    basis = np.asarray(linalg.qr(design, mode="economic")[0], dtype=np.float64)
     residual = error_dps - basis @ (basis.T @ error_dps)
     unit = max(float(residual @ residual) / (len(sets) - design.shape[1]), 1e-30)
     sizes = np.array([np.mean(_diagonal(part)) for part in parts])
     # Levels are sought as logarithms of their share of the scatter: positive, and of one size.
-    scale: Floats = np.asarray(
-        np.where(sizes > 0, unit / np.where(sizes > 0, sizes, 1.0), 0.0), dtype=np.float64
-    )
+    scale = np.where(sizes > 0, unit / np.where(sizes > 0, sizes, 1.0), 0.0)
 
     def cost(log_share: Floats) -> tuple[float, Floats]:
-        levels: Floats = np.asarray(scale * np.exp(log_share), dtype=np.float64)
+        levels = (scale * np.exp(log_share)).astype(np.float64)
         value, slope = _restricted_likelihood(known, parts, levels, basis, error_dps)
         return value, slope * levels
 
@@ -152,7 +150,7 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
         options={"ftol": 1e-10, "gtol": 1e-5, "maxiter": 200},
     )
     share = np.exp(found.x)
-    levels: Floats = np.asarray(np.where(share > _NOTHING, scale * share, 0.0), dtype=np.float64)
+    levels = np.where(share > _NOTHING, scale * share, 0.0).astype(np.float64)
     # Whatever is estimated, the matrix stays regular: rounding is noise too.
     matrix = _matrix(known + 1e-12 * unit, parts, levels)
     information = _average_information(matrix, parts, levels, basis, error_dps)

@@ -58,7 +58,11 @@ def cross_validate(fit: SurfaceFit, weights: Weights | None = None) -> tuple[Cro
         "rate": rate_groups(sets.rate_dps),
         "time": time_groups(len(sets), STRETCHES),
     }
-    return tuple(_leave_out(name, g, p, gain, fit.design, sets.error_dps) for name, g in groups.items())
+    return tuple(
+        _leave_out(name, g, p, gain, fit.design, sets.error_dps)
+        for name, g in groups.items()
+        if np.unique(g).size > 1
+    )
 
 
 def _leave_out(

@@ -6,6 +6,7 @@ coefficients through the figure's slope, found by differences.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -23,8 +24,14 @@ _GRID = 81
 _PPM = 1e6
 
 
-def merit_figures(surface: Surface, covariance_dps2: Floats, valid: Valid) -> dict[str, dict[str, Any]]:
-    """Figures of merit over the valid range of rate and temperature."""
+#: The figures that a record at one rate carries.
+BIAS_FIGURES = ("bias", "bias_over_temperature")
+
+
+def merit_figures(
+    surface: Surface, covariance_dps2: Floats, valid: Valid, *, bias_only: bool = False
+) -> dict[str, dict[str, Any]]:
+    """Figures of merit over the valid range of rate and temperature; `bias_only` leaves out the scale factor's."""
     rates = np.linspace(*valid.rate_dps, _GRID)
     temps = np.linspace(*valid.temp_c, _GRID)
     middle = 0.5 * (valid.temp_c[0] + valid.temp_c[1])
@@ -77,16 +84,11 @@ def merit_figures(surface: Surface, covariance_dps2: Floats, valid: Valid) -> di
     }
     figures = {}
     for name, (unit, meaning, law) in laws.items():
+        if bias_only and name not in BIAS_FIGURES:
+            continue
         value, std = _propagated(law, surface, covariance_dps2)
         figures[name] = {"value": value, "std": std, "unit": unit, "meaning": meaning}
     return figures
-
-
-def bias_figures(surface: Surface, covariance_dps2: Floats, valid: Valid) -> dict[str, dict[str, Any]]:
-    """The figures that a record at one rate carries."""
-    near_zero = Valid((valid.rate_dps[0], valid.rate_dps[0] + 1.0), valid.temp_c)
-    figures = merit_figures(surface, covariance_dps2, near_zero)
-    return {name: figures[name] for name in ("bias", "bias_over_temperature")}
 
 
 def _propagated(
@@ -101,4 +103,4 @@ def _propagated(
         moved = c.copy()
         moved[k] += steps[k]
         slopes[k] = (law(replace(surface, coefficients_dps=moved.reshape(SHAPE))) - value) / steps[k]
-    return value, float(np.sqrt(max(slopes @ covariance_dps2 @ slopes, 0.0)))
+    return value, math.sqrt(max(float(slopes @ covariance_dps2 @ slopes), 0.0))

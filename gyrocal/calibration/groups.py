@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Values nearer than this share of their span belong to one level.
+#: Values nearer than this share of their span are one.
 _SAME_LEVEL = 0.02
 #: Levels are groups of values that gaps of more than this share of the span hold apart.
 _LEVEL_GAP = 0.05
@@ -18,10 +18,14 @@ _STRETCHES = 6
 
 
 def distinct(values: Floats) -> int:
-    """Number of distinct values, those nearer than 2 % of the span taken as one."""
+    """Number of values that stand at least 2 % of the span apart."""
     ordered = np.sort(values)
-    span = ordered[-1] - ordered[0]
-    return 1 + int(np.count_nonzero(np.diff(ordered) > _SAME_LEVEL * span)) if span > 0 else 1
+    apart = _SAME_LEVEL * (ordered[-1] - ordered[0])
+    number, last = 1, ordered[0]
+    for value in ordered:
+        if value - last > apart:
+            number, last = number + 1, value
+    return number
 
 
 def rate_groups(rate_dps: Floats) -> Ints:

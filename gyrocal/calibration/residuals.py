@@ -167,7 +167,7 @@ def _peaks(sets: DataSets) -> list[Outlier]:
     return found
 
 
-def test_structure(sets: DataSets, scatter: Scatter) -> tuple[StructureTest, ...]:
+def structure_tests(sets: DataSets, scatter: Scatter) -> tuple[StructureTest, ...]:
     """Whether the residual holds structure by rate, by temperature, in time, or from one data set to the next.
 
     The first three are F tests of one mean for each group beside the surface, in the metric of the estimated

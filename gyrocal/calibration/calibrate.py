@@ -1,0 +1,282 @@
+"""The whole fit: checks, surface, what is left, noise, cross-validation, and the coefficient file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gyrocal
+from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface
+from gyrocal.calibration.coarsen import coarsen
+from gyrocal.calibration.crossval import CrossValidation, cross_validate
+from gyrocal.calibration.datasets import DataSets, Recording, load_recording
+from gyrocal.calibration.figures import merit_figures
+from gyrocal.calibration.fit import ALL_TERMS, BIAS_TERMS, SurfaceFit, Weights, fit_surface, rms
+from gyrocal.calibration.noise import NoiseFigures, noise_figures
+from gyrocal.calibration.provenance import refuse_compensated
+from gyrocal.calibration.residuals import (
+    Outlier,
+    ScatterByRate,
+    StructureTest,
+    find_outliers,
+    scatter_by_rate,
+    structure_tests,
+)
+from gyrocal.errors import DataError, InputError
+from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
+
+Floats = NDArray[np.float64]
+
+#: A bias over temperature says nothing about the scale factor: it holds this near to the rate it was taken at, deg/s.
+BIAS_REACH_DPS = 1.0
+#: Permutations of the scatter test are drawn with this seed, so that the same recording gives the same file.
+_SEED = 952
+_MOST_BLOCKS = 600
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """What to fit and how.
+
+    Attributes
+    ----------
+    exclude : tuple of int
+        Segment ids (row numbers of a table, counted from 1) that the user leaves out.
+    force : bool
+        Fit data that are doubtful (saturated, stuck, coarse temperature); what is missing stays an error.
+    """
+
+    counts_per_dps: float | None = None
+    weights: Weights = "gls"
+    bias_only: bool = False
+    exclude: tuple[int, ...] = ()
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration and all that is known about it.
+
+    Attributes
+    ----------
+    before_dps : float
+        Standard deviation of the error about the best single scale factor and bias (for a bias: about its mean).
+    after_dps, ols_dps : float
+        Root mean square of the residual, of the fit and of the paper's equal weights.
+    sample_floor_dps : float or None
+        What the noise of the samples alone leaves in the means.
+    outliers, structure
+        Structure is tested without the outliers of the mean; the fit has them in, unless excluded by the user.
+    cross_validation, cross_validation_ols
+        Of the weights used, and of equal weights.
+    """
+
+    recording: Recording
+    config: FitConfig
+    fit: SurfaceFit
+    before_dps: float
+    after_dps: float
+    ols_dps: float
+    sample_floor_dps: float | None
+    outliers: tuple[Outlier, ...]
+    structure: tuple[StructureTest, ...]
+    scatter_by_rate: ScatterByRate | None
+    cross_validation: tuple[CrossValidation, ...]
+    cross_validation_ols: tuple[CrossValidation, ...]
+    noise: NoiseFigures
+    excluded_by_user: tuple[int, ...]
+    notes: tuple[str, ...]
+    coefficients: Coefficients
+
+    @property
+    def factor(self) -> float:
+        """Error before over error after."""
+        return self.before_dps / max(self.after_dps, np.finfo(float).tiny)
+
+    @property
+    def structured(self) -> tuple[str, ...]:
+        """Coordinates in which the residual holds structure."""
+        return tuple(test.coordinate for test in self.structure if test.structured)
+
+
+def calibrate(path: Path, config: FitConfig) -> Calibration:
+    """Read a recording, check it, fit it, and look at what is left.
+
+    Raises
+    ------
+    InputError
+        A bad file, or an excluded id that the recording does not have.
+    DataError
+        Data that cannot carry the fit, or that were compensated already.
+    """
+    recording = load_recording(path, config.counts_per_dps)
+    if recording.run is not None:
+        refuse_compensated(recording.run)
+    sets = _without(recording, config.exclude)
+    notes = list(recording.notes) + _notes_on(recording, sets)
+    if config.bias_only:
+        sets, more = _at_one_rate(recording, sets)
+        notes += more
+        check_bias(recording, sets)
+    else:
+        sets, block = coarsen(sets, MOST_DATA_SETS)
+        notes += [_averaged_note(len(recording.sets), block)] if block > 1 else []
+        notes += check_surface(recording, sets, force=config.force)
+    fit = fit_surface(sets, config.weights, BIAS_TERMS if config.bias_only else ALL_TERMS)
+    notes += check_rounding(recording, fit, force=config.force)
+    return _assess(recording, config, fit, tuple(notes))
+
+
+def _without(recording: Recording, exclude: tuple[int, ...]) -> DataSets:
+    sets = recording.sets
+    unknown = sorted(set(exclude) - set(sets.segment.tolist()))
+    if unknown:
+        raise InputError(
+            f"{recording.source}: has no data set {unknown[0]} to exclude (ids run from {sets.segment.min()} to {sets.segment.max()})."
+        )
+    return sets.select(~np.isin(sets.segment, exclude)) if exclude else sets
+
+
+def _notes_on(recording: Recording, sets: DataSets) -> list[str]:
+    masked, notes = recording.masked, []
+    for count, what in (
+        (masked.bad_status, "samples of bad status are left out"),
+        (masked.non_finite, "samples that are not finite are left out"),
+        (masked.saturated, "samples stand at the recording's extreme value"),
+    ):
+        notes += [f"{count} {what}"] if count else []
+    notes += [
+        f"segment {e.segment} ({e.rate_dps:+.4g} deg/s, {e.temp_c:.1f} °C) is left out: {e.reason}"
+        for e in recording.excluded
+    ]
+    unsettled = sets.segment[sets.outcome == "unsettled"]
+    if unsettled.size:
+        listed = ", ".join(str(i) for i in unsettled[:12]) + (", ..." if unsettled.size > 12 else "")
+        notes.append(f"{unsettled.size} data sets are marked unsettled and used ({listed})")
+    if not sets.timed:
+        notes.append("times are unknown: the order of the data sets stands for them in the uncertainties")
+    return notes
+
+
+def _averaged_note(rows: int, block: int) -> str:
+    return f"{rows} rows were averaged in blocks of {block} neighbours at the same rate"
+
+
+def _at_one_rate(recording: Recording, sets: DataSets) -> tuple[DataSets, list[str]]:
+    """The data sets that a bias over temperature is taken from: all of one rate, or those at rest among many."""
+    notes = []
+    if np.ptp(sets.rate_dps) > 0:
+        rest = np.abs(sets.rate_dps) < 1e-6
+        if not rest.any():
+            raise DataError(
+                f"{recording.source}: holds several rates and none is zero. "
+                "Fit the surface without --bias-only, or record at rest."
+            )
+        notes.append(f"the bias is taken from the {int(rest.sum())} data sets at rest of {len(sets)}")
+        sets = sets.select(rest)
+    elif sets.rate_dps[0] != 0:
+        notes.append(
+            f"the only rate is {sets.rate_dps[0]:+.4g} deg/s: its scale factor error is within the bias"
+        )
+    coarse, block = coarsen(sets, _MOST_BLOCKS)
+    notes += [_averaged_note(len(sets), block)] if block > 1 else []
+    notes.append("a bias over temperature: every term in the rate is zero and unknown, not known to be zero")
+    return coarse, notes
+
+
+def _assess(recording: Recording, config: FitConfig, fit: SurfaceFit, notes: tuple[str, ...]) -> Calibration:
+    sets = fit.sets
+    outliers, kept, scatter = find_outliers(sets, fit.scatter)
+    line = np.polynomial.polynomial.polyvander(sets.gyro_dps, 0 if config.bias_only else 1)
+    before = sets.error_dps - line @ np.linalg.lstsq(line, sets.error_dps, rcond=None)[0]
+    known = np.isfinite(sets.mean_variance_dps2)
+    noise = noise_figures(recording, fit.surface)
+    calibration = Calibration(
+        recording=recording,
+        config=config,
+        fit=fit,
+        before_dps=rms(before),
+        after_dps=rms(fit.residual_dps),
+        ols_dps=rms(fit.ols_residual_dps),
+        sample_floor_dps=float(np.sqrt(np.mean(sets.mean_variance_dps2[known]))) if known.all() else None,
+        outliers=outliers,
+        structure=structure_tests(sets.select(kept), scatter),
+        scatter_by_rate=scatter_by_rate(sets, fit.residual_dps, np.random.default_rng(_SEED)),
+        cross_validation=cross_validate(fit, "gls" if config.weights == "gls" else "ols"),
+        cross_validation_ols=cross_validate(fit, "ols"),
+        noise=noise,
+        excluded_by_user=tuple(sorted(config.exclude)),
+        notes=notes,
+        coefficients=_coefficients(recording, config, fit, noise),
+    )
+    coefficients = replace(calibration.coefficients, figures=_figures(calibration))
+    return replace(calibration, coefficients=coefficients)
+
+
+def _valid(config: FitConfig, sets: DataSets) -> Valid:
+    low, high = float(sets.gyro_dps.min()), float(sets.gyro_dps.max())
+    if config.bias_only:
+        low, high = low - BIAS_REACH_DPS, high + BIAS_REACH_DPS
+    return Valid((low, high), (float(sets.temp_c.min()), float(sets.temp_c.max())))
+
+
+def _coefficients(
+    recording: Recording, config: FitConfig, fit: SurfaceFit, noise: NoiseFigures
+) -> Coefficients:
+    provenance: dict[str, Any] = {
+        "software": f"gyrocal {gyrocal.__version__}",
+        "source": recording.source.name,
+        "source_sha256": recording.sha256,
+        "fit": "bias over temperature" if config.bias_only else "surface",
+        "weights": config.weights,
+        "counts_per_dps": recording.counts_per_dps,
+        "excluded_by_user": sorted(config.exclude),
+        "forced": config.force,
+        "data_sets": len(fit.sets),
+        "unsettled": int(np.count_nonzero(fit.sets.outcome == "unsettled")),
+        "left_out": [{"segment": e.segment, "reason": e.reason} for e in recording.excluded],
+        "samples": recording.n_samples,
+        "samples_masked": {
+            "bad_status": recording.masked.bad_status,
+            "non_finite": recording.masked.non_finite,
+            "saturated": recording.masked.saturated,
+        },
+        "created_utc": recording.run.created_utc if recording.run else None,
+    }
+    return Coefficients(
+        sensor=recording.sensor,
+        surface=fit.surface,
+        covariance_dps2=0.5 * (fit.covariance_dps2 + fit.covariance_dps2.T),
+        valid=_valid(config, fit.sets),
+        noise=Noise(noise.angle_random_walk_deg_per_rt_h, noise.bias_instability_deg_per_h),
+        provenance=provenance,
+    )
+
+
+def _figures(c: Calibration) -> dict[str, Any]:
+    """The ``figures`` entry: merit of the gyro, and how well the fit describes it."""
+    scatter, file = c.fit.scatter, c.coefficients
+    return {
+        "gyro": merit_figures(file.surface, file.covariance_dps2, file.valid, bias_only=c.config.bias_only),
+        "fit": {
+            "error_before_rms_dps": c.before_dps,
+            "error_after_rms_dps": c.after_dps,
+            "error_after_rms_dps_equal_weights": c.ols_dps,
+            "sample_noise_floor_dps": c.sample_floor_dps,
+            "condition": c.fit.condition,
+            "left_out_rms_dps": {v.left_out: v.rms_dps for v in c.cross_validation},
+            "left_out_rms_dps_equal_weights": {v.left_out: v.rms_dps for v in c.cross_validation_ols},
+            "outliers": [o.segment for o in c.outliers],
+            "structure_p_values": {t.coordinate: t.p_holm for t in c.structure},
+            "scatter": {
+                "independent_dps": scatter.white_dps,
+                "flicker_per_decade_dps": scatter.flicker_dps,
+                "rate_jitter_ppm": scatter.jitter * 1e6,
+                "timed": scatter.timed,
+            },
+        },
+    }
