@@ -1,0 +1,272 @@
+"""A calibration in words, tables and plain data: what `gyrocal fit` prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gyrocal.calibration.calibrate import Calibration
+from gyrocal.calibration.fit import BIAS_TERMS, TERMS
+from gyrocal.physics.surface import SHAPE
+from gyrocal.units import DPS_TO_DPH
+
+#: A |rate| whose scatter differs from the trend at this level is worth a line.
+_ODD = 0.01
+_LISTED = 12
+_PPM = 1e6
+
+#: Coordinates of the structure tests, in words.
+_WORDS = {
+    "rate": "rate",
+    "temperature": "temperature",
+    "time": "time",
+    "data_set_index": "order of the data sets",
+    "neighbours": "neighbouring data sets",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of ready-made cells."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def dph(value_dps: float | None) -> str:
+    """A rate in deg/h, three digits at least, thousands set off."""
+    if value_dps is None:
+        return "unknown"
+    value = value_dps * DPS_TO_DPH
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def verdict(c: Calibration) -> str:
+    """One line: error before and after, factor, noise floor, whether the residual is structured."""
+    names = [_WORDS[name] for name in c.structured]
+    worst = min((t.p_holm for t in c.structure), default=1.0)
+    structure = (
+        f"the residual is structured in {', '.join(names)} (p {_p(worst)})"
+        if names
+        else f"no structure in the residual (smallest p {_p(worst)})"
+    )
+    floor = (
+        "sample noise unknown"
+        if c.sample_floor_dps is None
+        else f"sample noise {dph(c.sample_floor_dps)} deg/h"
+    )
+    what = "bias over temperature" if c.config.bias_only else "error"
+    return (
+        f"{what} {dph(c.before_dps)} -> {dph(c.after_dps)} deg/h rms, {c.factor:.3g} times smaller; "
+        f"{floor}; {structure}"
+    )
+
+
+def _p(value: float) -> str:
+    return f"= {value:.2g}" if value >= 1e-4 else "< 0.0001"
+
+
+def remarks(c: Calibration) -> tuple[str, ...]:
+    """Sentences beside the verdict: weights, scatter, outliers, noise, notes."""
+    lines = [_weights_line(c), _scatter_line(c)]
+    lines += _odd_rates(c)
+    lines.append(
+        f"{len(c.outliers)} outliers, listed and kept in the fit (leave out with --exclude)"
+        if c.outliers
+        else "no outliers"
+    )
+    if c.excluded_by_user:
+        lines.append(f"left out by --exclude: {', '.join(map(str, c.excluded_by_user))}")
+    lines.append(f"bias instability: {c.noise.statement}")
+    valid = c.coefficients.valid
+    lines.append(
+        f"valid from {valid.rate_dps[0]:+.4g} to {valid.rate_dps[1]:+.4g} deg/s and "
+        f"{valid.temp_c[0]:.1f} to {valid.temp_c[1]:.1f} °C; the runtime flags what is outside"
+    )
+    return (*lines, *c.notes)
+
+
+def _weights_line(c: Calibration) -> str:
+    ols = next((v.rms_dps for v in c.cross_validation_ols if v.left_out == "time"), None)
+    equal = (
+        f"ordinary least squares {dph(c.ols_dps)} deg/h rms (leave-a-twelfth-out in time order {dph(ols)})"
+    )
+    if c.config.weights == "ols":
+        return f"equal weights, as in the paper: {equal}"
+    gls = next((v.rms_dps for v in c.cross_validation if v.left_out == "time"), None)
+    used, moved = _difference(c)
+    return (
+        f"{equal}; weighted by the scatter {dph(c.after_dps)} ({dph(gls)}): data sets that scatter more count for "
+        f"less, which moves the surface by up to {dph(used)} deg/h, {moved:.2g} of its standard errors"
+    )
+
+
+def _difference(c: Calibration) -> tuple[float, float]:
+    """Largest difference of the two surfaces over the data sets, and in standard errors of the weighted one."""
+    g, t = c.fit.sets.gyro_dps, c.fit.sets.temp_c
+    difference = np.abs(c.fit.surface.error_dps(g, t) - c.fit.ols.error_dps(g, t))
+    sigma = np.maximum(c.coefficients.sigma_dps(g, t), np.finfo(float).tiny)
+    return float(difference.max()), float((difference / sigma).max())
+
+
+def _scatter_line(c: Calibration) -> str:
+    s = c.fit.scatter
+    parts = [
+        f"{dph(s.white_dps)} deg/h independent" if s.levels[0] > 0 else "",
+        f"{dph(s.flicker_dps)} deg/h of bias drift a decade of {'time' if s.timed else 'data sets'}"
+        if s.levels[1] > 0
+        else "",
+        f"{s.jitter * _PPM:.3g} ppm of the rate" if s.levels[2] > 0 else "",
+    ]
+    found = ", ".join(p for p in parts if p)
+    return f"scatter of the data sets beyond sample noise: {found or 'none'}"
+
+
+def _odd_rates(c: Calibration) -> list[str]:
+    by_rate = c.scatter_by_rate
+    if by_rate is None:
+        return []
+    lines = []
+    if by_rate.growth_p_value < _ODD:
+        lines.append(f"the scatter grows with |rate| (p {_p(by_rate.growth_p_value)})")
+    for k in np.flatnonzero(by_rate.p_value < _ODD):
+        more = by_rate.neighbours[k] > 1
+        lines.append(
+            f"data sets at |rate| {by_rate.rate_dps[k]:.4g} deg/s scatter {by_rate.neighbours[k]:.2g} times as much as "
+            f"at the neighbouring rates ({dph(by_rate.std_dps[k])} deg/h, p {_p(float(by_rate.p_value[k]))}): "
+            f"{'look for resonance, table or mount' if more else 'look for a dead band or clipping'} there"
+        )
+    return lines
+
+
+def tables(c: Calibration) -> tuple[Table, ...]:
+    """Coefficients, figures, cross-validation, structure and outliers."""
+    made = [_coefficient_table(c), _figure_table(c), _left_out_table(c), _structure_table(c)]
+    return (*made, _outlier_table(c)) if c.outliers else tuple(made)
+
+
+def _coefficient_table(c: Calibration) -> Table:
+    s = c.fit.surface
+    half = c.fit.half_width_dps()
+    shown = BIAS_TERMS if c.config.bias_only else np.ones(TERMS, dtype=np.bool_)
+    rows = tuple(
+        (
+            f"u^{i} v^{j}",
+            f"{s.coefficients_dps[i, j] * 1e3:+.4f}",
+            f"{c.fit.std_dps[i, j] * 1e3:.4f}",
+            f"{half[i, j] * 1e3:.4f}",
+        )
+        for i, j in np.ndindex(SHAPE)
+        if shown[i * SHAPE[1] + j]
+    )
+    title = (
+        f"Error in mdeg/s: u = (gyro {-s.rate_center_dps:+.6g}) / {s.rate_scale_dps:.6g} deg/s, "
+        f"v = (temperature {-s.temp_center_c:+.6g}) / {s.temp_scale_c:.6g} °C"
+    )
+    return Table(title, ("term", "coefficient", "std. error", "± 95 %"), rows)
+
+
+def _figure_table(c: Calibration) -> Table:
+    rows = [
+        (name.replace("_", " "), f"{f['value']:.4g}", f"{1.96 * f['std']:.2g}", f["unit"], f["meaning"])
+        for name, f in c.coefficients.figures["gyro"].items()
+    ]
+    for name, interval, unit in (
+        ("angle random walk", c.noise.angle_random_walk_deg_per_rt_h, "deg/sqrt(h)"),
+        ("bias instability", c.noise.bias_instability_deg_per_h, "deg/h"),
+    ):
+        if interval is None:
+            rows.append((name, "-", "-", unit, "not resolved"))
+        else:
+            rows.append(
+                (name, f"{interval[0]:.3g}", f"{interval[1]:.3g} .. {interval[2]:.3g}", unit, "at rest")
+            )
+    return Table("Figures (IEEE 952)", ("figure", "value", "± 95 %", "unit", "meaning"), tuple(rows))
+
+
+def _left_out_table(c: Calibration) -> Table:
+    equal = {v.left_out: v for v in c.cross_validation_ols}
+    names = {"temperature": "whole temperatures", "rate": "whole rates", "time": "twelfths in time order"}
+    rows = tuple(
+        (
+            names[v.left_out],
+            str(v.folds),
+            dph(v.rms_dps) if v.rms_dps is not None else "too few levels",
+            dph(equal[v.left_out].rms_dps) if equal[v.left_out].rms_dps is not None else "too few levels",
+        )
+        for v in c.cross_validation
+    )
+    return Table(
+        "Cross-validation: error on what was left out, deg/h rms",
+        ("left out", "folds", "fit", "equal weights"),
+        rows,
+    )
+
+
+def _structure_table(c: Calibration) -> Table:
+    rows = tuple(
+        (
+            _WORDS[t.coordinate],
+            f"{t.statistic:.3g}",
+            str(t.dof),
+            f"{t.p_holm:.2g}",
+            "yes" if t.structured else "no",
+        )
+        for t in c.structure
+    )
+    return Table(
+        "Structure of the residual (1 % false alarms)",
+        ("in", "statistic", "dof", "p (Holm)", "structured"),
+        rows,
+    )
+
+
+def _outlier_table(c: Calibration) -> Table:
+    rows = tuple(
+        (
+            str(o.segment),
+            f"{o.rate_dps:+.4g}",
+            f"{o.temp_c:.1f}",
+            dph(o.residual_dps),
+            f"{o.sigmas:+.1f}",
+            o.reason,
+        )
+        for o in c.outliers[:_LISTED]
+    )
+    more = f" (the first {_LISTED} of {len(c.outliers)})" if len(c.outliers) > _LISTED else ""
+    return Table(f"Outliers{more}", ("data set", "deg/s", "°C", "off by deg/h", "sigma", "reason"), rows)
+
+
+def to_json(c: Calibration) -> dict[str, Any]:
+    """Plain data of the result for ``--json``."""
+    file = c.coefficients
+    return {
+        "verdict": verdict(c),
+        "remarks": list(remarks(c)),
+        "factor": c.factor,
+        "structured_in": list(c.structured),
+        "figures": dict(file.figures),
+        "coefficients_dps": file.surface.coefficients_dps.tolist(),
+        "half_width_95_dps": c.fit.half_width_dps().tolist(),
+        "valid": {"rate_dps": list(file.valid.rate_dps), "temp_c": list(file.valid.temp_c)},
+        "noise": {
+            "angle_random_walk_deg_per_rt_h": c.noise.angle_random_walk_deg_per_rt_h,
+            "bias_instability_deg_per_h": c.noise.bias_instability_deg_per_h,
+            "bias_instability": c.noise.statement,
+        },
+        "outliers": [
+            {
+                "data_set": o.segment,
+                "rate_dps": o.rate_dps,
+                "temp_c": o.temp_c,
+                "residual_dps": o.residual_dps,
+                "p_value": o.p_value,
+                "reason": o.reason,
+            }
+            for o in c.outliers
+        ],
+        "provenance": dict(file.provenance),
+    }

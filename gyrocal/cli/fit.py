@@ -1,0 +1,95 @@
+"""``gyrocal fit``: the error surface of a recording, and its coefficient file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+if TYPE_CHECKING:
+    from gyrocal.calibration.calibrate import Calibration
+
+
+def _ids(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for value in values for part in value.split(",") if part.strip())
+    except ValueError as error:
+        raise click.BadParameter("give numbers of data sets, as 12 or 12,40") from error
+
+
+@click.command("fit")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "--output", "-o", required=True, type=click.Path(path_type=Path), help="Coefficient file to write (JSON)."
+)
+@click.option("--counts-per-dps", type=float, help="Nominal scale of a table in gyro_counts, sign included.")
+@click.option(
+    "--weights",
+    type=click.Choice(["gls", "ols"]),
+    default="gls",
+    show_default=True,
+    help="gls: weigh data sets by their estimated scatter. ols: equal weights, as in the paper.",
+)
+@click.option(
+    "--bias-only", is_flag=True, help="Bias over temperature, from a recording at one rate or at rest."
+)
+@click.option(
+    "--exclude",
+    multiple=True,
+    callback=_ids,
+    metavar="N[,N...]",
+    help="Leave out these data sets (segment or row number).",
+)
+@click.option("--force", is_flag=True, help="Fit data that are doubtful (saturated, stuck, whole degrees).")
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
+def command(
+    recording: Path,
+    output: Path,
+    counts_per_dps: float | None,
+    weights: Literal["gls", "ols"],
+    bias_only: bool,
+    exclude: tuple[int, ...],
+    force: bool,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Fit the error of RECORDING (a run directory or a table of data sets) over output and temperature.
+
+    Prints one line of verdict first, then coefficients with their uncertainties, figures of merit,
+    cross-validation, structure of the residual and outliers. Nothing is dropped unless --exclude says so.
+
+    Example: gyrocal fit run -o fog.json
+    """
+    from gyrocal.calibration.calibrate import FitConfig, calibrate
+    from gyrocal.calibration.summary import to_json
+    from gyrocal.cli.console import emit_json
+    from gyrocal.errors import OutputError
+    from gyrocal.records.files import write_atomically
+
+    if output.is_dir():
+        raise OutputError(f"{output}: is a directory, and a file is wanted here. Choose another --output.")
+    if output.exists() and not overwrite:
+        raise OutputError(
+            f"{output}: exists; nothing was overwritten. Choose another --output or say --overwrite."
+        )
+    result = calibrate(recording, FitConfig(counts_per_dps, weights, bias_only, exclude, force))
+    write_atomically(output, result.coefficients.to_text())
+    if as_json:
+        emit_json({"output": output.name} | to_json(result))
+    else:
+        _show(result, output)
+
+
+def _show(result: Calibration, output: Path) -> None:
+    from gyrocal.calibration.summary import remarks, tables, verdict
+    from gyrocal.cli.console import emit_table
+
+    click.echo(f"{output}: {verdict(result)}.")
+    for table in tables(result):
+        click.echo()
+        emit_table(table.columns, table.rows, table.title)
+    click.echo()
+    for remark in remarks(result):
+        click.echo(f"- {remark}.")
