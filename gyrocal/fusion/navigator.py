@@ -111,8 +111,10 @@ class Navigator:
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the nine errors in the order and units of `STATES`, shape (9, 9)."""
-        rows = self._matrix[self._loop.PLACE, :] * np.reshape(self._loop.UNIT, (9, 1))
+        """Covariance of (estimate - truth) of `STATES`, in their units, shape (9, 9)."""
+        # What is left of a constant's error is the truth of `STATES` minus its estimate: the other sign.
+        sign = np.array([1, 1, 1, -1, -1, -1, 1, -1, -1])
+        rows = self._matrix[self._loop.PLACE, :] * (sign * self._loop.UNIT)[:, None]
         half = rows * np.sqrt(self._matrix[self._loop.D])
         return np.asarray(half @ half.T)
 
@@ -161,7 +163,7 @@ class Navigator:
             msg = "position or heading is no longer finite: check units and scale of distances and gyro."
             raise DataError(msg)
         self.t_s = float(t[-1]) if t.size else self.t_s
-        x, y, heading = states.T[[0, 1, 2 if self.filtering else 6]]
+        x, y, heading = (states[:, k] for k in (0, 1, 2 if self.filtering else 6))
         return Trajectory(
             t, x, y, heading, states, std, innovation[:, 0], innovation[:, 1], flags, self.counts
         )
