@@ -7,6 +7,7 @@ in the same order and so the same numbers.
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-#: Blocks shorter than this are not worth the import of numba.
-_LONG_BLOCK = 2000
+#: Blocks shorter than this are not worth the import of numba (a second); where it is imported already, these.
+_LONG_BLOCK = 500_000
+_SHORT_BLOCK = 1000
 
 
 @functools.cache
@@ -34,7 +36,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _run(loop: Callable[..., Any], block: int, *arguments: Any) -> Any:
-    return compiled(loop)(*arguments) if block >= _LONG_BLOCK else loop(*arguments)
+    worthwhile = _SHORT_BLOCK if "numba" in sys.modules else _LONG_BLOCK
+    return compiled(loop)(*arguments) if block >= worthwhile else loop(*arguments)
 
 
 def _lag_loop(decay: Floats, gain: Floats, values: Floats, last: float, behind: float, out: Floats) -> Any:

@@ -50,7 +50,7 @@ def test_lag_passes_over_nan_and_takes_a_jump_at_once() -> None:
 
 
 def test_compiled_loops_give_the_same_numbers_as_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba")
+    pytest.importorskip("numba")  # imported now, so that long blocks run compiled
     rng = np.random.default_rng(3)
     t = np.cumsum(rng.random(5000))
     x = np.cumsum(rng.normal(size=5000))
