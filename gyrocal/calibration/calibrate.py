@@ -217,11 +217,17 @@ def _assess(recording: Recording, config: FitConfig, fit: SurfaceFit, notes: tup
     return replace(calibration, coefficients=coefficients)
 
 
-def _valid(config: FitConfig, sets: DataSets) -> Valid:
-    low, high = float(sets.gyro_dps.min()), float(sets.gyro_dps.max())
+def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
+    """Range of output and temperature that the fitted data sets cover, to their last sample where samples are known."""
+    if recording.reach is None:
+        lows_and_highs = np.stack([sets.gyro_dps, sets.gyro_dps, sets.temp_c, sets.temp_c], axis=1)
+    else:
+        lows_and_highs = recording.reach[np.isin(recording.sets.segment, sets.segment)]
+    low, _, temp_low, _ = (float(v) for v in lows_and_highs.min(axis=0))
+    _, high, _, temp_high = (float(v) for v in lows_and_highs.max(axis=0))
     if config.bias_only:
         low, high = low - BIAS_REACH_DPS, high + BIAS_REACH_DPS
-    return Valid((low, high), (float(sets.temp_c.min()), float(sets.temp_c.max())))
+    return Valid((low, high), (temp_low, temp_high))
 
 
 def _coefficients(
@@ -251,7 +257,7 @@ def _coefficients(
         sensor=recording.sensor,
         surface=fit.surface,
         covariance_dps2=0.5 * (fit.covariance_dps2 + fit.covariance_dps2.T),
-        valid=_valid(config, fit.sets),
+        valid=_valid(recording, config, fit.sets),
         noise=Noise(noise.angle_random_walk_deg_per_rt_h, noise.bias_instability_deg_per_h),
         provenance=provenance,
     )

@@ -44,6 +44,8 @@ _ANGLE_COVERAGE = 0.5
 #: Angle and reported rate that differ by more (relative, deg/s) are not the same motion: a wrapped angle, mostly.
 _ANGLE_RELATIVE = 0.01
 _ANGLE_ABSOLUTE_DPS = 0.1
+#: Samples beyond this many standard deviations do not widen what a data set covers.
+_REACH = 5.0
 #: A data set is saturated when this share of its samples stands at the recording's extreme value.
 _RAIL_SHARE = 0.2
 
@@ -149,6 +151,9 @@ class Recording:
         Every temperature is a whole degree: a coarse sensor, or nominal temperatures.
     run : Run or None
         For those who need the samples.
+    reach : ndarray, shape (n, 4), or None
+        Lowest and highest output (deg/s) and temperature (°C) of the samples of each data set, stray ones apart;
+        None for a table.
     """
 
     source: Path
@@ -163,6 +168,7 @@ class Recording:
     notes: tuple[str, ...]
     run: Run | None = None
     counts_per_dps: float | None = None
+    reach: Floats | None = None
 
 
 def load_recording(path: Path, counts_per_dps: float | None = None) -> Recording:
@@ -285,6 +291,7 @@ def _from_run(run: Run) -> Recording:
         excluded=tuple(excluded),
         notes=tuple(notes),
         run=run,
+        reach=np.array([(*s.gyro.within(_REACH), *s.temp.within(_REACH)) for _, s, _, _ in rows]),
     )
 
 

@@ -36,6 +36,11 @@ class Sums:
         """Sample standard deviation; NaN for fewer than two values."""
         return math.sqrt(self.squares / (self.n - 1)) if self.n > 1 else math.nan
 
+    def within(self, sigmas: float) -> tuple[float, float]:
+        """Lowest and highest value, at most `sigmas` standard deviations from the mean."""
+        reach = sigmas * self.std() if self.n > 1 else 0.0
+        return max(self.low, self.mean - reach), min(self.high, self.mean + reach)
+
     def merge(self, other: Sums) -> Sums:
         """Sums of both groups of values together."""
         if self.n == 0 or other.n == 0:
