@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.surface import SHAPE, Floats, Surface
 
 _GRID = 41
-_Z95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,14 @@ class TruthComparison:
     expected_rms_dps: float
 
 
-def compare_with_truth(coefficients: Coefficients, truth: Surface) -> TruthComparison:
-    """Compare over the valid range; both surfaces are polynomials of the same orders, so terms compare one to one."""
+def compare_with_truth(coefficients: Coefficients, half_width_dps: Floats, truth: Surface) -> TruthComparison:
+    """Compare over the valid range; both surfaces are polynomials of the same orders, so terms compare one to one.
+
+    Parameters
+    ----------
+    half_width_dps : ndarray, shape (4, 3)
+        Half widths of the coefficients' 95 % intervals.
+    """
     valid = coefficients.valid
     gyro, temp = (
         grid.ravel()
@@ -44,12 +49,11 @@ def compare_with_truth(coefficients: Coefficients, truth: Surface) -> TruthCompa
     fitted = coefficients.surface
     true_error = truth.error_dps(gyro, temp)
     true_terms = np.linalg.lstsq(fitted.design(gyro, temp), true_error, rcond=None)[0].reshape(SHAPE)
-    sigma = np.sqrt(np.diag(coefficients.covariance_dps2)).reshape(SHAPE)
     off = np.abs(fitted.coefficients_dps - true_terms)
     difference = fitted.error_dps(gyro, temp) - true_error
     expected = coefficients.sigma_dps(gyro, temp)
     return TruthComparison(
-        inside=int(np.count_nonzero(off <= _Z95 * sigma)),
+        inside=int(np.count_nonzero(off <= half_width_dps)),
         terms=off.size,
         rms_dps=float(np.sqrt(np.mean(difference**2))),
         largest_dps=float(np.abs(difference).max()),

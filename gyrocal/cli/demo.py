@@ -1,0 +1,48 @@
+"""``gyrocal demo``: the whole main job on the virtual bench, in a minute."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gyrocal.cli.console import emit_json, json_option, progress
+
+_S_PER_H = 3600.0
+
+
+@click.command("demo")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for everything.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the bench's noise."
+)
+@json_option
+def command(out: Path, seed: int, as_json: bool) -> None:
+    """Acquire on the virtual bench, fit, report, then drive a robot with the result.
+
+    Needs nothing but this program. Since the gyro is simulated, its true error is known, and the fit is
+    compared with it.
+
+    Example: gyrocal demo --out demo
+    """
+    from gyrocal.report.demo import DemoConfig, run_demo
+
+    with progress("demo", quiet=as_json) as tell:
+        result = run_demo(DemoConfig(out, seed), tell)
+    if as_json:
+        emit_json(result.to_json())
+        return
+    truth = result.truth
+    click.echo(
+        f"Acquired {result.segments} segments, {result.bench_time_s / _S_PER_H:.1f} h of bench time (seed {seed})."
+    )
+    click.echo(f"Calibrated. {result.report.verdict}")
+    for remark in result.report.remarks:
+        click.echo(f"- {remark}")
+    click.echo(
+        f"Against the truth: {truth.inside} of {truth.terms} coefficients lie inside their 95 % intervals; the fitted "
+        f"error is {truth.rms_dps * _S_PER_H:.2f} deg/h rms off the true one (its own uncertainty says "
+        f"{truth.expected_rms_dps * _S_PER_H:.2f}), {truth.largest_dps * _S_PER_H:.2f} at most."
+    )
+    click.echo(f"Driven. {result.drives}")
+    click.echo(f"Pictures: {out / 'report' / 'report.html'} and {out / 'replay' / 'replay.html'}")
