@@ -37,12 +37,16 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _run(loop: Callable[..., Any], block: int, *arguments: Any) -> Any:
     worthwhile = _SHORT_BLOCK if "numba" in sys.modules else _LONG_BLOCK
-    return compiled(loop)(*arguments) if block >= worthwhile else loop(*arguments)
+    if block >= worthwhile:
+        return compiled(loop)(*arguments)
+    *given, out = arguments
+    # Python reads a list several times faster than an array.
+    return loop(*(a.tolist() if isinstance(a, np.ndarray) else a for a in given), out)
 
 
 def _lag_loop(decay: Floats, gain: Floats, values: Floats, last: float, behind: float, out: Floats) -> Any:
-    for k in range(values.size):
-        if np.isnan(values[k]):
+    for k in range(len(values)):
+        if values[k] != values[k]:  # NaN
             out[k] = np.nan
         else:
             behind = decay[k] * behind + gain[k] * (values[k] - last)
@@ -90,8 +94,8 @@ def lag(
 
 
 def _play_loop(values: Floats, half_width: float, position: float, out: Floats) -> Any:
-    for k in range(values.size):
-        if np.isnan(values[k]):
+    for k in range(len(values)):
+        if values[k] != values[k]:  # NaN
             out[k] = np.nan
         else:
             position = max(values[k] - half_width, min(values[k] + half_width, position))
