@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -36,12 +37,12 @@ def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) ->
     Raises
     ------
     CoefficientError
-        An effect or parameter that this program does not know, a value out of bounds, another unit, or an
+        An effect or parameter that this program does not know, a value without sense, another unit, or an
         effect that a robot cannot evaluate.
     """
     try:
         effect = find_effect(effect_id)
-        values = effect.complete({name: float(entry["value"]) for name, entry in parameters.items()})
+        values = effect.typical() | {name: _value(effect, name, entry) for name, entry in parameters.items()}
         sigma = float(parameters.get("amplitude", {}).get("std") or 0.0)
     except (InputError, KeyError, TypeError, ValueError) as error:
         raise CoefficientError(
@@ -61,6 +62,14 @@ def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) ->
         )
     amplitude = abs(values["amplitude"])
     return RuntimeTerm(effect, values, sigma / amplitude if amplitude else 0.0)
+
+
+def _value(effect: Effect, name: str, entry: Mapping[str, Any]) -> float:
+    """An estimate may lie outside what is usual; it must only be a number with which the law makes sense."""
+    value = float(entry["value"])
+    if not isfinite(value) or (effect.parameter(name).low > 0 >= value):
+        raise ValueError(f"{name} is {value:g}")
+    return value
 
 
 def solve_rate(

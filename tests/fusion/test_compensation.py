@@ -141,6 +141,10 @@ def test_refusals() -> None:
         runtime_term("warm_up", {"tau": {"value": 1.0}})
     with pytest.raises(CoefficientError, match=r"'shupe' cannot be evaluated \('value'\)"):
         runtime_term("shupe", {"amplitude": {"std": 1.0}})
+    for value in (0.0, float("nan")):
+        with pytest.raises(CoefficientError, match=f"tau_s is {value:g}"):
+            runtime_term("warm_up", {"tau_s": {"value": value}})
+    assert runtime_term("sagnac_sine", {"amplitude": {"value": 7.0}}).parameters["amplitude"] == 7.0
     with pytest.raises(CoefficientError, match="amplitude is in 'deg/s', and 'mdeg/s' is wanted"):
         runtime_term("warm_up", {"amplitude": {"value": 1.0, "unit": "deg/s"}})
     with pytest.raises(CoefficientError, match="a robot cannot evaluate it: it needs angle_deg"):
