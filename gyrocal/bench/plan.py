@@ -175,7 +175,8 @@ def rates_at_visit(spec: PlanSpec, visit: int) -> list[float]:
     if spec.zero_first_and_last:
         rates = [r for r in rates if r != 0]
     if spec.rate_order == "shuffled":
-        np.random.default_rng([spec.seed, visit]).shuffle(rates)
+        rng = np.random.default_rng([spec.seed, visit])
+        rng.shuffle(rates)
     elif spec.rate_order != "listed":
         up = sorted(rates)
         rates = {"up": up, "down": up[::-1], "up_down": up + up[-2::-1]}[spec.rate_order]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -99,19 +99,22 @@ class Runner:
         self._ramped_to_c: float | None = None
         self._soaked_at_c: float | None = None
         self._soak_outcome = "ok"
+        self._failed_at_c: float | None = None
         # what is being read
         self._rows: list[BenchRow] = []
         self._temps: deque[tuple[float, float]] = deque()
         self._gyro_temp_c = float("nan")
         self._last_sample_s = 0.0
         self._last_angle_deg = float("nan")
+        # The slope of the gyro's temperature wants a handful of points.
+        self._slow_drain_s = min(_SLOW_DRAIN_S, profile.soak.slope_over_s / 10.0)
         self._done_s = 0.0
         self._step_began_s = 0.0
         self._told_s = -np.inf
 
     # the run
 
-    def run(self, opening: str, **details: object) -> Summary:
+    def run(self, opening: str, **details: Any) -> Summary:
         """Do every step that is not sealed yet; `opening` is the journal's first event of this start.
 
         Raises
@@ -160,9 +163,9 @@ class Runner:
             return
         if self._requests.level >= 1:
             self._interrupt()
-        if step.kind != "ramp":
+        if step.kind != "ramp" and self._failed_at_c != step.chamber_c:
             self._approach(step)
-        if self._soak_outcome == "failed" and step.kind != "ramp":
+        if step.kind != "ramp" and self._failed_at_c == step.chamber_c:
             self.summary.skipped.append(step.describe())
             self._watch.say(f"skipped: {step.describe()} (the chamber or the gyro did not settle there)")
             return
@@ -175,7 +178,7 @@ class Runner:
                 self._perform(self._extra("ramp", step))
         elif self._soaked_at_c != step.chamber_c:
             self._perform(self._extra("ramp", step))
-            if self._soak_outcome != "failed":
+            if self._failed_at_c != step.chamber_c:
                 self._perform(self._extra("soak", step))
 
     def _extra(self, kind: str, step: Step) -> Step:
@@ -214,10 +217,10 @@ class Runner:
     def _remember(self, step: Step, outcome: str) -> None:
         if step.kind == "ramp":
             self._ramped_to_c, self._soaked_at_c = step.chamber_c, None
-            self._soak_outcome = outcome
         elif step.kind == "soak":
-            self._soaked_at_c = step.chamber_c
-            self._soak_outcome = outcome
+            self._soaked_at_c, self._soak_outcome = step.chamber_c, outcome
+        if step.kind in ("ramp", "soak"):
+            self._failed_at_c = step.chamber_c if outcome == "failed" else None
 
     def _count(self, step: Step, outcome: str) -> None:
         s = self.summary
@@ -252,9 +255,12 @@ class Runner:
             held = since_s is not None and table.t_s - since_s >= spec.hold_s
             if held or self._clock.now_s() >= deadline_s:
                 break
-        self._take_rows()
-        self._note(
+        # The last reading opens the segment: rate by angle then covers all of it.
+        self._rows = self._rows[-1:]
+        self._writer.event(
             "at_rate" if held else "rate_deadline",
+            self._clock.now_s(),
+            durable=False,
             id=step.id,
             rate_dps=rate_dps,
             measured_dps=round(table.rate_dps, 6),
@@ -316,7 +322,7 @@ class Runner:
 
     def _record_slowly(self, step: Step, recorder: Recorder) -> ChamberReading:
         """Record for one slow drain; returns the chamber reading that was farthest off."""
-        until_s = self._clock.now_s() + _SLOW_DRAIN_S
+        until_s = self._clock.now_s() + self._slow_drain_s
         return self._record_until(step, recorder, until_s)[2]
 
     def _record_until(
@@ -340,7 +346,7 @@ class Runner:
         outcome = "ok" if self._soak_outcome == "ok" else "unsettled"
         end_s = self._clock.now_s() + length_s
         while end_s - self._clock.now_s() > 1e-9:
-            until_s = min(end_s, self._clock.now_s() + _SLOW_DRAIN_S)
+            until_s = min(end_s, self._clock.now_s() + self._slow_drain_s)
             off_dps, off_c, _ = self._record_until(step, recorder, until_s)
             disturbed = off_dps > self._profile.settle.tolerance_dps or off_c > self._profile.soak.window_c
             if disturbed and outcome == "ok":
@@ -416,10 +422,10 @@ class Runner:
         self._note("unsettled", id=step.id, reason=why)
         self._watch.say(f"unsettled: {step.describe()}: {why}")
 
-    def _note(self, event: str, **details: object) -> None:
+    def _note(self, event: str, **details: Any) -> None:
         self._writer.event(event, self._clock.now_s(), **details)
 
-    def _note_if_possible(self, event: str, **details: object) -> None:
+    def _note_if_possible(self, event: str, **details: Any) -> None:
         """On the way out of an error a full disk must not hide that error."""
         try:
             self._note(event, **details)

@@ -83,6 +83,8 @@ def _value(hint: Any, value: Any, meta: Mapping[str, Any], source: str, key: str
                 refuse(source, key, item, f"{allowed} (in the list)")
         return tuple(inner[0](item) for item in value)
     if get_origin(kind) in (dict, Mapping):
+        if not isinstance(value, Mapping):
+            refuse(source, key, value, allowed)
         return value
     if not _fits(kind, value, meta):
         refuse(source, key, value, allowed)

@@ -92,6 +92,9 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
             raise InputError(
                 f"{config.out}: holds no run.json, so there is no run to carry on. Check the path."
             )
+        if (config.out / "run.json").exists():
+            msg = f"{config.out}: holds a run already. Add --resume to carry it on, or choose another --out."
+            raise OutputError(msg)
         profile = _profile(config, None)
         bench, clock = connect(profile, simulate=config.simulate)
         plan = plan_of(profile, bench)

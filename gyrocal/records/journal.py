@@ -77,9 +77,14 @@ class RunWriter:
     def __exit__(self, *_: object) -> None:
         os.close(self._fd)
 
-    def event(self, event: str, t_s: float, **details: Any) -> None:
-        """Append one line, fsynced; `t_s` in seconds since the run began."""
-        line = json.dumps({"event": event, "t_s": round(t_s, 6), **details}, allow_nan=False)
+    def event(self, event: str, t_s: float, *, durable: bool = True, **details: Any) -> None:
+        """Append one line, fsynced; `t_s` in seconds since the run began.
+
+        A line that is not `durable` by itself becomes so with the next one that is.
+        """
+        entry = {"event": event, "t_s": round(t_s, 6), **details}
+        # JSON has no NaN: what is not a number is null.
+        line = json.dumps({k: None if v != v else v for k, v in entry.items()}, allow_nan=False)
         try:
             whole = os.fstat(self._fd).st_size
             try:
@@ -87,7 +92,8 @@ class RunWriter:
             except OSError:
                 os.ftruncate(self._fd, whole)  # half a line would spoil the next one
                 raise
-            os.fsync(self._fd)
+            if durable:
+                os.fsync(self._fd)
         except OSError as error:
             raise_output_error(self.path / "journal.jsonl", error)
 
@@ -101,7 +107,7 @@ class SegmentWriter:
 
     def __init__(self, run: RunWriter, number: int, kind: str, rate_dps: float, chamber_c: float) -> None:
         self._run = run
-        self._entry = {"id": number, "kind": kind, "rate_dps": rate_dps, "chamber_c": chamber_c}
+        self._entry: dict[str, Any] = {"id": number, "kind": kind, "rate_dps": rate_dps, "chamber_c": chamber_c}
         self.file = segment_file(number, kind, rate_dps, chamber_c)
         self._final = run.path / self.file
         self._part = self._final.with_name(self._final.name + ".part")
@@ -125,7 +131,7 @@ class SegmentWriter:
         self, *, t_start_s: float, t_end_s: float, n: int, averaging_s: float | None, outcome: str
     ) -> dict[str, Any]:
         """fsync, announce, rename, journal; returns the journal line."""
-        entry = {
+        entry: dict[str, Any] = {
             **self._entry,
             "t_start_s": round(t_start_s, 6),
             "t_end_s": round(t_end_s, 6),

@@ -1,0 +1,217 @@
+"""On every way out the last motion command is a stop, and its read-back is believed only when it confirms."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gyrocal.bench.devices import TableReading
+from gyrocal.bench.safety import StopRequests, listening
+from gyrocal.errors import (
+    DeviceError,
+    GyrocalError,
+    InterruptedRunError,
+    OutputError,
+    StopNotVerifiedError,
+)
+from tests.bench.test_runner import events
+from tests.bench.tiny import Stand
+
+CALLS = ("gyro.drain", "table.read", "table.set_rate", "chamber.read", "chamber.set_setpoint")
+STEPS = range(1, 13)
+
+
+class Bomb:
+    """Raises once, at the first call of a name within a step."""
+
+    def __init__(self, call: str, step: int, error: BaseException) -> None:
+        self.call, self.step, self.error = call, step, error
+        self.stand: Stand
+        self.done = False
+
+    def __call__(self, call: str) -> None:
+        seen = self.stand.watch.seen
+        if not self.done and call == self.call and seen and seen[-1].step.id >= self.step:
+            self.done = True
+            raise self.error
+
+
+ERRORS: dict[str, Callable[[], BaseException]] = {
+    "device": lambda: DeviceError("gone"),
+    "bug": lambda: ZeroDivisionError("a driver's bug"),
+    "os": lambda: OSError("port vanished"),
+    "interrupt": lambda: KeyboardInterrupt(),
+}
+
+
+#: Every step with one kind of failure; the other kinds take the same way out and are tried in a few steps.
+WAYS_OUT = [(step, "device") for step in STEPS] + [(s, k) for s in (2, 4) for k in ERRORS if k != "device"]
+
+
+@pytest.mark.parametrize(("step", "kind"), WAYS_OUT)
+def test_for_every_step_and_failure_the_last_motion_command_is_a_stop(
+    tmp_path: Path, step: int, kind: str
+) -> None:
+    hit = 0
+    for call in CALLS:
+        bomb = Bomb(call, step, ERRORS[kind]())
+        stand = bomb.stand = Stand(tmp_path / call, bomb)
+        try:
+            stand.run()
+        except BaseException as error:
+            if error is not bomb.error:
+                raise
+            hit += 1
+        assert stand.table.motions[-1] == "stop", f"{call} in step {step}"
+        assert stand.chamber.setpoints[-1] == 22.0
+        stand.clock.sleep(0.2)
+        assert stand.bench.table.read().rate_dps == 0.0
+        if not (kind == "interrupt" and call == "chamber.set_setpoint"):
+            # without `listening` an interrupt may come while making safe: after the stop
+            assert events(tmp_path / call, "make_safe")[0]["table_stopped"] is True
+    # set_setpoint is not called after the last soak; all else is, in every step
+    assert hit >= 4
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_operator_and_system_end_it_safely(tmp_path: Path, step: int) -> None:
+    for level in (1, 2):
+        stand = Stand(tmp_path / f"r{level}")
+
+        def ask(call: str, stand: Stand = stand, level: int = level) -> None:
+            if stand.watch.seen and stand.watch.seen[-1].step.id >= step:
+                stand.requests.ask(level, "SIGTERM")
+
+        stand.table.before = ask
+        # one Ctrl-C during the last data set lets it finish, and then the run is over anyway
+        if (step, level) == (12, 1):
+            assert stand.run().complete
+        else:
+            with pytest.raises(InterruptedRunError):
+                stand.run()
+        assert stand.table.motions[-1] == "stop"
+
+
+def test_a_full_disk_ends_it_safely(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gyrocal.records import journal
+
+    stand = Stand(tmp_path / "r")
+    real = journal.write_all
+
+    def full(fd: int, data: bytes) -> None:
+        if stand.watch.seen and stand.watch.seen[-1].step.id >= 4:
+            os.write(fd, data[: len(data) // 2])
+            raise OSError(28, "No space left on device")
+        real(fd, data)
+
+    monkeypatch.setattr(journal, "write_all", full)
+    with pytest.raises(OutputError, match="the disk is full"):
+        stand.run()
+    assert stand.table.motions[-1] == "stop"
+    assert stand.world.read_table()[0] == 0.0
+    # half a line of the journal was taken back
+    assert (tmp_path / "r" / "journal.jsonl").read_text().endswith("}\n")
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        lambda r: replace(r, rate_dps=5.0),  # does not stop
+        lambda r: replace(r, rate_dps=0.0, angle_deg=10.0 * r.t_s),  # says so, but its angle moves
+        lambda r: replace(r, rate_dps=float("nan")),  # says nothing
+        lambda r: replace(r, t_s=r.t_s - 1000.0),  # repeats an old answer
+    ],
+)
+def test_an_unconfirmed_stop_is_said_loudly(
+    tmp_path: Path, lie: Callable[[TableReading], TableReading]
+) -> None:
+    stand = Stand(tmp_path / "r")
+    turning = [False]
+
+    def falsify(reading: TableReading) -> TableReading:
+        turning[0] = turning[0] or bool(stand.table.motions and stand.table.motions[-1] == "stop")
+        return lie(reading) if turning[0] else reading
+
+    stand.table.falsify = falsify
+    with pytest.raises(
+        StopNotVerifiedError, match=r"^THE TABLE MAY STILL BE TURNING: .*emergency stop now\.$"
+    ):
+        stand.run()
+    # told again and again until the deadline: 30 s and 8 s of braking, every half second
+    assert stand.table.motions.count("stop") >= 70
+    assert stand.chamber.setpoints[-1] == 22.0
+    assert events(tmp_path / "r", "make_safe")[0]["table_stopped"] is False
+
+
+def test_a_table_that_cannot_be_read_is_stopped_all_the_same(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+
+    def dead(call: str) -> None:
+        if call == "table.read" and stand.watch.seen and stand.watch.seen[-1].step.id >= 4:
+            raise DeviceError("no answer")
+
+    stand.table.before = dead
+    with pytest.raises(StopNotVerifiedError, match="its last read-back was nothing") as caught:
+        stand.run()
+    assert isinstance(caught.value.__context__, DeviceError)
+    assert stand.world.read_table()[0] == 0.0
+
+
+def test_a_dead_chamber_does_not_keep_the_table_from_stopping(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+
+    def dead(call: str) -> None:
+        if call.startswith("chamber") and stand.watch.seen and stand.watch.seen[-1].step.id >= 4:
+            raise DeviceError("chamber gone")
+
+    stand.chamber.before = dead
+    with pytest.raises(DeviceError, match="chamber gone"):
+        stand.run()
+    (line,) = events(tmp_path / "r", "make_safe")
+    assert line["table_stopped"] is True
+    assert line["chamber_setpoint_c"] is None
+    assert line["chamber_error"] == "chamber gone"
+
+
+def test_the_chamber_gets_alarm_limits_of_its_own(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+    told: list[tuple[float, float]] = []
+    stand.chamber.set_alarm_limits = lambda low_c, high_c: told.append((low_c, high_c))  # type: ignore[method-assign]
+    stand.run()
+    assert told == [(-45.0, 80.0)]
+
+
+def test_a_chamber_that_fails_to_start_is_made_safe_too(tmp_path: Path) -> None:
+    def fail(call: str) -> None:
+        if call == "chamber.start":
+            raise DeviceError("not there")
+
+    stand = Stand(tmp_path / "r", fail)
+    with pytest.raises(GyrocalError, match="not there"):
+        stand.run()
+    assert stand.table.motions == ["stop"] * len(stand.table.motions) != []
+
+
+@pytest.mark.parametrize(
+    ("signals", "level", "reason"),
+    [
+        ([signal.SIGINT], 1, "Ctrl-C"),
+        ([signal.SIGINT, signal.SIGINT], 2, "Ctrl-C twice"),
+        ([signal.SIGTERM], 2, "SIGTERM"),
+        ([signal.SIGHUP], 2, "SIGHUP"),
+        ([signal.SIGTERM, signal.SIGINT], 2, "SIGTERM"),
+    ],
+)
+def test_signals_become_requests(signals: list[signal.Signals], level: int, reason: str) -> None:
+    before = [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    requests = StopRequests()
+    with listening(requests):
+        for number in signals:
+            os.kill(os.getpid(), number)
+    assert (requests.level, requests.reason) == (level, reason)
+    assert [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
