@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
+from gyrocal.calibration.residuals import ALARM_RATE
 from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, tables
 from gyrocal.report.gather import Material, Progress, gather
 from gyrocal.report.output import check_output, write_directory
@@ -230,6 +231,7 @@ def _key_figures(m: Material, before_dph: float, after_dph: float) -> list[tuple
 
 def _remarks(m: Material) -> list[str]:
     said = scatter_statements(m.tested) if m.tested is not None else []
+    said = _structure(m) + said
     sets, mask = m.data.sets, m.recording.masked
     flags = int(np.count_nonzero(m.coefficients.flags(sets.gyro_dps, sets.temp_c)))
     if flags:
@@ -247,10 +249,26 @@ def _remarks(m: Material) -> list[str]:
     return said + [f"Note: {note.rstrip('.')}." for note in m.notes]
 
 
+def _structure(m: Material) -> list[str]:
+    """What `fit` found in the residual of this very recording."""
+    p_values = m.coefficients.figures.get("fit", {}).get("structure_p_values", {})
+    if not (m.own and p_values):
+        return []
+    found = [f"{name.replace('_', ' ')} (p = {p:.1g})" for name, p in p_values.items() if p < ALARM_RATE]
+    if not found:
+        return [
+            "The residual holds no structure beyond its noise: twelve terms say all that these data show."
+        ]
+    return [
+        f"The residual is structured in {', '.join(found)}: `gyrocal diagnose` looks for the physics behind it."
+    ]
+
+
 def _tables(m: Material) -> list[Table]:
     data = m.data
     found = [
         tables.coefficient_table(m.coefficients),
+        tables.merit_table(m.coefficients),
         tables.noise_table(m.coefficients.noise),
         tables.marked_table(data, m.reasons),
         tables.level_table(data, data.sets.temp_c, "error_by_temperature", "Temperature, °C", "temp_c"),

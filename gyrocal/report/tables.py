@@ -86,6 +86,26 @@ def noise_table(noise: Noise) -> Table:
     return Table("noise", "Noise", ("Figure", "Value", "95 % interval", "Unit"), rows, text)
 
 
+def merit_table(coefficients: Coefficients) -> Table:
+    """Figures of merit of the gyro (IEEE 952) as the coefficient file states them."""
+    figures: Mapping[str, Any] = coefficients.figures.get("gyro", {})
+    rows, columns = [], {"figure": [], "value": [], "std": [], "unit": []}  # type: ignore[var-annotated]
+    for name, figure in figures.items():
+        std = figure.get("std")
+        sigma = "" if std is None else f"{std:.2g}"
+        words = name.replace("_", " ")
+        rows.append((words, f"{figure['value']:.5g}", sigma, figure["unit"], figure["meaning"]))
+        for key, cell in (
+            ("figure", name),
+            ("value", figure["value"]),
+            ("std", std),
+            ("unit", figure["unit"]),
+        ):
+            columns[key].append("" if cell is None else cell)
+    heads = ("Figure", "Value", "Standard error", "Unit", "Meaning")
+    return Table("merit", "Figures of merit", heads, rows, csv_text(columns), "Named after IEEE Std 952.")
+
+
 def data_set_table(source: Path, data: Examined) -> Table:
     """The data sets as a table that `fit` and `diagnose` read (formats.md); only in CSV."""
     sets = data.sets
