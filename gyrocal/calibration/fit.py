@@ -164,8 +164,11 @@ def studentised_residuals(scatter: Scatter, error_dps: Floats) -> Floats:
     with n - 13 degrees of freedom.
     """
     p, _ = projection(scatter.matrix, scatter.design)
-    py = p @ error_dps
+    # P annihilates the surface; taking it off first saves the digits that it would cost.
+    residual = error_dps - scatter.design @ np.linalg.lstsq(scatter.design, error_dps, rcond=None)[0]
+    py = p @ residual
     squared = py**2 / np.maximum(np.diag(p), np.finfo(float).tiny)
     dof = error_dps.size - scatter.design.shape[1]
-    rest = np.maximum(float(error_dps @ py) - squared, np.finfo(float).tiny) / max(dof - 1, 1)
+    least = max(1e-9 * float(squared.max()), np.finfo(float).tiny)
+    rest = np.maximum(float(residual @ py) - squared, least) / max(dof - 1, 1)
     return np.asarray(np.sign(py) * np.sqrt(squared / rest))

@@ -183,6 +183,7 @@ def structure_tests(sets: DataSets, scatter: Scatter) -> tuple[StructureTest, ..
         (name, *_block_test(p_matrix, sets.error_dps, indicators(groups), scatter.design.shape[1]))
         for name, groups in blocks.items()
     ]
+    results = [r for r in results if r[2] > 0]
     results.append(("neighbours", *_neighbour_test(sets, scatter)))
     corrected = holm(np.array([p for *_, p in results]))
     return tuple(

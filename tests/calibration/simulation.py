@@ -27,7 +27,7 @@ def flicker(rng: np.random.Generator, size: int, floor_dps: float, step_s: float
     # Made four times as fine and averaged: a gyro averages over its sample time, so nothing is cut at Nyquist.
     fine, step_s = 4 * size, step_s / 4
     b = floor_dps / 0.664
-    padded = 4 * fine
+    padded = 1 << int(np.ceil(np.log2(2 * fine)))
     f = np.fft.rfftfreq(padded, step_s)
     f[0] = np.inf
     amplitude = np.sqrt(b**2 / (2 * np.pi * f) / (2 * step_s) * padded)

@@ -1,0 +1,176 @@
+"""The surface fit: the paper's least squares, its weights, and intervals that cover what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gyrocal.calibration.covariance import TIME_CONSTANTS_S, estimate_scatter, flicker_correlation
+from gyrocal.calibration.fit import BIAS_TERMS, SurfaceFit, fit_surface, rms, scaled_surface
+from tests.calibration.simulation import SURFACE, Floats, simulate
+
+#: Chance that a correct test of coverage fails.
+FALSE_ALARM = 1e-3
+
+
+def true_coefficients(fit: SurfaceFit) -> Floats:
+    """The simulated surface in the scaled variables of a fit: exact, both are polynomials of the same orders."""
+    g, t = (a.ravel() for a in np.meshgrid(np.linspace(-100, 100, 9), np.linspace(-10, 50, 7)))
+    design = fit.surface.design(g, t)
+    return np.asarray(np.linalg.lstsq(design, SURFACE.error_dps(g, t), rcond=None)[0]).reshape(4, 3)
+
+
+def test_without_noise_the_surface_comes_back_exactly() -> None:
+    sets = simulate(np.random.default_rng(1), arw_dps_rt_s=1e-9, floor_dps=1e-12, jitter=0.0)
+    fit = fit_surface(sets)
+    np.testing.assert_allclose(fit.surface.coefficients_dps, true_coefficients(fit), atol=1e-8)
+
+
+def test_equal_weights_are_the_least_squares_of_the_paper() -> None:
+    sets = simulate(np.random.default_rng(2))
+    fit = fit_surface(sets, "ols")
+    design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)
+    expected = np.linalg.lstsq(design, sets.gyro_dps - sets.rate_dps, rcond=None)[0]
+    np.testing.assert_allclose(fit.surface.coefficients_dps.ravel(), expected, atol=1e-12)
+    np.testing.assert_allclose(fit.ols.coefficients_dps, fit.surface.coefficients_dps)
+    np.testing.assert_allclose(fit.residual_dps, sets.error_dps - design @ expected, atol=1e-12)
+
+
+def test_scaled_design_is_well_conditioned() -> None:
+    sets = simulate(np.random.default_rng(3))
+    raw = np.polynomial.polynomial.polyvander2d(sets.gyro_dps, sets.temp_c, [3, 2])
+    assert fit_surface(sets).condition < 40 < 1e6 < np.linalg.cond(raw)
+
+
+def test_sample_noise_in_the_output_does_not_bias_the_slope() -> None:
+    """Errors in variables: per-sample regression at low rates attenuates, data-set means do not.
+
+    Rates of +-0.02 deg/s against 4.4 mdeg/s of sample noise: theory gives var(noise) / var(output) = 0.10 of the
+    slope 1 of output over rate for samples, and 1 / 200 of that for means of 200 samples.
+    """
+    rng = np.random.default_rng(4)
+    rate = np.repeat(np.linspace(-0.02, 0.02, 9), 30)
+    samples = rate[:, None] + rng.normal(0.0, 4.4e-3, (rate.size, 200))
+    error = samples - rate[:, None]
+
+    def slope(x: Floats, y: Floats) -> float:
+        return float(np.polyfit(x.ravel(), y.ravel(), 1)[0])
+
+    attenuation = 4.4e-3**2 / (4.4e-3**2 + rate.var())
+    uncertainty = 4.4e-3 / np.sqrt(error.size * rate.var())
+    by_sample, by_set = slope(samples, error), slope(samples.mean(axis=1), error.mean(axis=1))
+    assert by_sample == pytest.approx(attenuation, abs=4 * uncertainty)
+    assert by_sample > 20 * uncertainty
+    assert by_set == pytest.approx(attenuation / 200, abs=4 * uncertainty)
+    # At the paper's rates the bias of means is far below every uncertainty: 0.31 mdeg/s against 60 deg/s rms.
+    assert (0.31e-3 / 60.0) ** 2 < 1e-10
+
+
+def test_flicker_correlation_is_the_mean_over_both_windows() -> None:
+    t, d = np.array([5.0, 40.0]), np.array([10.0, 20.0])
+    fine = [np.linspace(a - b / 2, a + b / 2, 4001)[:-1] + b / 8000 for a, b in zip(t, d, strict=True)]
+    found = flicker_correlation(t, d, (7.0,))
+    for i, j in ((0, 0), (0, 1), (1, 1)):
+        x, y = fine[i][::10], fine[j][::10]
+        expected = np.exp(-np.abs(x[:, None] - y[None, :]) / 7.0).mean()
+        assert found[i, j] == pytest.approx(expected, rel=2e-3)
+
+
+def test_flicker_sum_has_the_spectrum_of_bias_instability() -> None:
+    """A unit variance a decade is S(f) = 1 / (ln 10 f) to 6 %, over the decades in the middle."""
+    f = np.geomspace(1e-3, 1e-2, 50)
+    one_sided = sum(4 * tau / (1 + (2 * np.pi * f * tau) ** 2) for tau in TIME_CONSTANTS_S)
+    np.testing.assert_allclose(one_sided * f * np.log(10.0), 1.0, rtol=0.06)
+
+
+def test_levels_of_the_scatter_are_found() -> None:
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(8):
+        sets = simulate(rng, jitter=5e-5, floor_dps=1e-3)
+        s = estimate_scatter(sets, scaled_surface(sets).design(sets.gyro_dps, sets.temp_c))
+        found.append((s.flicker_dps, s.jitter))
+    flicker, jitter = np.mean(found, axis=0)
+    # S(f) = B^2 / (2 pi f) two-sided, r^2 / (ln 10 f) one-sided: r^2 = B^2 ln 10 / pi.
+    assert flicker == pytest.approx(1e-3 / 0.664 * np.sqrt(np.log(10.0) / np.pi), rel=0.2)
+    assert jitter == pytest.approx(5e-5, rel=0.2)
+
+
+def test_noisy_rates_count_for_less() -> None:
+    errors = []
+    for seed in range(10):
+        sets = simulate(np.random.default_rng([6, seed]), jitter=3e-4, floor_dps=1e-5)
+        g, t = np.meshgrid(np.linspace(-20, 20, 5), np.linspace(-10, 50, 4))
+        truth = SURFACE.error_dps(g, t)
+        fit = fit_surface(sets)
+        errors.append([rms(s.error_dps(g, t) - truth) for s in (fit.surface, fit.ols)])
+    weighted, equal = np.mean(np.square(errors), axis=0)
+    assert weighted < 0.3 * equal
+
+
+def test_studentised_residuals_are_student() -> None:
+    values = np.concatenate(
+        [fit_surface(simulate(np.random.default_rng([7, k]))).studentised for k in range(8)]
+    )
+    assert stats.kstest(values, stats.t(100).cdf).pvalue > FALSE_ALARM
+
+
+def coverage(runs: int, seed: int, weights: str = "gls", **conditions: float | bool) -> Floats:
+    """Share of 95 % intervals that hold the true coefficient, shape (12,)."""
+    hits = np.zeros(12)
+    for k in range(runs):
+        sets = simulate(np.random.default_rng([seed, k]), **conditions)  # type: ignore[arg-type]
+        fit = fit_surface(sets, "gls" if weights == "gls" else "ols")
+        miss = np.abs(fit.surface.coefficients_dps - true_coefficients(fit))
+        hits += (miss <= fit.half_width_dps()).ravel()
+    return hits / runs
+
+
+def test_intervals_cover() -> None:
+    """Twelve intervals of 25 runs, correlated among themselves: an effective size of about 25 x 12 / 2."""
+    found = coverage(25, 8).mean()
+    low, high = stats.binom(150, 0.95).interval(1 - FALSE_ALARM)
+    assert low / 150 <= found <= high / 150
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("weights", "conditions"),
+    [
+        ("gls", {}),
+        ("gls", {"floor_dps": 2e-3, "jitter": 2e-5}),
+        ("gls", {"timed": False}),
+        ("ols", {}),
+    ],
+)
+def test_intervals_cover_93_to_97_percent(weights: str, conditions: dict[str, float | bool]) -> None:
+    found = coverage(500, 9, weights, **conditions)
+    assert 0.93 <= found.mean() <= 0.97
+    # A single coefficient's share has its own binomial scatter about those bounds.
+    slack = stats.norm.ppf(1 - FALSE_ALARM / 24) * np.sqrt(0.05 * 0.95 / 500)
+    assert np.all(found > 0.93 - slack)
+
+
+def test_ordinary_intervals_of_least_squares_do_not_cover() -> None:
+    """The reason for the covariance: what least squares says of itself is too narrow under 1/f noise."""
+    hits = []
+    for k in range(20):
+        sets = simulate(np.random.default_rng([10, k]), floor_dps=2e-3)
+        fit = fit_surface(sets, "ols")
+        design, dof = fit.design, len(sets) - 12
+        variance = np.sum(fit.residual_dps**2) / dof * np.diag(np.linalg.inv(design.T @ design))
+        half = stats.t.ppf(0.975, dof) * np.sqrt(variance)
+        hits.append(np.abs(fit.surface.coefficients_dps - true_coefficients(fit)).ravel() <= half)
+    over_temperature = np.mean(hits, axis=0)[:3]
+    assert over_temperature.mean() < 0.85
+
+
+def test_bias_terms_only() -> None:
+    sets = simulate(np.random.default_rng(11), rates=np.zeros(1), temps=np.linspace(-10, 50, 30))
+    fit = fit_surface(sets, "gls", BIAS_TERMS)
+    assert np.all(fit.surface.coefficients_dps[1:] == 0)
+    assert np.all(fit.std_dps[1:] == 0)
+    t = np.linspace(-5, 45, 7)
+    np.testing.assert_allclose(fit.surface.error_dps(0.0, t), SURFACE.error_dps(0.0, t), atol=3e-3)
