@@ -77,8 +77,8 @@ def _huber(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
 
 
 def _variance_of_mean(x: NDArray[np.float64]) -> float:
-    """Variance of the mean of a series about zero: Newey-West, bandwidth 1.3 sqrt(n), at least white."""
-    n = x.size
-    lags = np.arange(1, min(n, math.ceil(1.3 * math.sqrt(n)) + 1))
+    """Variance of the mean of a series about zero: Newey-West over a quarter of it, at least white."""
+    n, lags = x.size, np.arange(1, x.size // 4 + 1)
     shared = (1.0 - lags / (lags.size + 1)) @ np.array([x[k:] @ x[:-k] for k in lags])
-    return float(x @ x + 2.0 * max(shared, 0.0)) / (n - 1) / n
+    # The series is about its own mean, which takes a share (lags + 1) / n of the sum away.
+    return float(x @ x + 2.0 * max(shared, 0.0)) / (n - lags.size - 1) / n
