@@ -89,7 +89,13 @@ class MonteCarlo:
 
 def simulated_robot_file(world: World) -> Robot:
     """The robot file of a world: the same for every experiment and every condition."""
-    figures = robot_figures(world.spread, world.static_s, 0.02 * world.nonlinearity)
+    instability = world.bias_instability_deg_per_h
+    figures = robot_figures(
+        world.spread,
+        world.static_s,
+        0.02 * world.nonlinearity,
+        rd2100_unit(0).bias_instability_deg_per_h if instability is None else instability,
+    )
     return Robot(source=Path("simulated"), wheel_radius_m=None, **figures)
 
 

@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 
 CW, CCW = -1, 1
 
+#: Length of a run, s.
+_RUN_S = 180.0
+
 #: Names of the random streams of an experiment: what is drawn for one purpose never shifts another.
 _STREAM_ROBOT, _STREAM_DAY, _STREAM_RUN = 1, 2, 3
 
@@ -172,13 +175,17 @@ def encoder_steps(path: TruePath, robot: SimulatedRobot, rng: np.random.Generato
     return sides[0], sides[1]
 
 
-def robot_figures(spread: Spread, static_s: float, gyro_scale: float = 0.02) -> dict[str, Any]:
+def robot_figures(
+    spread: Spread, static_s: float, gyro_scale: float = 0.02, bias_instability_deg_per_h: float = 1.8
+) -> dict[str, Any]:
     """Arguments of `gyrocal.records.robot.format_robot` for a robot of this spread.
 
     One set of figures for every condition: what the builder of the robot knows (`Spread`), the gyro's data sheet
     (angle random walk, bias stability, and `gyro_scale`: a cubic of 0.5 % rms of full scale about its best line
-    has a slope of 2 % at small rates), and one tick of rounding.
+    has a slope of 2 % at small rates), and one tick of rounding. The filter knows no 1/f noise: its random walk of
+    the bias departs from the mean at rest, in the mean of a run, by as much as 1/f noise does (Allan floor 0.664 B).
     """
+    walk = 2.0**0.5 * 0.664 * bias_instability_deg_per_h * DPH_TO_DPS / (_RUN_S / 3.0) ** 0.5
     tick_deg = spread.metres_per_tick / spread.wheel_separation_m * RAD_TO_DEG
     return {
         "wheel_separation_m": spread.wheel_separation_m,
@@ -200,7 +207,7 @@ def robot_figures(spread: Spread, static_s: float, gyro_scale: float = 0.02) -> 
             "wheel_slip_m_per_rt_m": (2.0 * spread.bumps_per_m) ** 0.5 * spread.bump_m,
             "turn_slip_deg_per_rt_deg": spread.turn_slip_deg_per_rt_deg,
             "angle_random_walk_deg_per_rt_h": 5.0 / 60.0,
-            "bias_walk_dps_per_rt_s": 0.0,
+            "bias_walk_dps_per_rt_s": walk,
             "heading_noise_deg": tick_deg,
         },
     }

@@ -32,6 +32,8 @@ _MAX_SPEED_MPS = 30.0
 _MAX_BAD_SHARE = 0.05
 _SATURATED_ROWS = 5
 _STUCK_S = 2.0
+#: The usual time step is the median of this many; as many of the longest are looked at for gaps.
+_STEPS = 10_000
 
 #: What a wrong encoder does to (left, right): name -> signs of left and right in the turn.
 _HYPOTHESES: tuple[tuple[str, float, float], ...] = (
@@ -115,12 +117,12 @@ class _Tally:
         self.t_start_s = self.t_end_s = np.nan
         self.temp_c = self.gyro_dps = (np.inf, -np.inf)
         self.max_speed_mps = 0.0
-        self.same_since_s, self.last_gyro, self.longest_same_s = np.nan, np.nan, 0.0
+        self.run_dps, self.run_rows, self.run_since_s = np.nan, 0, np.nan
+        self.longest_same_s = 0.0
         self.extreme_rows: dict[float, int] = {}
         self.windows: list[Floats] = []
         self.open_index, self.open_sum = -1, np.zeros(4)
-        self.steps: list[Floats] = []
-        self.long_steps: list[Floats] = []
+        self.first_steps, self.long_steps = np.empty(0), np.empty(0)
 
     def add(self, block: DriveBlock) -> None:
         t_s = block.t_s
@@ -143,28 +145,26 @@ class _Tally:
         speed = 0.5 * np.abs(block.left_m + block.right_m)[moved] / dt_s[moved]
         self.max_speed_mps = max(self.max_speed_mps, float(speed.max(initial=0.0)))
         positive = dt_s[dt_s > 0]
-        self.steps.append(np.quantile(positive, [0.5]) if positive.size else np.empty(0))
-        self.long_steps.append(np.sort(positive)[-1000:])
+        if self.first_steps.size < _STEPS:
+            self.first_steps = np.concatenate((self.first_steps, positive[:_STEPS]))[:_STEPS]
+        self.long_steps = np.sort(np.concatenate((self.long_steps, positive)))[-_STEPS:]
         self._same(t_s, block.gyro_dps)
         self._window(block, dt_s)
 
     def _same(self, t_s: Floats, gyro_dps: Floats) -> None:
-        """Longest time without any change of the gyro, and how often it stays at its extreme in a row."""
-        starts = np.flatnonzero(np.concatenate(([gyro_dps[0] != self.last_gyro], np.diff(gyro_dps) != 0)))
-        if starts.size == 0 or starts[0] > 0:
-            first_s = self.same_since_s
-            end = starts[0] - 1 if starts.size else -1
-            self.longest_same_s = max(self.longest_same_s, float(t_s[end] - first_s))
-        if starts.size:
-            ends = np.append(starts[1:], gyro_dps.size)
-            self.longest_same_s = max(self.longest_same_s, float(np.max(t_s[ends - 1] - t_s[starts])))
-            finite = np.isfinite(gyro_dps[starts])
-            for extreme in (np.nanmin, np.nanmax) if finite.any() else ():
-                value = float(extreme(gyro_dps))
-                run = int(np.max((ends - starts)[gyro_dps[starts] == value]))
-                self.extreme_rows[value] = max(run, self.extreme_rows.get(value, 0))
-            self.same_since_s = float(t_s[starts[-1]])
-        self.last_gyro = float(gyro_dps[-1])
+        """Runs of one gyro value: the longest in time, and the longest at each block's extremes."""
+        starts = np.flatnonzero(np.diff(gyro_dps, prepend=np.nan) != 0)
+        rows, since_s = np.diff(starts, append=gyro_dps.size), t_s[starts]
+        if gyro_dps[0] == self.run_dps:
+            rows[0] += self.run_rows
+            since_s[0] = self.run_since_s
+        until_s = t_s[np.append(starts[1:], gyro_dps.size) - 1]
+        self.longest_same_s = max(self.longest_same_s, float(np.max(until_s - since_s)))
+        values = gyro_dps[starts]
+        for extreme_dps in _widen((np.inf, -np.inf), values):
+            here = int(rows[values == extreme_dps].max(initial=0))
+            self.extreme_rows[extreme_dps] = max(here, self.extreme_rows.get(extreme_dps, 0))
+        self.run_dps, self.run_rows, self.run_since_s = float(values[-1]), int(rows[-1]), float(since_s[-1])
 
     def _window(self, block: DriveBlock, dt_s: Floats) -> None:
         channels = np.stack([block.left_m, block.right_m, block.gyro_dps * dt_s])
@@ -182,9 +182,8 @@ class _Tally:
 
     def result(self, source: str) -> Survey:
         bin_s, left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
-        medians = np.concatenate(self.steps)
-        usual_dt_s = float(np.median(medians)) if medians.size else 0.0
-        gaps = int(np.count_nonzero(np.concatenate(self.long_steps) > 5.0 * usual_dt_s))
+        usual_dt_s = float(np.median(self.first_steps)) if self.first_steps.size else 0.0
+        gaps = int(np.count_nonzero(self.long_steps > 5.0 * usual_dt_s))
         return Survey(
             source,
             self.rows,
@@ -278,12 +277,13 @@ def _check_turns(found: Survey, separation_m: float) -> None:
         msg = f"{name}: has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders); gyro and encoders cannot be compared. Log a drive that turns both ways."
         raise DataError(msg)
     ratio, correlation = _compare(encoder, gyro)
-    if correlation < _CORRELATION_BAD:
+    if correlation < _CORRELATION_GOOD:
         for cause, left_sign, right_sign in _HYPOTHESES:
             other = (left_sign * left + right_sign * right) / separation_m * RAD_TO_DEG
             if _compare(other, gyro)[1] > _CORRELATION_GOOD:
                 msg = f"{name}: encoder and gyro turns disagree (correlation {correlation:.2f}): {cause}. State the signs in a mapping with --columns."
                 raise DataError(msg)
+    if correlation < _CORRELATION_BAD:
         msg = f"{name}: encoder and gyro turns have nothing in common (correlation {correlation:.2f} over {WINDOW_S:g} s windows): one of them is stuck, or they are not of one robot or not of one clock. Check the log."
         raise DataError(msg)
     if not 1.0 / _UNIT_BORDER < ratio < _UNIT_BORDER:

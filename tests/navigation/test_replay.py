@@ -1,0 +1,159 @@
+"""Replay: the four conditions, in blocks of any size, and what is said of a log that cannot carry them all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gyrocal.errors import DataError
+from gyrocal.fusion import Valid
+from gyrocal.navigation import replay as module
+from gyrocal.navigation.montecarlo import World, simulate_and_replay
+from gyrocal.navigation.replay import CONDITIONS, replay_log
+from gyrocal.navigation.simulate import CW
+from gyrocal.navigation.table import make_table
+from gyrocal.records.drive import DriveBlock
+from tests.navigation.drives import both_ways, calibration, drive, robot, source
+
+
+def without_truth(log: DriveBlock) -> DriveBlock:
+    nothing = np.full(len(log), np.nan)
+    return replace(log, truth_x_m=nothing, truth_y_m=nothing, truth_heading_deg=nothing)
+
+
+def test_calibration_improves_the_return_by_an_order_of_magnitude() -> None:
+    replays = [replay_log(source(log), robot(), calibration()) for log in both_ways()]
+    table = make_table(replays)
+    assert [r.direction for r in replays] == ["cw", "ccw"]
+    assert table.measure == "return"
+    assert table.factors["all"]["calibration"] > 10.0
+    assert table.factors["all"]["both"] > 10.0
+    for replay in replays:
+        assert [t.condition.id for t in replay.tracks] == [c.id for c in CONDITIONS]
+        assert replay.notes == ()
+
+
+@pytest.mark.parametrize("chunk_rows", [100, 501])
+def test_blocks_of_any_size_give_the_same_replay(chunk_rows: int) -> None:
+    log = drive()
+    whole = replay_log(source(log), robot(), calibration())
+    parts = replay_log(source(log, chunk_rows), robot(), calibration())
+    for a, b in zip(whole.tracks, parts.tracks, strict=True):
+        np.testing.assert_allclose(b.states, a.states, atol=1e-9)
+        np.testing.assert_allclose(b.std, a.std, atol=1e-9)
+        assert b.counts == a.counts
+        assert b.nis == pytest.approx(a.nis, nan_ok=True)
+        assert b.errors is not None
+        assert a.errors is not None
+        assert b.errors.end_m == pytest.approx(a.errors.end_m)
+
+
+def test_few_rows_are_kept_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = drive()
+    full = replay_log(source(log), robot(), calibration())
+    monkeypatch.setattr(module, "KEPT_ROWS", 100)
+    thin = replay_log(source(log, 300), robot(), calibration())
+    assert thin.t_s.size <= 210
+    assert thin.t_s[-1] == full.t_s[-1]
+    for a, b in zip(full.tracks, thin.tracks, strict=True):
+        assert b.x_m[-1] == pytest.approx(a.x_m[-1], abs=1e-9)
+        assert b.nis == pytest.approx(a.nis, nan_ok=True)
+        assert b.errors is not None
+        assert a.errors is not None
+        assert b.errors.end_m == pytest.approx(a.errors.end_m, abs=1e-9)
+
+
+def test_the_filter_is_consistent_with_its_covariance() -> None:
+    squares, rows = [], 0
+    for seed in range(30, 38):
+        for replay in simulate_and_replay(World(runs=1), seed):
+            track = replay.track("calibrated_filter")
+            assert track is not None
+            error = np.array(
+                [
+                    track.x_m[-1] - replay.truth[-1, 0],
+                    track.y_m[-1] - replay.truth[-1, 1],
+                    track.heading_deg[-1] - replay.truth[-1, 2],
+                ]
+            )
+            squares.append(float(error @ np.linalg.solve(track.covariance[:3, :3], error)))
+            rows += 3
+    # NEES of position and heading; false alarm in 2 of 1000 sets of seeds.
+    assert stats.chi2.ppf(1e-3, rows) < sum(squares) < stats.chi2.ppf(1 - 1e-3, rows)
+
+
+def test_without_coefficients_only_two_conditions() -> None:
+    found = replay_log(source(drive()), robot())
+    assert [t.condition.id for t in found.tracks] == ["uncalibrated", "uncalibrated_filter"]
+
+
+def test_without_temperature_the_calibration_is_not_used_and_it_is_said() -> None:
+    log = replace(drive(), gyro_temp_c=np.full(len(drive()), np.nan))
+    found = replay_log(source(log), robot(), calibration())
+    assert [t.condition.calibrated for t in found.tracks] == [False, False]
+    assert found.notes == (
+        "the log has no gyro temperature, so the calibration cannot be used: only the conditions without it",
+    )
+
+
+def test_without_rest_the_replay_goes_on_and_it_is_said() -> None:
+    found = replay_log(source(drive()), replace(robot(), static_s=0.0), calibration())
+    assert all(t.bias is None for t in found.tracks)
+    assert found.notes == (
+        "static_s = 0: the robot does not stand at the start, so no static bias was taken; its error is left to the filter",
+    )
+
+
+def test_a_calibration_that_does_not_cover_the_log() -> None:
+    cold = replace(calibration(), valid=Valid((-100.0, 100.0), (-40.0, -20.0)))
+    with pytest.raises(DataError) as error:
+        replay_log(source(drive()), robot(), cold)
+    assert (
+        "1774 of 1774 rows lie outside what the calibration covers (-100..100 deg/s, -40..-20 deg C)"
+        in str(error.value)
+    )
+    assert "Calibrate over that range, or replay without --coefficients." in str(error.value)
+    slow = replace(calibration(), valid=Valid((-20.0, 20.0), (-20.0, 60.0)))
+    (note,) = replay_log(source(drive()), robot(), slow).notes
+    assert "rows lie outside what the calibration covers (-20..20 deg/s, -20..60 deg C)" in note
+
+
+def test_truth_missing_leaves_the_return() -> None:
+    log = without_truth(drive())
+    silent = make_table([replay_log(source(log), robot(), calibration())])
+    assert silent.measure == "none"
+    assert all(np.isnan(v) for v in silent.rows[0].errors_m.values())
+    table = make_table([replay_log(source(log), robot(), calibration(), returns=True)])
+    assert table.measure == "return"
+    with_truth = make_table([replay_log(source(drive()), robot(), calibration())])
+    assert table.rows[0].errors_m["calibrated"] == pytest.approx(
+        with_truth.rows[0].errors_m["calibrated"], abs=0.05
+    )
+
+
+def test_truth_without_heading_is_aligned_by_positions() -> None:
+    log = replace(drive(), truth_heading_deg=np.full(len(drive()), np.nan))
+    turned = replace(log, truth_x_m=-log.truth_y_m, truth_y_m=log.truth_x_m)
+    track = replay_log(source(turned), robot(), calibration()).track("calibrated")
+    assert track is not None
+    assert track.alignment is not None
+    assert track.alignment.method == "positions"
+    assert track.alignment.rotation_deg == pytest.approx(90.0, abs=0.5)
+    with pytest.raises(DataError, match="the truth has no heading at its first row"):
+        replay_log(source(turned), robot(), method="start")
+
+
+def test_lost_samples_are_bridged_and_counted() -> None:
+    log = drive(CW)
+    gyro, left = log.gyro_dps.copy(), log.left_m.copy()
+    gyro[[300, 301, 900]], left[700] = np.nan, np.nan
+    found = replay_log(source(replace(log, gyro_dps=gyro, left_m=left)), robot(), calibration())
+    assert found.notes == ("3 rows without a gyro sample", "1 rows without an encoder sample")
+    track = found.track("calibrated_filter")
+    assert track is not None
+    assert track.errors is not None
+    assert (track.counts.no_gyro, track.counts.no_encoders) == (3, 1)
+    assert track.errors.end_m < 1.0

@@ -1,0 +1,95 @@
+"""The first look at a log: counts, and refusals of channels that cannot be right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gyrocal.errors import DataError
+from gyrocal.navigation.replay import replay_log
+from gyrocal.navigation.survey import Survey, check, survey
+from gyrocal.navigation.yaw import compare_yaw
+from gyrocal.records.drive import DriveBlock
+from tests.navigation.drives import BAD, drive, robot, source
+
+
+def assert_same(a: Survey, b: Survey) -> None:
+    for name, value in vars(a).items():
+        if name != "source":
+            np.testing.assert_allclose(getattr(b, name), value, err_msg=name, atol=1e-9)
+
+
+@settings(max_examples=12, deadline=None)
+@given(chunk_rows=st.integers(4, 500))
+def test_blocks_of_any_size_give_the_same_survey(chunk_rows: int) -> None:
+    log = drive()
+    whole = survey("log", [log])
+    assert_same(whole, survey("log", source(log, chunk_rows).blocks()))
+
+
+def test_what_is_missing_is_counted() -> None:
+    log = drive()
+    gyro, left, t_s = log.gyro_dps.copy(), log.left_m.copy(), log.t_s.copy()
+    gyro[[5, 50]], left[60] = np.nan, np.nan
+    t_s[700] = t_s[699]
+    t_s[900:] += 3.0
+    found = survey("log", [replace(log, gyro_dps=gyro, left_m=left, t_s=t_s)])
+    assert (found.bad_gyro, found.bad_encoder, found.duplicates, found.gaps) == (2, 1, 1, 1)
+    assert found.notes() == (
+        "2 rows without a gyro sample",
+        "1 rows without an encoder sample",
+        "1 rows with the time of the row before",
+        "1 gaps of more than 5 usual steps",
+    )
+    assert found.usual_dt_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_logs_are_refused(name: str) -> None:
+    spoil, message = BAD[name]
+    with pytest.raises(DataError) as error:
+        replay_log(source(spoil(drive()), name="drive7"), robot())
+    assert str(error.value).startswith("drive7: ")
+    assert message in str(error.value)
+
+
+def test_a_sound_log_passes() -> None:
+    check(survey("log", [drive()]), robot().wheel_separation_m)
+
+
+@pytest.mark.parametrize("delay_s", [-0.3, 0.0, 0.42])
+def test_a_delay_of_the_encoders_is_measured(delay_s: float) -> None:
+    log = delayed(drive(), delay_s)
+    found = compare_yaw(survey("log", [log]), robot().wheel_separation_m)
+    assert found.delay_s == pytest.approx(delay_s, abs=max(4 * found.delay_sigma_s, 0.02))
+    assert ("the filter's model has no delay" in found.sentence()) == (delay_s != 0)
+    assert found.correlation > 0.99
+
+
+def delayed(log: DriveBlock, delay_s: float) -> DriveBlock:
+    """The log with encoders that tell `delay_s` later how far they are."""
+    left, right = (
+        np.diff(np.interp(log.t_s - delay_s, log.t_s, np.cumsum(side)), prepend=0.0)
+        for side in (log.left_m, log.right_m)
+    )
+    return replace(log, left_m=left, right_m=right)
+
+
+def test_the_ratio_of_turns_is_that_of_the_separations() -> None:
+    log = drive()
+    turned_rad = np.radians(np.diff(log.truth_heading_deg, prepend=0.0))
+    travel_m = 0.5 * (log.left_m + log.right_m)
+    exact = replace(
+        log,
+        left_m=travel_m - 0.5 * 0.75 * turned_rad,
+        right_m=travel_m + 0.5 * 0.75 * turned_rad,
+        gyro_dps=np.degrees(turned_rad) / 0.1,
+    )
+    found = compare_yaw(survey("log", [exact]), 0.6)
+    assert found.ratio == pytest.approx(0.75 / 0.6, rel=1e-6)
+    assert found.effective_separation_m == pytest.approx(0.75, rel=1e-6)
+    assert found.offset_dps == pytest.approx(0.0, abs=1e-6)
