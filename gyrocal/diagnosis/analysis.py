@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,16 @@ from gyrocal.diagnosis.columns import Book, conditions_of
 from gyrocal.diagnosis.gram import Projection, project
 from gyrocal.diagnosis.hypotheses import Hypothesis
 from gyrocal.diagnosis.search import Member, Search
-from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.strangers import Block
-from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, Whitened, estimate_levels
+from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels
+from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Leading columns of each generic block that the first noise estimate does without.
-_SATURATING = 8
+_SATURATING = 6
 #: Levels that differ by less are the same.
 _SAME_LEVELS = 0.03
 _ROUNDS = 3
@@ -35,10 +36,15 @@ class Setup:
     series: Series
     base: Base
     model: NoiseModel
-    columns: Floats
+    matrix: Floats
     surface_columns: Ints
     hypotheses: tuple[Hypothesis, ...]
     blocks: tuple[Block, ...]
+
+    @property
+    def columns(self) -> Floats:
+        """All columns, shape (n, p)."""
+        return self.matrix[:, 1:]
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ class Analysis:
 
 def prepare(series: Series, base: Base) -> Setup:
     """Build all columns around a simulated sequence."""
-    book = Book(base.design)
+    book = Book(base.residual_dps, base.design)
     known = hypotheses.build(series, base.surface, book)
     strange = strangers.strangers(series, book)
     blocks = strangers.blocks(series, book)
@@ -99,7 +105,8 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
     levels = estimate_levels(setup.model, y, saturated, bare).levels
     members: list[Member] = []
     for _ in range(_ROUNDS):
-        gram = Whitened(setup.model.whiten(levels, np.column_stack([y, X]))[0], levels).gram
+        white = setup.model.whiten(levels, setup.matrix)[0]
+        gram = np.asarray(white.T @ white)
         search = Search(
             gram, setup.surface_columns, setup.hypotheses, setup.series.n_sets, level, seed
         )
@@ -141,15 +148,14 @@ def analyse(series: Series, level: float, seed: int) -> Analysis:
     hint = _large_law(first)
     if hint is None:
         return first
-    surface_base = first.setup.base
-    for _ in range(3):
-        added = _fitted_law(series, surface_base, hint, first)
-        fitted = fit_surface(series, added)
-        surface_base = simulate(series, fitted.surface, carried_terms(series))
-    second = search_setup(prepare(series, surface_base), level, seed)
-    return second if _criterion(second) < _criterion(first) else first
+    fitted = _surface_beside(series, *hint)
+    second = search_setup(prepare(series, simulate(series, fitted, carried_terms(series))), level, seed)
+    consistent = hint[0] in [m.hypothesis.id for m in second.members]
+    return second if _criterion(second) < _criterion(first) + _SELF_CONSISTENT * consistent else first
 
 
+#: What a search gains (in twice the log-likelihood) by being linearised around the law that it finds.
+_SELF_CONSISTENT = 20.0
 #: Laws whose own cubic part is far larger than what they leave beyond the surface.
 _LARGE_LAWS = ("sagnac_sine",)
 
@@ -166,23 +172,34 @@ def _large_law(analysis: Analysis) -> tuple[str, dict[str, float]] | None:
     return None
 
 
-def _fitted_law(
-    series: Series, base: Base, hint: tuple[str, dict[str, float]], analysis: Analysis
-) -> Floats:
-    """The law at its best amplitude and shape around a surface, deg/s, shape (n,)."""
-    effect, start = hint
-    c = conditions_of(series)
+def _surface_beside(series: Series, effect: str, start: dict[str, float]) -> Surface:
+    """The surface that is left beside a law at its best amplitude and shape.
+
+    By weighted least squares on the means of data sets: this only says around which surface to linearise.
+    """
+    rows = np.flatnonzero(series.is_set)
+    first = rows[np.unique(series.set_index[rows], return_index=True)[1]]
+    means = replace(
+        series.take(first),
+        gyro_dps=set_means(series, series.gyro_dps)[1],
+        temp_c=set_means(series, series.temp_c)[1],
+        white_std_dps=np.full(first.size, 1.0),
+    )
+    c = conditions_of(means)
     key, value = next(iter(start.items()))
-    best: tuple[float, Floats] = (np.inf, np.zeros(len(series)))
-    for factor in np.geomspace(0.6, 1.7, 9):
-        shape = {key: value * factor}
-        curve = hypotheses.law(effect, c, shape, base.surface)
-        columns = np.column_stack([base.residual_dps, base.design, curve])
-        white = analysis.setup.model.whiten(analysis.levels, columns)[0]
-        solution = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
-        rss = float(np.sum((white[:, 0] - white[:, 1:] @ solution) ** 2))
+    best: tuple[float, Surface] = (np.inf, fit_surface(means).surface)
+    for factor in np.geomspace(0.35, 2.0, 12):
+        curve = hypotheses.law(effect, c, {key: value * factor}, None)
+        added, rss, base = np.zeros(first.size), np.inf, fit_surface(means)
+        for _ in range(7):
+            solution = np.linalg.lstsq(
+                np.column_stack([base.design, curve]), base.residual_dps, rcond=None
+            )[0]
+            added = solution[-1] * curve
+            base = fit_surface(means, added)
+            rss = float(np.sum((base.residual_dps - added) ** 2))
         if rss < best[0]:
-            best = (rss, solution[-1] * curve)
+            best = (rss, base.surface)
     return best[1]
 
 

@@ -36,10 +36,13 @@ class Book:
 
     Parameters
     ----------
+    record : ndarray, shape (n,)
+        Recording minus simulated sequence: it stands before all columns.
     base : ndarray, shape (n, p)
-        Columns 0..p-1 of the matrix.
+        Columns 0..p-1.
     """
 
+    record: Floats
     base: Floats
     _parts: list[Floats] = field(default_factory=list)
     _count: int = 0
@@ -47,7 +50,7 @@ class Book:
     def __post_init__(self) -> None:
         self._q = np.linalg.qr(self.base / np.linalg.norm(self.base, axis=0))[0]
         self._count = self.base.shape[1]
-        self._parts.append(self.base)
+        self._parts += [self.record[:, None], self.base]
 
     @property
     def model(self) -> Ints:
@@ -64,10 +67,8 @@ class Book:
         return np.arange(first, self._count)
 
     def matrix(self) -> Floats:
-        """All columns, shape (n, p)."""
-        if len(self._parts) > 1:
-            self._parts = [np.concatenate(self._parts, axis=1)]
-        return self._parts[0]
+        """Record and all columns, shape (n, 1 + p)."""
+        return np.concatenate(self._parts, axis=1)
 
 
 def hats(x: Floats, knots: Floats) -> Floats:

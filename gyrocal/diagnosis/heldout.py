@@ -49,8 +49,9 @@ def improvements(
     # Models: surface alone, everything, and everything but one named effect each.
     models: list[list[Piece]] = [[], pieces, *([q for q in pieces if q is not p] for p in named)]
     rng = np.random.default_rng([seed, 7])
+    noise = analysis.setup.model.simulate(analysis.levels, rng, _SIMULATIONS)
     folds = _fold_numbers(series)
-    parts = [_leave_out(analysis, models, fold, k, rng) for k, fold in enumerate(folds)]
+    parts = [_leave_out(analysis, models, fold, k, noise) for k, fold in enumerate(folds)]
     squares = np.concatenate([p.squares for p in parts])
     logloss = np.concatenate([p.logloss for p in parts])
     floor2 = np.concatenate([p.floor2 for p in parts])
@@ -85,12 +86,11 @@ def _sweeps(series: Series) -> list[Ints]:
 
 
 def _leave_out(
-    analysis: Analysis, models: Sequence[Sequence[Piece]], fold: Ints, number: int, rng: np.random.Generator
+    analysis: Analysis, models: Sequence[Sequence[Piece]], fold: Ints, number: int, noise: Floats
 ) -> _Heldout:
     setup, series = analysis.setup, analysis.setup.series
     out = np.isin(series.set_index, fold)
     train, test = NoiseModel(series.take(~out)), NoiseModel(series.take(out))
-    noise = simulate_noise(analysis, rng, _SIMULATIONS)
     y = np.column_stack([setup.base.residual_dps, noise])
     pieces = list(models[1])
     laws = [p.columns for p in pieces]
@@ -122,24 +122,6 @@ def _leave_out(
     return _Heldout(
         np.column_stack(squares), np.column_stack(logloss), floor2, np.full(sets.size, number)
     )
-
-
-def simulate_noise(analysis: Analysis, rng: np.random.Generator, count: int) -> Floats:
-    """Draws of the fitted noise at the rows of a recording, deg/s, shape (n, count)."""
-    model, levels = analysis.setup.model, analysis.levels
-    n = model.fresh.size
-    out = levels.white * np.sqrt(model.white_var)[:, None] * rng.standard_normal((n, count))
-    first = np.flatnonzero(model.fresh)
-    offset = levels.jitter * np.sqrt(model.rate_var)[first][:, None] * rng.standard_normal((first.size, count))
-    out += offset[np.cumsum(model.fresh) - 1]
-    for k in range(model.decay.shape[1]):
-        drive = levels.flicker_dps * np.sqrt(1.0 - model.decay[:, k] ** 2)[:, None] * rng.standard_normal((n, count))
-        state = levels.flicker_dps * rng.standard_normal(count)
-        for i in range(n):
-            state = model.decay[i, k] * state + drive[i]
-            drive[i] = state
-        out += model.read[:, k][:, None] * drive
-    return np.asarray(out)
 
 
 def _improvement(result: _Heldout, before: int, after: int, rng: np.random.Generator) -> Improvement:

@@ -118,13 +118,14 @@ def _powers(series: Series, orders: Sequence[float]) -> list[dict[str, float]]:
 
 
 def _ringing() -> list[dict[str, float]]:
+    """Creeps, and ringing over frequencies and dampings (a servo rings a few times, not for ever)."""
     creep = [{"tau_s": float(t), "frequency_hz": 0.0} for t in (0.3, 0.7, 1.5, 3.0, 6.0)]
     ring = [
-        {"tau_s": float(t), "frequency_hz": float(f)}
-        for t in (0.4, 0.8, 1.6, 3.2)
-        for f in np.concatenate([np.arange(0.15, 1.2, 0.15), np.arange(1.3, 4.6, 0.25)])
+        {"tau_s": float(1.0 / (2 * np.pi * f * damping)), "frequency_hz": float(f)}
+        for f in np.geomspace(0.1, 4.2, 32)
+        for damping in (0.1, 0.25, 0.6)
     ]
-    return creep + ring
+    return creep + [s for s in ring if 0.15 < s["tau_s"] < 12.0]
 
 
 def _dead_widths(size: Floats) -> Floats:
@@ -145,7 +146,7 @@ def _set_starts(series: Series) -> Floats:
 def _instants(series: Series) -> Floats:
     """Candidate instants of a jump: starts of data sets, and a net over long segments."""
     span = float(np.ptp(series.t_s))
-    net = np.arange(series.t_s[0], series.t_s[-1], max(150.0, span / 150))[1:]
+    net = np.arange(series.t_s[0], series.t_s[-1], max(240.0, span / 120))[1:]
     return np.unique(np.concatenate([_set_starts(series), net]))
 
 
@@ -166,7 +167,8 @@ def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
             found += _step_hypotheses(c, shapes, book)
         else:
             points = np.array([book.add(law(effect.id, c, s, surface)) for s in shapes])
-            found.append(_hypothesis(effect.id, shapes, points, _family_nuisance(effect.id, c, series, book)))
+            nuisance = _family_nuisance(effect.id, c, series, book)
+            found.append(_hypothesis(effect.id, shapes, points, nuisance, series.has_time))
     reference = _reference_columns(series)
     if reference is not None:
         each = _hypothesis("reference_rate_error", [{}], book.add(reference)[None, :])
@@ -190,12 +192,12 @@ def _step_hypotheses(c: Conditions, shapes: list[dict[str, float]], book: Book) 
 
 
 def _hypothesis(
-    effect: str, shapes: Sequence[Shape], points: Ints, nuisance: Ints | None = None
+    effect: str, shapes: Sequence[Shape], points: Ints, nuisance: Ints | None = None, timed: bool = True
 ) -> Hypothesis:
     known = CATALOGUE[effect]
     return Hypothesis(
         effect,
-        known.seen_in,
+        "data_set_index" if known.seen_in == "time" and not timed else known.seen_in,
         known.family,
         tuple(shapes),
         points,

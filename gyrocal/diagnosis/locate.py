@@ -73,7 +73,8 @@ def places(analysis: Analysis, projection: Projection, blocks_only: bool = False
         top = min(group, key=lambda p: p.log_p)
         log_p = min(0.0, top.log_p + float(np.log(len(group))))
         strongest.append(Place(coordinate, log_p, top.excess, top.columns, top.item))
-    return sorted(strongest, key=lambda p: p.log_p)
+    # By p-value; where several are beyond all doubt, by how much they explain.
+    return sorted(strongest, key=lambda p: (max(p.log_p, -40.0), -p.excess))
 
 
 def lack_of_fit(analysis: Analysis, level: float) -> list[Place]:

@@ -13,7 +13,7 @@ from gyrocal.diagnosis.analysis import Analysis, model_columns
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.gram import holm
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.series import Series, set_means
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -39,16 +39,6 @@ class Finding:
     parameters: dict[str, Estimate]
     p_value: float
     place: Located
-
-
-def set_means(series: Series, values: Floats) -> tuple[Ints, Floats]:
-    """Numbers of the data sets, and the weighted means of values over them."""
-    rows = series.is_set
-    weight = 1.0 / series.white_std_dps[rows] ** 2
-    index = series.set_index[rows]
-    total = np.bincount(index, weights=weight)
-    numbers = np.flatnonzero(total)
-    return numbers, np.bincount(index, weights=weight * values[rows])[numbers] / total[numbers]
 
 
 def bad_sets(series: Series) -> tuple[Ints, Floats]:

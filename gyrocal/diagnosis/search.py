@@ -128,11 +128,13 @@ class Search:
         free = [m.free for m in members if m.free.size]
         return project(self.gram, columns, np.concatenate(free, axis=1) if free else None)
 
-    def scores(self, projection: Projection, exclude: Sequence[str] = ()) -> list[Score]:
+    def scores(
+        self, projection: Projection, exclude: Sequence[str] = (), strangers: bool = True
+    ) -> list[Score]:
         """Test every hypothesis, the best evidence first."""
         found = []
         for h, trials in zip(self.hypotheses, self.trials, strict=True):
-            if h.id in exclude:
+            if h.id in exclude or not (h.in_catalogue or strangers):
                 continue
             gains = projection.gains(h.points)
             weighed = gains
@@ -153,36 +155,56 @@ class Search:
         found: list[Score] = []
         for known in (True, False):
             group = [s for s in scores if s.hypothesis.in_catalogue == known]
+            if not group:
+                continue
             passed = holm(np.array([s.p_value for s in group]), self.level)
             found += [s for s, ok in zip(group, passed, strict=True) if ok]
         return sorted(found, key=lambda s: -s.evidence)
 
     def run(self, start: Sequence[Member] = ()) -> list[Member]:
+        """The better of two searches: physics first and strangers for what it leaves, or both on equal terms.
+
+        Several effects of the catalogue on top of each other can look like one stranger, and one stranger like
+        several effects: the evidence of the whole decides.
+        """
+        physics = self.forward(self.forward(list(start), strangers=False), strangers=True)
+        if not physics:
+            return physics
+        equal = self.forward([], strangers=True)
+        return physics if self.criterion(physics) <= self.criterion(equal) else equal
+
+    def criterion(self, members: Sequence[Member]) -> float:
+        """Residual sum of squares plus what each member pays for its freedom, in twice nats."""
+        price = sum(m.gain - 2.0 * m.evidence + m.free.shape[1] * np.log(self.n_sets) for m in members)
+        return float(self.given(members).rss + price)
+
+    def forward(self, members: list[Member], strangers: bool) -> list[Member]:
         """Forward selection; after every addition each member is re-tested against all rivals, or dropped."""
-        members = self.settle(list(start)) if start else []
+        members = self.settle(members, strangers) if members else []
         tried: set[tuple[str, ...]] = set()
         while len(members) < MOST_EFFECTS:
             projection = self.given(members)
-            candidates = self.significant(self.scores(projection, [m.hypothesis.id for m in members]))
-            candidates = [s for s in candidates if s.evidence > 0 and not self._is_misfit(s, members)]
+            scores = self.scores(projection, [m.hypothesis.id for m in members], strangers)
+            candidates = [
+                s for s in self.significant(scores) if s.evidence > 0 and not self._is_misfit(s, members)
+            ]
             if not candidates:
                 break
-            best = candidates[0]
-            members = self.settle([*members, self._member(best, projection)])
+            members = self.settle([*members, self._member(candidates[0], projection)], strangers)
             key = tuple(sorted(m.hypothesis.id for m in members))
             if key in tried:
                 break
             tried.add(key)
         return sorted(members, key=lambda m: -m.gain)
 
-    def settle(self, members: list[Member]) -> list[Member]:
+    def settle(self, members: list[Member], strangers: bool) -> list[Member]:
         """Give each member its best law, shape and p-value given the others; drop what is not needed."""
         for _ in range(3):
             before = [(m.hypothesis.id, m.point) for m in members]
             for member in sorted(members, key=lambda m: m.gain):
                 others = [m for m in members if m is not member]
                 projection = self.given(others)
-                scores = self.scores(projection, [m.hypothesis.id for m in others])
+                scores = self.scores(projection, [m.hypothesis.id for m in others], strangers)
                 passed = [s for s in self.significant(scores) if s.evidence > 0]
                 kept = [s for s in passed if self._same_excess(s, member, projection)]
                 if not kept:

@@ -25,10 +25,10 @@ Bools = NDArray[np.bool_]
 
 _BIN_TURN_DEG = 20.0
 _BIN_SET_S = 1.0
-_BIN_LONG_S = 5.0
+_BIN_LONG_S = 8.0
 _BINS_PER_SEGMENT = 1500
 _LONG_SEGMENT_S = 120.0
-_HEAD_S = 4.0
+_HEAD_S = 2.5
 #: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
 #: a Gaussian gives one in 5e8.
 OUTLIER_SIGMAS = 6.0
@@ -432,3 +432,13 @@ def series_of_table(table: DataSetTable) -> Series:
         has_time=table.t_s is not None,
         is_table=True,
     )
+
+
+def set_means(series: Series, values: Floats) -> tuple[Ints, Floats]:
+    """Numbers of the data sets, and the weighted means of values over them."""
+    rows = series.is_set
+    weight = 1.0 / series.white_std_dps[rows] ** 2
+    index = series.set_index[rows]
+    total = np.bincount(index, weights=weight)
+    numbers = np.flatnonzero(total)
+    return numbers, np.bincount(index, weights=weight * values[rows])[numbers] / total[numbers]

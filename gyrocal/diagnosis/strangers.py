@@ -81,7 +81,7 @@ def _in_time(s: Series, enter: Enter) -> None:
     span = float(np.ptp(s.t_s))
     turning = np.ptp(s.rate_dps) > 0
     where = "time" if s.has_time else "data_set_index"
-    cycles = np.concatenate([np.arange(0.75, 12.0, 0.25), np.arange(12.0, 60.0, 0.5)])
+    cycles = np.concatenate([np.arange(0.75, 12.0, 0.25), np.arange(12.0, 45.0, 0.75)])
     periods = span / cycles
     periods = periods[periods > 120.0]
     if not s.has_time:

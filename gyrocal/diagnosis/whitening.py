@@ -9,7 +9,6 @@ and every regression column in one pass; the restricted likelihood of its innova
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -131,6 +130,25 @@ def _whiten_loops(decay, read, fresh, gains, std, X):  # type: ignore[no-untyped
     return out
 
 
+@njit(cache=True)
+def _colour_loops(decay, read, drive, flicker):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Sum of Ornstein-Uhlenbeck processes from standard normal draws, shape (k, n, m) in, (n, m) out."""
+    k, n, m = drive.shape
+    out = np.zeros((n, m))
+    state = np.zeros(m)
+    for a in range(k):
+        for c in range(m):
+            state[c] = flicker * drive[a, 0, c]
+            out[0, c] += read[0, a] * state[c]
+        for i in range(1, n):
+            f = decay[i, a]
+            g = flicker * np.sqrt(1.0 - f * f)
+            for c in range(m):
+                state[c] = f * state[c] + g * drive[a, i, c]
+                out[i, c] += read[i, a] * state[c]
+    return out
+
+
 def _whiten_numpy(
     decay: Floats, read: Floats, fresh: NDArray[np.bool_], gains: Floats, std: Floats, X: Floats
 ) -> Floats:
@@ -182,6 +200,19 @@ class NoiseModel:
         )
         run = _whiten_loops if HAVE_NUMBA else _whiten_numpy
         return run(self.decay, self.read, self.fresh, gains, std, np.ascontiguousarray(X)), std
+
+
+    def simulate(self, levels: NoiseLevels, rng: np.random.Generator, count: int) -> Floats:
+        """Draws of the noise at the rows, deg/s, shape (n, count)."""
+        n, k = self.decay.shape
+        flicker = _colour_loops(
+            self.decay, self.read, rng.standard_normal((k, n, count)), levels.flicker_dps
+        )
+        white = levels.white * np.sqrt(self.white_var)[:, None] * rng.standard_normal((n, count))
+        first = np.flatnonzero(self.fresh)
+        size = levels.jitter * np.sqrt(self.rate_var[first])[:, None]
+        offset = size * rng.standard_normal((first.size, count))
+        return np.asarray(flicker + white + offset[np.cumsum(self.fresh) - 1])
 
 
 @dataclass(frozen=True)
@@ -262,22 +293,3 @@ def estimate_levels(
     best = minimize(loss, first, method="Nelder-Mead",
                     options={"xatol": 0.02, "fatol": 0.02, "maxfev": 60, "initial_simplex": simplex})
     return _evaluate(model, best.x, yX)
-
-
-@dataclass(frozen=True)
-class Whitened:
-    """Columns whitened at fixed levels: their Gram matrix is all that the tests need.
-
-    Attributes
-    ----------
-    columns : ndarray, shape (n, 1 + p)
-        Whitened record, then whitened regression columns.
-    """
-
-    columns: Floats
-    levels: NoiseLevels
-
-    @cached_property
-    def gram(self) -> Floats:
-        """Inner products of all columns, shape (1 + p, 1 + p)."""
-        return np.asarray(self.columns.T @ self.columns)
