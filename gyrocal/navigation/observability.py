@@ -154,5 +154,5 @@ def observability(
         directions,
         confused,
         float(turns[turns > 0.0].sum()),
-        float(-turns[turns < 0.0].sum()),
+        float(np.abs(turns[turns < 0.0]).sum()),
     )
