@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, Coefficients
 from gyrocal.physics.effect import Conditions, Memory
-from gyrocal.physics.terms import runtime_term, solve_rate
+from gyrocal.physics.terms import gradients, joint_covariance, runtime_term, solve_rate
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,9 @@ class Compensator:
             runtime_term(term.effect, term.parameters) for term in coefficients.terms if term.runtime
         )
         self.not_applied = tuple(term.effect for term in coefficients.terms if not term.runtime)
+        self._covariance = joint_covariance(coefficients.covariance_dps2, self.terms)
         self._memories: list[Memory] = [None] * len(self.terms)
+        self._tangents: list[Memory] = [None] * sum(len(term.covariance) for term in self.terms)
 
     def correct(
         self,
@@ -76,17 +78,24 @@ class Compensator:
     ) -> Corrected:
         """`correct`, with standard deviations and the flags of `Coefficients.flags`.
 
-        The standard deviation is that of the predicted error: covariance of the surface, and the uncertainty
-        of each term's amplitude. It does not contain the noise of the sample itself.
+        The standard deviation is that of the predicted error: covariance of surface and terms where the file has
+        it, otherwise the uncertainty of each amplitude by itself. The noise of the sample is not in it.
         """
         gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
         rate, errors = self._solve(gyro, c)
+        surface = self.coefficients.surface
         with np.errstate(over="ignore", invalid="ignore"):
-            variance = self.coefficients.sigma_dps(gyro, c.temp_c) ** 2 + sum(
-                (e * term.relative_sigma) ** 2 for e, term in zip(errors, self.terms, strict=True)
+            slopes, self._tangents = gradients(
+                surface, self.terms, self._tangents, errors, replace(c, rate_dps=rate)
             )
+            design = np.column_stack([surface.design(gyro - sum(errors), c.temp_c), slopes])
+            variance = ((design @ self._covariance) * design).sum(axis=1)
+            for error, term in zip(errors, self.terms, strict=True):
+                if not term.covariance:
+                    variance = variance + (error * term.relative_sigma) ** 2
+            sigma = np.sqrt(np.maximum(variance, 0.0))
         flags = self.coefficients.flags(gyro, c.temp_c) | np.where(np.isfinite(rate), 0, FLAG_NOT_FINITE)
-        return Corrected(rate, np.sqrt(variance), flags)
+        return Corrected(rate, sigma, flags)
 
     def _channels(
         self, t_s: ArrayLike, gyro_dps: ArrayLike, temp_c: ArrayLike, since_power_on_s: ArrayLike | None

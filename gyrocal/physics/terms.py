@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any
 
@@ -24,11 +24,21 @@ ROBOT_CHANNELS = frozenset({"t_s", "rate_dps", "temp_c", "since_power_on_s"})
 
 @dataclass(frozen=True)
 class RuntimeTerm:
-    """An effect, the values of its parameters, and the relative standard deviation of its amplitude."""
+    """An effect, the values of its parameters, and how uncertain they are.
+
+    Attributes
+    ----------
+    relative_sigma : float
+        Standard deviation of the amplitude over the amplitude.
+    covariance : mapping
+        Parameter to its covariance with the twelve coefficients of the surface, and then with every parameter
+        that has such an entry (terms in the order of the file, names sorted); empty where the file has none.
+    """
 
     effect: Effect
     parameters: Mapping[str, float]
     relative_sigma: float
+    covariance: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) -> RuntimeTerm:
@@ -44,6 +54,11 @@ def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) ->
         effect = find_effect(effect_id)
         values = effect.typical() | {name: _value(effect, name, entry) for name, entry in parameters.items()}
         sigma = float(parameters.get("amplitude", {}).get("std") or 0.0)
+        covariance = {
+            name: tuple(float(x) for x in parameters[name]["covariance"])
+            for name in sorted(parameters)
+            if "covariance" in parameters[name]
+        }
     except (InputError, KeyError, TypeError, ValueError) as error:
         raise CoefficientError(
             f"The coefficients' term {effect_id!r} cannot be evaluated ({error}). Update gyrocal or diagnose again."
@@ -61,7 +76,7 @@ def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) ->
             f"Term {effect_id} is marked runtime, and a robot cannot evaluate it: {reason}. Mark it runtime: false."
         )
     amplitude = abs(values["amplitude"])
-    return RuntimeTerm(effect, values, sigma / amplitude if amplitude else 0.0)
+    return RuntimeTerm(effect, values, sigma / amplitude if amplitude else 0.0, covariance)
 
 
 def _value(effect: Effect, name: str, entry: Mapping[str, Any]) -> float:
@@ -115,3 +130,53 @@ def solve_rate(
             if not moving.any():
                 break
     return np.where(moving, np.nan, rate), errors, after
+
+
+def joint_covariance(surface_covariance: Floats, terms: Sequence[RuntimeTerm]) -> Floats:
+    """Covariance of the coefficients of the surface and of all parameters that have one, in this order.
+
+    Raises
+    ------
+    CoefficientError
+        The entries differ in length.
+    """
+    rows = [row for term in terms for row in term.covariance.values()]
+    first = surface_covariance.shape[0]
+    if any(len(row) != first + len(rows) for row in rows):
+        raise CoefficientError(
+            f"A term's covariance has not the {first + len(rows)} numbers of surface and terms. Diagnose again."
+        )
+    joint = np.zeros((first + len(rows), first + len(rows)))
+    joint[:first, :first] = surface_covariance
+    if rows:
+        joint[first:] = rows
+        joint[:first, first:] = joint[first:, :first].T
+    return joint
+
+
+def gradients(
+    surface: Surface,
+    terms: Sequence[RuntimeTerm],
+    memories: Sequence[Memory],
+    errors_dps: Sequence[Floats],
+    c: Conditions,
+) -> tuple[Floats, list[Memory]]:
+    """Derivatives of the terms' errors by the parameters that have a covariance, shape (n, m), and memories.
+
+    Exact for amplitudes, by a step of a thousandth for the others, each of which remembers a course of its own.
+    """
+    columns: list[Floats] = []
+    after: list[Memory] = []
+    for term, error in zip(terms, errors_dps, strict=True):
+        for name in term.covariance:
+            value = term.parameters[name]
+            memory = memories[len(after)]
+            if term.effect.parameter(name).linear and value != 0.0:
+                columns.append(error / value)
+            else:
+                step = 1e-3 * (abs(value) or 1.0)
+                stepped = {**term.parameters, name: value + step}
+                ahead, memory = term.effect.error_dps(c, stepped, surface, memory)
+                columns.append((ahead - error) / step)
+            after.append(memory)
+    return np.column_stack(columns) if columns else np.empty((len(c), 0)), after
