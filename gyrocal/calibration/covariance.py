@@ -41,6 +41,9 @@ _SOAK_SETS = 100.0
 #: A level below this share of the scatter is none.
 _NOTHING = 1e-6
 
+#: Relative variance of arithmetic: nothing is known better.
+_ROUNDING = 1e-22
+
 
 @dataclass(frozen=True)
 class Scatter:
@@ -131,7 +134,9 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
     error_dps = sets.error_dps
     basis = np.asarray(linalg.qr(design, mode="economic")[0], dtype=np.float64)
     residual = error_dps - basis @ (basis.T @ error_dps)
-    unit = max(float(residual @ residual) / (len(sets) - design.shape[1]), 1e-30)
+    # Whatever is estimated, the matrix stays regular: rounding is noise too.
+    known = known + _ROUNDING * float(np.mean(error_dps**2)) + np.finfo(float).tiny
+    unit = max(float(residual @ residual) / (len(sets) - design.shape[1]), float(known.mean()))
     sizes = np.array([np.mean(_diagonal(part)) for part in parts])
     # Levels are sought as logarithms of their share of the scatter: positive, and of one size.
     scale = np.where(sizes > 0, unit / np.where(sizes > 0, sizes, 1.0), 0.0)
@@ -151,8 +156,7 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
     )
     share = np.exp(found.x)
     levels = np.where(share > _NOTHING, scale * share, 0.0).astype(np.float64)
-    # Whatever is estimated, the matrix stays regular: rounding is noise too.
-    matrix = _matrix(known + 1e-12 * unit, parts, levels)
+    matrix = _matrix(known, parts, levels)
     information = _average_information(matrix, parts, levels, basis, error_dps)
     return Scatter(levels, information, matrix, parts, design, timed)
 

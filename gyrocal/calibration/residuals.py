@@ -174,13 +174,16 @@ def structure_tests(sets: DataSets, scatter: Scatter) -> tuple[StructureTest, ..
     covariance; the last is the correlation of neighbouring innovations.
     """
     p_matrix, _ = projection(scatter.matrix, scatter.design)
+    residual = (
+        sets.error_dps - scatter.design @ np.linalg.lstsq(scatter.design, sets.error_dps, rcond=None)[0]
+    )
     blocks = {
         "rate": rate_groups(sets.rate_dps),
         "temperature": temperature_groups(sets.temp_c),
         "time" if sets.timed else "data_set_index": time_groups(len(sets), STRETCHES),
     }
     results = [
-        (name, *_block_test(p_matrix, sets.error_dps, indicators(groups), scatter.design.shape[1]))
+        (name, *_block_test(p_matrix, residual, indicators(groups), scatter.design.shape[1]))
         for name, groups in blocks.items()
     ]
     results = [r for r in results if r[2] > 0]
@@ -192,18 +195,20 @@ def structure_tests(sets: DataSets, scatter: Scatter) -> tuple[StructureTest, ..
     )
 
 
-def _block_test(p_matrix: Floats, error_dps: Floats, block: Floats, terms: int) -> tuple[float, int, float]:
+def _block_test(
+    p_matrix: Floats, residual_dps: Floats, block: Floats, terms: int
+) -> tuple[float, int, float]:
     """F statistic, degrees of freedom and p-value of extra columns beside the surface."""
-    score = block.T @ (p_matrix @ error_dps)
+    score = block.T @ (p_matrix @ residual_dps)
     information = block.T @ p_matrix @ block
     values, vectors = np.linalg.eigh(information)
     estimable = values > 1e-8 * max(float(values[-1]), np.finfo(float).tiny)
     gain = float(np.sum((vectors.T @ score)[estimable] ** 2 / values[estimable]))
     dof = int(estimable.sum())
-    rest = error_dps.size - terms - dof
+    rest = residual_dps.size - terms - dof
     if dof == 0 or rest < 1:
         return 0.0, dof, 1.0
-    noise = max(float(error_dps @ p_matrix @ error_dps) - gain, np.finfo(float).tiny) / rest
+    noise = max(float(residual_dps @ p_matrix @ residual_dps) - gain, 1e-12) / rest
     f = gain / dof / noise
     return f, dof, float(stats.f.sf(f, dof, rest))
 

@@ -1,0 +1,143 @@
+"""The whole fit: figures, file, determinism, words."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
+from gyrocal.calibration.figures import merit_figures
+from gyrocal.calibration.summary import dph, remarks, tables, to_json, verdict
+from gyrocal.fusion.coefficients import Valid, parse_coefficients
+from gyrocal.physics.surface import Surface
+from gyrocal.records.files import sha256_of_file
+from tests.calibration.runs import parts_of, write_run
+from tests.calibration.simulation import simulate
+
+SHARED = Path(__file__).parents[2].parent / "shared"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    sets = simulate(np.random.default_rng(1), rates=np.linspace(-100, 100, 11))
+    return write_run(tmp_path_factory.mktemp("calibrate") / "run", parts_of(sets, np.random.default_rng(2)))
+
+
+@pytest.fixture(scope="module")
+def result(run: Path) -> Calibration:
+    return calibrate(run, FitConfig())
+
+
+def shared(name: str) -> Path:
+    path = SHARED / name
+    if not path.exists():
+        pytest.skip("../shared is absent")
+    return path
+
+
+def test_file_is_complete_and_reads_back(result: Calibration, run: Path) -> None:
+    file = parse_coefficients(result.coefficients.to_text(), "x")
+    np.testing.assert_array_equal(file.surface.coefficients_dps, result.fit.surface.coefficients_dps)
+    np.testing.assert_allclose(file.covariance_dps2, result.fit.covariance_dps2, rtol=1e-12, atol=1e-20)
+    assert np.linalg.eigvalsh(file.covariance_dps2).min() > 0
+    assert file.sensor["model"] == "RD2100"
+    assert file.provenance["source"] == run.name
+    assert file.provenance["data_sets"] == 77
+    assert file.provenance["samples"] == 77 * 40
+    assert file.figures["fit"]["error_after_rms_dps"] == pytest.approx(result.after_dps)
+    sets = result.fit.sets
+    assert np.all(file.flags(sets.gyro_dps, sets.temp_c) == 0)
+
+
+def test_same_input_gives_the_same_bytes(result: Calibration, run: Path) -> None:
+    assert calibrate(run, FitConfig()).coefficients.to_text() == result.coefficients.to_text()
+    assert str(run.parent) not in result.coefficients.to_text()
+
+
+def test_every_sample_lies_in_the_valid_range(result: Calibration) -> None:
+    reach = result.recording.reach
+    assert reach is not None
+    valid = result.coefficients.valid
+    assert valid.rate_dps == (reach[:, 0].min(), reach[:, 1].max())
+    assert valid.temp_c == (reach[:, 2].min(), reach[:, 3].max())
+
+
+def test_verdict_is_one_line_with_all_that_is_asked(result: Calibration) -> None:
+    line = verdict(result)
+    assert "\n" not in line
+    pattern = (
+        r"error [\d,.]+ -> [\d,.]+ deg/h rms, [\d.]+ times smaller; sample noise [\d.]+ deg/h; no structure"
+    )
+    assert re.match(pattern, line)
+    assert result.factor > 100
+
+
+def test_tables_and_json_hold_the_same(result: Calibration) -> None:
+    by_title = {t.title.split(":")[0].split(" (")[0]: t for t in tables(result)}
+    assert len(by_title["Error in mdeg/s"].rows) == 12
+    assert [r[0] for r in by_title["Figures"].rows][-2:] == ["angle random walk", "bias instability"]
+    for t in by_title.values():
+        assert all(len(row) == len(t.columns) for row in t.rows)
+    data = to_json(result)
+    assert data["verdict"] == verdict(result)
+    assert data["coefficients_dps"] == result.fit.surface.coefficients_dps.tolist()
+    assert any("ordinary least squares" in line for line in remarks(result))
+
+
+def test_figures_of_a_known_surface() -> None:
+    """Bias 0.01 deg/s, scale 1000 ppm + 100 ppm/(10 °C), and a cubic whose deviation from a line is known."""
+    c = np.zeros((4, 3))
+    c[0, 0], c[1, 0], c[1, 1], c[3, 0] = 0.01, 0.1, 0.03, 0.05
+    covariance = np.zeros((12, 12))
+    covariance[0, 0] = 1e-6
+    figures = merit_figures(Surface(c, 0.0, 100.0, 20.0, 30.0), covariance, Valid((-100, 100), (-10, 50)))
+    assert figures["bias"]["value"] == pytest.approx(36.0)
+    assert figures["bias"]["std"] == pytest.approx(3.6)
+    # The line through u^3 on [-1, 1] has slope 3/5; what is left has an rms of sqrt(4/175).
+    assert figures["scale_factor_error"]["value"] == pytest.approx((0.1 + 0.05 * 0.6) / 100 * 1e6, rel=1e-2)
+    assert figures["scale_factor_nonlinearity"]["value"] == pytest.approx(0.05 * np.sqrt(4 / 175), rel=0.05)
+    assert figures["scale_factor_over_temperature"]["value"] == pytest.approx(600.0, rel=1e-6)
+    assert figures["scale_factor_asymmetry"]["value"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_dph() -> None:
+    assert (dph(0.534), dph(0.001), dph(None)) == ("1,922", "3.6", "unknown")
+
+
+def test_the_real_table() -> None:
+    """Numbers of the issue: 1,922 -> 168 deg/h rms by ordinary least squares, 187 in leave-a-twelfth-out."""
+    path = shared("data/fog_rate_table_aug2024.csv")
+    found = calibrate(path, FitConfig(counts_per_dps=-27312.6))
+    assert dph(found.before_dps) == "1,922"
+    assert dph(found.ols_dps) == "168"
+    in_time = {v.left_out: v.rms_dps for v in found.cross_validation_ols}["time"]
+    assert dph(in_time) == "187"
+    assert found.coefficients.provenance["source_sha256"] == sha256_of_file(path)
+    by_rate = found.scatter_by_rate
+    assert by_rate is not None
+    assert by_rate.growth_p_value < 0.001
+    odd = by_rate.rate_dps[(by_rate.p_value < 0.01) & (by_rate.rate_dps > 90)]
+    assert odd.tolist() == pytest.approx([97.1996])
+    text = " ".join(remarks(found))
+    assert "the scatter grows with |rate|" in text
+    assert "97.2 deg/s scatter" in text
+    assert "ordinary least squares 168 deg/h rms (leave-a-twelfth-out in time order 187)" in text
+    assert found.structured == ("rate",)
+
+
+@pytest.mark.parametrize("name", ["practice-01", "practice-02"])
+def test_practice_recordings_without_anything_hidden_raise_no_alarm(name: str) -> None:
+    found = calibrate(shared(f"concealed/{name}"), FitConfig())
+    assert found.structured == ()
+    assert found.outliers == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["imu_thermal_cycle_y.csv", "imu_thermal_cycle_z.csv"])
+def test_thermal_cycles_give_a_bias_over_temperature_that_is_not_all(name: str) -> None:
+    found = calibrate(shared(f"data/{name}"), FitConfig(bias_only=True))
+    assert found.after_dps < found.before_dps
+    assert "time" in found.structured

@@ -1,0 +1,190 @@
+"""Data that cannot carry a fit are refused with what is missing and what to measure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
+from gyrocal.errors import DataError, GyrocalError, InputError
+from tests.calibration.runs import Part, parts_of, write_run
+from tests.calibration.simulation import SURFACE, Floats, simulate
+
+RATES = np.linspace(-100.0, 100.0, 9)
+TEMPS = np.array([0.0, 20.0, 40.0])
+
+
+def table(path: Path, rate: Floats, temp: Floats, gyro: Floats | None = None, noise: float = 1e-3) -> Path:
+    rng = np.random.default_rng(1)
+    gyro = SURFACE.output_dps(rate, temp) + rng.normal(0, noise, rate.size) if gyro is None else gyro
+    rows = [f"{r:.6f},{g:.8f},{t:.6f}" for r, g, t in zip(rate, gyro, temp, strict=True)]
+    path.write_text("\n".join(["rate_dps,gyro_dps,temp_c", *rows]) + "\n")
+    return path
+
+
+def grid(rates: Floats = RATES, temps: Floats = TEMPS) -> tuple[Floats, Floats]:
+    rate, temp = (a.ravel() for a in np.meshgrid(rates, temps))
+    return rate, temp + 0.013 * np.arange(rate.size) % 0.4
+
+
+def refusal(path: Path, config: FitConfig | None = None) -> GyrocalError:
+    with pytest.raises(GyrocalError) as caught:
+        calibrate(path, config or FitConfig())
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("rates", "temps", "what", "remedy"),
+    [
+        (np.array([0.0]), np.linspace(0, 40, 30), "one rate", "--bias-only"),
+        (np.linspace(-100, 100, 15), np.array([20.0]), "one temperature", "at least 3 temperatures"),
+        (RATES, np.array([0.0, 40.0]), "2 distinct temperatures", "at least 3"),
+        (np.linspace(0, 100, 9), TEMPS, "one sign only", "the other direction"),
+        (np.linspace(-10, 100, 12), TEMPS, "one sign only", "the other direction"),
+        (np.array([-50.0, 0.0, 50.0]), np.linspace(0, 40, 6), "3 distinct rates", "at least 4"),
+        (np.array([-50.0, -20.0, 20.0, 50.0]), TEMPS, "12 data sets for 12 coefficients", "at each of 3"),
+    ],
+)
+def test_missing_levels(tmp_path: Path, rates: Floats, temps: Floats, what: str, remedy: str) -> None:
+    error = refusal(table(tmp_path / "t.csv", *grid(rates, temps)))
+    assert isinstance(error, DataError)
+    assert what in str(error)
+    assert remedy in str(error)
+    assert "t.csv" in str(error)
+
+
+def test_rates_and_temperatures_that_vary_together(tmp_path: Path) -> None:
+    rate = np.repeat(np.linspace(-100, 100, 40), 2)
+    error = refusal(table(tmp_path / "t.csv", rate, 20 + 0.2 * rate))
+    assert "do not vary independently" in str(error)
+    assert "every rate at 3 temperatures" in str(error)
+
+
+def test_stuck_gyro(tmp_path: Path) -> None:
+    rate, temp = grid()
+    error = refusal(table(tmp_path / "t.csv", rate, temp, np.full(rate.size, 0.5)))
+    assert "saturated" in str(error) or "stuck" in str(error)
+
+
+def run_parts(**conditions: Any) -> list[Part]:
+    sets = simulate(
+        np.random.default_rng(2), rates=RATES, temps=np.array([0.0, 20.0, 40.0, 10.0]), **conditions
+    )
+    return parts_of(sets, np.random.default_rng(3))
+
+
+def rewrite(part: Part, column: int, value: str) -> Part:
+    rows = []
+    for row in part.rows:
+        cells = row.split(",")
+        cells[column] = value if cells[1] else cells[column]
+        rows.append(",".join(cells))
+    return replace(part, rows=rows)
+
+
+def test_stuck_data_set_is_refused_and_forced(tmp_path: Path) -> None:
+    parts = run_parts()
+    middle = next(k for k, p in enumerate(parts) if p.rate_dps == 25.0)
+    parts[middle] = rewrite(parts[middle], 1, "25.1")
+    path = write_run(tmp_path / "run", parts)
+    error = refusal(path)
+    assert "every sample has the same value" in str(error)
+    assert f"--exclude {middle + 1}" in str(error)
+    forced = calibrate(path, FitConfig(force=True))
+    assert any("used because of --force" in note for note in forced.notes)
+    excluded = calibrate(path, FitConfig(exclude=(middle + 1,)))
+    assert len(excluded.fit.sets) == len(parts) - 1
+    assert excluded.coefficients.provenance["excluded_by_user"] == [middle + 1]
+
+
+def test_saturated_data_sets_are_refused(tmp_path: Path) -> None:
+    parts = run_parts()
+    for k, part in enumerate(parts):
+        if part.rate_dps == 100.0:
+            parts[k] = rewrite(part, 1, "99.5")
+    error = refusal(write_run(tmp_path / "run", parts))
+    assert "4 data sets are saturated" in str(error)
+    assert "+100 deg/s" in str(error)
+    assert "--exclude" in str(error)
+
+
+def test_stuck_temperature(tmp_path: Path) -> None:
+    error = refusal(write_run(tmp_path / "run", [rewrite(p, 2, "21.5") for p in run_parts()]))
+    assert "temperature is stuck at 21.50" in str(error)
+    assert "Repair the sensor" in str(error)
+
+
+def test_whole_degrees_are_weighed_by_their_consequence(tmp_path: Path) -> None:
+    rate, temp = grid(np.linspace(-100, 100, 11), np.linspace(0, 40, 11))
+    true = temp + np.random.default_rng(4).uniform(-0.5, 0.5, temp.size)
+    gyro = SURFACE.output_dps(rate, true)
+    rounded = table(tmp_path / "rounded.csv", rate, np.round(true), gyro)
+    error = refusal(rounded)
+    assert "whole degrees" in str(error)
+    assert "0.1 °C or finer" in str(error)
+    assert any("whole degrees" in n for n in calibrate(rounded, FitConfig(force=True)).notes)
+    nominal = table(tmp_path / "nominal.csv", rate, np.round(true), SURFACE.output_dps(rate, np.round(true)))
+    assert any("whole degrees" in n for n in calibrate(nominal, FitConfig()).notes)
+
+
+def test_compensated_run_is_not_fitted_again(tmp_path: Path) -> None:
+    path = write_run(tmp_path / "run", run_parts(), {"compensated": "fog.json"})
+    error = refusal(path)
+    assert isinstance(error, DataError)
+    assert "compensated already" in str(error)
+
+
+def test_excluding_what_is_not_there(tmp_path: Path) -> None:
+    error = refusal(table(tmp_path / "t.csv", *grid()), FitConfig(exclude=(99,)))
+    assert isinstance(error, InputError)
+    assert "has no data set 99" in str(error)
+
+
+def test_too_many_data_sets(tmp_path: Path) -> None:
+    error = refusal(table(tmp_path / "t.csv", *grid(np.linspace(-100, 100, 64), np.linspace(0, 40, 60))))
+    assert "more than the fit takes" in str(error)
+    assert "Average" in str(error)
+
+
+def bias(tmp_path: Path, rate: float, size: int = 40) -> Calibration:
+    temp = np.linspace(-10, 50, size)
+    return calibrate(table(tmp_path / "b.csv", np.full(size, rate), temp), FitConfig(bias_only=True))
+
+
+def test_bias_only_is_zero_in_every_other_term_and_says_so(tmp_path: Path) -> None:
+    found = bias(tmp_path, 0.0)
+    c = found.coefficients
+    assert np.all(c.surface.coefficients_dps[1:] == 0)
+    assert c.valid.rate_dps[1] - c.valid.rate_dps[0] < 3
+    assert any("every term in the rate is zero and unknown" in note for note in found.notes)
+    assert set(c.figures["gyro"]) == {"bias", "bias_over_temperature"}
+    t = np.linspace(0, 40, 5)
+    np.testing.assert_allclose(c.surface.error_dps(0.0, t), SURFACE.error_dps(0.0, t), atol=2e-3)
+
+
+def test_bias_only_at_another_rate_says_what_is_in_it(tmp_path: Path) -> None:
+    assert any("its scale factor error is within the bias" in note for note in bias(tmp_path, 10.0).notes)
+
+
+def test_bias_only_takes_the_data_sets_at_rest(tmp_path: Path) -> None:
+    rate, temp = grid(RATES, np.linspace(0, 40, 8))
+    found = calibrate(table(tmp_path / "t.csv", rate, temp), FitConfig(bias_only=True))
+    assert len(found.fit.sets) == 8
+    moving = rate != 0
+    error = refusal(table(tmp_path / "u.csv", rate[moving], temp[moving]), FitConfig(bias_only=True))
+    assert "none is zero" in str(error)
+    few = refusal(
+        table(tmp_path / "v.csv", np.zeros(3), np.array([0.0, 20.0, 40.0])), FitConfig(bias_only=True)
+    )
+    assert "too few for a bias" in str(few)
+
+
+def test_a_long_log_at_rest_is_averaged_to_workable_size(tmp_path: Path) -> None:
+    found = bias(tmp_path, 0.0, 2500)
+    assert len(found.fit.sets) <= 600
+    assert any("2500 rows were averaged in blocks of 5" in note for note in found.notes)
+    assert found.fit.sets.n.sum() == 2500
