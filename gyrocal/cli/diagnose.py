@@ -67,22 +67,15 @@ def command(
 
 
 def _say(result: DiagnoseResult) -> None:
-    from gyrocal.report.diagnosis import VERDICT_SENTENCES, improvement_sentences, tables
+    from gyrocal.report.diagnosis import plain_sentences, tables
 
     found = result.diagnosis
-    click.echo(VERDICT_SENTENCES[found.verdict])
-    for sentence in (*found.sentences, *improvement_sentences(found)):
+    for sentence in plain_sentences(found):
         click.echo(f"- {sentence}")
     for table in tables(found):
-        if table.rows and table.name in ("located", "effects", "alternatives"):
+        if table.rows and table.name in ("located", "effects", "alternatives", "improvement"):
             click.echo("")
             emit_table(table.columns, table.rows, table.title)
-    if found.not_testable:
-        click.echo("\nNot testable with this record:")
-        for what, why in found.not_testable.items():
-            click.echo(f"  {what}, because {why}.")
-    for note in found.notes:
-        click.echo(f"Note: {note}.")
     click.echo(f"\nPictures and numbers: open {result.out / 'diagnosis.html'}")
     if "improved.json" in result.files:
         click.echo(f"Coefficients with the named physics: {result.out / 'improved.json'}")

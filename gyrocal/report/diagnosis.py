@@ -102,7 +102,7 @@ def render_pictures(diagnosis: Diagnosis) -> list[Picture]:
 
 def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture], provenance: Mapping[str, str]) -> str:
     """HTML of the diagnosis, self-contained."""
-    remarks = [*diagnosis.sentences, *diagnosis.notes]
+    remarks = plain_sentences(diagnosis)
     page = Page(
         title=f"Diagnosis of {diagnosis.recording}",
         verdict=VERDICT_SENTENCES[diagnosis.verdict],
@@ -256,14 +256,20 @@ def _improvement_cells(i: Improvement) -> tuple[str, ...]:
     )
 
 
-def improvement_sentences(diagnosis: Diagnosis) -> list[str]:
-    """Error before and after on data that the fit did not see, against the noise floor, in a sentence."""
-    i = diagnosis.improvement
-    if i is None:
-        return []
-    low, high = (x * 1e3 for x in i.interval_95)
+def not_testable_sentences(diagnosis: Diagnosis) -> list[str]:
+    """What this record cannot show, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for what, why in diagnosis.not_testable.items():
+        by_reason.setdefault(why.rstrip("."), []).append(what)
     return [
-        f"On data that the fit did not see ({i.scheme}) the error fell from {i.heldout_rms_before_dps * 1e3:.3g} to "
-        f"{i.heldout_rms_after_dps * 1e3:.3g} mdeg/s rms (drop {low:.2g} to {high:.2g} at 95 %), noise floor "
-        f"{i.noise_floor_dps * 1e3:.3g} mdeg/s; log-loss from {i.logloss_before:.2f} to {i.logloss_after:.2f} nats a data set."
+        f"Not testable with this record: {', '.join(things)}, because {why}."
+        for why, things in by_reason.items()
     ]
+
+
+def plain_sentences(diagnosis: Diagnosis) -> list[str]:
+    """What there is to say, in order, each thing once."""
+    said = [s for s in diagnosis.sentences if not s.startswith("Not testable")]
+    said += [n[0].upper() + n[1:] for n in diagnosis.notes if not any(n.rstrip(".") in s for s in said)]
+    said = [s.rstrip(".") + "." for s in said]
+    return [*dict.fromkeys(said), *not_testable_sentences(diagnosis)]

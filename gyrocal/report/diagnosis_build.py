@@ -10,12 +10,11 @@ from typing import Any
 
 import gyrocal
 from gyrocal.bench.profile import profile_from_dict
-from gyrocal.calibration.datasets import load_recording
 from gyrocal.calibration.provenance import check_sensor, refuse_compensated
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.next_experiment import propose, to_toml
 from gyrocal.diagnosis.result import Diagnosis
-from gyrocal.errors import LimitError, ProfileError
+from gyrocal.errors import InputError, LimitError, ProfileError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, read_run
@@ -76,8 +75,11 @@ def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResul
 
 def _read(config: DiagnoseConfig) -> Run | DataSetTable:
     if config.recording.is_dir():
-        # Opens and checks the run as `fit` does: options that do not apply, segments that are missing.
-        run = load_recording(config.recording, config.counts_per_dps).run or read_run(config.recording)
+        if config.counts_per_dps is not None:
+            raise InputError(
+                f"{config.recording}: a run is in deg/s already; --counts-per-dps is for tables. Leave it out."
+            )
+        run = read_run(config.recording)
         refuse_compensated(run)
         return run
     return read_data_sets(config.recording, config.counts_per_dps)

@@ -112,7 +112,7 @@ def test_trials_are_sealed_before_they_are_diagnosed(profile: Path) -> None:
 
 def test_files_of_a_trial_and_a_lying_finder(profile: Path, tmp_path: Path) -> None:
     lie = _answer({"shupe": {"amplitude": 1.0}}, "explained")
-    config = BlindConfig(2, 6, str(profile))
+    config = BlindConfig(1, 6, str(profile))
     result = write_blind(config, tmp_path / "a", _quiet, lambda run: lie)
     document = json.loads((tmp_path / "a" / "blind.json").read_text())
     seals = [line.split()[1] for line in (tmp_path / "a" / "commitments.txt").read_text().splitlines()]
@@ -120,8 +120,6 @@ def test_files_of_a_trial_and_a_lying_finder(profile: Path, tmp_path: Path) -> N
     nothing = next(s for s in result.summary.shares if s.name.startswith("nothing"))
     assert nothing.hits == nothing.trials == sum(not t.truth for t in result.trials)
     assert (tmp_path / "a" / "blind.html").read_text().count("data:image/png") == 2
-    write_blind(config, tmp_path / "b", _quiet, lambda run: lie)
-    assert (tmp_path / "a" / "blind.json").read_bytes() == (tmp_path / "b" / "blind.json").read_bytes()
 
 
 def test_summary_of_a_finder_that_is_told_the_answer() -> None:

@@ -1,0 +1,189 @@
+"""The page of a diagnosis, its pictures and files: with a known answer, without the finder."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.result import Diagnosis, Located
+from gyrocal.errors import InputError, OutputError
+from gyrocal.report.diagnosis import (
+    diagnosis_page,
+    figures,
+    format_p,
+    not_testable_sentences,
+    plain_sentences,
+    tables,
+)
+from gyrocal.report.diagnosis_build import DiagnoseConfig, diagnosis_files, write_diagnosis
+from gyrocal.report.diagnosis_folds import bin_rows, coordinate_of, fold
+from tests.diagnosis.concealed_bench import make_recording
+from tests.diagnosis.made_up import made_up_diagnosis
+
+
+ONE_OF_EACH_COORDINATE = (
+    "shupe",
+    "shupe_gradient",
+    "thermal_lag",
+    "thermal_hysteresis",
+    "warm_up",
+    "scale_drift",
+    "temperature_order",
+    "step_response",
+    "supply_voltage",
+    "earth_rate_tilt",
+    "table_eccentricity",
+    "saturation",
+)
+
+
+def _quiet(share: float, what: str) -> None:
+    """No progress is shown."""
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    return made_up_diagnosis(make_recording([("shupe", 20.0), ("table_eccentricity", 20.0)], 7, "even"))
+
+
+@pytest.fixture(scope="module")
+def files(found: Diagnosis) -> dict[str, bytes | str]:
+    return diagnosis_files(found, {"software": "gyrocal"}, _quiet)
+
+
+@pytest.mark.parametrize("effect", ONE_OF_EACH_COORDINATE)
+def test_every_effect_is_seen_on_its_own_coordinate(effect: str) -> None:
+    """Before, the fold follows the law; after, 95 % intervals hold zero as often as they state (binomial, 1e-4)."""
+    diagnosis = made_up_diagnosis(make_recording([(effect, 60.0)], 11, "even"))
+    rows = diagnosis.rows
+    assert rows is not None
+    folded = fold(rows, diagnosis.effects[0])
+    assert folded is not None
+    visible = np.ptp(folded.law)
+    assert visible > 0
+    assert np.ptp(folded.after) < visible
+    # The weighted slope of residual on law is one before and zero after.
+    weight = folded.law - folded.law.mean()
+    slope = [float(weight @ y / (weight @ weight)) for y in (folded.before, folded.after)]
+    assert slope == pytest.approx([1.0, 0.0], abs=0.2)
+
+
+def test_bins_are_levels_where_values_repeat_and_widths_where_they_do_not() -> None:
+    levels, centres = bin_rows(np.array([3.0, 1.0, 3.0, 1.0]))
+    assert levels.tolist() == [1, 0, 1, 0]
+    assert centres.tolist() == [1.0, 3.0]
+    _, many = bin_rows(np.linspace(0.0, 1.0, 1000))
+    assert many.size == 24
+    assert np.diff(many) == pytest.approx(np.full(23, 1 / 24), rel=0.02)
+
+
+def test_step_is_shown_in_its_own_unit(found: Diagnosis) -> None:
+    diagnosis = made_up_diagnosis(make_recording([("scale_step", 20.0)], 7, "even"))
+    assert diagnosis.rows is not None
+    folded = fold(diagnosis.rows, diagnosis.effects[0])
+    assert folded is not None
+    assert folded.coordinate.unit == "ppm of rate"
+    assert np.ptp(folded.law) == pytest.approx(
+        abs(diagnosis.effects[0].parameters["amplitude"].value), rel=0.02
+    )
+
+
+def test_effect_without_its_channel_is_not_drawn(found: Diagnosis) -> None:
+    assert found.rows is not None
+    blind = replace(found.rows, temp_rate_c_per_min=np.full(found.rows.t_s.size, np.nan))
+    assert np.isnan(coordinate_of(blind, found.effects[0]).x).all()
+    drawn = {p.name: (p, figure) for p, figure in figures(replace(found, rows=blind))}
+    picture, figure = drawn["effect_shupe"]
+    assert figure is None
+    assert "no coordinate" in picture.missing
+
+
+def test_page_says_and_shows_everything(files: dict[str, bytes | str]) -> None:
+    page = str(files["diagnosis.html"])
+    assert set(files) >= {
+        "diagnosis.json",
+        "surface.json",
+        "improved.json",
+        "diagnosis.html",
+        "figures/map.png",
+    }
+    # Self-contained: nothing is fetched.
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert page.count("data:image/png") == len([f for f in files if f.endswith(".png")]) == 6
+    for text in ("shupe", "table_eccentricity", "Before", "acceleration"):
+        assert text.lower() in page.lower()
+
+
+def test_files_are_the_same_each_time(found: Diagnosis, files: dict[str, bytes | str]) -> None:
+    assert diagnosis_files(found, {"software": "gyrocal"}, _quiet) == files
+
+
+def test_record_without_rows_has_a_page_too(found: Diagnosis) -> None:
+    page = diagnosis_page(replace(found, rows=None), [], {})
+    assert "Where the excess lives" in page
+
+
+def test_recording_at_one_rate_says_why_there_is_no_map(found: Diagnosis) -> None:
+    assert found.rows is not None
+    still = np.zeros(found.rows.t_s.size)
+    rows = replace(found.rows, rate_dps=still)
+    missing = {
+        p.name: p.missing for p, figure in figures(replace(found, rows=rows, effects=())) if figure is None
+    }
+    assert missing == {
+        "map": "The recording has one rate only, so there is no surface to map.",
+        "angle": "The table did not turn long enough.",
+    }
+
+
+def test_what_cannot_be_tested_is_said_once_a_reason(found: Diagnosis) -> None:
+    reasons = {
+        "shupe": "no ramp was logged",
+        "shupe_gradient": "no ramp was logged",
+        "supply": "it did not change",
+    }
+    assert not_testable_sentences(replace(found, not_testable=reasons)) == [
+        "Not testable with this record: shupe, shupe_gradient, because no ramp was logged.",
+        "Not testable with this record: supply, because it did not change.",
+    ]
+
+
+def test_each_thing_is_said_once(found: Diagnosis) -> None:
+    twice = replace(found, sentences=("A.", "B."), notes=("A.", "c is new"), not_testable={})
+    assert plain_sentences(twice) == ["A.", "B.", "C is new."]
+
+
+def test_tables_hold_located_parameters_and_gain(found: Diagnosis) -> None:
+    place = Located("rate", "variance", "at 32 deg/s", 1e-20, 0.5, remains=True)
+    by_name = {t.name: t for t in tables(replace(found, located=(place,)))}
+    assert by_name["located"].rows == [("rate", "variance", "at 32 deg/s", "< 1e-15", "50%", "yes")]
+    assert [r[1] for r in by_name["effects"].rows] == ["amplitude", "amplitude", "harmonic", "phase_rad"]
+    assert by_name["improvement"].rows[-1][0] == "all named physics"
+    assert format_p(0.0123) == "0.012"
+
+
+def test_existing_output_is_refused_before_the_work(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "kept").write_text("mine")
+    with pytest.raises(OutputError, match="exists and is not empty"):
+        write_diagnosis(DiagnoseConfig(tmp_path / "none", out), _quiet)
+    assert (out / "kept").read_text() == "mine"
+
+
+def test_missing_recording_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        write_diagnosis(DiagnoseConfig(tmp_path / "none", tmp_path / "out"), _quiet)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_json_is_plain_and_finite(files: dict[str, bytes | str]) -> None:
+    body = json.loads(files["diagnosis.json"])
+    assert body["schema"] == "gyrocal-diagnosis/1"
+    assert body["verdict"] == "explained"
+    assert {e["effect"] for e in body["effects"]} == {"shupe", "table_eccentricity"}
