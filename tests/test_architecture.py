@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -48,6 +49,23 @@ LIGHT_ROOMS: dict[str, set[str]] = {
 }
 #: Only the clock sleeps.
 MAY_SLEEP = {"gyrocal.bench.clock"}
+#: The old global generator of numpy, and that of the standard library.
+GLOBAL_RANDOM = {
+    f"{module}.{name}"
+    for module in ("np.random", "numpy.random", "random")
+    for name in (
+        "seed",
+        "random",
+        "rand",
+        "randn",
+        "randint",
+        "normal",
+        "uniform",
+        "choice",
+        "shuffle",
+        "permutation",
+    )
+}
 #: What the top level of a command's file may import: everything else waits until the command runs.
 CLI_TOP_LEVEL = {"click", "gyrocal", "gyrocal.errors", "gyrocal.cli"}
 
@@ -64,6 +82,7 @@ def room(name: str) -> str:
     return parts[1] if len(parts) > 1 else ""
 
 
+@functools.cache
 def tree_of(path: Path) -> ast.Module:
     """Parsed source."""
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
@@ -117,9 +136,15 @@ def imports_of(path: Path) -> list[tuple[int, str]]:
 
 
 def numba_is_optional(path: Path) -> bool:
-    """Whether every import of numba in the file stands under ``try``."""
+    """Whether every import of numba in the file stands under ``try`` or ``suppress(ImportError)``."""
     tree = tree_of(path)
-    guarded = {id(n) for t in ast.walk(tree) if isinstance(t, ast.Try) for n in ast.walk(t)}
+    guards = [
+        t
+        for t in ast.walk(tree)
+        if isinstance(t, ast.Try)
+        or (isinstance(t, ast.With) and "suppress(ImportError)" in ast.unparse(t.items[0]))
+    ]
+    guarded = {id(n) for t in guards for n in ast.walk(t)}
     for node in ast.walk(tree):
         names = list(imports(iter([node]), module_name(path), False))
         if any(name.split(".")[0] == "numba" for _, name in names) and id(node) not in guarded:
@@ -247,12 +272,9 @@ def test_habits(path: Path) -> None:
             assert called != "print", f"{where}: print; use click.echo in cli"
             if name not in MAY_SLEEP:
                 assert called not in ("time.sleep", "sleep"), f"{where}: pass in a clock"
-            assert not called.startswith("np.random.") or called in (
-                "np.random.default_rng",
-                "np.random.Generator",
-                "np.random.SeedSequence",
-                "np.random.PCG64",
-            ), f"{where}: {called} is global random state; pass in a Generator"
+            assert called not in GLOBAL_RANDOM, (
+                f"{where}: {called} is global random state; pass in a Generator"
+            )
         if isinstance(node, ast.ExceptHandler):
             assert node.type is not None, f"{where}: bare except"
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import gyrocal
 from gyrocal.calibration.residuals import ALARM_RATE
-from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, tables
+from gyrocal.report import tables
+from gyrocal.report.drawings import DRAWINGS
 from gyrocal.report.gather import Material, Progress, gather
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, Table, render_page
@@ -75,16 +74,16 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
     )
     pictures: list[Picture] = []
     files: dict[str, bytes | str] = {}
-    drawings = _drawings(material)
-    for number, (name, title, caption, draw) in enumerate(drawings):
-        progress(0.3 + 0.65 * number / len(drawings), title)
-        drawn = draw()
+    for number, drawing in enumerate(DRAWINGS):
+        progress(0.3 + 0.65 * number / len(DRAWINGS), drawing.title)
+        drawn = drawing.draw(material)
+        about = drawing.name, drawing.title, drawing.caption
         if isinstance(drawn, str):
-            pictures.append(Picture(name, title, caption, missing=drawn))
+            pictures.append(Picture(*about, missing=drawn))
             continue
         png = render(drawn, "png")
-        files |= {f"figures/{name}.png": png, f"figures/{name}.svg": render(drawn, "svg")}
-        pictures.append(Picture(name, title, caption, png))
+        files |= {f"figures/{drawing.name}.png": png, f"figures/{drawing.name}.svg": render(drawn, "svg")}
+        pictures.append(Picture(*about, png))
     page = _page(material, pictures)
     files |= {f"tables/{table.name}.csv": table.csv for table in page.tables}
     files["report.html"] = render_page(page)
@@ -102,95 +101,6 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
         missing=tuple((p.name, p.missing) for p in pictures if not p.png),
         remarks=tuple(page.remarks),
     )
-
-
-_ONE_RATE = "The recording is at a single rate: there is a bias over temperature, and nothing over rate."
-
-_Drawing = tuple[str, str, str, Callable[[], Figure | str]]
-
-
-def _drawings(m: Material) -> list[_Drawing]:
-    """Name, title, caption and drawing function of each figure; a sentence instead of a figure says why there is none."""
-    data, surface = m.data, m.coefficients.surface
-    over = "time" if data.sets.timed else "the number of the data set, since the recording has no times"
-    return [
-        (
-            "figure_1",
-            "Figure 1. Error against rate, before calibration",
-            "A point is a data set, a line the fitted surface at that temperature. Look for the cubic shape, and for how it "
-            "turns with temperature. Hollow points are outliers or unsettled.",
-            lambda: _ONE_RATE if m.one_rate else figures_error.error_against_rate(data, surface),
-        ),
-        (
-            "figure_2",
-            "Figure 2. Error against temperature at several rates, before calibration",
-            "Lines are the fitted surface. Look for points that leave their line at the ends: that is more than a quadratic.",
-            lambda: figures_error.error_against_temperature(data, surface),
-        ),
-        (
-            "figure_3a",
-            "Figure 3a. Error over rate and temperature, before calibration",
-            "Left the fitted surface with the data sets as dots, right the same from above; lines join equal errors.",
-            lambda: _ONE_RATE if m.one_rate else figures_error.error_before(data, surface),
-        ),
-        (
-            "figure_3b",
-            "Figure 3b. Error over rate and temperature, after calibration",
-            "Each data set on a stem from zero: left on the height scale of figure 3a, right enlarged. It should look like grass, "
-            "without waves.",
-            lambda: _ONE_RATE if m.one_rate else figures_error.error_after(data, surface),
-        ),
-        (
-            "residual_map",
-            "Residual over rate and temperature",
-            "Mean residual in each cell; the margins show the means by rate and by temperature. Colour that comes in patches, or margins off zero by more "
-            "than their intervals, are structure that twelve terms do not follow.",
-            lambda: _ONE_RATE if m.one_rate else figures_residual.residual_map(data),
-        ),
-        (
-            "residual_over_time",
-            f"Residual over {over}",
-            "Bars are what scatter and coefficient uncertainty lead one to expect (95 %). A running median that wanders is drift; "
-            "steps are events.",
-            lambda: figures_residual.residual_over_time(data),
-        ),
-        (
-            "scatter_by_rate",
-            "Scatter of data sets by rate",
-            "Standard deviation of the residuals at each rate. A slope away from zero rate is scatter that grows with rate; ringed rates scatter more than the trend.",
-            lambda: (
-                "No three rates were measured four times or more: scatter cannot be told from shape."
-                if m.signed is None
-                else figures_residual.scatter_figure(m.signed, m.tested)
-            ),
-        ),
-        (
-            "allan_deviation",
-            "Allan deviation at rest",
-            f"From {m.noise.record_s / 3600:.3g} h at rest, gaps not bridged, bias over temperature removed. The slope of −1/2 is angle "
-            f"random walk; a floor would be bias instability: {m.noise.statement}.",
-            lambda: (
-                figures_noise.allan_deviation(m.noise) if m.noise.points else f"Reason: {m.noise.statement}."
-            ),
-        ),
-        (
-            "timeline",
-            "Course of the run",
-            "Chamber and gyro temperature, table rate and supply. The gyro should have caught up with the chamber before rates begin; "
-            "unsettled segments are shaded.",
-            lambda: (
-                "The recording is a table of data sets: it holds no course in time."
-                if m.timeline is None
-                else figures_run.run_timeline(m.timeline)
-            ),
-        ),
-        (
-            "coefficients",
-            "Coefficients with standard errors",
-            "In deg/s, on scaled output u and temperature v. Pale cells are many standard errors from zero; dark ones could be left out.",
-            lambda: figures_run.coefficient_figure(m.coefficients),
-        ),
-    ]
 
 
 def _page(m: Material, pictures: list[Picture]) -> Page:
@@ -232,6 +142,8 @@ def _key_figures(m: Material, before_dph: float, after_dph: float) -> list[tuple
 def _remarks(m: Material) -> list[str]:
     said = scatter_statements(m.tested) if m.tested is not None else []
     said = _structure(m) + said
+    if m.noise.points:
+        said.append(f"Bias instability is {m.noise.statement}.")
     sets, mask = m.data.sets, m.recording.masked
     flags = int(np.count_nonzero(m.coefficients.flags(sets.gyro_dps, sets.temp_c)))
     if flags:
