@@ -13,7 +13,7 @@ from gyrocal.diagnosis.base import Base, carried_terms, fit_surface, simulate
 from gyrocal.diagnosis.columns import Book, conditions_of
 from gyrocal.diagnosis.gram import Projection, project
 from gyrocal.diagnosis.hypotheses import Hypothesis
-from gyrocal.diagnosis.search import Member, Search
+from gyrocal.diagnosis.search import Member, Search, related
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.strangers import Block
 from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels
@@ -104,18 +104,73 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
     bare = estimate_levels(setup.model, y, X[:, setup.surface_columns]).levels
     levels = estimate_levels(setup.model, y, saturated, bare).levels
     members: list[Member] = []
-    for _ in range(_ROUNDS):
+    for attempt in range(_ROUNDS):
         white = setup.model.whiten(levels, setup.matrix)[0]
         gram = np.asarray(white.T @ white)
         search = Search(
             gram, setup.surface_columns, setup.hypotheses, setup.series.n_sets, level, seed
         )
-        members = search.run(members)
+        members = search.run(_carried(members, search))
         under = estimate_levels(setup.model, y, model_columns(setup, members), levels).levels
-        if _same(levels, under, setup.model):
+        finer = _finer(setup, search, members) if attempt == 0 else None
+        if finer is None and _same(levels, under, setup.model):
             break
-        levels = under
+        setup, levels = finer or setup, under
     return Analysis(setup, levels, gram, tuple(members), search)
+
+
+def _carried(members: Sequence[Member], search: Search) -> list[Member]:
+    """Members of an earlier search in the terms of a new one; their columns are the same."""
+    current = {(h.id, h.df): h for h in search.hypotheses}
+    found = []
+    for member in members:
+        h = current.get((member.hypothesis.id, member.hypothesis.df))
+        place = None if h is None else np.flatnonzero((h.points == member.columns).all(axis=1))
+        if h is not None and place is not None and place.size:
+            free = np.zeros((search.gram.shape[0] - 1, member.free.shape[1]))
+            free[: member.free.shape[0]] = member.free
+            found.append(replace(member, hypothesis=h, point=int(place[0]), free=free))
+    return found
+
+
+def _finer(setup: Setup, search: Search, members: Sequence[Member]) -> Setup | None:
+    """The setup with finer grids where the search has come near something; None where it has not.
+
+    A jump must be timed to seconds before its strength can be compared with that of a drift, so jumps are
+    refined wherever there is anything in their coordinate, named or not.
+    """
+    wanted = {(m.hypothesis.id, m.hypothesis.df): m.point for m in members if m.hypothesis.in_catalogue}
+    timely = [m for m in members if related(m.hypothesis.coordinate, "time") or not m.hypothesis.in_catalogue]
+    for member in timely:
+        rest = search.given([m for m in members if m is not member])
+        for score in search.scores(rest):
+            h = score.hypothesis
+            if h.id in ("bias_step", "scale_step") and score.gain > 0.1 * member.gain and score.p_value < 1e-3:
+                wanted.setdefault((h.id, h.df), score.point)
+    base = setup.columns[:, setup.surface_columns]
+    q = np.linalg.qr(base / np.linalg.norm(base, axis=0))[0]
+    c = conditions_of(setup.series)
+    parts, known, count = [setup.matrix], [], setup.matrix.shape[1] - 1
+    current = {(h.id, h.df): h for h in search.hypotheses}
+    for h in setup.hypotheses:
+        point = wanted.get((h.id, h.df))
+        seen = current.get((h.id, h.df))
+        if point is None or seen is None or not h.in_catalogue:
+            known.append(h)
+            continue
+        shapes = hypotheses.finer_shapes(seen, point, setup.series)
+        if not shapes:
+            known.append(h)
+            continue
+        blocks = [hypotheses.columns_at(h, c, s, setup.base.surface) for s in shapes]
+        new = np.concatenate(blocks, axis=1)
+        parts.append(new - q @ (q.T @ new))
+        numbers = np.arange(count, count + new.shape[1]).reshape(-1, h.df)
+        count += new.shape[1]
+        known.append(replace(h, shapes=(*h.shapes, *shapes), points=np.concatenate([h.points, numbers])))
+    if len(parts) == 1:
+        return None
+    return replace(setup, matrix=np.concatenate(parts, axis=1), hypotheses=tuple(known))
 
 
 def model_columns(setup: Setup, members: Sequence[Member]) -> Floats:

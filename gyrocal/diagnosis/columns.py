@@ -14,9 +14,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def conditions_of(series: Series) -> Conditions:
+@dataclass(frozen=True)
+class RowConditions(Conditions):
+    """Conditions of rows that are means over a while; ``row_s``, shape (n,), says over how long."""
+
+    row_s: Floats = field(default_factory=lambda: np.empty(0))
+
+
+def conditions_of(series: Series) -> RowConditions:
     """What the laws of the catalogue may depend on, row by row."""
-    return Conditions(
+    return RowConditions(
         t_s=series.t_s,
         rate_dps=series.rate_dps,
         temp_c=series.temp_c,
@@ -27,6 +34,7 @@ def conditions_of(series: Series) -> Conditions:
         step_dps=series.step_dps,
         temp_rate_c_per_s=series.temp_rate_c_per_min / 60.0,
         data_set_index=series.set_index.astype(np.float64),
+        row_s=np.maximum(series.averaging_s, 0.1),
     )
 
 

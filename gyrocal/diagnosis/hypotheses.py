@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.columns import Book, conditions_of
+from gyrocal.diagnosis.columns import Book, RowConditions, conditions_of
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Conditions
@@ -70,8 +70,15 @@ class Hypothesis:
 def law(
     effect: str, c: Conditions, shape: Shape, surface: Surface | None, phase_rad: float | None = None
 ) -> Floats:
-    """An effect of the catalogue at unit amplitude, shape (n,), deg/s."""
+    """An effect of the catalogue at unit amplitude, shape (n,), deg/s.
+
+    Rows that are means over many seconds see a jump as the share of the row that is behind it.
+    """
     known = CATALOGUE[effect]
+    if "at_s" in shape and isinstance(c, RowConditions):
+        before = {**known.typical(), "amplitude": 1.0, "at_s": float(c.t_s[0]) - 1e6}
+        whole = known.error_dps(c, before, surface, None)[0]
+        return np.asarray(whole * np.clip((c.t_s - shape["at_s"]) / c.row_s + 0.5, 0.0, 1.0))
     p = {**known.typical(), **shape, "amplitude": 1.0}
     if phase_rad is not None:
         p["phase_rad"] = phase_rad
@@ -81,6 +88,25 @@ def law(
 def phase_columns(effect: str, c: Conditions, shape: Shape) -> Floats:
     """Cosine and sine of an effect with a phase, shape (n, 2): amplitude and phase become linear."""
     return np.column_stack([law(effect, c, shape, None, 0.0), law(effect, c, shape, None, -np.pi / 2)])
+
+
+def columns_at(h: Hypothesis, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+    """Columns of a hypothesis of the catalogue at any shape, shape (n, df)."""
+    return phase_columns(h.id, c, shape) if h.df == 2 else law(h.id, c, shape, surface)[:, None]
+
+
+def finer_shapes(h: Hypothesis, point: int, series: Series) -> list[dict[str, float]]:
+    """Shapes between a point of a grid and its neighbours; for a jump, every instant around it."""
+    best = dict(h.shapes[point])
+    if "at_s" in best:
+        return [{"at_s": float(x)} for x in best["at_s"] + np.arange(-260.0, 261.0, 4.0)]
+    for name in ("tau_s", "width_c", "phase_rad_per_dps", "knee_dps"):
+        if best.get(name, 0.0) > 0.0 and "center_dps" not in best:
+            grid = np.unique([s[name] for s in h.shapes])
+            place = int(np.searchsorted(grid, best[name]))
+            low, high = grid[max(place - 1, 0)], grid[min(place + 1, grid.size - 1)]
+            return [{**best, name: float(x)} for x in np.geomspace(low, high, 10)[1:-1]]
+    return []
 
 
 def shapes_of(effect: str, series: Series) -> list[dict[str, float]]:

@@ -12,7 +12,7 @@ from gyrocal.diagnosis.analysis import Analysis
 from gyrocal.diagnosis.base import Base, simulate, with_coefficients
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gate import Gate
-from gyrocal.diagnosis.hypotheses import law, phase_columns
+from gyrocal.diagnosis.hypotheses import columns_at
 from gyrocal.diagnosis.intervals import Profile, descend, profile_interval
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.search import Member
@@ -38,7 +38,6 @@ _REFINED = {
     "mechanical_resonance": ("center_dps", "width_dps"),
     "step_response": ("tau_s", "frequency_hz"),
 }
-_WITH_PHASE = ("earth_rate_tilt", "table_eccentricity")
 _NORMAL_95 = 1.959964
 
 
@@ -71,6 +70,9 @@ class Refined:
         Residual of surface alone, and of surface with all members.
     effects_dps : mapping
         What each named effect adds.
+    joint : mapping
+        Effect and parameter that a robot evaluates to its covariance with the twelve coefficients of the surface
+        and with all parameters of this mapping, in its order.
     """
 
     pieces: tuple[Piece, ...]
@@ -82,6 +84,7 @@ class Refined:
     covariance_dps2: Floats
     plain_surface: Surface
     plain_covariance_dps2: Floats
+    joint: Mapping[tuple[str, str], Sequence[float]] = field(default_factory=dict)
 
 
 @dataclass
@@ -123,14 +126,12 @@ class _Fit:
         return coefficients / scale, inverse / np.outer(scale, scale)
 
 
-def member_columns(member: Member, shape: Mapping[str, float], c: Conditions, surface: Surface, grid: Floats) -> Floats:
+def member_columns(
+    member: Member, shape: Mapping[str, float], c: Conditions, surface: Surface, grid: Floats
+) -> Floats:
     """Columns of a member at a shape: the catalogue's law, or what the search used where there is none."""
     h = member.hypothesis
-    if not h.in_catalogue or h.random:
-        return grid[:, member.columns]
-    if h.id in _WITH_PHASE or (h.id == "step_response" and h.df == 2):
-        return phase_columns(h.id, c, shape)
-    return law(h.id, c, shape, surface)[:, None]
+    return grid[:, member.columns] if not h.in_catalogue or h.random else columns_at(h, c, shape, surface)
 
 
 def refine(analysis: Analysis, decided: Gate) -> Refined:
@@ -154,7 +155,7 @@ def refine(analysis: Analysis, decided: Gate) -> Refined:
     stacked = np.concatenate(columns, axis=1) if columns else np.empty((len(series), 0))
     solution, _ = fit.solve(stacked)
     p = base.design.shape[1]
-    covariance = _with_shapes(fit, pieces, profiles, stacked, solution, c)
+    covariance, tangents = _with_shapes(fit, pieces, profiles, stacked, solution, c)
     parameters, effects, first = {}, {}, p
     for piece in pieces:
         rows = np.arange(first, first + piece.columns.shape[1])
@@ -175,6 +176,9 @@ def refine(analysis: Analysis, decided: Gate) -> Refined:
         _full(covariance[:p, :p], base.terms),
         _moved(setup.base, alone),
         _full(alone_covariance, setup.base.terms),
+        _joint(
+            [piece for piece in pieces if piece.member in decided.named], covariance, tangents, base.terms
+        ),
     )
 
 
@@ -254,15 +258,11 @@ def _limits(effect: str, name: str) -> tuple[float, float]:
 
 
 def _instants_near(analysis: Analysis, at_s: float) -> Floats:
-    """Instants between rows around a candidate, at most 81."""
+    """Instants around a candidate: whole seconds near by, and the gaps between data sets."""
     t = analysis.setup.series.t_s
-    middle = int(np.searchsorted(t, at_s))
-    near = np.arange(max(middle - 400, 1), min(middle + 400, t.size))
-    between = 0.5 * (t[near - 1] + t[near])
-    wide = np.diff(t)[near - 1]
-    # Instants in gaps come first: a step between data sets shows as such. The rest is thinned.
-    chosen = np.union1d(np.flatnonzero(wide > 2.0 * np.median(wide)), np.arange(0, near.size, 10))
-    return np.asarray(between[chosen])
+    near = at_s + np.concatenate([np.arange(-12.0, 12.1, 0.5), np.arange(-60.0, 61.0, 8.0)])
+    starts = t[np.flatnonzero(np.diff(analysis.setup.series.set_index, prepend=-1))]
+    return np.unique(np.concatenate([near, starts[np.abs(starts - at_s) < 120.0] - 0.5]))
 
 
 def _with_shapes(
@@ -272,10 +272,13 @@ def _with_shapes(
     stacked: Floats,
     solution: Floats,
     c: Conditions,
-) -> Floats:
-    """Covariance of all linear coefficients with the uncertainty of the shapes: their tangents are columns too."""
-    p, first = fit.base.design.shape[1], fit.base.design.shape[1]
-    tangents = []
+) -> tuple[Floats, dict[tuple[str, str], float]]:
+    """Covariance of all linear coefficients with the uncertainty of the shapes: their tangents are columns too.
+
+    The second part names the tangents, which stand last, with the change of the parameter that each is for.
+    """
+    first = fit.base.design.shape[1]
+    tangents, steps = [], {}
     for piece in pieces:
         rows = np.arange(first, first + piece.columns.shape[1])
         first += rows.size
@@ -283,11 +286,38 @@ def _with_shapes(
             if (piece.member.hypothesis.id, name) not in profiles or name == "at_s":
                 continue
             value = piece.shape[name]
-            ahead = member_columns(piece.member, {**piece.shape, name: 1.02 * value}, c, fit.base.surface, stacked)
+            ahead = member_columns(
+                piece.member, {**piece.shape, name: 1.02 * value}, c, fit.base.surface, stacked
+            )
             tangents.append((ahead - piece.columns) @ solution[rows])
+            steps[piece.member.hypothesis.id, name] = 0.02 * value
     extended = np.column_stack([stacked, *tangents]) if tangents else stacked
     _, covariance = fit.solve(extended)
-    return covariance[: p + stacked.shape[1], : p + stacked.shape[1]]
+    return covariance, steps
+
+
+def _joint(
+    named: Sequence[Piece], covariance: Floats, steps: Mapping[tuple[str, str], float], terms: Ints
+) -> dict[tuple[str, str], list[float]]:
+    """Rows of `Refined.joint`: terms in the order of the file, their parameters sorted by name."""
+    at: dict[tuple[str, str], tuple[int, float]] = {}
+    first = terms.size
+    last = covariance.shape[0] - len(steps)
+    for piece in named:
+        effect = piece.member.hypothesis.id
+        if CATALOGUE[effect].runtime and piece.columns.shape[1] == 1:
+            own = {"amplitude": (first, 1.0)}
+            own |= {
+                name: (last + k, step) for k, ((e, name), step) in enumerate(steps.items()) if e == effect
+            }
+            at |= {(effect, name): own[name] for name in sorted(own)}
+        first += piece.columns.shape[1]
+    rows = np.array([row for row, _ in at.values()], dtype=np.int64)
+    scale = np.array([step for _, step in at.values()])
+    found = np.zeros((rows.size, 12 + rows.size))
+    found[:, terms] = covariance[rows][:, : terms.size] * scale[:, None]
+    found[:, 12:] = covariance[np.ix_(rows, rows)] * np.outer(scale, scale)
+    return dict(zip(at, found.tolist(), strict=True))
 
 
 def _estimates(
@@ -357,7 +387,9 @@ def _noise(series: Series, analysis: Analysis) -> Noise:
         return Noise()
     walk = analysis.levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
     spread = _NORMAL_95 / np.sqrt(2.0 * len(series))
-    return Noise(angle_random_walk_deg_per_rt_h=(60 * walk, 60 * walk * (1 - spread), 60 * walk * (1 + spread)))
+    return Noise(
+        angle_random_walk_deg_per_rt_h=(60 * walk, 60 * walk * (1 - spread), 60 * walk * (1 + spread))
+    )
 
 
 def surface_coefficients(series: Series, analysis: Analysis) -> Coefficients:
@@ -374,13 +406,18 @@ def surface_coefficients(series: Series, analysis: Analysis) -> Coefficients:
     )
 
 
+def _covariance(refined: Refined, effect: str, name: str) -> dict[str, Sequence[float]]:
+    row = refined.joint.get((effect, name))
+    return {} if row is None else {"covariance": row}
+
+
 def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decided: Gate) -> Coefficients:
     """Surface refitted with the named physics, which stands in its terms."""
     terms = []
     for member in decided.named:
         effect = CATALOGUE[member.hypothesis.id]
         parameters = {
-            name: {"value": e.value, "std": e.std, "unit": e.unit}
+            name: {"value": e.value, "std": e.std, "unit": e.unit} | _covariance(refined, effect.id, name)
             for name, e in refined.parameters[effect.id].items()
         }
         terms.append(Term(effect.id, parameters, effect.runtime))
