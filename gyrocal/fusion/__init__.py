@@ -14,21 +14,7 @@ from gyrocal.fusion.robot import FilterNoise, InitialStd, RobotParameters
 from gyrocal.fusion.static_bias import StaticBias, static_bias
 
 __all__ = [
-    "STATES",
-    "Coefficients",
-    "Compensator",
-    "Corrected",
-    "Counts",
-    "FilterNoise",
-    "InitialStd",
-    "Navigator",
-    "Noise",
-    "RobotParameters",
-    "StaticBias",
-    "Term",
-    "Trajectory",
-    "Valid",
-    "load_coefficients",
-    "parse_coefficients",
+    "STATES", "Coefficients", "Compensator", "Corrected", "Counts", "FilterNoise", "InitialStd", "Navigator", "Noise",
+    "RobotParameters", "StaticBias", "Term", "Trajectory", "Valid", "load_coefficients", "parse_coefficients",
     "static_bias",
-]
+]  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +94,7 @@ class Coefficients:
 
     def sigma_dps(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
         """Standard deviation of the predicted error (coefficient uncertainty only), deg/s."""
-        gyro, temp = np.broadcast_arrays(
-            np.asarray(gyro_dps, dtype=np.float64), np.asarray(temp_c, dtype=np.float64)
-        )
+        gyro, temp = np.broadcast_arrays(np.asarray(gyro_dps, float), np.asarray(temp_c, float))
         design = self.surface.design(gyro.ravel(), temp.ravel())
         variance = ((design @ self.covariance_dps2) * design).sum(axis=1)
         sigma = np.sqrt(np.maximum(variance, 0.0)).reshape(gyro.shape)
@@ -104,9 +102,7 @@ class Coefficients:
 
     def flags(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> NDArray[np.int64]:
         """Bits: 1 rate outside the valid range, 2 temperature outside, 4 not finite. 0 is good."""
-        gyro, temp = np.broadcast_arrays(
-            np.asarray(gyro_dps, dtype=np.float64), np.asarray(temp_c, dtype=np.float64)
-        )
+        gyro, temp = np.broadcast_arrays(np.asarray(gyro_dps, float), np.asarray(temp_c, float))
         rate = (gyro < self.valid.rate_dps[0]) | (gyro > self.valid.rate_dps[1])
         temperature = (temp < self.valid.temp_c[0]) | (temp > self.valid.temp_c[1])
         finite = np.isfinite(gyro) & np.isfinite(temp)
@@ -121,20 +117,8 @@ class Coefficients:
             "sensor": dict(self.sensor),
             "surface": self.surface.to_json() | {"covariance_dps2": self.covariance_dps2.tolist()},
             "valid": {"rate_dps": list(self.valid.rate_dps), "temp_c": list(self.valid.temp_c)},
-            "terms": [
-                {
-                    "effect": t.effect,
-                    "parameters": {k: dict(v) for k, v in t.parameters.items()},
-                    "runtime": t.runtime,
-                }
-                for t in self.terms
-            ],
-            "noise": {
-                "angle_random_walk_deg_per_rt_h": _interval_to_json(
-                    self.noise.angle_random_walk_deg_per_rt_h
-                ),
-                "bias_instability_deg_per_h": _interval_to_json(self.noise.bias_instability_deg_per_h),
-            },
+            "terms": [asdict(term) for term in self.terms],
+            "noise": {name: _interval_to_json(value) for name, value in vars(self.noise).items()},
             "figures": dict(self.figures),
             "provenance": dict(self.provenance),
         }
@@ -146,11 +130,11 @@ def _interval_to_json(interval: tuple[float, float, float] | None) -> dict[str, 
 
 
 def _interval_from_json(raw: Any) -> tuple[float, float, float] | None:
-    return (
-        None
-        if raw is None
-        else (float(raw["value"]), float(raw["interval_95"][0]), float(raw["interval_95"][1]))
-    )
+    return None if raw is None else (float(raw["value"]), *_pair(raw["interval_95"]))
+
+
+def _pair(raw: Any) -> tuple[float, float]:
+    return float(raw[0]), float(raw[1])
 
 
 def _digest(body: Mapping[str, Any]) -> str:
@@ -159,15 +143,7 @@ def _digest(body: Mapping[str, Any]) -> str:
 
 
 def load_coefficients(path: str | Path) -> Coefficients:
-    """Read and check a coefficient file.
-
-    Raises
-    ------
-    InputError
-        Missing or unreadable file.
-    CoefficientError
-        Truncated, edited, newer than this program, or malformed.
-    """
+    """Read a coefficient file; InputError where it cannot be read, CoefficientError where it is not sound."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -230,20 +206,13 @@ def _decode(body: dict[str, Any]) -> Coefficients:
         float(raw["temperature"]["center_c"]),
         float(raw["temperature"]["scale_c"]),
     )
-    valid = body["valid"]
     noise = body.get("noise") or {}
     return Coefficients(
         sensor=body["sensor"],
         surface=surface,
         covariance_dps2=np.array(raw["covariance_dps2"], dtype=np.float64).reshape(_TERMS, _TERMS),
-        valid=Valid(
-            (float(valid["rate_dps"][0]), float(valid["rate_dps"][1])),
-            (float(valid["temp_c"][0]), float(valid["temp_c"][1])),
-        ),
-        noise=Noise(
-            _interval_from_json(noise.get("angle_random_walk_deg_per_rt_h")),
-            _interval_from_json(noise.get("bias_instability_deg_per_h")),
-        ),
+        valid=Valid(_pair(body["valid"]["rate_dps"]), _pair(body["valid"]["temp_c"])),
+        noise=Noise(**{f.name: _interval_from_json(noise.get(f.name)) for f in fields(Noise)}),
         terms=tuple(Term(t["effect"], t["parameters"], bool(t["runtime"])) for t in body.get("terms", [])),
         figures=body.get("figures") or {},
         provenance=body.get("provenance") or {},

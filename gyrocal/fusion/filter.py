@@ -10,8 +10,7 @@ U unit upper triangular: then F P F' is F U with the same d, and noise and measu
 d >= 0 (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977). P is symmetric and positive by
 construction, after any number of steps.
 
-Imported when a `Navigator` is made, since numba takes a while to load; without numba the same functions run as
-they stand.
+Imported when a `Navigator` is made, since numba takes a while to load; without numba the same functions run.
 """
 
 from __future__ import annotations
@@ -278,17 +277,9 @@ def navigate(
 ) -> None:  # fmt: skip
     """Run rows through odometry and filter; `nav`, `m` and `counts` carry what is known to the next block.
 
-    Parameters
-    ----------
-    nav, m, figures, counts : ndarray, shapes (NAVIGATION_SIZE,), (MATRIX_ROWS, 9), (9,) and, of int64, (COUNTS_SIZE,)
-    dt, left, right, gyro : ndarray, shape (n,), s, m, m, deg/s
-    states : ndarray, shape (n, 9)
-        Out, in the paper's order.
-    std, innovation : ndarray, shapes (n, 9) and (n, 2), or without rows
-        Out: standard deviations; psi - phi before the update and its standard deviation, deg, NaN where nothing
-        was measured.
-    filtering : bool
-        False: heading from the gyro alone, no covariance.
+    `dt`, `left`, `right`, `gyro` have shape (n,), in s, m, m, deg/s. Out: `states`, and with the filter `std`, both of
+    shape (n, 9) in the paper's order, and `innovation` (n, 2): psi - phi before the update and its standard deviation,
+    deg, NaN where nothing was measured. Not `filtering`: heading from the gyro alone, no covariance.
     """
     for k in range(dt.size):
         some, encoders, usable = _usable(nav, figures, counts, dt[k], left[k], right[k], gyro[k])

@@ -68,16 +68,9 @@ class Navigator:
     The calibration corrects the gyro first, then the static bias is subtracted: that is the mean of *compensated*
     rates at rest (`static_bias`).
 
-    Parameters
-    ----------
-    coefficients : Coefficients, optional
-        Calibration of the gyro. With it the filter does not estimate the scale factor; without it, it does.
-    filtering : bool
-        False: orientation from the gyro alone, distance from the encoders.
-    estimate_scale : bool, optional
-        Overrides whether the filter estimates the scale factor.
-    power_on_t_s : float, optional
-        When the gyro was switched on, for calibrations that know its warm-up.
+    With `coefficients` the filter does not estimate the scale factor, without them it does (`estimate_scale`
+    overrides). Without `filtering`: orientation from the gyro alone, distance from the encoders. `power_on_t_s`, when
+    the gyro was switched on, is for calibrations that know its warm-up.
     """
 
     def __init__(
@@ -90,8 +83,7 @@ class Navigator:
         if not math.isfinite(static_bias_dps):
             raise DataError(f"the static bias is {static_bias_dps} deg/s; take it from a record at rest.")
         self.robot, self.coefficients, self.filtering = robot, coefficients, filtering
-        self.t_s = math.nan
-        self._loop = loop
+        self.t_s, self._loop = math.nan, loop
         self._compensator = None if coefficients is None else Compensator(coefficients)
         self._power_on_t_s, self._temp_c = power_on_t_s, math.nan
         self._counts, self._flagged = np.zeros(loop.COUNTS_SIZE, dtype=np.int64), np.zeros(3, dtype=np.int64)

@@ -41,13 +41,9 @@ class FilterNoise:
 class RobotParameters:
     """A robot as the filter sees it; ProfileError where a figure is not finite, negative, or a wrong zero.
 
-    Attributes
-    ----------
-    gate_sigma : float
-        An innovation beyond this many of its standard deviations counts as a slip of the wheels; 5 has a
-        false-alarm rate of 5.7e-7 a step (chi-square, one degree of freedom).
-    gap_factor : float
-        A time step above this multiple of the running median is a gap: the gyro is not integrated over it.
+    An innovation beyond `gate_sigma` of its standard deviations counts as a slip of the wheels: 5 has a false-alarm
+    rate of 5.7e-7 a step (chi-square, one degree of freedom). A time step above `gap_factor` times the running median
+    is a gap: the gyro is not integrated over it.
     """
 
     wheel_separation_m: float

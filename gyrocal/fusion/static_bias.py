@@ -10,13 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.errors import DataError
 
-#: The paper stands still for 5 to 10 s.
-LEAST_STATIC_S = 5.0
-#: A robot whose wheels go further, or whose gyro departs further for a second, does not rest.
-MOVED_M = 0.002
-TURNED_DPS = 0.5
-#: Samples further out than this many robust standard deviations lose weight (Huber).
-_HUBER = 2.5
+LEAST_STATIC_S = 5.0  # the paper stands still for 5 to 10 s
+MOVED_M = 0.002  # a robot whose wheels go further in all does not rest,
+TURNED_DPS = 0.5  # nor one whose gyro departs further for a second
+_HUBER = 2.5  # samples further out than this many robust standard deviations lose weight
 
 
 @dataclass(frozen=True)
