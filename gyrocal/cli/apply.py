@@ -36,7 +36,7 @@ def command(
     sigma_dps, flag. An unknown value is an empty cell.
 
     sigma_dps is the standard deviation of the predicted error: the uncertainty of the coefficients, and of
-    the amplitudes of added terms. The noise of the sample itself is not in it.
+    the terms that `diagnose` added. The noise of the sample itself is not in it.
 
     flag is a sum: 1 rate, 2 temperature outside the range that the calibration covers; 4 not finite;
     8 bad status; 16 temperature held from an earlier sample. 0 is good.
