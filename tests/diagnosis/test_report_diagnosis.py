@@ -25,7 +25,6 @@ from gyrocal.report.diagnosis_folds import bin_rows, coordinate_of, fold
 from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 
-
 ONE_OF_EACH_COORDINATE = (
     "shupe",
     "shupe_gradient",
