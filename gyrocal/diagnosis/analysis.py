@@ -107,9 +107,7 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
     for attempt in range(_ROUNDS):
         white = setup.model.whiten(levels, setup.matrix)[0]
         gram = np.asarray(white.T @ white)
-        search = Search(
-            gram, setup.surface_columns, setup.hypotheses, setup.series.n_sets, level, seed
-        )
+        search = Search(gram, setup.surface_columns, setup.hypotheses, setup.series.n_sets, level, seed)
         members = search.run(_carried(members, search))
         under = estimate_levels(setup.model, y, model_columns(setup, members), levels).levels
         finer = _finer(setup, search, members) if attempt == 0 else None
@@ -145,7 +143,11 @@ def _finer(setup: Setup, search: Search, members: Sequence[Member]) -> Setup | N
         rest = search.given([m for m in members if m is not member])
         for score in search.scores(rest):
             h = score.hypothesis
-            if h.id in ("bias_step", "scale_step") and score.gain > 0.1 * member.gain and score.p_value < 1e-3:
+            if (
+                h.id in ("bias_step", "scale_step")
+                and score.gain > 0.1 * member.gain
+                and score.p_value < 1e-3
+            ):
                 wanted.setdefault((h.id, h.df), score.point)
     base = setup.columns[:, setup.surface_columns]
     q = np.linalg.qr(base / np.linalg.norm(base, axis=0))[0]
@@ -205,7 +207,7 @@ def analyse(series: Series, level: float, seed: int) -> Analysis:
         return first
     fitted = _surface_beside(series, *hint)
     second = search_setup(prepare(series, simulate(series, fitted, carried_terms(series))), level, seed)
-    consistent = hint[0] in [m.hypothesis.id for m in second.members]
+    consistent = all(hint[0] in [m.hypothesis.id for m in a.members] for a in (first, second))
     return second if _criterion(second) < _criterion(first) + _SELF_CONSISTENT * consistent else first
 
 
@@ -247,9 +249,9 @@ def _surface_beside(series: Series, effect: str, start: dict[str, float]) -> Sur
         curve = hypotheses.law(effect, c, {key: value * factor}, None)
         added, rss, base = np.zeros(first.size), np.inf, fit_surface(means)
         for _ in range(7):
-            solution = np.linalg.lstsq(
-                np.column_stack([base.design, curve]), base.residual_dps, rcond=None
-            )[0]
+            solution = np.linalg.lstsq(np.column_stack([base.design, curve]), base.residual_dps, rcond=None)[
+                0
+            ]
             added = solution[-1] * curve
             base = fit_surface(means, added)
             rss = float(np.sum((base.residual_dps - added) ** 2))
@@ -263,6 +265,8 @@ def _criterion(analysis: Analysis) -> float:
     y = analysis.setup.base.residual_dps
     X = model_columns(analysis.setup, analysis.members)
     fit = estimate_levels(analysis.setup.model, y, X, analysis.levels)
-    amplitudes = sum(2 if m.hypothesis.random else m.hypothesis.df + len(m.hypothesis.shapes[0]) for m in analysis.members)
+    amplitudes = sum(
+        2 if m.hypothesis.random else m.hypothesis.df + len(m.hypothesis.shapes[0]) for m in analysis.members
+    )
     amplitudes += sum(m.free.shape[1] for m in analysis.members)
     return -2.0 * fit.ml + amplitudes * float(np.log(analysis.setup.series.n_sets))

@@ -143,20 +143,25 @@ def _verdict(effects: tuple[NamedEffect, ...], decided: Gate, remaining: bool, s
     return "unexplained" if unnamed else "consistent"
 
 
-def _explained_scatter(
-    scatter: list[Located], decided: Gate, findings: list[Finding]
-) -> list[Located]:
+def _explained_scatter(scatter: list[Located], decided: Gate, findings: list[Finding]) -> list[Located]:
     """Scatter that a named effect brings with it is no excess of its own."""
     names = {m.hypothesis.id for m in decided.named} | {f.effect for f in findings}
     if names & {"bursts", "mechanical_resonance", "quantisation", "truncation", "dead_zone"}:
-        return [replace(s, remains=False) for s in scatter if s.coordinate not in ("rate", "data_set_index", "time")]
+        return [
+            replace(s, remains=False)
+            for s in scatter
+            if s.coordinate not in ("rate", "data_set_index", "time")
+        ]
     return scatter
 
 
 def _named(member: Member, refined: Refined, improvement: Improvement | None) -> NamedEffect:
     effect = CATALOGUE[member.hypothesis.id]
-    rivals = [Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement)
-              for e, loss in member.rivals if e in CATALOGUE and loss < CLASS_NATS]
+    rivals = [
+        Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement)
+        for e, loss in member.rivals
+        if e in CATALOGUE and loss < CLASS_NATS
+    ]
     twins = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in TWINS.get(effect.id, ())]
     return NamedEffect(
         effect.id,

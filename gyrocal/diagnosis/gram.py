@@ -115,9 +115,7 @@ def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projec
     inner = cross[:, model + 1]
     if mixtures is not None and mixtures.size:
         mixed = mixtures.T @ gram[1:]
-        inner = np.block(
-            [[inner, mixed[:, model + 1].T], [mixed[:, model + 1], mixed[:, 1:] @ mixtures]]
-        )
+        inner = np.block([[inner, mixed[:, model + 1].T], [mixed[:, model + 1], mixed[:, 1:] @ mixtures]])
         cross = np.concatenate([cross, mixed])
     if cross.size:
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
@@ -128,7 +126,9 @@ def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projec
     return Projection(gram[1:, 1:], gram[1:, 0].copy(), norm[1:], float(gram[0, 0]))
 
 
-def effective_trials(projection: Projection, points: Ints, rng: np.random.Generator, draws: int = 2000) -> float:
+def effective_trials(
+    projection: Projection, points: Ints, rng: np.random.Generator, draws: int = 2000
+) -> float:
     """How many independent trials the best of a grid is worth.
 
     The ratio between the exact tail of the largest gain over the grid, by Monte Carlo under the fitted noise,

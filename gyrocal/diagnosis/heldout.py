@@ -76,7 +76,9 @@ def _sweeps(series: Series) -> list[Ints]:
     numbers, first = np.unique(series.set_index, return_index=True)
     if numbers.size < 12:
         return []
-    temps = np.array([float(np.mean(series.temp_c[series.set_index == n])) for n in numbers[series.is_set[first]]])
+    temps = np.array(
+        [float(np.mean(series.temp_c[series.set_index == n])) for n in numbers[series.is_set[first]]]
+    )
     sets = numbers[series.is_set[first]]
     if sets.size < 12:
         return []
@@ -108,9 +110,14 @@ def _leave_out(
     sets, inverse = np.unique(series.set_index[out], return_inverse=True)
     weight = 1.0 / series.white_std_dps[out] ** 2
     for k, chosen in enumerate(models):
-        columns = np.concatenate([np.arange(m, m + p), *(s for s, q in zip(spans, pieces, strict=True) if q in chosen)])
+        columns = np.concatenate(
+            [np.arange(m, m + p), *(s for s, q in zip(spans, pieces, strict=True) if q in chosen)]
+        )
         scale = np.maximum(np.linalg.norm(white_train[:, columns], axis=0), 1e-300)
-        solution = np.linalg.lstsq(white_train[:, columns] / scale, white_train[:, :m], rcond=1e-9)[0] / scale[:, None]
+        solution = (
+            np.linalg.lstsq(white_train[:, columns] / scale, white_train[:, :m], rcond=1e-9)[0]
+            / scale[:, None]
+        )
         left = everything[out][:, :m] - everything[out][:, columns] @ solution
         means = np.column_stack([np.bincount(inverse, weights=weight * column) for column in left.T])
         means /= np.bincount(inverse, weights=weight)[:, None]
@@ -119,9 +126,7 @@ def _leave_out(
             floor2 = np.mean(means[:, 1:] ** 2, axis=1)
         innovation = white_test[:, 0] - white_test[:, columns] @ solution[:, 0]
         logloss.append(np.bincount(inverse, weights=0.5 * innovation**2))
-    return _Heldout(
-        np.column_stack(squares), np.column_stack(logloss), floor2, np.full(sets.size, number)
-    )
+    return _Heldout(np.column_stack(squares), np.column_stack(logloss), floor2, np.full(sets.size, number))
 
 
 def _improvement(result: _Heldout, before: int, after: int, rng: np.random.Generator) -> Improvement:

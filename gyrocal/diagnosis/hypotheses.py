@@ -79,6 +79,10 @@ def law(
         before = {**known.typical(), "amplitude": 1.0, "at_s": float(c.t_s[0]) - 1e6}
         whole = known.error_dps(c, before, surface, None)[0]
         return np.asarray(whole * np.clip((c.t_s - shape["at_s"]) / c.row_s + 0.5, 0.0, 1.0))
+    if effect == "truncation" and surface is not None and shape.get("of_output"):
+        # What is cut is the output: at rest its sign is that of the bias.
+        output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
+        return np.asarray(-1e-3 * np.sign(output))
     p = {**known.typical(), **shape, "amplitude": 1.0}
     if phase_rad is not None:
         p["phase_rad"] = phase_rad
@@ -92,7 +96,15 @@ def phase_columns(effect: str, c: Conditions, shape: Shape) -> Floats:
 
 def columns_at(h: Hypothesis, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
     """Columns of a hypothesis of the catalogue at any shape, shape (n, df)."""
+    if h.id == "rate_order" and h.df == 2:
+        return two_orders(c, shape)
     return phase_columns(h.id, c, shape) if h.df == 2 else law(h.id, c, shape, surface)[:, None]
+
+
+def two_orders(c: Conditions, shape: Shape) -> Floats:
+    """Columns of an even and an odd order at once, shape (n, 2)."""
+    other = {**shape, "order": shape["order_2"]}
+    return np.column_stack([law("rate_order", c, shape, None), law("rate_order", c, other, None)])
 
 
 def finer_shapes(h: Hypothesis, point: int, series: Series) -> list[dict[str, float]]:
@@ -133,6 +145,7 @@ def shapes_of(effect: str, series: Series) -> list[dict[str, float]]:
         "table_eccentricity": [{"harmonic": 1.0}, {"harmonic": 2.0}],
         "step_response": _ringing(),
         "temperature_order": _powers(series, (3.0, 4.0)),
+        "truncation": [{"of_output": 0.0}, {"of_output": 1.0}],
         "rate_order": [{"order": o, "scale_dps": full or 1.0} for o in (4.0, 5.0, 6.0)],
     }
     return grids.get(effect, [{}])
@@ -158,7 +171,11 @@ def _dead_widths(size: Floats) -> Floats:
     small = size[size <= 10.0]
     if small.size == 0 or small[0] > 0.01:
         return np.empty(0)
-    return np.append((small[:-1] + small[1:]) / 2, small[-1] * 1.05 + 0.05) if small.size > 1 else np.array([0.05])
+    return (
+        np.append((small[:-1] + small[1:]) / 2, small[-1] * 1.05 + 0.05)
+        if small.size > 1
+        else np.array([0.05])
+    )
 
 
 def _set_starts(series: Series) -> Floats:
@@ -195,6 +212,10 @@ def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
             points = np.array([book.add(law(effect.id, c, s, surface)) for s in shapes])
             nuisance = _family_nuisance(effect.id, c, series, book)
             found.append(_hypothesis(effect.id, shapes, points, nuisance, series.has_time))
+            if effect.id == "rate_order":
+                both = {**shapes[0], "order": 5.0, "order_2": 4.0}
+                pair = book.add(two_orders(c, both))[None, :]
+                found.append(_hypothesis(effect.id, [both], pair, nuisance))
     reference = _reference_columns(series)
     if reference is not None:
         each = _hypothesis("reference_rate_error", [{}], book.add(reference)[None, :])

@@ -333,7 +333,11 @@ def _estimates(
     if h.random:
         return {"amplitude": _draw_size(analysis, h.points[0], units["amplitude"])}
     found: dict[str, Estimate] = {}
-    if values.size == 2:
+    if h.id == "rate_order" and values.size == 2:
+        amplitude, std = float(values[0]), float(np.sqrt(covariance[0, 0]))
+        found["amplitude_2"] = _normal(float(values[1]), float(np.sqrt(covariance[1, 1])), units["amplitude"])
+        units["order_2"] = units["order"]
+    elif values.size == 2:
         amplitude = float(np.hypot(*values))
         gradient = values / amplitude
         std = float(np.sqrt(gradient @ covariance @ gradient))
@@ -344,6 +348,8 @@ def _estimates(
     else:
         amplitude, std = float(values[0]), float(np.sqrt(covariance[0, 0]))
     for name, value in piece.shape.items():
+        if name not in units:
+            continue
         profile = profiles.get((h.id, name))
         found[name] = (
             Estimate(value, 0.0, units[name], (value, value))
@@ -420,7 +426,12 @@ def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decide
             name: {"value": e.value, "std": e.std, "unit": e.unit} | _covariance(refined, effect.id, name)
             for name, e in refined.parameters[effect.id].items()
         }
+        second = {
+            name: parameters.pop(f"{name}_2") for name in ("amplitude", "order") if f"{name}_2" in parameters
+        }
         terms.append(Term(effect.id, parameters, effect.runtime))
+        if second:
+            terms.append(Term(effect.id, {**parameters, **second}, effect.runtime))
     return Coefficients(
         sensor={"model": series.sensor_model},
         surface=refined.surface,

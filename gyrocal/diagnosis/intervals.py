@@ -34,7 +34,10 @@ def descend(
         return float(candidates[best]) if values[best] < loss(start) else start
     low, high = np.log(start / reach), np.log(start * reach)
     found = minimize_scalar(
-        lambda x: loss(float(np.exp(x))), bounds=(low, high), method="bounded", options={"xatol": 2e-3, "maxiter": 25}
+        lambda x: loss(float(np.exp(x))),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 2e-3, "maxiter": 25},
     )
     return float(np.exp(found.x)) if found.fun < loss(start) else start
 
@@ -58,9 +61,7 @@ def profile_interval(
     return Profile((low, high), (high - low) / _RATIO_95)
 
 
-def _crossing(
-    loss: Callable[[float], float], floor: float, best: float, ratio: float, limit: float
-) -> float:
+def _crossing(loss: Callable[[float], float], floor: float, best: float, ratio: float, limit: float) -> float:
     inside, outside = best, best
     for _ in range(8):
         outside = inside * ratio

@@ -78,7 +78,15 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
     statement = f"Single data sets do not belong to the rest: {'; '.join(names)}. Mislabelled, or disturbed; left out of the fit."
     size = float(1e3 * np.max(np.abs(off_dps)))
     place = Located("data_set_index", "mean", statement, 1e-12, 1.0)
-    return [Finding("bursts", statement, {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))}, 1e-12, place)]
+    return [
+        Finding(
+            "bursts",
+            statement,
+            {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))},
+            1e-12,
+            place,
+        )
+    ]
 
 
 def outlier_findings(series: Series) -> list[Finding]:
@@ -93,7 +101,11 @@ def outlier_findings(series: Series) -> list[Finding]:
     times = series.raw.outliers_t_s / 3600.0
     statement = f"{count} of {series.raw.samples} samples stand out of the noise by more than six standard deviations (bursts, slip ring)."
     place = Located(
-        "data_set_index", "variance", f"single samples between {times.min():.2f} and {times.max():.2f} h", p, 0.0
+        "data_set_index",
+        "variance",
+        f"single samples between {times.min():.2f} and {times.max():.2f} h",
+        p,
+        0.0,
     )
     spread = size / np.sqrt(2.0 * count)
     low, high = chi2.ppf([0.025, 0.975], 2 * count) / 2.0
@@ -120,7 +132,15 @@ def step_findings(series: Series, white_dps: float) -> list[Finding]:
     size = 1e3 * step
     statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
     place = Located("rate", "variance", "every sample lies on a lattice", 1e-12, 0.0)
-    return [Finding("quantisation", statement, {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))}, 1e-12, place)]
+    return [
+        Finding(
+            "quantisation",
+            statement,
+            {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))},
+            1e-12,
+            place,
+        )
+    ]
 
 
 def clock_findings(series: Series) -> list[Finding]:
@@ -166,7 +186,9 @@ def variance_places(analysis: Analysis, level: float) -> list[Located]:
     p_values = np.array([f[2] for f in found])
     passed = holm(p_values, level)
     best: dict[str, Located] = {}
-    excess = max(float(np.sum(squares)) * 1e-3, sum(max(f[3], 0.0) for f, ok in zip(found, passed, strict=True) if ok))
+    excess = max(
+        float(np.sum(squares)) * 1e-3, sum(max(f[3], 0.0) for f, ok in zip(found, passed, strict=True) if ok)
+    )
     for (coordinate, label, p, more), ok in zip(found, passed, strict=True):
         if ok and (coordinate not in best or p < best[coordinate].p_value):
             share = float(np.clip(more / excess, 0.0, 1.0))
@@ -182,7 +204,13 @@ def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[str]]]:
     hours = np.linspace(series.t_s[0], series.t_s[-1], 41)
     by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, 39)
     where = "time" if series.has_time else "data_set_index"
-    found.append((where, by_time, [f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in zip(hours[:-1], hours[1:], strict=True)]))
+    found.append(
+        (
+            where,
+            by_time,
+            [f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in zip(hours[:-1], hours[1:], strict=True)],
+        )
+    )
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:
         sector = np.floor(np.mod(series.angle_deg, 360.0) / 15.0).astype(np.int64)
         sector = np.where(np.abs(series.rate_dps) > 0, sector, 24)

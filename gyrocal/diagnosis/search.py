@@ -13,7 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.gram import Projection, effective_trials, holm, log_evidence, project, random_evidence, tail
+from gyrocal.diagnosis.gram import (
+    Projection,
+    effective_trials,
+    holm,
+    log_evidence,
+    project,
+    random_evidence,
+    tail,
+)
 from gyrocal.diagnosis.hypotheses import WRONG_SIGN, Hypothesis
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,9 @@ def sentences(d: Diagnosis) -> tuple[str, ...]:
     said = [_VERDICTS[d.verdict]]
     for place in d.located[:4]:
         what = "Scatter" if place.statistic == "variance" else "The mean"
-        said.append(f"{what} departs in {place.coordinate.replace('_', ' ')}: {place.region} (p = {_p(place.p_value)}).")
+        said.append(
+            f"{what} departs in {place.coordinate.replace('_', ' ')}: {place.region} (p = {_p(place.p_value)})."
+        )
     for effect in d.effects:
         said += _effect(effect)
     said += list(d.notes)

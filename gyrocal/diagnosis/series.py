@@ -211,7 +211,11 @@ def _outliers(gyro: Floats) -> Bools:
     deviation = gyro - local
     # The median of five takes part of the noise with it; the robust spread of what is left sets the scale.
     spread = 1.4826 * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
-    return np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * 1.25 * spread) if spread > 0 else np.zeros(gyro.size, bool)
+    return (
+        np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * 1.25 * spread)
+        if spread > 0
+        else np.zeros(gyro.size, bool)
+    )
 
 
 def _bin_numbers(t: Floats, rate: float, step_s: float, duration_s: float) -> Ints:
@@ -251,9 +255,7 @@ def _smooth(values: Floats, bench_t_s: Floats, seconds: float = 7.0) -> Floats:
     return smooth
 
 
-def _assemble_run(
-    run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[str]
-) -> Series:
+def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[str]) -> Series:
     untestable: dict[str, str] = {}
 
     def channel(key: str, coordinate: str, reason: str) -> Floats | None:
@@ -323,7 +325,9 @@ def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]]) -> Floats:
     level = {}
     for averaging in np.unique(times):
         chosen = times == averaging
-        level[averaging] = float(np.median(np.repeat(scatter[chosen], np.maximum(counts[chosen] // 10, 1).astype(int))))
+        level[averaging] = float(
+            np.median(np.repeat(scatter[chosen], np.maximum(counts[chosen] // 10, 1).astype(int)))
+        )
     walk = np.array([level[a] * np.sqrt(a) for a in level])
     reference = float(np.median(walk))
     std = np.empty(c["count"].size)

@@ -65,7 +65,13 @@ def strangers(series: Series, book: Book) -> list[Hypothesis]:
         numbers = book.add(columns).reshape(-1, k)
         found.append(
             Hypothesis(
-                f"({name})", coordinate, "", tuple({} for _ in numbers), numbers, prior=-3.0, in_catalogue=False
+                f"({name})",
+                coordinate,
+                "",
+                tuple({} for _ in numbers),
+                numbers,
+                prior=-3.0,
+                in_catalogue=False,
             )
         )
 
@@ -89,7 +95,7 @@ def _in_time(s: Series, enter: Enter) -> None:
     if periods.size:
         enter("periodic in time", where, _waves(s.t_s, periods), 2)
         if turning:
-            slow = periods[: 45 : 2]
+            slow = periods[:45:2]
             enter("scale factor periodic in time", where, _waves(s.t_s, slow) * s.rate_dps[:, None], 2)
     centres = np.linspace(0.05, 0.95, 19)
     x = _scaled(s.t_s)[:, None]
@@ -127,7 +133,11 @@ def _in_temperature_rate(s: Series, enter: Enter) -> None:
     if np.ptp(s.rate_dps) > 0:
         enter("scale factor by temperature rate", "temperature_rate", rate * s.rate_dps)
         lagged = [s.temp_c - s.history.lagged_at(tau, s.t_s) for tau in (300.0, 1200.0)]
-        enter("scale factor by lagged temperature", "temperature_rate", np.column_stack(lagged) * s.rate_dps[:, None])
+        enter(
+            "scale factor by lagged temperature",
+            "temperature_rate",
+            np.column_stack(lagged) * s.rate_dps[:, None],
+        )
         branch = s.history.play_at(0.1 * float(np.ptp(s.history.temp_c)), s.t_s) - s.temp_c
         enter("scale factor by branch", "temperature_branch", branch * s.rate_dps)
 
@@ -164,7 +174,11 @@ def _in_angle(s: Series, enter: Enter) -> None:
     enter("harmonic of the table angle growing with rate", "table_angle", np.column_stack(growing), 2)
     sectors = np.floor(np.mod(s.angle_deg, 360.0) / 15.0)
     moving = (np.abs(s.rate_dps) > 0)[:, None]
-    enter("one sector of the table", "table_angle", ((sectors[:, None] == np.arange(24)) & moving).astype(np.float64))
+    enter(
+        "one sector of the table",
+        "table_angle",
+        ((sectors[:, None] == np.arange(24)) & moving).astype(np.float64),
+    )
 
 
 def _in_rest(s: Series, enter: Enter) -> None:
@@ -201,7 +215,11 @@ def blocks(series: Series, book: Book) -> list[Block]:
         if rates.size > 4:
             knots = rates if rates.size <= 41 else quantile_knots(s.rate_dps, 41)
             enter("rate", "mean", hats(s.rate_dps, knots))
-            enter("rate", "by temperature", hats(s.rate_dps, quantile_knots(rates, 9)) * _scaled(s.temp_c)[:, None])
+            enter(
+                "rate",
+                "by temperature",
+                hats(s.rate_dps, quantile_knots(rates, 9)) * _scaled(s.temp_c)[:, None],
+            )
     if np.ptp(s.temp_c) > 3.0:
         enter("temperature", "bias", _cosines(s.temp_c, 16), (4, 8, 16))
         if turning:
@@ -233,7 +251,9 @@ def _thermal_blocks(s: Series, w: Floats | None, enter: Enter) -> None:
     enter("temperature_rate", "instant", hats(rate, knots))
     enter("temperature_rate", "lagged", lagged)
     branch = np.column_stack([s.history.play_at(r * span, s.t_s) - s.temp_c for r in (0.03, 0.1, 0.25)])
-    enter("temperature_branch", "bias", np.column_stack([branch, branch[:, 1:2] * _scaled(s.temp_c)[:, None]]))
+    enter(
+        "temperature_branch", "bias", np.column_stack([branch, branch[:, 1:2] * _scaled(s.temp_c)[:, None]])
+    )
     if w is not None:
         enter("temperature_rate", "scale factor", np.column_stack([rate[:, None] * w, lagged * w]))
         enter("temperature_branch", "scale factor", branch * w)

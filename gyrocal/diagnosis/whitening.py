@@ -201,13 +201,10 @@ class NoiseModel:
         run = _whiten_loops if HAVE_NUMBA else _whiten_numpy
         return run(self.decay, self.read, self.fresh, gains, std, np.ascontiguousarray(X)), std
 
-
     def simulate(self, levels: NoiseLevels, rng: np.random.Generator, count: int) -> Floats:
         """Draws of the noise at the rows, deg/s, shape (n, count)."""
         n, k = self.decay.shape
-        flicker = _colour_loops(
-            self.decay, self.read, rng.standard_normal((k, n, count)), levels.flicker_dps
-        )
+        flicker = _colour_loops(self.decay, self.read, rng.standard_normal((k, n, count)), levels.flicker_dps)
         white = levels.white * np.sqrt(self.white_var)[:, None] * rng.standard_normal((n, count))
         first = np.flatnonzero(self.fresh)
         size = levels.jitter * np.sqrt(self.rate_var[first])[:, None]
@@ -257,9 +254,7 @@ def _evaluate(model: NoiseModel, ratios: Floats, yX: Floats) -> Likelihood:
     return Likelihood(NoiseLevels(q, q * base.flicker_dps, q * base.jitter), reml, ml)
 
 
-def estimate_levels(
-    model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels | None = None
-) -> Likelihood:
+def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels | None = None) -> Likelihood:
     """Noise levels by restricted maximum likelihood, with the columns of X as unknown mean.
 
     Parameters
@@ -273,8 +268,12 @@ def estimate_levels(
     yX = np.column_stack([y, X])
     jitters = np.log([3e-6, 1e-4]) if model.turns else [np.log(1e-9)]
     if start is not None:
-        first = np.array([np.log(max(start.flicker_dps / start.white / model.typical_white, 1e-4)),
-                          np.log(max(start.jitter / start.white, 1e-7))])
+        first = np.array(
+            [
+                np.log(max(start.flicker_dps / start.white / model.typical_white, 1e-4)),
+                np.log(max(start.jitter / start.white, 1e-7)),
+            ]
+        )
     else:
         trials = [np.array([a, b]) for a in np.log([0.05, 0.3, 2.0]) for b in jitters]
         first = max(trials, key=lambda r: _evaluate(model, r, yX).reml)
@@ -285,11 +284,19 @@ def estimate_levels(
         return -value + float(np.sum((r - inside) ** 2)) if np.isfinite(value) else 1e12
 
     if not model.turns:
-        flat = minimize(lambda a: loss(np.array([a[0], first[1]])), first[:1], method="Nelder-Mead",
-                        options={"xatol": 0.01, "fatol": 0.01, "maxfev": 40})
+        flat = minimize(
+            lambda a: loss(np.array([a[0], first[1]])),
+            first[:1],
+            method="Nelder-Mead",
+            options={"xatol": 0.01, "fatol": 0.01, "maxfev": 40},
+        )
         return _evaluate(model, np.array([flat.x[0], first[1]]), yX)
     step = 0.3 if start is not None else 0.7
     simplex = np.array([first, first + [step, 0.0], first + [0.0, step]])
-    best = minimize(loss, first, method="Nelder-Mead",
-                    options={"xatol": 0.02, "fatol": 0.02, "maxfev": 60, "initial_simplex": simplex})
+    best = minimize(
+        loss,
+        first,
+        method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.02, "maxfev": 60, "initial_simplex": simplex},
+    )
     return _evaluate(model, best.x, yX)
