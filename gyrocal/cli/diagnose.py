@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Model to simulate from; without it the surface is fitted to the recording first.",
 )
+@click.option(
+    "--robot", type=click.Path(path_type=Path), help="Robot file: RECORDING is a drive log, not a bench run."
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the results.")
 @click.option(
     "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
 def command(
     recording: Path,
     coefficients: Path | None,
+    robot: Path | None,
     out: Path,
     counts_per_dps: float | None,
     bench_hours: float,
@@ -47,7 +51,9 @@ def command(
     force_sensor: bool,
     as_json: bool,
 ) -> None:
-    """Compare RECORDING (a run directory or a table of data sets) with its simulation and name what is missing.
+    """Compare RECORDING with its simulation and name what is missing.
+
+    RECORDING is a run directory, a table of data sets or, with --robot, a drive log.
 
     Writes diagnosis.json, diagnosis.html with pictures, surface.json (the model before), improved.json where
     physics was found (a coefficient file with that physics as terms), and next_experiment.toml where an
@@ -57,7 +63,9 @@ def command(
     """
     from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
 
-    config = DiagnoseConfig(recording, out, coefficients, counts_per_dps, bench_hours, seed, force_sensor)
+    config = DiagnoseConfig(
+        recording, out, coefficients, robot, counts_per_dps, bench_hours, seed, force_sensor
+    )
     with progress("diagnose", quiet=as_json) as tell:
         result = write_diagnosis(config, tell)
     if as_json:

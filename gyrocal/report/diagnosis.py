@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
@@ -153,7 +154,7 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
                     p.statistic,
                     p.region,
                     format_p(p.p_value),
-                    f"{p.share:.0%}",
+                    f"{p.share:.0%}" if math.isfinite(p.share) else "-",
                     "yes" if p.remains else "no",
                 )
                 for p in diagnosis.located
@@ -216,7 +217,8 @@ def value_text(e: Estimate) -> str:
 
 def interval_text(e: Estimate) -> str:
     """A parameter's 95 % interval."""
-    return f"{e.interval_95[0]:.4g} to {e.interval_95[1]:.4g}"
+    low, high = e.interval_95
+    return f"{low:.4g} to {high:.4g}" if low < high else "chosen, not estimated"
 
 
 def format_p(p: float) -> str:

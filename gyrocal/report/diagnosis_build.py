@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 import gyrocal
 from gyrocal.bench.profile import profile_from_dict
 from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.diagnosis.drive_result import diagnose_drive
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.next_experiment import propose, to_toml
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.errors import InputError, LimitError, ProfileError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.records.datasets import DataSetTable, read_data_sets
+from gyrocal.records.drive import read_drive_log
+from gyrocal.records.robot import read_robot
 from gyrocal.records.run import Run, read_run
 from gyrocal.report import style
 from gyrocal.report.diagnosis import diagnosis_page, figures
+from gyrocal.report.diagnosis_drive import drive_figures
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Picture
 
@@ -36,6 +42,7 @@ class DiagnoseConfig:
     recording: Path
     out: Path
     coefficients: Path | None = None
+    robot: Path | None = None
     counts_per_dps: float | None = None
     bench_hours: float = 8.0
     seed: int = 0
@@ -61,16 +68,36 @@ def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResul
     """
     check_output(config.out)
     progress(0.02, "read")
+    if config.robot is not None:
+        return _write_drive(config, config.robot, progress)
     source = _read(config)
     coefficients, notes = _model(config, source)
     progress(0.1, "examine")
     found = diagnose(source, coefficients, Options(seed=config.seed))
     progress(0.7, "next experiment")
     found = replace(with_next_experiment(found, source, config.bench_hours), notes=(*found.notes, *notes))
-    files = diagnosis_files(found, _provenance(config), progress)
+    files = diagnosis_files(found, figures(found), _provenance(config), progress)
     write_directory(config.out, files)
     progress(1.0, "")
     return DiagnoseResult(found, config.out, tuple(files))
+
+
+def _write_drive(config: DiagnoseConfig, robot_file: Path, progress: Progress) -> DiagnoseResult:
+    if config.counts_per_dps is not None:
+        raise InputError(f"{config.recording}: --counts-per-dps is for tables of data sets. Leave it out.")
+    robot = read_robot(robot_file)
+    log = read_drive_log(config.recording, robot.metres_per_tick)
+    coefficients = None if config.coefficients is None else load_coefficients(config.coefficients)
+    progress(0.1, "examine")
+    found = diagnose_drive(config.recording.name, log, robot, coefficients, config.seed)
+    drawn = drive_figures(found)
+    provenance = _provenance(config) | {"robot": robot_file.name}
+    if coefficients is None:
+        provenance["coefficients"] = "none: the gyro as logged"
+    files = diagnosis_files(found.diagnosis, drawn, provenance, progress)
+    write_directory(config.out, files)
+    progress(1.0, "")
+    return DiagnoseResult(found.diagnosis, config.out, tuple(files))
 
 
 def _read(config: DiagnoseConfig) -> Run | DataSetTable:
@@ -118,7 +145,10 @@ def with_next_experiment(
 
 
 def diagnosis_files(
-    diagnosis: Diagnosis, provenance: Mapping[str, str], progress: Progress
+    diagnosis: Diagnosis,
+    drawn: Sequence[tuple[Picture, Figure | None]],
+    provenance: Mapping[str, str],
+    progress: Progress,
 ) -> dict[str, bytes | str]:
     """Name to contents of everything that a diagnosis writes."""
     files: dict[str, bytes | str] = {
@@ -131,7 +161,6 @@ def diagnosis_files(
     if diagnosis.next_experiment is not None and diagnosis.next_experiment.get("profile"):
         files[_PROFILE_FILE] = to_toml(diagnosis.next_experiment["profile"])
     pictures: list[Picture] = []
-    drawn = figures(diagnosis)
     for number, (picture, figure) in enumerate(drawn):
         progress(0.75 + 0.2 * number / len(drawn), picture.title)
         if figure is None:

@@ -151,7 +151,7 @@ def fold(rows: Rows, effect: NamedEffect) -> Fold | None:
             np.bincount(bins, values * gain * weight) / np.bincount(bins, gain**2 * weight), dtype=np.float64
         )
 
-    error = _standard_error(after, gain, weight, bins, sets)
+    error = clustered_error(after, gain, weight, bins, sets)
     return Fold(c, x, mean(after + law), mean(after), error, mean(law))
 
 
@@ -172,7 +172,7 @@ def bin_rows(x: Floats) -> tuple[NDArray[np.int64], Floats]:
     return bins, np.asarray(np.bincount(bins, x) / count)
 
 
-def _standard_error(
+def clustered_error(
     values: Floats, gain: Floats, weight: Floats, bins: NDArray[np.int64], sets: NDArray[np.int64]
 ) -> Floats:
     """Cluster-robust standard error of each bin's mean, data sets as clusters; NaN with fewer than three."""

@@ -52,7 +52,7 @@ def found() -> Diagnosis:
 
 @pytest.fixture(scope="module")
 def files(found: Diagnosis) -> dict[str, bytes | str]:
-    return diagnosis_files(found, {"software": "gyrocal"}, _quiet)
+    return diagnosis_files(found, figures(found), {"software": "gyrocal"}, _quiet)
 
 
 @pytest.mark.parametrize("effect", ONE_OF_EACH_COORDINATE)
@@ -119,7 +119,7 @@ def test_page_says_and_shows_everything(files: dict[str, bytes | str]) -> None:
 
 
 def test_files_are_the_same_each_time(found: Diagnosis, files: dict[str, bytes | str]) -> None:
-    assert diagnosis_files(found, {"software": "gyrocal"}, _quiet) == files
+    assert diagnosis_files(found, figures(found), {"software": "gyrocal"}, _quiet) == files
 
 
 def test_record_without_rows_has_a_page_too(found: Diagnosis) -> None:
