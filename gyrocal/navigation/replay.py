@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from gyrocal.navigation.align import (
     align_start,
     position_errors,
 )
+from gyrocal.navigation.observability import Observability, observability
 from gyrocal.navigation.survey import Survey, check, survey
 from gyrocal.records.drive import DriveBlock, cut, join
 from gyrocal.records.robot import Robot
@@ -109,7 +109,7 @@ class Track:
 class LogReplay:
     """A log in every condition that is possible; `notes` says what is not, and why.
 
-    `observability` says which constants this log can tell apart; `truth` holds x, y, heading at the kept rows, shape (k, 3), NaN where the log has none.
+    `observability` says, for each condition with the filter, which constants this log can tell apart; `truth` holds x, y, heading at the kept rows, shape (k, 3), NaN where the log has none.
     """
 
     name: str
@@ -118,7 +118,7 @@ class LogReplay:
     t_s: Floats
     truth: Floats
     tracks: tuple[Track, ...]
-    observability: Mapping[str, Any]
+    observability: Mapping[str, Observability]
     notes: tuple[str, ...]
 
     def track(self, condition_id: str) -> Track | None:
@@ -164,17 +164,9 @@ def replay_log(
     found = survey(source.name, source.blocks())
     check(found, robot.wheel_separation_m)
     notes = list(found.notes())
-    conditions = [
-        c for c in CONDITIONS if not c.calibrated or _calibration_usable(found, coefficients, notes)
-    ]
-    head = _head(source, robot.static_s, notes)
-    try:
-        biases = {
-            calibrated: _bias(head, robot, coefficients if calibrated else None, power_on_t_s)
-            for calibrated in sorted({c.calibrated for c in conditions})
-        }
-    except DataError as error:
-        raise DataError(f"{source.name}: {error}") from error
+    usable = _calibration_usable(found, coefficients, notes)
+    conditions = [c for c in CONDITIONS if usable or not c.calibrated]
+    biases = _biases(source, robot, conditions, coefficients, power_on_t_s, notes)
     navigators = [
         Navigator(
             parameters_of(robot),
@@ -192,7 +184,14 @@ def replay_log(
         _check_validity(found, navigator, notes)
         tracks.append(_compare(track, truth, found, method, returns))
     return LogReplay(
-        source.name, _direction(tracks[0]), found, t_s, truth, tuple(tracks), {}, tuple(dict.fromkeys(notes))
+        source.name,
+        _direction(tracks[0]),
+        found,
+        t_s,
+        truth,
+        tuple(tracks),
+        _seen(robot, tracks),
+        tuple(dict.fromkeys(notes)),
     )
 
 
@@ -224,17 +223,41 @@ def _head(source: DriveSource, static_s: float, notes: list[str]) -> DriveBlock 
     return join(parts)
 
 
-def _bias(
-    head: DriveBlock | None, robot: Robot, coefficients: Coefficients | None, power_on_t_s: float | None
-) -> StaticBias | None:
-    """Static bias of the (compensated) rates at rest."""
-    if head is None:
-        return None
-    rate = head.gyro_dps
-    if coefficients is not None:
-        since_s = None if power_on_t_s is None else head.t_s - power_on_t_s
-        rate = Compensator(coefficients).correct(head.t_s, rate, head.gyro_temp_c, since_s)
-    return static_bias(head.t_s, head.left_m, head.right_m, rate, robot.static_s)
+def _biases(
+    source: DriveSource,
+    robot: Robot,
+    conditions: list[Condition],
+    coefficients: Coefficients | None,
+    power_on_t_s: float | None,
+    notes: list[str],
+) -> dict[bool, StaticBias | None]:
+    """Static bias of the raw rates (False) and of the compensated ones (True), as far as the conditions need them."""
+    head = _head(source, robot.static_s, notes)
+    biases: dict[bool, StaticBias | None] = {}
+    for calibrated in sorted({c.calibrated for c in conditions}):
+        if head is None:
+            biases[calibrated] = None
+            continue
+        rate = head.gyro_dps
+        if calibrated and coefficients is not None:
+            since_s = None if power_on_t_s is None else head.t_s - power_on_t_s
+            rate = Compensator(coefficients).correct(head.t_s, rate, head.gyro_temp_c, since_s)
+        try:
+            biases[calibrated] = static_bias(head.t_s, head.left_m, head.right_m, rate, robot.static_s)
+        except DataError as error:
+            raise DataError(f"{source.name}: {error}") from error
+    return biases
+
+
+def _seen(robot: Robot, tracks: list[Track]) -> dict[str, Observability]:
+    parameters = parameters_of(robot)
+    return {
+        t.condition.id: observability(
+            parameters, t.covariance, t.heading_deg, estimate_scale=not t.condition.calibrated
+        )
+        for t in tracks
+        if t.condition.filtering
+    }
 
 
 def _run(

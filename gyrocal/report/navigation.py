@@ -196,6 +196,9 @@ def _remarks(
         )
     for replay in replays if len(replays) <= 3 else ():
         found.append(f"{replay.name}: {compare_yaw(replay.survey, robot.wheel_separation_m).sentence()}.")
+        for condition, seen in replay.observability.items():
+            label = next(c.label for c in CONDITIONS if c.id == condition)
+            found.append(f"{replay.name}, {label}: {' '.join(seen.sentences())}")
     said: dict[str, list[str]] = {}
     for replay in replays:
         for note in replay.notes:
@@ -217,7 +220,7 @@ def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
         "distance_m": found.distance_m,
         "truth_rows": found.truth_rows,
         "yaw": compare_yaw(found, robot.wheel_separation_m).to_json(),
-        "observability": dict(replay.observability),
+        "observability": {k: v.to_json() for k, v in replay.observability.items()},
         "conditions": {t.condition.id: _track_summary(t, robot) for t in replay.tracks},
         "notes": list(replay.notes),
     }

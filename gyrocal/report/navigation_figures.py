@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 COLOURS = dict(zip((c.id for c in CONDITIONS), (ORANGE, GREEN, SKY, BLUE), strict=True))
 _CW, _CCW = ORANGE, BLUE
 #: Points of a curve that a figure can show; more only make the SVG heavy.
-_POINTS = 2000
+_POINTS = 700
 
 #: The constants among the nine states: index, label, factor to the label's unit.
 PARAMETERS = (

@@ -1,0 +1,71 @@
+"""Files and page of a replay, and the figures that stand in them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from gyrocal.navigation.replay import LogReplay, replay_log
+from gyrocal.navigation.table import make_table
+from gyrocal.report import navigation as module
+from gyrocal.report.navigation import build, shown, verdict
+from gyrocal.report.navigation_figures import draw_errors, draw_innovations, draw_states, draw_trajectories
+from tests.navigation.drives import both_ways, calibration, drive, robot, source
+
+
+@pytest.fixture(scope="module")
+def replays() -> list[LogReplay]:
+    """One log each way, in four conditions."""
+    names = ("cw1", "ccw1")
+    return [
+        replay_log(source(log, name=n), robot(), calibration())
+        for n, log in zip(names, both_ways(), strict=True)
+    ]
+
+
+def test_files_and_summary(replays: list[LogReplay], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "render", lambda figure, kind: b"picture")
+    said: list[float] = []
+    result = build(replays, robot(), calibration(), lambda share, what: said.append(share))
+    assert said == sorted(said)
+    names = set(result.files)
+    assert {"trajectories/cw1.csv", "states/ccw1_uncalibrated_filter.csv", "figures/table.svg"} <= names
+    summary = json.loads(result.files["summary.json"])
+    log = summary["logs"][0]
+    assert log["observability"]["calibrated_filter"]["seen"] >= 1
+    assert log["conditions"]["calibrated"]["position_error_m"]["return"] < 0.5
+    assert log["conditions"]["calibrated_filter"]["estimates"]["heading_deg"]["sigma"] > 0
+    assert summary["robot"]["defaults_used"] == []
+    header, *rows = result.files["trajectories/cw1.csv"].decode().splitlines()
+    assert header.startswith("t_s,truth_x_m,truth_y_m,truth_heading_deg,uncalibrated_x_m")
+    assert len(rows) == len(drive())
+    last = dict(zip(header.split(","), map(float, rows[-1].split(",")), strict=True))
+    end_m = np.hypot(last["calibrated_x_m"] - last["truth_x_m"], last["calibrated_y_m"] - last["truth_y_m"])
+    assert end_m == pytest.approx(log["conditions"]["calibrated"]["position_error_m"]["end"], abs=2e-4)
+    page = result.files["replay.html"].decode()
+    assert "Table II of these runs" in page
+    assert "cw1, calibration, filter: The log sees" in page
+
+
+def test_the_verdict_says_sizes_and_factors(replays: list[LogReplay]) -> None:
+    text = verdict(make_table(replays))
+    assert text.startswith("Mean return position error of 2 logs: ")
+    assert "cm (calibration, filter)" in text
+    assert "-fold by both." in text
+
+
+def test_figures_show_what_they_say(replays: list[LogReplay]) -> None:
+    assert [r.name for r in shown([*replays, *replays])] == ["cw1", "ccw1"]
+    trajectories = draw_trajectories(replays, make_table(replays))
+    assert len(trajectories.axes) == 4
+    errors = draw_errors(replays[0])
+    assert [axes.get_ylabel() for axes in errors.axes if axes.get_ylabel()] == [
+        "heading error, deg",
+        "position error, m",
+    ]
+    assert len(draw_innovations(replays[0]).axes) == 2
+    states = draw_states(replays[0])
+    # Without calibration five constants, with it four: the gyro's scale is not estimated.
+    assert [len(axes.lines) for axes in states.axes] == [2, 2, 2, 1, 2]
