@@ -12,6 +12,8 @@ from gyrocal.records.csvio import Floats, format_columns, read_columns, read_hea
 
 COLUMNS = ("rate_dps", "gyro_dps", "gyro_counts", "temp_c", "gyro_std_dps", "n", "t_s", "temp_rate_c_per_min")
 
+ABSOLUTE_ZERO_C = -273.15
+
 
 @dataclass(frozen=True)
 class DataSetTable:
@@ -50,7 +52,7 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
     require_columns(path, header, ("rate_dps", "gyro_counts" if counts else "gyro_dps", "temp_c"), COLUMNS)
     if counts and "gyro_dps" in header:
         raise InputError(f"{path}, line 1: has both gyro_dps and gyro_counts. Remove one of them.")
-    if counts and not counts_per_dps:
+    if counts and not (counts_per_dps and np.isfinite(counts_per_dps)):
         raise InputError(
             f"{path}: is in counts; give the nominal scale with --counts-per-dps (its sign included)."
         )
@@ -66,6 +68,7 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
         if bad.size:
             msg = f"{path}, line {bad[0] + 2}: {name} is empty or not finite ({bad.size} such cells). Repair or remove the row."
             raise InputError(msg)
+    _check_values(path, columns)
     if "t_s" in columns:
         back = np.flatnonzero(np.diff(columns["t_s"]) < 0)
         if back.size:
@@ -82,6 +85,23 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
         columns.get("temp_rate_c_per_min"),
         counts_per_dps,
     )
+
+
+def _check_values(path: Path, columns: dict[str, Floats]) -> None:
+    """Refuse values that no data set can have."""
+    none = np.empty(0)
+    n, std, temp = (columns.get(name, none) for name in ("n", "gyro_std_dps", "temp_c"))
+    rules = (
+        ("n", (n < 1) | (n != np.round(n)), "a whole number of samples, 1 or more, is wanted"),
+        ("gyro_std_dps", std < 0, "a standard deviation is not negative"),
+        ("temp_c", temp < ABSOLUTE_ZERO_C, "no temperature is that low"),
+    )
+    for name, wrong, why in rules:
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f"{path}, line {row + 2}: {name} is {columns[name][row]:.6g}; {why}. Repair the row."
+            )
 
 
 def format_data_sets(table: DataSetTable) -> str:

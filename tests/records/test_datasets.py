@@ -1,0 +1,69 @@
+"""Table of data sets: reader and writer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gyrocal.errors import InputError
+from gyrocal.records.datasets import DataSetTable, format_data_sets, read_data_sets
+
+SETTINGS = settings(
+    max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+VALUES = st.floats(-200, 200)
+
+
+@SETTINGS
+@given(
+    rows=st.lists(st.tuples(VALUES, VALUES, VALUES, st.integers(1, 10_000)), min_size=1, max_size=10),
+    timed=st.booleans(),
+)
+def test_what_is_written_is_read(
+    tmp_path: Path, rows: list[tuple[float, float, float, int]], timed: bool
+) -> None:
+    rate, gyro, temp, n = np.array(rows, dtype=np.float64).T
+    times = 20.0 * np.arange(rate.size) if timed else None
+    path = tmp_path / "t.csv"
+    path.write_text(format_data_sets(DataSetTable(path, rate, gyro, temp, n=n, t_s=times)))
+    found = read_data_sets(path)
+    np.testing.assert_allclose(found.rate_dps, rate, atol=5.1e-7)
+    np.testing.assert_allclose(found.gyro_dps, gyro, atol=5.1e-9)
+    np.testing.assert_allclose(found.temp_c, temp, atol=5.1e-5)
+    assert found.n is not None
+    np.testing.assert_array_equal(found.n, n)
+    assert (found.t_s is None) == (not timed)
+    assert found.gyro_std_dps is None
+
+
+def refused(path: Path, text: str, counts_per_dps: float | None = None) -> str:
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_data_sets(path, counts_per_dps)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "counts", "message"),
+    [
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", None, "give the nominal scale"),
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", 0.0, "give the nominal scale"),
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", float("nan"), "give the nominal scale"),
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", float("inf"), "give the nominal scale"),
+        ("rate_dps,gyro_dps,temp_c\n1,2,3\n", 5.0, "in deg/s already"),
+        ("rate_dps,gyro_dps,gyro_counts,temp_c\n1,2,2,3\n", 5.0, "has both"),
+        ("rate_dps,gyro_dps,temp_c\n", None, "no rows"),
+        ("rate_dps,gyro_dps,temp_c\n1,2,3\n1,1e999,3\n", None, "line 3: gyro_dps is empty or not finite"),
+        ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,9\n1,2,3,8\n", None, "line 3: time goes backwards"),
+        ("rate_dps,gyro_dps,temp_c,n\n1,2,3,0\n", None, "line 2: n is 0"),
+        ("rate_dps,gyro_dps,temp_c,n\n1,2,3,2.5\n", None, "line 2: n is 2.5"),
+        ("rate_dps,gyro_dps,temp_c,gyro_std_dps\n1,2,3,-1\n", None, "line 2: gyro_std_dps is -1"),
+        ("rate_dps,gyro_dps,temp_c\n1,2,-300\n", None, "line 2: temp_c is -300"),
+    ],
+)
+def test_bad_tables(tmp_path: Path, text: str, counts: float | None, message: str) -> None:
+    assert message in refused(tmp_path / "t.csv", text, counts)
