@@ -72,7 +72,7 @@ class Case:
         return f"{self.kind}:{'+'.join(f'{e}@{s:g}' for e, s in self.effects)}:{self.seed}"
 
 
-def cases(trials: int, seed: int) -> Iterator[Case]:
+def cases(trials: int, seed: int, plan: str | None = None) -> Iterator[Case]:
     """`trials` cases, kinds and effects interleaved so that any beginning of the list is a fair sample."""
     rng = np.random.default_rng([77, seed])
     # Of twenty trials.
@@ -97,7 +97,7 @@ def cases(trials: int, seed: int) -> Iterator[Case]:
             effects = ((str(outside[k % len(outside)]), float((12, 20)[(k // len(outside) + k) % 2])),)
         elif kind == "level":
             effects = (list(LEVELS.items())[k % len(LEVELS)],)
-        yield Case("single" if kind in order else kind, effects, 100_000 * seed + n)
+        yield Case("single" if kind in order else kind, effects, 100_000 * seed + n, plan)
 
 
 def run_case(case: Case) -> Outcome:
@@ -236,13 +236,14 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("score.jsonl"))
+    parser.add_argument("--plan", choices=list(PLANS), help="One plan for all; drawn unless given.")
     parser.add_argument("--practice", action="store_true")
     args = parser.parse_args()
     if args.practice:
         sys.stdout.write("\n".join(practice()) + "\n")
         return
     sys.stdout.write(f"plans {', '.join(PLANS)}; seed {args.seed}\n")
-    sys.stdout.write(format_table(run_all(cases(args.trials, args.seed), args.out)))
+    sys.stdout.write(format_table(run_all(cases(args.trials, args.seed, args.plan), args.out)))
 
 
 if __name__ == "__main__":
