@@ -96,10 +96,17 @@ def render(figure: Figure, kind: str) -> bytes:
     stream = io.BytesIO()
     metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": "gyrocal"}
     with mpl.rc_context(_RC):
+        _lay_out(figure)
         figure.savefig(stream, format=kind, metadata=metadata, dpi=PNG_DPI)
-    # The layout is worked out once: a second format then has the same, and takes half the time.
-    figure.set_layout_engine("none")
     return stream.getvalue()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Work out the layout once, for all formats: each savefig would otherwise draw twice for it."""
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        with mpl.rc_context({"figure.constrained_layout.use": False, "figure.autolayout": False}):
+            figure.set_layout_engine(None)
 
 
 def ordered_colours(n: int) -> list[tuple[float, float, float, float]]:
