@@ -269,4 +269,4 @@ def _criterion(analysis: Analysis) -> float:
         2 if m.hypothesis.random else m.hypothesis.df + len(m.hypothesis.shapes[0]) for m in analysis.members
     )
     amplitudes += sum(m.free.shape[1] for m in analysis.members)
-    return -2.0 * fit.ml + amplitudes * float(np.log(analysis.setup.series.n_sets))
+    return float(-2.0 * fit.ml + amplitudes * np.log(analysis.setup.series.n_sets))

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis, analyse
 from gyrocal.diagnosis.gate import Gate, gate
+from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
+from gyrocal.diagnosis.heldout import improvements
 from gyrocal.diagnosis.hypotheses import TWINS, untestable
 from gyrocal.diagnosis.improve import Refined, coefficients_of, refine, surface_coefficients
-from gyrocal.diagnosis.heldout import improvements
 from gyrocal.diagnosis.locate import lack_of_fit, locate
 from gyrocal.diagnosis.result import (
     Alternative,
@@ -34,7 +35,7 @@ from gyrocal.diagnosis.scatter import (
 )
 from gyrocal.diagnosis.search import Member
 from gyrocal.diagnosis.sentences import sentences
-from gyrocal.diagnosis.series import Series, series_of_run, series_of_table
+from gyrocal.diagnosis.series import Series, series_of_run, series_of_table, set_means
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import CATALOGUE
@@ -93,7 +94,7 @@ def diagnose(
         The recording cannot be read, or is too short to be examined.
     """
     options = options or Options()
-    whole = series_of(recording)
+    whole = without_terms(series_of(recording), coefficients)
     if len(whole) < 30:
         raise DataError(f"{whole.name}: has {len(whole)} rows; a diagnosis needs at least 30. Record longer.")
     numbers, off_dps = bad_sets(whole)
@@ -103,17 +104,19 @@ def diagnose(
     remaining = lack_of_fit(analysis, options.false_alarm_rate)
     decided = gate(analysis.members, remaining)
     located = locate(analysis, remaining, options.false_alarm_rate)
-    white = analysis.levels.white * analysis.setup.model.typical_white
     findings += outlier_findings(series) + step_findings(series, _sample_white(series, analysis))
     findings += clock_findings(series)
     scatter = variance_places(analysis, options.false_alarm_rate)
     refined = refine(analysis, decided)
     gains, total = improvements(analysis, refined, decided, options.seed) if options.heldout else ({}, None)
-    effects = tuple(_named(m, refined, gains.get(m.hypothesis.id)) for m in decided.named)
-    effects += tuple(_found(f) for f in findings)
+    effects = (
+        *(_named(m, refined, gains.get(m.hypothesis.id)) for m in decided.named),
+        *map(_found, findings),
+    )
     scatter = _explained_scatter(scatter, decided, findings)
-    everywhere = (*located, *(f.place for f in findings), *scatter)
-    verdict = _verdict(effects, decided, bool(remaining), bool(scatter))
+    refined, change = _against_given(series, analysis, refined, coefficients)
+    everywhere = change + located + [f.place for f in findings] + scatter
+    verdict = _verdict(effects, decided, bool(remaining or change), bool(scatter))
     diagnosis = Diagnosis(
         recording=whole.name,
         verdict=verdict,
@@ -121,14 +124,26 @@ def diagnose(
         effects=effects,
         not_testable=dict(series.untestable) | untestable(series),
         sentences=(),
-        noise=_noise_figures(series, analysis, white),
+        noise=_noise_figures(series, analysis),
         improvement=total,
         surface=coefficients or surface_coefficients(series, analysis),
         improved=coefficients_of(series, analysis, refined, decided) if decided.named else None,
         rows=_rows(series, analysis, refined),
-        notes=(*series.notes, *decided.reasons),
+        notes=(*series.notes, *temperature_alone(analysis), *decided.reasons),
     )
     return replace(diagnosis, sentences=sentences(diagnosis))
+
+
+def _against_given(
+    series: Series, analysis: Analysis, refined: Refined, coefficients: Coefficients | None
+) -> tuple[Refined, list[Located]]:
+    """The residual that the given model leaves, and whether its surface is still the gyro's."""
+    if coefficients is None:
+        return refined, []
+    floor = float(np.sqrt(np.mean(set_means(series, refined.after_dps)[1] ** 2)))
+    change = surface_change(series, analysis, refined, coefficients, floor)
+    residual = simulated_residual(series, coefficients)
+    return replace(refined, before_dps=residual), [] if change is None else [change]
 
 
 def _sample_white(series: Series, analysis: Analysis) -> float:
@@ -182,8 +197,9 @@ def _found(finding: Finding) -> NamedEffect:
     )
 
 
-def _noise_figures(series: Series, analysis: Analysis, white: float) -> NoiseFigures:
+def _noise_figures(series: Series, analysis: Analysis) -> NoiseFigures:
     levels = analysis.levels
+    white = levels.white * analysis.setup.model.typical_white
     walk = None
     if np.all(series.averaging_s > 0):
         walk = 60.0 * levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))

@@ -90,10 +90,7 @@ def temperature_history(t_s: Floats, temp_c: Floats, smooth: bool = True) -> Tem
     temp = np.interp(grid, t_s, temp_c)
     typical = float(np.median(np.diff(t_s))) if t_s.size > 1 else step
     kernel_s = max(_SMOOTH_TEMP_S, 2.0 * min(typical, 60.0))
-    if smooth and t_s.size > 3:
-        fine = _gaussian(temp, kernel_s / step)
-    else:
-        fine = temp
+    fine = _gaussian(temp, kernel_s / step) if smooth and t_s.size > 3 else temp
     slow = _gaussian(temp, max(_SMOOTH_RATE_S, kernel_s) / step)
     rate = np.gradient(slow, step) * 60.0
     return TemperatureHistory(grid, fine, rate)

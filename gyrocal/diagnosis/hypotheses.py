@@ -126,7 +126,7 @@ def shapes_of(effect: str, series: Series) -> list[dict[str, float]]:
     span_s = float(np.ptp(series.t_s))
     full = float(np.max(np.abs(series.rate_dps)))
     temp_span = float(np.ptp(series.history.temp_c))
-    size = np.unique(np.round(np.abs(series.rate_dps), 3))
+    size: Floats = np.unique(np.round(np.abs(series.rate_dps), 3))
     grids: dict[str, list[dict[str, float]]] = {
         "shupe_gradient": [{"tau_s": float(x)} for x in np.geomspace(60.0, 3600.0, 12) if x < span_s],
         "thermal_lag": [{"tau_s": float(x)} for x in np.geomspace(30.0, 1800.0, 10) if x < span_s],
@@ -265,7 +265,7 @@ def _family_nuisance(effect: str, c: Conditions, series: Series, book: Book) -> 
         gain = 1.0 if effect == "bias_drift" else w
         extra = [gain * t**p for p in (0.35, 0.5, 0.7, 1.4, 2.0)]
     elif effect == "temperature_order":
-        extra = [v**5, np.sinh(2 * v), np.exp(2 * v), np.exp(-2 * v)] + [v**3 * w, v**4 * w]
+        extra = [v**5, np.sinh(2 * v), np.exp(2 * v), np.exp(-2 * v), v**3 * w, v**4 * w]
     elif effect == "scale_asymmetry":
         extra = [np.sqrt(w**2 + (s * full) ** 2) for s in (0.005, 0.02, 0.05)]
     elif effect in ("sagnac_sine", "saturation", "rate_order"):

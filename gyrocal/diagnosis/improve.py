@@ -208,9 +208,8 @@ def _refine_shapes(
     for k, member in enumerate(members):
         if not member.hypothesis.in_catalogue:
             continue
-        for name in _REFINED.get(member.hypothesis.id, ()):
-            if shapes[k].get(name, 0.0) != 0.0:
-                handles.append((k, name, _reach(member, name)))
+        names = _REFINED.get(member.hypothesis.id, ())
+        handles += [(k, name, _reach(member, name)) for name in names if shapes[k].get(name, 0.0) != 0.0]
 
     def loss(k: int, name: str, value: float) -> float:
         shape = {**shapes[k], name: value}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,15 +109,15 @@ def outlier_findings(series: Series) -> list[Finding]:
         0.0,
     )
     spread = size / np.sqrt(2.0 * count)
-    low, high = chi2.ppf([0.025, 0.975], 2 * count) / 2.0
-    low_more, high_more = low / series.raw.samples, (high + 2.0) / series.raw.samples
+    low = float(chi2.ppf(0.025, 2 * count)) / 2.0 / series.raw.samples
+    high = float(chi2.ppf(0.975, 2 * count + 2)) / 2.0 / series.raw.samples
     return [
         Finding(
             "bursts",
             statement,
             {
                 "amplitude": Estimate(size, spread, "mdeg/s", (size - 1.96 * spread, size + 1.96 * spread)),
-                "share": Estimate(share, share / np.sqrt(count), "1", (low_more, high_more)),
+                "share": Estimate(share, share / np.sqrt(count), "1", (low, high)),
             },
             p,
             place,
@@ -175,7 +176,7 @@ def variance_places(analysis: Analysis, level: float) -> list[Located]:
         total = np.bincount(groups, weights=squares)
         usable = np.flatnonzero(count >= 20)
         mean, spread = float(np.mean(squares)), float(np.std(squares))
-        for g in usable:
+        for g in usable.tolist():
             z = (total[g] - count[g] * mean) / (spread * np.sqrt(count[g]))
             # A sum of squares is skewed: the cube root of a chi-square is nearly normal (Wilson and Hilferty).
             df = 2.0 * count[g] * mean**2 / spread**2
@@ -208,7 +209,7 @@ def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[str]]]:
         (
             where,
             by_time,
-            [f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in zip(hours[:-1], hours[1:], strict=True)],
+            [f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in pairwise(hours)],
         )
     )
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:

@@ -18,9 +18,14 @@ def sentences(d: Diagnosis) -> tuple[str, ...]:
     said += list(d.notes)
     if d.improvement is not None and len(d.effects) != 1:
         said.append("All together: " + _gain(d.improvement))
-    for effect_id, reason in d.not_testable.items():
-        said.append(f"Not testable with this record: {effect_id}, because {reason}.")
+    reasons: dict[str, list[str]] = {}
+    for what, reason in d.not_testable.items():
+        reasons.setdefault(reason, []).append(what.replace("_", " ") if what in _COORDINATES else what)
+    said += [f"Not testable with this record: {', '.join(w)}, because {r}." for r, w in reasons.items()]
     return tuple(said)
+
+
+_COORDINATES = ("table_angle", "time_since_power_on", "time_since_step", "temperature_rate")
 
 
 _VERDICTS = {

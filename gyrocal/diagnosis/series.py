@@ -393,7 +393,7 @@ def series_of_table(table: DataSetTable) -> Series:
         "time_since_power_on": "a table of data sets does not say when the gyro was powered on",
         "time_since_step": "a table of data sets carries no samples",
     }
-    t_s = table.t_s if table.t_s is not None else SURROGATE_PERIOD_S * np.arange(n)
+    t_s: Floats = SURROGATE_PERIOD_S * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s
     one_rate = np.ptp(table.rate_dps) == 0
     groups = np.arange(n)
     if one_rate and table.t_s is not None and n > 1000:
@@ -416,12 +416,11 @@ def series_of_table(table: DataSetTable) -> Series:
     temp_rate = history.rate_at(times)
     if table.temp_rate_c_per_min is not None:
         temp_rate = mean(table.temp_rate_c_per_min)
-    gyro = table.gyro_dps
     step = np.diff(table.rate_dps, prepend=table.rate_dps[0])
     return Series(
         name=table.source.name,
         t_s=times,
-        gyro_dps=mean(gyro),
+        gyro_dps=mean(table.gyro_dps),
         rate_dps=mean(table.rate_dps),
         temp_c=temp,
         white_std_dps=np.sqrt(mean(white**2) / count),
@@ -430,7 +429,7 @@ def series_of_table(table: DataSetTable) -> Series:
         is_set=np.ones(times.size, dtype=bool),
         temp_rate_c_per_min=temp_rate,
         history=history,
-        raw=Raw(np.empty(0), np.empty(0), n, lattice(gyro), lattice(table.temp_c)),
+        raw=Raw(np.empty(0), np.empty(0), n, lattice(table.gyro_dps), lattice(table.temp_c)),
         step_dps=mean(step) if not one_rate else None,
         untestable=untestable,
         has_time=table.t_s is not None,

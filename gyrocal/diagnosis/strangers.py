@@ -172,6 +172,10 @@ def _in_angle(s: Series, enter: Enter) -> None:
     enter("harmonic of the table angle", "table_angle", np.column_stack(constant), 2)
     growing = [s.rate_dps * f(k * theta) for k in range(3, 9) for f in (np.cos, np.sin)]
     enter("harmonic of the table angle growing with rate", "table_angle", np.column_stack(growing), 2)
+    warm = _scaled(s.temp_c)[:, None] - 0.5
+    if np.ptp(s.temp_c) > 5.0:
+        turns = np.column_stack([f(k * theta) for k in (1, 2) for f in (np.cos, np.sin)])
+        enter("harmonic of the table angle that changes with temperature", "table_angle", turns * warm, 2)
     sectors = np.floor(np.mod(s.angle_deg, 360.0) / 15.0)
     moving = (np.abs(s.rate_dps) > 0)[:, None]
     enter(
@@ -232,6 +236,8 @@ def blocks(series: Series, book: Book) -> list[Block]:
         waves = [f(k * theta) for k in range(1, 9) for f in (np.cos, np.sin)]
         enter("table_angle", "constant", np.column_stack(waves) * moving[:, None], (2, 6, 16))
         enter("table_angle", "growing with rate", np.column_stack(waves) * w, (2, 6, 16))
+        warm = (_scaled(s.temp_c)[:, None] - 0.5) * np.column_stack(waves[:6])
+        enter("table_angle", "with temperature", np.column_stack([warm, warm * w]), (6, 12))
     if s.since_set_s is not None and s.step_dps is not None and turning:
         early = np.exp(-s.since_set_s[:, None] / np.array([0.3, 0.7, 1.5, 3.0, 7.0, 20.0]))
         enter("time_since_step", "per step", early * s.step_dps[:, None] / 50.0)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from gyrocal.diagnosis.series import Series
 
@@ -28,7 +28,7 @@ try:
 except ImportError:  # the same functions run as plain Python, on blocks of columns
     HAVE_NUMBA = False
 
-    def njit(*_: Any, **__: Any) -> Any:
+    def njit(*_: Any, **__: Any) -> Any:  # type: ignore[no-redef]
         return lambda function: function
 
 
@@ -284,15 +284,16 @@ def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels 
         return -value + float(np.sum((r - inside) ** 2)) if np.isfinite(value) else 1e12
 
     if not model.turns:
-        flat = minimize(
-            lambda a: loss(np.array([a[0], first[1]])),
-            first[:1],
-            method="Nelder-Mead",
-            options={"xatol": 0.01, "fatol": 0.01, "maxfev": 40},
+        ratio = float(first[0])
+        flat = minimize_scalar(
+            lambda a: loss(np.array([a, first[1]])),
+            bounds=(ratio - 4.0, ratio + 4.0),
+            method="bounded",
+            options={"xatol": 0.01, "maxiter": 40},
         )
-        return _evaluate(model, np.array([flat.x[0], first[1]]), yX)
+        return _evaluate(model, np.array([flat.x, first[1]]), yX)
     step = 0.3 if start is not None else 0.7
-    simplex = np.array([first, first + [step, 0.0], first + [0.0, step]])
+    simplex = first + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     best = minimize(
         loss,
         first,
