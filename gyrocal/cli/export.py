@@ -13,7 +13,14 @@ if TYPE_CHECKING:
 
 @click.command("export")
 @click.argument("coefficients", type=click.Path(path_type=Path))
-@click.option("--format", "form", type=click.Choice(["c-header"]), default="c-header", show_default=True)
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["c-header"]),
+    default="c-header",
+    show_default=True,
+    help="What to write.",
+)
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="File to write; without it, stdout.")
 @click.option(
     "--type",

@@ -22,7 +22,10 @@ _SEED = click.option(
 
 @click.group("simulate")
 def command() -> None:
-    """Simulate robot drives with the virtual bench's gyro."""
+    """Simulate robot drives with the virtual bench's gyro.
+
+    Example: gyrocal simulate drive --runs 5 --seed 7 --out drives
+    """
 
 
 @command.command("drive")
