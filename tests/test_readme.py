@@ -16,8 +16,8 @@ from gyrocal.cli import COMMANDS, main
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-#: Marks in a comment above a block: run with the slow tests, needs ../shared, needs hardware or a capture.
-MARKS = ("slow", "shared", "hardware")
+#: Marks in a comment above a block: run with the slow tests, needs ../shared, needs ports or a capture.
+MARKS = ("slow", "shared", "ports")
 
 
 @dataclass(frozen=True)
