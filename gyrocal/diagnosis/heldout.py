@@ -63,12 +63,20 @@ def improvements(
 
 def _fold_numbers(series: Series) -> list[Ints]:
     """Sets to leave out together: interleaved data sets, then whole temperatures or sweeps."""
-    numbers = np.unique(series.set_index)
+    numbers = np.unique(_units(series))
     interleaved = [numbers[k::_FOLDS] for k in range(_FOLDS)]
     sweeps = _sweeps(series)
     if len(sweeps) < 3:
         return interleaved
     return interleaved + sweeps
+
+
+def _units(series: Series) -> Ints:
+    """What is left out together at the least: a segment, or a stretch of time in a record of few segments."""
+    if np.unique(series.set_index).size >= _FOLDS:
+        return series.set_index
+    share = (series.t_s - series.t_s[0]) / max(float(np.ptp(series.t_s)), 1e-9)
+    return np.asarray(np.minimum(share * 5 * _FOLDS, 5 * _FOLDS - 1), dtype=np.int64)
 
 
 def _sweeps(series: Series) -> list[Ints]:
@@ -91,7 +99,8 @@ def _leave_out(
     analysis: Analysis, models: Sequence[Sequence[Piece]], fold: Ints, number: int, noise: Floats
 ) -> _Heldout:
     setup, series = analysis.setup, analysis.setup.series
-    out = np.isin(series.set_index, fold)
+    units = _units(series)
+    out = np.isin(units, fold)
     train, test = NoiseModel(series.take(~out)), NoiseModel(series.take(out))
     y = np.column_stack([setup.base.residual_dps, noise])
     pieces = list(models[1])
@@ -107,7 +116,7 @@ def _leave_out(
         first += law.shape[1]
     squares, logloss = [], []
     floor2 = np.empty(0)
-    sets, inverse = np.unique(series.set_index[out], return_inverse=True)
+    sets, inverse = np.unique(units[out], return_inverse=True)
     weight = 1.0 / series.white_std_dps[out] ** 2
     for k, chosen in enumerate(models):
         columns = np.concatenate(
@@ -119,8 +128,8 @@ def _leave_out(
             / scale[:, None]
         )
         left = everything[out][:, :m] - everything[out][:, columns] @ solution
-        means = np.column_stack([np.bincount(inverse, weights=weight * column) for column in left.T])
-        means /= np.bincount(inverse, weights=weight)[:, None]
+        totals = np.column_stack([np.bincount(inverse, weights=weight * column) for column in left.T])
+        means = totals / np.bincount(inverse, weights=weight)[:, None]
         squares.append(means[:, 0] ** 2)
         if k == 1:
             floor2 = np.mean(means[:, 1:] ** 2, axis=1)

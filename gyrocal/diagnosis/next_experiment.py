@@ -34,6 +34,7 @@ _SETTLED_NATS = 3.0
 _GOOD_POWER = 0.95
 _MOST_REPEATS = 10
 _USUAL_RAMP_C_PER_MIN = 2.0
+_USUAL_REST_C = 25.0
 #: Of the report's figures, a standard unit, where the record carries none.
 _USUAL_WALK_DEG_PER_RT_H = 0.083
 _WITH_PHASE = ("earth_rate_tilt", "magnetic", "g_sensitivity", "table_eccentricity", "step_response")
@@ -61,6 +62,7 @@ _BY_HAND = {
     ): "tilt the table by another, known angle: gravity and earth rate grow with it by different known amounts",
     frozenset(("magnetic", "g_sensitivity")): "tilt the table by another, known angle: only gravity follows",
 }
+_OFF_BEFORE = "leave the gyro off for an hour before, and start the run with its power-on"
 _SUPPLY_BY_HAND = "step the supply voltage by a few tenths of a volt between data sets, in random order"
 
 
@@ -154,8 +156,15 @@ def _reach(diagnosis: Diagnosis, bench: Mapping[str, Any]) -> Reach:
     ramp = float(bench.get("ramp", {}).get("rate_c_per_min", _USUAL_RAMP_C_PER_MIN))
     fast = float(bench.get("limits", {}).get("max_ramp_c_per_min", ramp))
     # Whole numbers inside the calibrated range: a set point that noise has widened could be out of limits.
+    # Where the gyro was when the run began is where the chamber rests.
+    rest = round(float(diagnosis.rows.temp_c[0])) if diagnosis.rows is not None else _USUAL_REST_C
     return Reach(
-        float(np.floor(rate + 0.5)), float(np.ceil(low + 0.5)), float(np.floor(high - 0.5)), ramp, fast
+        float(np.floor(rate + 0.5)),
+        float(np.ceil(low + 0.5)),
+        float(np.floor(high - 0.5)),
+        ramp,
+        fast,
+        float(rest),
     )
 
 
@@ -181,6 +190,8 @@ def _separating(
         remedy = "; ".join(by_hand) or f"no plan within {bench_hours:g} h of bench time separates them"
         return Proposal(f"To tell {_either(names)}: {remedy}.", names, None, None, None, (), tuple(by_hand))
     design, separations = best
+    if design.from_power_on:
+        by_hand.append(_OFF_BEFORE)
     power = min(s.power for s in separations)
     hours = duration_h(design, reach)
     sentence = f"To tell {_either(names)}, measure {design.purpose} ({hours:.1f} h): expected to reach 20 : 1 with a probability of {power:.0%}"

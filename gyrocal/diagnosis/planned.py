@@ -28,18 +28,19 @@ _OF_BENCH = ("gyro", "table", "chamber", "bench", "limits", "settle", "record", 
 
 @dataclass(frozen=True)
 class Reach:
-    """What a plan may ask for: largest rate, temperatures, usual and largest slope of the chamber."""
+    """What a plan may ask for: largest rate, temperatures, usual and largest slope of the chamber, its rest."""
 
     rate_dps: float
     low_c: float
     high_c: float
     ramp_c_per_min: float
     fast_ramp_c_per_min: float
+    rest_c: float = 25.0
 
     @property
     def middle_c(self) -> float:
-        """Middle of the temperatures, to a whole degree."""
-        return float(round((self.low_c + self.high_c) / 2))
+        """Where a plan that needs no other temperature stays: where the chamber rests, so that nothing ramps."""
+        return min(max(self.rest_c, self.low_c), self.high_c)
 
 
 @dataclass(frozen=True)
