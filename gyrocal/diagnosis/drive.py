@@ -1,0 +1,296 @@
+"""`diagnose` on a drive log: what does the encoders' heading say that the gyro's does not, and which physics is it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from gyrocal.diagnosis import robust
+from gyrocal.diagnosis.drive_effects import (
+    EFFECTS,
+    Candidate,
+    Coordinate,
+    candidates,
+    coordinates,
+    delay_slope,
+    law,
+    region,
+    strongest_first,
+)
+from gyrocal.diagnosis.drive_series import MAX_DELAY_S, Bins, DriveSeries, bins_of
+from gyrocal.diagnosis.gram import benjamini_hochberg, holm
+from gyrocal.diagnosis.result import Estimate, Located
+
+Floats = NDArray[np.float64]
+
+#: Family-wise rate of false names, and rate of false places. The five laws of the heading difference share it with
+#: the two checks that stand for themselves (wheel out of true, scale of distance).
+LEVEL = 0.01
+LEVEL_OF_LAWS, LEVEL_OF_A_CHECK = LEVEL * 5 / 7, LEVEL / 7
+#: Rows of a block that counts as independent of its neighbours, s.
+BLOCK_S = 10.0
+DRAWS = 3999
+_MAX_EFFECTS = 6
+
+
+@dataclass(frozen=True)
+class Model:
+    """What has been named so far: a delay, and columns beside it."""
+
+    delay_s: float = 0.0
+    delayed: bool = False
+    members: tuple[Candidate, ...] = ()
+
+    def names(self) -> tuple[str, ...]:
+        """Ids of the named effects."""
+        return (*(("gyro_delay",) if self.delayed else ()), *(m.effect for m in self.members))
+
+
+@dataclass(frozen=True)
+class YawFit:
+    """Heading difference explained.
+
+    Attributes
+    ----------
+    before_deg, after_deg : ndarray, shape (bins,)
+        Encoders less gyro in each bin: nominal model, and with the named effects.
+    law_deg : mapping
+        What each named effect adds, deg a bin.
+    places : tuple
+        Where the excess lives; ``remains`` where it is still there.
+    p_values, rivals : mapping
+        Of each named effect: its p-value; effect -> evidence of the name against it.
+    """
+
+    bins: Bins
+    model: Model
+    parameters: dict[str, dict[str, Estimate]]
+    p_values: dict[str, float]
+    rivals: dict[str, dict[str, float]]
+    before_deg: Floats
+    after_deg: Floats
+    law_deg: dict[str, Floats]
+    places: tuple[Located, ...]
+    phi: Floats = field(repr=False)
+
+
+def _rows_per_block(bins: Bins) -> int:
+    return max(1, round(BLOCK_S / bins.width_s))
+
+
+def _columns(series: DriveSeries, model: Model, bins: Bins) -> Floats:
+    """Columns of a model: its members, and the slope of its delay, which stays free once it is named."""
+    parts = [m.columns for m in model.members]
+    if model.delayed:
+        parts.append(delay_slope(series, model.delay_s)[:, None])
+    return np.hstack(parts) if parts else np.zeros((bins.t_s.size, 0))
+
+
+def _regression(series: DriveSeries, model: Model) -> tuple[Bins, robust.Regression]:
+    bins = bins_of(series, model.delay_s)
+    y, columns = bins.encoder_deg - bins.gyro_deg, _columns(series, model, bins)
+    plain = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0] if columns.shape[1] else y
+    phi = robust.autoregression(plain)
+    return bins, robust.regress(y, columns, phi, _rows_per_block(bins))
+
+
+def _signs(regression: robust.Regression, seed: int) -> Floats:
+    rng = np.random.default_rng([seed, 4711])
+    return rng.choice([-1.0, 1.0], size=(DRAWS, regression.blocks.size))
+
+
+def search(series: DriveSeries, seed: int) -> tuple[Model, dict[str, float], dict[str, dict[str, float]]]:
+    """Forward selection under family-wise control; ``(model, p-values, rivals)``."""
+    model, p_values, rivals = Model(), {}, {}
+    for _ in range(_MAX_EFFECTS):
+        bins, regression = _regression(series, model)
+        signs = _signs(regression, seed)
+        families = {
+            effect: family
+            for effect, family in candidates(series, bins, model.delay_s).items()
+            if effect not in model.names()
+        }
+        if not families:
+            break
+        tests = {e: robust.score_test(regression, [c.columns for c in f], signs) for e, f in families.items()}
+        passed = holm(np.array([t.p_value for t in tests.values()]), LEVEL_OF_LAWS)
+        accepted = [e for e, ok in zip(tests, passed, strict=True) if ok and tests[e].gain_nats > 0]
+        if not accepted:
+            break
+        best = max(accepted, key=lambda e: tests[e].gain_nats)
+        p_values[best] = tests[best].p_value
+        rivals[best] = {
+            e: float(np.exp(min(tests[best].gain_nats - t.gain_nats, 50.0)))
+            for e, t in tests.items()
+            if e != best and tests[best].gain_nats - t.gain_nats < 3.0
+        }
+        model = _with(series, model, families[best][tests[best].best])
+    return _pruned(series, model, p_values, rivals, seed)
+
+
+def _with(series: DriveSeries, model: Model, chosen: Candidate) -> Model:
+    if chosen.effect == "gyro_delay":
+        model = replace(model, delay_s=chosen.shape["delay_s"], delayed=True)
+    else:
+        model = replace(model, members=(*model.members, chosen))
+    return _refined(series, model)
+
+
+def _refined(series: DriveSeries, model: Model) -> Model:
+    """The same with its delay at the optimum, and its columns made again for it."""
+    rows = bins_of(series, 0.0).t_s.size
+    return refitted(series, model, np.ones(rows, dtype=bool), MAX_DELAY_S)
+
+
+def refitted(series: DriveSeries, model: Model, used: NDArray[np.bool_], reach_s: float = 0.1) -> Model:
+    """A model whose delay, where it has one, is the best for the bins `used`, shape (bins,), within `reach_s`."""
+    if not model.delayed:
+        return model
+
+    def left(delay_s: float) -> float:
+        bins = bins_of(series, delay_s)
+        members = _moved(series, model, delay_s).members
+        columns = np.column_stack([bins.gyro_deg, *(m.columns for m in members)])[used]
+        y = bins.encoder_deg[used]
+        residual = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+        return float(residual @ residual)
+
+    low, high = max(model.delay_s - reach_s, -MAX_DELAY_S), min(model.delay_s + reach_s, MAX_DELAY_S)
+    grid = np.linspace(low, high, max(5, round((high - low) / 0.025) + 1))
+    start = float(grid[int(np.argmin([left(d) for d in grid]))])
+    width = float(grid[1] - grid[0])
+    bounds = (max(start - width, low), min(start + width, high))
+    found = optimize.minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-5})
+    return _moved(series, model, float(found.x))
+
+
+def _moved(series: DriveSeries, model: Model, delay_s: float) -> Model:
+    """The same model with another delay: the columns follow the gyro."""
+    bins = bins_of(series, delay_s)
+    members = tuple(law(series, bins, m.effect, m.shape) for m in model.members)
+    return replace(model, delay_s=delay_s, members=members)
+
+
+def _pruned(
+    series: DriveSeries,
+    model: Model,
+    p_values: dict[str, float],
+    rivals: dict[str, dict[str, float]],
+    seed: int,
+) -> tuple[Model, dict[str, float], dict[str, dict[str, float]]]:
+    """Without the effects that the later ones have made superfluous."""
+    for member in model.members:
+        rest = replace(model, members=tuple(m for m in model.members if m is not member))
+        _, regression = _regression(series, rest)
+        test = robust.score_test(regression, [member.columns], _signs(regression, seed))
+        p_values[member.effect] = max(p_values[member.effect], test.p_value)
+        if test.p_value > LEVEL:
+            model = rest
+    names = model.names()
+    return model, {n: p_values[n] for n in names}, {n: rivals[n] for n in names}
+
+
+def explain(series: DriveSeries, seed: int) -> YawFit:
+    """Explain the difference between the encoders' heading and the gyro's."""
+    model, p_values, rivals = search(series, seed)
+    bins, regression = _regression(series, model)
+    y, columns = bins.encoder_deg - bins.gyro_deg, _columns(series, model, bins)
+    values, covariance, dof = robust.fit(y, columns, regression.phi, _rows_per_block(bins))
+    t95 = float(stats.t.ppf(0.975, dof))
+    parameters, laws, taken = {}, {}, np.zeros(y.size)
+    for i, member in enumerate(model.members):
+        std = float(np.sqrt(covariance[i, i]))
+        amplitude = _estimate(values[i], std, t95, member.scale, EFFECTS[member.effect].parameters[0].unit)
+        shape = {k: Estimate(v, float("nan"), "1", (float("nan"),) * 2) for k, v in member.shape.items()}
+        parameters[member.effect] = {"amplitude": amplitude} | shape
+        laws[member.effect] = member.columns[:, 0] * values[i]
+        taken = taken + laws[member.effect]
+    nominal = bins_of(series, 0.0)
+    if model.delayed:
+        # The encoders are late by the delay: the gyro, dated by them, is early.
+        std = float(np.sqrt(covariance[-1, -1]))
+        parameters["gyro_delay"] = {"amplitude": _estimate(-model.delay_s, std, t95, 1.0, "s")}
+        laws["gyro_delay"] = bins.gyro_deg - nominal.gyro_deg
+    before, after = nominal.encoder_deg - nominal.gyro_deg, y - taken
+    places = _places(series, model, seed)
+    return YawFit(bins, model, parameters, p_values, rivals, before, after, laws, places, regression.phi)
+
+
+def _estimate(value: float, std: float, t95: float, scale: float, unit: str) -> Estimate:
+    value, std = scale * float(value), scale * std
+    return Estimate(value, std, unit, (value - t95 * std, value + t95 * std))
+
+
+def _places(series: DriveSeries, model: Model, seed: int) -> tuple[Located, ...]:
+    """Coordinates on which the nominal model leaves structure, and those on which the named one still does."""
+    bins, nominal = _regression(series, Model())
+    before = coordinates(series, bins, 0.0)
+    p_before, share = _test_each(nominal, before, seed)
+    bins, named = _regression(series, model)
+    after = coordinates(series, bins, model.delay_s)
+    p_after, share_after = _test_each(named, after, seed)
+    remains = holm(np.array(p_after), LEVEL)
+    excess = benjamini_hochberg(np.array(p_before), LEVEL) | remains
+    found = []
+    for i, coordinate in enumerate(before):
+        if excess[i]:
+            regression, place = (named, after[i]) if remains[i] else (nominal, coordinate)
+            where = region(place, _curve(regression, place))
+            p_value, part = (p_after[i], share_after[i]) if remains[i] else (p_before[i], share[i])
+            found.append(Located(coordinate.name, "mean", where, p_value, part, bool(remains[i])))
+    return strongest_first([*found, *_scatter(named, after, seed)])
+
+
+def _test_each(
+    regression: robust.Regression, places: Sequence[Coordinate], seed: int
+) -> tuple[list[float], list[float]]:
+    """p-value of each coordinate's curves, and their share of what the model leaves."""
+    signs = _signs(regression, seed)
+    p_values, shares = [], []
+    for place in places:
+        p_values.append(robust.score_test(regression, [place.columns], signs).p_value)
+        curve = _curve(regression, place, whitened=True)
+        shares.append(float(curve @ curve) / regression.rss)
+    return p_values, shares
+
+
+def _curve(regression: robust.Regression, place: Coordinate, *, whitened: bool = False) -> Floats:
+    """A coordinate's curves fitted to what a model leaves; shape (rows,) whitened, else (bins,)."""
+    free = regression.free(place.columns)
+    values = np.linalg.lstsq(free, regression.residual, rcond=None)[0]
+    return np.asarray(free @ values if whitened else place.columns @ values)
+
+
+def _scatter(regression: robust.Regression, places: Sequence[Coordinate], seed: int) -> list[Located]:
+    """Coordinates on which the size of what is left changes: the mean of its logarithm."""
+    squares = regression.residual**2
+    log_size = np.log(squares + 1e-3 * squares.mean())
+    order = regression.phi.size
+    flat = robust.regress(
+        log_size, np.ones((log_size.size, 1)), np.zeros(0), max(1, log_size.size // regression.blocks.size)
+    )
+    signs = _signs(flat, seed)
+    tested = [p for p in places if p.name in ("turn_rate", "speed", "time")]
+    sizes = [replace(p, values=np.abs(p.values[order:]), columns=_size_curve(p, order)) for p in tested]
+    p_values = [robust.score_test(flat, [p.columns], signs).p_value for p in sizes]
+    found = []
+    for place, p_value, excess in zip(
+        sizes, p_values, benjamini_hochberg(np.array(p_values), LEVEL), strict=True
+    ):
+        if excess:
+            curve = place.columns @ np.linalg.lstsq(flat.free(place.columns), flat.residual, rcond=None)[0]
+            share = float(np.var(curve) / np.var(log_size))
+            where = region(place, np.maximum(curve - curve.min(), 0.0))
+            found.append(Located(place.name, "variance", where, p_value, share))
+    return found
+
+
+def _size_curve(place: Coordinate, order: int) -> Floats:
+    """Slopes over the size of a coordinate, shape (rows, 2); a scatter has no sign."""
+    x = np.abs(place.values[order:])
+    x = (x - x.mean()) / (x.std() or 1.0)
+    return np.stack([x, x**2], axis=1)

@@ -1,0 +1,272 @@
+"""What a drive log shows beside the heading difference: units, ticks, time stamps, wheels out of true, scale of distance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.diagnosis import robust
+from gyrocal.diagnosis.drive_series import GAP_STEPS, DriveSeries, bins_of
+from gyrocal.diagnosis.result import Estimate
+from gyrocal.records.drive import DriveBlock
+from gyrocal.units import RAD_TO_DEG
+
+Floats = NDArray[np.float64]
+
+_NONE = (float("nan"), float("nan"))
+#: A factor this near to a wrong unit (on a log scale: a factor of 3) is one; nothing physical comes near.
+_UNIT_FACTOR = 3.0
+_WINDOW_S = 5.0
+#: Fine bins for what goes round with a wheel, s, and the radii that are tried, m.
+_FINE_S = 0.1
+_RADII_M = (0.02, 0.6)
+_PEAKS = 6
+_FINE_ROWS = 60_000
+#: Evidence by which a wheel has to beat a swing of fixed frequency, nats (20 to 1).
+_CLEAR_NATS = 3.0
+#: Positions further apart than this count as independent, s: consumer GPS wanders for tens of seconds.
+_TRUTH_BLOCK_S = 30.0
+#: Gauss-Newton steps, and the step of the derivative by the gyro bias, rad/s.
+_STEPS, _NUDGE = 8, 1e-6
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect that a check of its own has found."""
+
+    effect: str
+    parameters: Mapping[str, Estimate]
+    p_value: float
+    sentence: str
+
+
+def wrong_unit(series: DriveSeries) -> tuple[float, Found | None]:
+    """Factor that brings the gyro to deg/s counter-clockwise, and what was wrong; 1 and None where nothing is.
+
+    The ratio of gyro to encoder yaw over windows, by the total least-squares line, which no side's noise bends.
+    """
+    bins = bins_of(series, 0.0, _WINDOW_S)
+    e, g = (v - np.median(v) for v in (bins.encoder_deg, bins.gyro_deg))
+    see, sgg, seg = float(e @ e), float(g @ g), float(e @ g)
+    if min(see, sgg) <= 0 or seg**2 < 0.25 * see * sgg:
+        return 1.0, None
+    ratio = float(np.sign(seg) * np.sqrt(sgg / see))
+    for factor, what in (
+        (RAD_TO_DEG, "in rad/s"),
+        (1.0 / RAD_TO_DEG, "converted to degrees twice"),
+        (1.0, ""),
+    ):
+        if not 1 / _UNIT_FACTOR < abs(ratio) * factor < _UNIT_FACTOR:
+            continue
+        turned = "with the sign inverted, or left and right wheel are swapped" if ratio < 0 else ""
+        if not what and not turned:
+            return 1.0, None
+        said = " and ".join(text for text in (what, turned) if text)
+        amplitude = float(np.sign(ratio)) / factor
+        spread = abs(ratio) * float(np.sqrt(max(1.0 - seg**2 / (see * sgg), 0.0) / max(e.size - 2, 1)))
+        found = Found(
+            "unit_or_sign",
+            {"amplitude": Estimate(ratio, spread, "1", (ratio - 1.96 * spread, ratio + 1.96 * spread))},
+            1e-16,
+            f"The gyro column is {said}: it turns {ratio:.4g} times as far as the encoders.",
+        )
+        return 1.0 / amplitude, found
+    return 1.0, None
+
+
+def time_stamps(log: DriveBlock, usual_dt_s: float) -> list[Found]:
+    """Dropped samples (gaps, rows of equal time) and unsteady time stamps, as they stand in the log."""
+    found = []
+    steps = np.diff(log.t_s)
+    gaps = steps > GAP_STEPS * usual_dt_s
+    lost = int(np.sum(np.round(steps[steps > 1.8 * usual_dt_s] / usual_dt_s) - 1)) if usual_dt_s > 0 else 0
+    if gaps.any() or lost > 0.001 * steps.size:
+        share = 100.0 * lost / (lost + steps.size + 1)
+        text = f"About {lost} rows are missing ({share:.2g} % of the log, {int(gaps.sum())} long gaps, the longest {steps.max():.3g} s)."
+        found.append(
+            Found("dropped_samples", {"amplitude": Estimate(share, float("nan"), "%", _NONE)}, 1e-16, text)
+        )
+    regular = steps[(steps > 0.2 * usual_dt_s) & (steps < 1.8 * usual_dt_s)]
+    jitter_ms = 1e3 * float(np.std(regular)) / np.sqrt(2.0) if regular.size else 0.0
+    if jitter_ms > 0.05e3 * usual_dt_s:
+        text = f"Time stamps scatter by {jitter_ms:.2g} ms about an even clock of {1e3 * usual_dt_s:.3g} ms."
+        std = jitter_ms / np.sqrt(2.0 * regular.size)
+        estimate = Estimate(jitter_ms, std, "ms", (jitter_ms - 1.96 * std, jitter_ms + 1.96 * std))
+        found.append(Found("timestamp_jitter", {"amplitude": estimate}, 1e-16, text))
+    return found
+
+
+def ticks(log: DriveBlock) -> Found | None:
+    """Encoders in whole ticks: all distances are multiples of one, a few of them only."""
+    moved = np.abs(np.concatenate([log.left_m, log.right_m]))
+    moved = moved[np.isfinite(moved) & (moved > 0)]
+    values, counts = np.unique(np.round(moved, 9), return_counts=True)
+    if values.size < 2 or values.size > 0.02 * moved.size:
+        return None
+    # The distance of a tick is the smallest step between values that occur often.
+    common = values[counts >= max(3, 1e-3 * moved.size)]
+    if common.size < 2:
+        return None
+    tick_m = float(np.min(np.diff(np.concatenate([[0.0], common]))))
+    off = np.abs(values / tick_m - np.round(values / tick_m))
+    if tick_m < 1e-6 or np.max(off[values < 200 * tick_m], initial=0.0) > 0.02:
+        return None
+    text = f"The encoders count whole ticks of {1e3 * tick_m:.4g} mm ({values.size} distinct distances in {moved.size} rows)."
+    return Found(
+        "encoder_quantisation", {"amplitude": Estimate(1e3 * tick_m, float("nan"), "mm", _NONE)}, 1e-16, text
+    )
+
+
+def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: float) -> Found | None:
+    """A wheel out of true: a line at one turn of a wheel, of whichever radius, on either side.
+
+    Parameters
+    ----------
+    ratio : float
+        Encoder yaw over gyro yaw that the named effects leave, so that turns do not leak into the line.
+
+    Notes
+    -----
+    The spectrum over the travelled distance proposes, the robust score test decides; its p-value is multiplied by
+    the number of independent lines that were looked at.
+    """
+    width_s = max(_FINE_S, 2.0 * series.usual_dt_s, series.duration_s / _FINE_ROWS)
+    bins = bins_of(series, delay_s, width_s)
+    y = bins.encoder_deg - ratio * bins.gyro_deg
+    moving = np.abs(bins.speed_mps[np.abs(bins.speed_mps) > 0.05])
+    if moving.size < 100:
+        return None
+    # A turn of the wheel takes at least four bins, else it is not seen.
+    smallest_m = max(_RADII_M[0], 4.0 * width_s * float(np.median(moving)) / (2 * np.pi))
+    rows = round(10.0 / width_s)
+    regression = robust.regress(y, bins.distance_m[:, None], robust.autoregression(y, 20), rows)
+    lines = {
+        side: _spectral_lines(series, bins.t_s[20:], regression.residual, side, smallest_m)
+        for side in (-1.0, 1.0)
+    }
+    trials = sum(count for _, count in lines.values())
+    scale = RAD_TO_DEG / series.robot.wheel_separation_m
+    cases = [(side, radius) for side, (radii, _) in lines.items() for radius in radii]
+    columns = [scale * _wheel_line(series, bins.t_s, width_s, side, radius) for side, radius in cases]
+    tests = [robust.line_test(regression, c) for c in columns]
+    best = int(np.argmax([gain for gain, _ in tests]))
+    gain, p_value = tests[best][0], min(1.0, tests[best][1] * trials)
+    if p_value > level:
+        return None
+    # At a steady speed anything that swings at a fixed frequency looks like a wheel: it must lose clearly.
+    hertz = float(np.median(moving)) / (2 * np.pi * cases[best][1]) * np.linspace(0.8, 1.2, 401)
+    if max(robust.line_test(regression, _swing(bins.t_s, width_s, f))[0] for f in hertz) > gain - _CLEAR_NATS:
+        return None
+    side, radius = cases[best]
+    values, covariance, dof = robust.fit(y, columns[best], regression.phi, rows)
+    size = float(np.hypot(*values))
+    gradient = values / size
+    std = float(np.sqrt(gradient @ covariance @ gradient))
+    t95 = float(stats.t.ppf(0.975, dof))
+    step = radius**2 * np.pi / float(np.ptp(series.distance_m))
+    return Found(
+        "wheel_eccentricity",
+        {
+            "amplitude": Estimate(
+                100 * size, 100 * std, "%", (100 * (size - t95 * std), 100 * (size + t95 * std))
+            ),
+            "wheel_radius_m": Estimate(radius, step / 2, "m", (radius - step, radius + step)),
+            "side": Estimate(side, float("nan"), "1", _NONE),
+        },
+        p_value,
+        f"The {'right' if side > 0 else 'left'} wheel's distance is modulated every {2 * np.pi * radius:.3g} m, "
+        f"once a turn of a wheel of radius {radius:.3g} m.",
+    )
+
+
+def _spectral_lines(
+    series: DriveSeries, t_s: Floats, residual: Floats, side: float, smallest_m: float
+) -> tuple[Floats, int]:
+    """Radii of the strongest lines of a residual over one side's distance, and how many lines were looked at."""
+    wheel = series.right_m if side > 0 else series.left_m
+    travelled = np.interp(t_s, series.t_s, wheel)
+    travelled = np.maximum.accumulate(travelled)
+    length = float(travelled[-1] - travelled[0])
+    step_m = min(0.5 * smallest_m, length / travelled.size)
+    grid = np.arange(travelled[0], travelled[-1], step_m)
+    even = np.interp(grid, travelled, residual)
+    # Padded, so that a line between two frequencies is not lost.
+    power = np.abs(np.fft.rfft(even, 4 * even.size)) ** 2
+    per_m = np.fft.rfftfreq(4 * even.size, step_m)
+    used = (per_m > 1 / (2 * np.pi * _RADII_M[1])) & (per_m < 1 / (2 * np.pi * smallest_m))
+    peak = used & (power > np.roll(power, 1)) & (power > np.roll(power, -1))
+    order = np.argsort(np.where(peak, power, 0.0))[::-1][:_PEAKS]
+    return 1 / (2 * np.pi * per_m[order]), int(np.count_nonzero(used)) // 4 + 1
+
+
+def _swing(t_s: Floats, width_s: float, frequency_hz: float) -> Floats:
+    """Change of a swing of fixed frequency in each bin, cosine and sine."""
+    begin, end = (2 * np.pi * frequency_hz * (t_s + half) for half in (-0.5 * width_s, 0.5 * width_s))
+    return np.stack([np.sin(end) - np.sin(begin), np.cos(begin) - np.cos(end)], axis=1)
+
+
+def _wheel_line(series: DriveSeries, t_s: Floats, width_s: float, side: float, radius_m: float) -> Floats:
+    """Change of one side's distance in each bin by an eccentricity of one, cosine and sine; signed by side."""
+    wheel = series.right_m if side > 0 else series.left_m
+    begin = np.interp(t_s - 0.5 * width_s, series.t_s, wheel) / radius_m
+    end = np.interp(t_s + 0.5 * width_s, series.t_s, wheel) / radius_m
+    lines = [np.sin(end) - np.sin(begin), np.cos(begin) - np.cos(end)]
+    return np.asarray(side * radius_m * np.stack(lines, axis=1))
+
+
+def wheel_scale(series: DriveSeries, level: float) -> Found | None:
+    """Distances off by a factor, from the truth's positions: dead reckoning laid onto them.
+
+    Position, direction, scale and a constant gyro bias are fitted (Gauss and Newton); a bias left out would bend the
+    path and shorten it. Errors of the positions count as independent between blocks.
+    """
+    known = np.isfinite(series.truth_x_m) & np.isfinite(series.truth_y_m)
+    t = series.t_s[known]
+    if known.sum() < 30 or t[-1] - t[0] < 8 * _TRUTH_BLOCK_S:
+        return None
+    truth = series.truth_x_m[known] + 1j * series.truth_y_m[known]
+    steps = np.diff(series.distance_m, prepend=0.0)
+    heading, clock = np.deg2rad(series.gyro_deg), series.t_s - series.t_s[0]
+
+    def path(bias: float) -> NDArray[np.complex128]:
+        return np.asarray(np.cumsum(steps * np.exp(1j * (heading + bias * clock)))[known])
+
+    bias, turn, origin = 0.0, 1.0 + 0.0j, 0.0 + 0.0j
+    jacobian = np.zeros((0, 5))
+    for _ in range(_STEPS):
+        reckoned = path(bias)
+        slope = (path(bias + _NUDGE) - path(bias - _NUDGE)) / (2 * _NUDGE)
+        columns = [np.ones_like(truth), np.full_like(truth, 1j), reckoned, 1j * reckoned, turn * slope]
+        jacobian = np.column_stack([np.concatenate([c.real, c.imag]) for c in columns])
+        miss = truth - origin - turn * reckoned
+        change = np.linalg.lstsq(jacobian, np.concatenate([miss.real, miss.imag]), rcond=None)[0]
+        origin += change[0] + 1j * change[1]
+        turn += change[2] + 1j * change[3]
+        bias += change[4]
+    miss = truth - origin - turn * path(bias)
+    block = np.tile(np.floor((t - t[0]) / _TRUTH_BLOCK_S).astype(np.int64), 2)
+    residual = np.concatenate([miss.real, miss.imag])
+    scores = np.stack([np.bincount(block, column * residual) for column in jacobian.T], axis=1)
+    count = scores.shape[0]
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    covariance = count / (count - 1) * inverse @ (scores.T @ scores) @ inverse
+    length = abs(turn)
+    gradient = np.array([0.0, 0.0, turn.real, turn.imag, 0.0]) / length
+    # Truth over reckoned is 1 / (1 + S).
+    scale, std = float(1.0 / length), float(np.sqrt(gradient @ covariance @ gradient)) / length**2
+    p_value = float(2 * stats.t.sf(abs(scale - 1.0) / std, count - len(gradient)))
+    if not p_value <= level:
+        return None
+    t95 = float(stats.t.ppf(0.975, count - len(gradient)))
+    value = float(100 * (scale - 1.0))
+    estimate = Estimate(value, 100 * std, "%", (value - 100 * t95 * std, value + 100 * t95 * std))
+    rms_m = float(np.sqrt(np.mean(np.abs(miss) ** 2)))
+    text = (
+        f"Distances by the encoders are off by a factor, seen against the truth's positions "
+        f"(which the path then meets within {rms_m:.2g} m rms)"
+    )
+    return Found("wheel_scale", {"amplitude": estimate}, p_value, text)
