@@ -135,7 +135,7 @@ def test_intervals_cover() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize(
     ("weights", "conditions"),
     [

@@ -94,7 +94,7 @@ def test_nothing_is_found_where_there_is_nothing() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize(
     "conditions",
     [{}, {"floor_dps": 2e-3}, {"jitter": 2e-5}, {"timed": False}],
