@@ -35,11 +35,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "cli": _BASE | _TOOLS | {"bench", "calibration", "diagnosis", "navigation", "report"},
 }
 #: Modules with one import more than their room: a simulation is made on the virtual bench.
-ALSO: dict[str, set[str]] = {
-    "gyrocal.diagnosis.blind": {"bench"},
-    "gyrocal.diagnosis.experiment": {"bench"},
-    "gyrocal.navigation.simulate": {"bench"},
-}
+ALSO: dict[str, set[str]] = {"gyrocal.diagnosis.blind": {"bench"}}
 #: What each room may take from outside the package, beside the standard library; None: any dependency.
 LIGHT_ROOMS: dict[str, set[str]] = {
     "units": set(),
@@ -184,6 +180,12 @@ def test_import_table(path: Path) -> None:
     for line, imported in imports_of(path):
         if imported.split(".")[0] == "gyrocal" and room(imported) not in ("", "__version__"):
             assert room(imported) in allowed, f"{path}:{line}: {here or name} may not import {imported}"
+
+
+@pytest.mark.parametrize("name", ALSO)
+def test_exceptions_are_needed(name: str) -> None:
+    path = PACKAGE.parent / (name.replace(".", "/") + ".py")
+    assert ALSO[name] <= {room(imported) for _, imported in imports_of(path)}
 
 
 @pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) in LIGHT_ROOMS], ids=ids)
