@@ -84,6 +84,9 @@ def command(
         return
     emit_table(HEADINGS, result.table.lines())
     click.echo("")
+    if result.table.measure == "end":
+        emit_table(result.errors.columns, result.errors.rows, result.errors.title)
+        click.echo("")
     click.echo(verdict(result.table))
     for remark in result.remarks:
         click.echo(f"Note: {remark}")

@@ -44,7 +44,7 @@ class Table:
         for mean in self.means:
             block = [r for r in self.rows if r.direction == mean.direction]
             result += [_cells(row) for row in block]
-            if mean.direction != "all" or len(self.means) == 1:
+            if len(block) > 1:
                 result.append(_cells(mean))
         return result
 

@@ -60,9 +60,10 @@ class ReplayRequest:
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """Table and summary, as printed; everything is in `files` too, by path below the output directory."""
+    """Tables and summary, as printed; everything is in `files` too, by path below the output directory."""
 
     table: Table
+    errors: PageTable
     summary: Mapping[str, Any]
     remarks: tuple[str, ...]
     files: Mapping[str, bytes]
@@ -160,7 +161,7 @@ def build(
                 name = f"states/{replay.name}_{track.condition.id}.csv"
                 files[name] = _states_csv(replay, track).encode()
     pictures = []
-    figures = _figures(replays, table)
+    figures = draw_figures(replays, table)
     for k, (picture, figure) in enumerate(figures):
         report(0.7 + 0.3 * k / len(figures), f"draw {picture.name}")
         png = render(figure, "png")
@@ -168,7 +169,7 @@ def build(
         files[f"figures/{picture.name}.svg"] = render(figure, "svg")
         pictures.append(replace(picture, png=png))
     files["replay.html"] = render_page(_page(replays, table, remarks, pictures, robot, coefficients)).encode()
-    return ReplayResult(table, summary, remarks, files)
+    return ReplayResult(table, _errors_table(replays), summary, remarks, files)
 
 
 def _plain(value: Any) -> Any:
@@ -278,7 +279,8 @@ def shown(replays: Sequence[LogReplay]) -> list[LogReplay]:
     return list({r.direction: r for r in reversed(replays)}.values())[::-1]
 
 
-def _figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Picture, Figure]]:
+def draw_figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Picture, Figure]]:
+    """Every figure of the page, with its caption."""
     result = [
         (
             Picture(
@@ -313,19 +315,21 @@ def _figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Picture, 
     return result
 
 
+def _length(value_m: float) -> str:
+    return f"{value_m:.2f} m" if value_m >= 1.0 else f"{100.0 * value_m:.1f} cm"
+
+
 def verdict(table: Table) -> str:
     """The result in one sentence."""
     mean = table.means[-1].errors_m
     if table.measure == "none":
         return f"{len(table.rows)} logs replayed; {MEASURES['none']}."
-    sizes = [f"{100 * mean[c.id]:.1f} cm ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
+    sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
     text = f"Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
     factors = [
-        f"{v:.2g}-fold by {k}"
-        for k, v in table.factors[table.means[-1].direction].items()
-        if not math.isnan(v)
+        f"{v:.2g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
     ]
-    return text + (f" Improvement: {', '.join(factors)}." if factors else "")
+    return text + (f" Improvement factors: {', '.join(factors)}." if factors else "")
 
 
 def _page(
@@ -337,11 +341,12 @@ def _page(
     coefficients: Coefficients | None,
 ) -> Page:
     mean = table.means[-1].errors_m
-    key = [(c.label, "-" if math.isnan(mean[c.id]) else f"{100 * mean[c.id]:.1f} cm") for c in CONDITIONS]
+    key = [(c.label, "-" if math.isnan(mean[c.id]) else _length(mean[c.id])) for c in CONDITIONS]
     tables = [
         PageTable(
             "table", "Table II of these runs", HEADINGS, table.lines(), table.csv(), MEASURES[table.measure]
         ),
+        _errors_table(replays),
         _estimates_table(replays),
     ]
     provenance = {
@@ -351,6 +356,21 @@ def _page(
         "calibration": str(coefficients.sensor.get("model")) if coefficients else "none",
     }
     return Page("Dead reckoning", verdict(table), key, remarks, pictures, tables, provenance)
+
+
+def _errors_table(replays: Sequence[LogReplay]) -> PageTable:
+    columns = ("run, condition", "rms, m", "max, m", "end, m", "rotation to truth, deg")
+    rows = []
+    for replay in replays:
+        for track in replay.tracks:
+            if track.errors is None or track.alignment is None:
+                continue
+            e, a = track.errors, track.alignment
+            rotation = f"{a.rotation_deg:.2f}" + (f" ± {a.sigma[0]:.2f}" if a.sigma[0] else "")
+            cells = (f"{e.rms_m:.3f}", f"{e.max_m:.3f}", f"{e.end_m:.3f}", rotation)
+            rows.append((f"{replay.name}, {track.condition.label}", *cells))
+    csv = "\n".join(",".join(f'"{cell}"' for cell in row) for row in (columns, *rows)) + "\n"
+    return PageTable("errors", "Position error against truth, all along the path", columns, rows, csv)
 
 
 def _estimates_table(replays: Sequence[LogReplay]) -> PageTable:

@@ -70,7 +70,8 @@ def draw_trajectories(replays: Sequence[LogReplay], table: Table) -> Figure:
                 axes.plot(x[rows], y[rows], color=colour, linewidth=0.7, alpha=0.85)
                 axes.plot(x[-1], y[-1], "o", color=colour, markersize=2.5)
         mean = table.means[-1].errors_m[condition.id]
-        said = "" if np.isnan(mean) else f"\nmean error {_length(mean)}"
+        which = ("mean " if len(table.rows) > 1 else "") + ("return" if table.measure == "return" else "end")
+        said = "" if np.isnan(mean) else f"\n{which} error {_length(mean)}"
         axes.set_title(condition.label.replace(", ", ",\n") + said, fontsize=7.5)
         axes.set_xlabel("x, m")
         axes.set_aspect("equal", adjustable="box")
@@ -170,7 +171,8 @@ def draw_innovations(replay: LogReplay) -> Figure:
         axes.plot(t_s[rows], z[rows], ".", markersize=1.2, color=COLOURS[track.condition.id])
         for sign in (-2, 2):
             axes.plot(t_s[rows], sign * sigma[rows], color=INK, linewidth=0.5)
-        limit = 1.6 * float(np.quantile(np.abs(z[measured]), 0.995)) if measured.size else 1.0
+        seen = np.maximum(np.quantile(np.abs(z[measured]), 0.995), 2 * np.median(sigma[measured]))
+        limit = 1.4 * float(seen) if measured.size else 1.0
         axes.set_ylim(-limit, limit)
         axes.set_title(track.condition.label)
         axes.set_xlabel("t, s")

@@ -95,8 +95,10 @@ def test_the_table_has_the_papers_layout() -> None:
         return Row(name, direction, dict(zip(ids, values, strict=True)))
 
     table = table_of([row("b", "ccw", 3.0, 1.5, 0.3, 0.1), row("a", "cw", 1.0, 0.5, 0.1, 0.1)], "return")
-    assert [line[0] for line in table.lines()] == ["a", "mean cw", "b", "mean ccw"]
-    assert table.lines()[2][1:] == ("300.0", "150.0", "30.0", "10.0")
+    assert [line[0] for line in table.lines()] == ["a", "b"]
+    twice = table_of([*table.rows, *table.rows], "return").lines()
+    assert [line[0] for line in twice] == ["a", "a", "mean cw", "b", "b", "mean ccw"]
+    assert table.lines()[1][1:] == ("300.0", "150.0", "30.0", "10.0")
     assert table.factors["all"] == pytest.approx({"filter": 2.0, "calibration": 10.0, "both": 20.0})
     assert table.csv().splitlines()[0].startswith("run,direction,uncalibrated_m")
     gap = table_of([row("a", "cw", 1.0, 0.5, float("nan"), float("nan"))], "end")

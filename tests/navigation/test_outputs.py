@@ -53,7 +53,7 @@ def test_the_verdict_says_sizes_and_factors(replays: list[LogReplay]) -> None:
     text = verdict(make_table(replays))
     assert text.startswith("Mean return position error of 2 logs: ")
     assert "cm (calibration, filter)" in text
-    assert "-fold by both." in text
+    assert "by both." in text
 
 
 def test_figures_show_what_they_say(replays: list[LogReplay]) -> None:
