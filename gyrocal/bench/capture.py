@@ -1,17 +1,100 @@
-"""Decoding of raw captures: the same codecs as on the bench, over bytes that were stored."""
+"""Raw captures: every port's bytes while a run goes on, and the same codecs over them afterwards."""
 
 from __future__ import annotations
 
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import StreamHealth
 from gyrocal.bench.gyros.codec import Frame
 from gyrocal.bench.registry import GYROS
 from gyrocal.bench.schema import read_table
-from gyrocal.errors import InputError
-from gyrocal.records.files import writing_atomically
-from gyrocal.records.raw import iterate_raw, read_raw_head
+from gyrocal.errors import GyrocalError, InputError, OutputError
+from gyrocal.records.files import raise_output_error, writing_atomically
+from gyrocal.records.raw import RawWriter, iterate_raw, read_raw_head
+
+#: What a port calls with each chunk of bytes: direction (``b"<"`` came, ``b">"`` was sent) and the bytes.
+Tap = Callable[[bytes, bytes], None]
+
+_WRITE_PERIOD_S = 0.2
+
+
+class RawCapture:
+    """Captures of a run's ports. Bytes are queued at once and written by a thread of its own: no port waits for a disk.
+
+    A capture that cannot be written (disk full) ends and is told of at `close`; the run goes on.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._heads: dict[str, tuple[str, Mapping[str, Any]]] = {}
+        self._queue: deque[tuple[str, float, bool, bytes]] = deque()
+        self._writers: dict[str, RawWriter] = {}
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.failure: GyrocalError | None = None
+
+    def tap(self, name: str, device: str, options: Mapping[str, Any]) -> Tap:
+        """What the port of ``gyro``, ``table`` or ``chamber`` is to call; `device` and `options` head its file."""
+        self._heads[name] = (device, options)
+
+        def take(direction: bytes, data: bytes) -> None:
+            if self.failure is None:
+                self._queue.append((name, self._clock.now_s(), direction == b">", data))
+
+        return take
+
+    def start(self, folder: Path) -> None:
+        """Begin ``NAME-N.raw`` in `folder`, with the first free N: a resumed run has several.
+
+        Raises
+        ------
+        OutputError
+            The folder or a file cannot be made.
+        """
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise_output_error(folder, error)
+        number = 1
+        while any((folder / f"{name}-{number}.raw").exists() for name in self._heads):
+            number += 1
+        for name, (device, options) in self._heads.items():
+            self._writers[name] = RawWriter(folder / f"{name}-{number}.raw", device, options)
+        self._thread = threading.Thread(target=self._run, name="raw capture", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Write what is queued and close the files; never raises: see `failure`."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        try:
+            for writer in self._writers.values():
+                writer.close()
+        except OutputError as error:
+            self.failure = self.failure or error
+
+    def _run(self) -> None:
+        while not self._stop.wait(_WRITE_PERIOD_S):
+            self._write_queued()
+        self._write_queued()
+
+    def _write_queued(self) -> None:
+        try:
+            while self._queue:
+                name, t_s, sent, data = self._queue.popleft()
+                self._writers[name].chunk(t_s, data, sent=sent)
+            for writer in self._writers.values():
+                writer.flush()
+        except OutputError as error:
+            self.failure = error
+            self._queue.clear()
 
 
 @dataclass(frozen=True)

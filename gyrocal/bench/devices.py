@@ -35,6 +35,7 @@ class StreamHealth:
     frames_bad: int = 0
     sequence_gaps: int = 0
     status_bad: int = 0
+    restarts: int = 0
 
 
 @dataclass(frozen=True)

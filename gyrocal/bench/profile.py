@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from gyrocal.bench.gyros.stream import StreamLimits
 from gyrocal.bench.schema import choice, number, read_table, refuse, refuse_key
 from gyrocal.errors import ProfileError
 from gyrocal.physics.catalogue import CATALOGUE
@@ -33,9 +34,21 @@ class SensorSpec:
 
 @dataclass(frozen=True)
 class DeviceSpec:
-    """Where a device is: ``virtual``, or the port of a real one."""
+    """Where a device is: ``virtual``, ``manual``, or ``kind:port`` with a kind of `gyrocal.bench.registry`.
+
+    `options` are those of the kind; `baud` None is its usual line speed.
+    """
 
     device: str = "virtual"
+    baud: int | None = number(50, 10_000_000, "baud", None)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ChamberSpec(DeviceSpec):
+    """A chamber; `own_alarms_set`: its own alarms were set at its panel, where its protocol cannot."""
+
+    own_alarms_set: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,6 +126,15 @@ class RecordSpec:
 
     averaging_s: float = number(0.01, 3600.0, "s", 1.0)
     bench_period_s: float = number(0.01, 60.0, "s", 1.0)
+
+
+@dataclass(frozen=True)
+class RetrySpec:
+    """How often a segment is done again after a failure of a device or its stream, and what comes then."""
+
+    attempts: int = number(0, 20, "", 2)
+    wait_s: float = number(0.0, _DAY_S, "s", 60.0)
+    then: str = choice("skip", "stop", default="skip")
 
 
 @dataclass(frozen=True)
@@ -194,13 +216,15 @@ class Profile:
     plan: PlanSpec
     gyro: DeviceSpec = DeviceSpec()
     table: DeviceSpec = DeviceSpec()
-    chamber: DeviceSpec = DeviceSpec()
+    chamber: ChamberSpec = ChamberSpec()
     bench: BenchSpec = BenchSpec()
     limits: UserLimits = UserLimits()
     settle: SettleSpec = SettleSpec()
     ramp: RampSpec = RampSpec()
     soak: SoakSpec = SoakSpec()
     record: RecordSpec = RecordSpec()
+    stream: StreamLimits = field(default_factory=StreamLimits)
+    retry: RetrySpec = RetrySpec()
     safe: SafeSpec = SafeSpec()
     virtual: VirtualSpec = VirtualSpec()
     source: str = field(init=False, default="profile", compare=False)

@@ -48,12 +48,17 @@ class TableKind:
 
 @dataclass(frozen=True)
 class ChamberKind:
-    """A chamber: driver on a transport, and its responder before another chamber."""
+    """A chamber: driver on a transport, and its responder before another chamber; `ramps`: it has a ramp of its own.
+
+    `sets_alarms`: its protocol can set its own alarm limits; else the operator does, at its panel.
+    """
 
     options: type[Any]
     driver: Callable[[Transport, Clock, Any], Chamber]
     responder: Callable[[Chamber, Any], Responder]
     baud: int
+    ramps: bool = False
+    sets_alarms: bool = False
 
 
 def _encode_ecore(rate_dps: float, temp_c: float, count: int, options: ecore2000.Options) -> bytes:
@@ -116,12 +121,12 @@ TABLES: dict[str, TableKind] = {
 }
 
 CHAMBERS: dict[str, ChamberKind] = {
-    "espec": ChamberKind(espec.Options, espec.EspecChamber, espec.EspecResponder, 9600),
+    "espec": ChamberKind(espec.Options, espec.EspecChamber, espec.EspecResponder, 9600, sets_alarms=True),
     "watlow-f4": ChamberKind(
         watlow_f4.Options, watlow_f4.WatlowF4Chamber, watlow_f4.watlow_f4_responder, 19200
     ),
     "watlow-f4t-scpi": ChamberKind(
-        watlow_f4t.Options, watlow_f4t.WatlowF4tScpiChamber, watlow_f4t.WatlowF4tScpiResponder, 38400
+        watlow_f4t.Options, watlow_f4t.WatlowF4tScpiChamber, watlow_f4t.WatlowF4tScpiResponder, 38400, True
     ),
     "watlow-f4t-modbus": ChamberKind(
         watlow_f4t.Options, watlow_f4t.WatlowF4tModbusChamber, watlow_f4t.watlow_f4t_modbus_responder, 38400

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from gyrocal.bench.clock import Clock
-from gyrocal.bench.devices import Bench, ChamberReading, GyroSamples, TableReading
+from gyrocal.bench.devices import Bench, ChamberReading, StreamHealth
+from gyrocal.bench.gyros.stream import StreamTally, judge_stream
+from gyrocal.bench.looking import Lookout
 from gyrocal.bench.plan import Plan, Step, ramp_time_s
 from gyrocal.bench.profile import Profile
-from gyrocal.bench.recorder import BenchRow, Recorder
+from gyrocal.bench.recorder import Recorder
+from gyrocal.bench.recovery import bring_back
 from gyrocal.bench.safety import Interlocks, StopRequests, kept_safe
-from gyrocal.errors import DeviceError, GyrocalError, InterruptedRunError, OutputError
-from gyrocal.records.journal import RunWriter
+from gyrocal.errors import DeviceError, GyrocalError, IncompleteError, OutputError
+from gyrocal.records.journal import RunWriter, SegmentWriter
 from gyrocal.units import S_PER_MIN
 
-_DEG_PER_TURN = 360.0
 #: Long segments are written this often; the gyro's case, minutes behind the air, moves by less than 0.5 deg C meanwhile.
 _SLOW_DRAIN_S = 10.0
-#: Without a single sample for this long, or for this many sample intervals, the gyro is gone.
-_SILENCE_S = 10.0
-_SILENT_SAMPLES = 50.0
 #: Between two looks while the table comes to rate, s.
 _SETTLE_PERIOD_S = 0.5
 _PROGRESS_PERIOD_S = 30.0
@@ -54,12 +52,13 @@ class Watch(Protocol):
 
 @dataclass
 class Summary:
-    """What came of a run, this start and those before it. Entries are the steps in words."""
+    """What came of a run, this start and those before it. Entries are the steps in words, with the reason where known."""
 
     recorded: int = 0
     unsettled: list[str] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
+    retried: list[str] = field(default_factory=list)
     before: int = 0
     samples: int = 0
     bench_time_s: float = 0.0
@@ -93,6 +92,7 @@ class Runner:
         self._sealed = sealed or {}
         self._next_extra_id = max(highest_id, len(plan.steps)) + 1
         self._interlocks = Interlocks(profile, plan.limits)
+        self._lookout = Lookout(bench, clock, profile, self._interlocks, requests)
         self.summary = Summary()
         # where the bench is
         self._rate_dps = 0.0
@@ -100,12 +100,6 @@ class Runner:
         self._soaked_at_c: float | None = None
         self._soak_outcome = "ok"
         self._failed_at_c: float | None = None
-        # what is being read
-        self._rows: list[BenchRow] = []
-        self._temps: deque[tuple[float, float]] = deque()
-        self._gyro_temp_c = float("nan")
-        self._last_sample_s = 0.0
-        self._last_angle_deg = float("nan")
         # The slope of the gyro's temperature wants a handful of points.
         self._slow_drain_s = min(_SLOW_DRAIN_S, profile.soak.slope_over_s / 10.0)
         self._done_s = 0.0
@@ -134,8 +128,9 @@ class Runner:
             self._note_if_possible("aborted", reason=str(error), error=type(error).__name__)
             raise
         finally:
-            self.summary.bench_time_s = self._clock.now_s() - began_s
-        s = self.summary
+            s, seen = self.summary, self._lookout
+            s.bench_time_s = self._clock.now_s() - began_s
+            s.turns_ccw, s.turns_cw = seen.turns_ccw, seen.turns_cw
         self._note(
             "end",
             complete=s.complete,
@@ -143,6 +138,7 @@ class Runner:
             unsettled=s.unsettled,
             failed=s.failed,
             skipped=s.skipped,
+            **({"retried": s.retried} if s.retried else {}),
         )
         return s
 
@@ -151,25 +147,65 @@ class Runner:
         self._bench.chamber.start()
         self._bench.gyro.start()
         self._bench.chamber.set_alarm_limits(*self._interlocks.gyro_range_c)
-        self._last_sample_s = self._clock.now_s()
-        self._look(_SETTLE_PERIOD_S)
+        self._lookout.forget()
+        self._lookout.look(_SETTLE_PERIOD_S)
 
     def _visit(self, step: Step) -> None:
-        """Do one step of the plan, after what has to come before it."""
+        """Do one step of the plan, after what has to come before it; again by the profile's policy when it fails."""
         if step.id in self._sealed:
             outcome = self._sealed[step.id]
             self.summary.before += 1
             self._count(step, outcome)
             return
-        if self._requests.level >= 1:
-            self._interrupt()
+        self._lookout.heed(1)
+        policy = self._profile.retry
+        for left in range(policy.attempts, -1, -1):
+            try:
+                if self._prepared(step) and self._perform(step, left):
+                    return
+            except DeviceError as error:
+                self._failed(step, str(error), left)
+                if left == 0 and policy.then == "stop":
+                    raise
+                bring_back(
+                    self._bench, self._clock, self._profile, step, self._lookout, self._interlocks, error
+                )
+                self._rate_dps = 0.0
+                if left == 0:
+                    self._give_up(step, str(error))
+                    return
+                self._resettle(step)
+            if self._failed_at_c == step.chamber_c and step.kind != "ramp":
+                self._give_up(step, "the chamber or the gyro did not settle there")
+                return
+
+    def _prepared(self, step: Step) -> bool:
+        """Whether the bench is at the step's temperature, or the step brings it there."""
         if step.kind != "ramp" and self._failed_at_c != step.chamber_c:
             self._approach(step)
-        if step.kind != "ramp" and self._failed_at_c == step.chamber_c:
-            self.summary.skipped.append(step.describe())
-            self._watch.say(f"skipped: {step.describe()} (the chamber or the gyro did not settle there)")
-            return
-        self._perform(step)
+        return step.kind == "ramp" or self._failed_at_c != step.chamber_c
+
+    def _failed(self, step: Step, reason: str, left: int) -> None:
+        """Say that an attempt failed; what it had recorded is not kept."""
+        self._note("attempt_failed", id=step.id, reason=reason, attempts_left=left)
+        self._watch.say(f"failed: {step.describe()}: {reason}" + (f" ({left} attempts left)" if left else ""))
+        if left:
+            self.summary.retried.append(f"{step.describe()}: {reason}")
+
+    def _give_up(self, step: Step, reason: str) -> None:
+        """Skip a step; without its ramp or its soak the data sets at its temperature are skipped too."""
+        self.summary.skipped.append(f"{step.describe()}: {reason}")
+        self._note("skipped", id=step.id, reason=reason)
+        self._watch.say(f"skipped: {step.describe()} ({reason})")
+        if step.kind in ("ramp", "soak"):
+            self._failed_at_c = step.chamber_c
+
+    def _resettle(self, step: Step) -> None:
+        """A chamber that left its window while a device was away is soaked again before a data set."""
+        if step.kind in ("rate", "static"):
+            off_c = abs(self._lookout.chamber_c - step.chamber_c)
+            if not off_c <= self._profile.soak.window_c:
+                self._soaked_at_c = None
 
     def _approach(self, step: Step) -> None:
         """Bring the bench back to a step's temperature after a restart; recorded as segments of their own."""
@@ -187,32 +223,58 @@ class Runner:
         self._next_extra_id += 1
         return extra
 
-    def _perform(self, step: Step) -> None:
+    def _perform(self, step: Step, left: int = 0) -> bool:
+        """Do a step and seal its segment; False when its stream was too bad and it is to be done again."""
         self._step_began_s = self._clock.now_s()
         self._tell(step, now=True)
         settled = self._bring_to_rate(step)
         segment = self._writer.begin_segment(step.id, step.kind, step.rate_dps, step.chamber_c)
         recorder = Recorder(segment, self._profile.record.averaging_s if self._slow(step) else None)
+        self._tally = StreamTally(self._profile.sensor.sample_rate_hz)
+        before = self._bench.gyro.health()
         try:
             policy_fails = not settled and self._profile.settle.on_deadline == "fail"
             outcome = "failed" if policy_fails else self._record(step, recorder)
             if policy_fails:
-                self._look(_SETTLE_PERIOD_S)
-                recorder.add(self._drain(), self._take_rows())
+                self._lookout.look(_SETTLE_PERIOD_S)
+                self._take(recorder)
             recorder.finish()
             outcome = "unsettled" if outcome == "ok" and not settled else outcome
-            entry = segment.seal(
-                t_start_s=recorder.first_t_s,
-                t_end_s=recorder.last_t_s,
-                n=recorder.n,
-                averaging_s=self._profile.record.averaging_s if self._slow(step) else None,
-                outcome=outcome,
-            )
+            verdict = None if outcome == "failed" else self._verdict(before)
+            if verdict is not None and left and not self._slow(step):
+                self._failed(step, verdict, left)
+                return False
+            self._seal(step, segment, recorder, "failed" if verdict else outcome)
         finally:
             segment.abandon()
-        self.summary.samples += int(entry["n"])
         self._remember(step, outcome)
-        self._count(step, outcome)
+        self._count(step, "failed" if verdict else outcome, verdict)
+        if verdict is not None:
+            self._note("bad_stream", id=step.id, reason=verdict)
+            self._watch.say(f"failed: {step.describe()}: {verdict}")
+            if self._profile.retry.then == "stop":
+                raise IncompleteError(f"{step.describe()}: {verdict}. The run was ended by retry.then.")
+        return True
+
+    def _verdict(self, before: StreamHealth) -> str | None:
+        rate_hz, limits = self._profile.sensor.sample_rate_hz, self._profile.stream
+        return judge_stream(self._tally, before, self._bench.gyro.health(), rate_hz, limits)
+
+    def _seal(self, step: Step, segment: SegmentWriter, recorder: Recorder, outcome: str) -> None:
+        entry = segment.seal(
+            t_start_s=recorder.first_t_s,
+            t_end_s=recorder.last_t_s,
+            n=recorder.n,
+            averaging_s=self._profile.record.averaging_s if self._slow(step) else None,
+            outcome=outcome,
+        )
+        self.summary.samples += int(entry["n"])
+
+    def _take(self, recorder: Recorder) -> None:
+        """Hand what was sampled and read to the recorder."""
+        samples = self._lookout.drain()
+        self._tally.add(samples)
+        recorder.add(samples, self._lookout.take_rows())
 
     def _remember(self, step: Step, outcome: str) -> None:
         if step.kind == "ramp":
@@ -222,12 +284,13 @@ class Runner:
         if step.kind in ("ramp", "soak"):
             self._failed_at_c = step.chamber_c if outcome == "failed" else None
 
-    def _count(self, step: Step, outcome: str) -> None:
+    def _count(self, step: Step, outcome: str, reason: str | None = None) -> None:
         s = self.summary
+        text = f"{step.describe()}: {reason}" if reason else step.describe()
         if outcome == "ok":
             s.recorded += 1
         else:
-            (s.unsettled if outcome == "unsettled" else s.failed).append(step.describe())
+            (s.unsettled if outcome == "unsettled" else s.failed).append(text)
 
     @staticmethod
     def _slow(step: Step) -> bool:
@@ -246,8 +309,8 @@ class Runner:
         since_s: float | None = None
         lost = 0
         while True:
-            table, _ = self._look(_SETTLE_PERIOD_S)
-            lost += self._drain().t_s.size
+            table, _ = self._lookout.look(_SETTLE_PERIOD_S)
+            lost += self._lookout.drain().t_s.size
             if not abs(table.rate_dps - rate_dps) <= spec.tolerance_dps:
                 since_s = None
             elif since_s is None:
@@ -255,8 +318,7 @@ class Runner:
             held = since_s is not None and table.t_s - since_s >= spec.hold_s
             if held or self._clock.now_s() >= deadline_s:
                 break
-        # The last reading opens the segment: rate by angle then covers all of it.
-        self._rows = self._rows[-1:]
+        self._lookout.keep_last_row()
         self._writer.event(
             "at_rate" if held else "rate_deadline",
             self._clock.now_s(),
@@ -308,9 +370,11 @@ class Runner:
                 since_s = None
             elif since_s is None:
                 since_s = chamber.t_s
-            slope = self._gyro_slope_c_per_min()
+            slope = self._lookout.gyro_slope_c_per_min()
             soaked = since_s is not None and chamber.t_s - since_s >= spec.time_s
-            blind = np.isnan(self._gyro_temp_c)  # a gyro without a thermometer has only the chamber's word
+            blind = np.isnan(
+                self._lookout.gyro_temp_c
+            )  # a gyro without a thermometer has only the chamber's word
             if soaked and (blind or abs(slope) <= spec.slope_c_per_min):
                 return "ok"
             if self._clock.now_s() >= deadline_s:
@@ -332,12 +396,12 @@ class Runner:
         worst_dps, worst_c, worst = 0.0, -1.0, None
         while worst is None or until_s - self._clock.now_s() > 1e-9:
             period_s = min(self._profile.record.bench_period_s, max(until_s - self._clock.now_s(), 1e-3))
-            table, chamber = self._look(period_s, abandon=step.kind != "rate")
+            table, chamber = self._lookout.look(period_s, abandon=step.kind != "rate")
             worst_dps = max(worst_dps, _finite_or_far(table.rate_dps - self._rate_dps))
             off_c = _finite_or_far(chamber.temp_c - step.chamber_c)
             if off_c >= worst_c:
                 worst_c, worst = off_c, chamber
-        recorder.add(self._drain(), self._take_rows())
+        self._take(recorder)
         self._tell(step)
         return worst_dps, worst_c, worst
 
@@ -359,64 +423,7 @@ class Runner:
         self._warn(step, why)
         return "failed" if policy == "fail" else "unsettled"
 
-    # looking
-
-    def _look(self, period_s: float, *, abandon: bool = False) -> tuple[TableReading, ChamberReading]:
-        """Let a period pass, read the bench, heed the operator, check the interlocks.
-
-        With `abandon` a first Ctrl-C ends at once too: what is being recorded lasts too long to be finished.
-        """
-        self._clock.sleep(period_s)
-        table, chamber = self._bench.table.read(), self._bench.chamber.read()
-        self._rows.append(
-            BenchRow(table.t_s, table.rate_dps, table.angle_deg, chamber.temp_c, self._bench.supply.read_v())
-        )
-        turned = (table.angle_deg - self._last_angle_deg) / _DEG_PER_TURN
-        self.summary.turns_ccw += max(turned, 0.0) if turned == turned else 0.0
-        self.summary.turns_cw += max(-turned, 0.0) if turned == turned else 0.0
-        self._last_angle_deg = table.angle_deg
-        if self._requests.level >= (1 if abandon else 2):
-            self._interrupt()
-        self._interlocks.check(table, self._bench.table.faults(), chamber, self._gyro_temp_c)
-        return table, chamber
-
-    def _drain(self) -> GyroSamples:
-        """Samples since the last drain; keeps the history of the gyro's temperature."""
-        samples = self._bench.gyro.drain()
-        now_s = self._clock.now_s()
-        if samples.t_s.size:
-            self._last_sample_s = now_s
-            good = np.isfinite(samples.gyro_temp_c)
-            if good.any():
-                self._gyro_temp_c = float(np.mean(samples.gyro_temp_c[good]))
-                self._temps.append((float(np.mean(samples.t_s[good])), self._gyro_temp_c))
-        silence_s = max(_SILENCE_S, _SILENT_SAMPLES / self._profile.sensor.sample_rate_hz)
-        if now_s - self._last_sample_s > silence_s:
-            msg = f"The gyro has sent no sample for {silence_s:.0f} s (at {now_s:.0f} s). Check its supply and its cable, then --resume."
-            raise DeviceError(msg)
-        while self._temps and self._temps[0][0] < now_s - self._profile.soak.slope_over_s:
-            self._temps.popleft()
-        return samples
-
-    def _gyro_slope_c_per_min(self) -> float:
-        """Least-squares slope of the gyro's temperature over the profile's span; NaN until the span is nearly full."""
-        if len(self._temps) < 3:
-            return float("nan")
-        t_s, temp_c = np.array(self._temps).T
-        if t_s[-1] - t_s[0] < 0.8 * self._profile.soak.slope_over_s:
-            return float("nan")
-        centred = t_s - t_s.mean()
-        return float(centred @ temp_c / (centred @ centred)) * S_PER_MIN
-
-    def _take_rows(self) -> list[BenchRow]:
-        rows, self._rows = self._rows, []
-        return rows
-
     # telling
-
-    def _interrupt(self) -> None:
-        msg = f"Ended by {self._requests.reason}; what was sealed is kept, and --resume carries on."
-        raise InterruptedRunError(msg)
 
     def _warn(self, step: Step, why: str) -> None:
         self._note("unsettled", id=step.id, reason=why)
@@ -440,8 +447,9 @@ class Runner:
         within_s = min(now_s - self._step_began_s, step.expected_s)
         total_s = self._plan.expected_s or 1.0
         left_s = max(total_s - self._done_s - within_s, 0.0)
-        last_c = self._rows[-1].chamber_temp_c if self._rows else float("nan")
-        self._watch.progress(Progress(1.0 - left_s / total_s, left_s, step, last_c, self._gyro_temp_c))
+        seen = self._lookout
+        share = 1.0 - left_s / total_s
+        self._watch.progress(Progress(share, left_s, step, seen.chamber_c, seen.gyro_temp_c))
 
 
 def _finite_or_far(difference: float) -> float:

@@ -20,6 +20,8 @@ T = TypeVar("T")
 
 #: Between two stop commands, and between the two readings that have to agree, s.
 _STOP_PERIOD_S = 0.5
+#: How often the chamber is told its safe set point at most.
+_CHAMBER_TOLD = 3
 #: An encoder's own unrest between two readings at rest, deg.
 _ENCODER_UNREST_DEG = 1e-3
 
@@ -127,10 +129,9 @@ def kept_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> Itera
 
 def make_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> None:
     """Stop the table and verify it, then chamber to the safe set point, then close all; each whatever the others do."""
-    limits, _ = _attempt(bench.table.limits)
-    braking_s = limits.max_rate_dps / limits.max_acceleration_dps2 if limits else 0.0
-    standing, rate_dps = _stop(bench.table, clock, profile, braking_s)
-    _, chamber_error = _attempt(lambda: bench.chamber.set_setpoint(profile.safe.chamber_c))
+    standing, rate_dps = stop_table(bench.table, clock, profile)
+    told_s = profile.safe.stop_deadline_s + braking_time_s(bench.table)
+    chamber_error = _chamber_to_safe(bench, clock, profile)
     for device in (bench.gyro, bench.chamber, bench.table):
         _attempt(device.close)
     _, journal_error = _attempt(
@@ -145,7 +146,7 @@ def make_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> None:
     if not standing:
         last = "nothing" if rate_dps is None else f"{rate_dps:.4g} deg/s"
         msg = (
-            f"THE TABLE MAY STILL BE TURNING: it was told to stop for {profile.safe.stop_deadline_s + braking_s:.0f} s, and "
+            f"THE TABLE MAY STILL BE TURNING: it was told to stop for {told_s:.0f} s, and "
             f"its last read-back was {last}. Use its emergency stop now."
         )
         raise StopNotVerifiedError(msg)
@@ -153,9 +154,19 @@ def make_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> None:
         raise journal_error
 
 
-def _stop(table: RateTable, clock: Clock, profile: Profile, braking_s: float) -> tuple[bool, float | None]:
-    """Send stops until two readings in a row, of rate and of angle, show a table at rest; ``(standing, last rate)``."""
-    deadline_s = clock.now_s() + profile.safe.stop_deadline_s + braking_s
+def braking_time_s(table: RateTable) -> float:
+    """Time in which the table can come to rest from its highest rate; 0 where it cannot be asked."""
+    limits, _ = _attempt(table.limits)
+    return limits.max_rate_dps / limits.max_acceleration_dps2 if limits else 0.0
+
+
+def stop_table(table: RateTable, clock: Clock, profile: Profile) -> tuple[bool, float | None]:
+    """Send stops until two readings in a row, of rate and of angle, show a table at rest; ``(standing, last rate)``.
+
+    Never raises: a port that is gone is tried again until the deadline.
+    """
+    _attempt(table.send_stop)  # first of all; asking the table for its limits may take time
+    deadline_s = clock.now_s() + profile.safe.stop_deadline_s + braking_time_s(table)
     before: TableReading | None = None
     last_dps: float | None = None
     while True:
@@ -173,6 +184,17 @@ def _stop(table: RateTable, clock: Clock, profile: Profile, braking_s: float) ->
                 before = reading
         if clock.now_s() >= deadline_s:
             return False, last_dps
+
+
+def _chamber_to_safe(bench: Bench, clock: Clock, profile: Profile) -> Exception | None:
+    """Send the safe set point, again when it fails; the last error."""
+    error: Exception | None = None
+    for _ in range(_CHAMBER_TOLD):
+        _, error = _attempt(lambda: bench.chamber.set_setpoint(profile.safe.chamber_c))
+        if error is None:
+            break
+        clock.sleep(_STOP_PERIOD_S)
+    return error
 
 
 def _stands(before: TableReading, after: TableReading, standing_dps: float) -> bool:

@@ -15,6 +15,7 @@ T = TypeVar("T")
 
 _MISSING: Any = dataclasses.MISSING
 _WORDS: dict[type, str] = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
+_PLURALS: dict[type, str] = {str: "texts", int: "whole numbers", float: "numbers"}
 
 
 def number(low: float, high: float, unit: str = "", default: Any = _MISSING) -> Any:
@@ -116,7 +117,7 @@ def _allowed(hint: Any, meta: Mapping[str, Any]) -> str:
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         many = "a list of" if inner[-1] is Ellipsis else f"a list of {len(inner)}"
-        return f"{many} numbers{_range(meta)}"
+        return f"{many} {_PLURALS[inner[0]]}{_range(meta)}"
     return _WORDS[kind] + _range(meta)
 
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import gyrocal
-from gyrocal.bench.clock import Clock
+from gyrocal.bench.capture import RawCapture
+from gyrocal.bench.clock import Clock, RealClock
 from gyrocal.bench.devices import Bench
 from gyrocal.bench.plan import Plan, make_plan, narrowest
 from gyrocal.bench.profile import Profile, load_profile, profile_from_dict
 from gyrocal.bench.runner import Runner, Summary, Watch
 from gyrocal.bench.safety import StopRequests, listening
 from gyrocal.bench.virtual.devices import virtual_bench
-from gyrocal.errors import DeviceError, InputError, OutputError
+from gyrocal.bench.wiring import Prompt, is_virtual, open_bench
+from gyrocal.errors import InputError, InterruptedRunError, OutputError
 from gyrocal.records.journal import Recovered, RunWriter, create_run, is_stillborn, resume_run
 from gyrocal.records.run import SCHEMA, Run, Sensor, read_run
 
@@ -27,37 +30,60 @@ _VIRTUAL_UTC = "2000-01-01T00:00:00Z"
 _VIRTUAL_PAUSE_S = 60.0
 
 
+def _nobody(question: str) -> str:
+    raise InterruptedRunError(f"A manual device asks, and nobody is there to answer: {question}")
+
+
 @dataclass(frozen=True)
 class AcquireConfig:
-    """What ``gyrocal acquire`` was asked; `seed` None keeps the profile's."""
+    """What ``gyrocal acquire`` was asked; `seed` None keeps the profile's, `prompt` asks the operator."""
 
     profile: str | Path
     out: Path
     simulate: bool = False
     seed: int | None = None
     resume: bool = False
+    raw: bool = False
+    prompt: Prompt = _nobody
 
 
 def connect(
-    profile: Profile, *, simulate: bool, start_s: float = 0.0, restarts: int = 0
-) -> tuple[Bench, Clock]:
-    """The bench that a profile names, and the clock that goes with it.
+    profile: Profile,
+    *,
+    simulate: bool,
+    start_s: float = 0.0,
+    restarts: int = 0,
+    prompt: Prompt = _nobody,
+    raw: bool = False,
+) -> tuple[Bench, Clock, RawCapture | None]:
+    """The bench that a profile names, the clock that goes with it, and with `raw` the capture of its ports.
 
     Raises
     ------
-    DeviceError
-        The profile names a port for a device that has no driver here.
+    ProfileError
+        A device that does not exist, a bad option of it, or virtual and real devices together.
     """
-    for name in ("gyro", "table", "chamber"):
-        device = getattr(profile, name).device
-        if device != "virtual" and not simulate:
-            msg = (
-                f'{profile.source}: {name}.device is "{device}", and only "virtual" can be driven yet. '
-                "Add --simulate to run this profile on the virtual bench."
-            )
-            raise DeviceError(msg)
-    bench, clock, _ = virtual_bench(profile, start_s=start_s, restarts=restarts)
-    return bench, clock
+    if simulate or is_virtual(profile):
+        bench, virtual_clock, _ = virtual_bench(profile, start_s=start_s, restarts=restarts)
+        return bench, virtual_clock, None
+    clock = RealClock(start_s)
+    capture = RawCapture(clock) if raw else None
+    return open_bench(profile, clock, prompt, capture), clock, capture
+
+
+@contextlib.contextmanager
+def _capturing(capture: RawCapture | None, out: Path, watch: Watch) -> Iterator[None]:
+    """Capture raw bytes into the run directory; a capture that fails is told of and ends no run."""
+    if capture is None:
+        yield
+        return
+    capture.start(out / "raw")
+    try:
+        yield
+    finally:
+        capture.close()
+        if capture.failure is not None:
+            watch.say(f"the raw capture is incomplete: {capture.failure}")
 
 
 def plan_of(profile: Profile, bench: Bench) -> Plan:
@@ -70,7 +96,7 @@ def plan_of(profile: Profile, bench: Bench) -> Plan:
 def dry_run(config: AcquireConfig) -> tuple[Profile, Plan]:
     """Profile and checked plan, and nothing else."""
     profile = _profile(config, None)
-    bench, _ = connect(profile, simulate=config.simulate)
+    bench, _, _ = connect(profile, simulate=config.simulate)
     return profile, plan_of(profile, bench)
 
 
@@ -96,9 +122,11 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
             msg = f"{config.out}: holds a run already. Add --resume to carry it on, or choose another --out."
             raise OutputError(msg)
         profile = _profile(config, None)
-        bench, clock = connect(profile, simulate=config.simulate)
+        bench, clock, capture = connect(
+            profile, simulate=config.simulate, prompt=config.prompt, raw=config.raw
+        )
         plan = plan_of(profile, bench)
-        with create_run(config.out, _head(profile, bench)) as writer:
+        with create_run(config.out, _head(profile, bench)) as writer, _capturing(capture, config.out, watch):
             runner = Runner(bench, clock, profile, plan, writer, requests, watch)
             return runner.run("start", steps=len(plan.steps), expected_s=round(plan.expected_s, 3))
 
@@ -121,9 +149,14 @@ def _run_rest(
     watch: Watch,
     requests: StopRequests,
 ) -> Summary:
-    start_s = math.ceil(found.last_t_s) + _VIRTUAL_PAUSE_S
-    restarts = found.resumed + 1
-    bench, clock = connect(profile, simulate=config.simulate, start_s=start_s, restarts=restarts)
+    bench, clock, capture = connect(
+        profile,
+        simulate=config.simulate,
+        start_s=_start_again_s(config, profile, before, found),
+        restarts=found.resumed + 1,
+        prompt=config.prompt,
+        raw=config.raw,
+    )
     if before.bench.get("devices", bench.describe) != bench.describe:
         msg = f"{config.out}: was begun on a {before.bench['devices']} bench, and this one is {bench.describe}. Use the same devices."
         raise InputError(msg)
@@ -149,7 +182,17 @@ def _run_rest(
     }
     if bench.describe == "virtual":
         details["virtual_world"] = f"restarted at {profile.virtual.start_temp_c:g} deg C, table at rest"
-    return runner.run("resume", **details)
+    with _capturing(capture, config.out, watch):
+        return runner.run("resume", **details)
+
+
+def _start_again_s(config: AcquireConfig, profile: Profile, before: Run, found: Recovered) -> float:
+    """Time since the run began, at which it is carried on: later than all that was recorded, whatever the wall clock says."""
+    earliest_s = math.ceil(found.last_t_s) + _VIRTUAL_PAUSE_S
+    if config.simulate or is_virtual(profile) or before.created_utc is None:
+        return earliest_s
+    began = datetime.fromisoformat(before.created_utc)
+    return max(earliest_s, (datetime.now(UTC) - began).total_seconds())
 
 
 def _profile(config: AcquireConfig, before: Run | None) -> Profile:
@@ -204,8 +247,8 @@ def _head(profile: Profile, bench: Bench) -> dict[str, Any]:
         "sensor": sensor.to_json(),
         "bench": {
             "devices": bench.describe,
-            "table": "virtual" if virtual else profile.bench.table,
-            "chamber": "virtual" if virtual else profile.bench.chamber,
+            "table": "virtual" if virtual else _named(profile.bench.table, profile.table.device),
+            "chamber": "virtual" if virtual else _named(profile.bench.chamber, profile.chamber.device),
             "latitude_deg": profile.bench.latitude_deg,
         },
         "profile": profile.raw,
@@ -215,3 +258,8 @@ def _head(profile: Profile, bench: Bench) -> dict[str, Any]:
     if spec.on_before_s is not None or virtual:
         head["power_on_t_s"] = 0.0 - (spec.on_before_s or 0.0)
     return head
+
+
+def _named(name: str, device: str) -> str:
+    """What the profile calls a device, or else its kind."""
+    return device.partition(":")[0] if name == "unknown" else name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import serial
@@ -13,10 +13,18 @@ from gyrocal.errors import DeviceError
 
 #: Longest wait inside one look at the port; deadlines are made of such looks.
 _LOOK_S = 0.02
+#: No device here says more at once.
+_LONGEST_ANSWER = 8192
+#: Most that is read from a socket in one look.
+_BLOCK = 1 << 16
 
 
 class Transport(Protocol):
     """What a driver needs of a port."""
+
+    def now_s(self) -> float:
+        """Monotonic time in which this port's deadlines run, s."""
+        ...
 
     def write(self, data: bytes) -> None:
         """Send all of `data`, or raise DeviceError."""
@@ -54,6 +62,10 @@ class SerialTransport:
         except (serial.SerialException, OSError, ValueError) as error:
             raise DeviceError(_open_failed(url, error)) from error
 
+    def now_s(self) -> float:
+        """Host monotonic time: a step of the wall clock changes no deadline."""
+        return time.monotonic()
+
     def write(self, data: bytes) -> None:
         """Send all of `data`, or raise DeviceError."""
         try:
@@ -75,7 +87,7 @@ class SerialTransport:
             try:
                 data: bytes = self._port.read(1)
                 # A socket:// port reports at most 1 waiting byte, so ask for a block there and take what comes.
-                waiting = self._port.in_waiting if "://" not in self.url else 4096
+                waiting = self._port.in_waiting if "://" not in self.url else _BLOCK
                 if data and waiting:
                     data += self._port.read(waiting) if "://" not in self.url else self._rest()
             except (serial.SerialException, OSError) as error:
@@ -92,7 +104,7 @@ class SerialTransport:
     def _rest(self) -> bytes:
         self._port.timeout = 0
         try:
-            rest: bytes = self._port.read(4096)
+            rest: bytes = self._port.read(_BLOCK)
         finally:
             self._port.timeout = _LOOK_S
         return rest
@@ -107,6 +119,49 @@ class SerialTransport:
         """Close; never raises."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
+
+
+class ReopeningTransport:
+    """A port that is opened at its first use, and again after it was gone: each use makes one attempt."""
+
+    def __init__(self, open_port: Callable[[], Transport]) -> None:
+        self._open = open_port
+        self._port: Transport | None = None
+
+    def now_s(self) -> float:
+        """Host monotonic time, or the open port's own."""
+        return time.monotonic() if self._port is None else self._port.now_s()
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`, or raise DeviceError."""
+        with self._lost_on_error() as port:
+            port.write(data)
+
+    def read_available(self, wait_s: float) -> bytes:
+        """Bytes that have come, after waiting at most `wait_s` for the first of them."""
+        with self._lost_on_error() as port:
+            return port.read_available(wait_s)
+
+    def clear_input(self) -> None:
+        """Forget what came before; a port that is gone has nothing to forget."""
+        if self._port is not None:
+            self._port.clear_input()
+
+    def close(self) -> None:
+        """Close; never raises. The next use opens it again."""
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    @contextlib.contextmanager
+    def _lost_on_error(self) -> Iterator[Transport]:
+        if self._port is None:
+            self._port = self._open()
+        try:
+            yield self._port
+        except DeviceError:
+            self.close()
+            raise
 
 
 def _open_failed(url: str, error: Exception) -> str:
@@ -153,22 +208,25 @@ class Conversation:
 
     def receive(self, request: bytes = b"") -> bytes:
         """The next answer, without its terminator."""
-        deadline_s = time.monotonic() + self._timeout_s
+        deadline_s = self.transport.now_s() + self._timeout_s
         while self._terminator not in self._buffer:
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - self.transport.now_s()
             if left_s <= 0:
                 said = f"half an answer ({self._buffer[:40]!r})" if self._buffer else "no answer"
                 msg = f"{self._name}: {said} to {request!r} within {self._timeout_s:g} s. Check power, cable, baud rate and address."
                 raise DeviceError(msg)
             self._buffer += self.transport.read_available(min(left_s, 0.1))
+            if len(self._buffer) > _LONGEST_ANSWER:
+                msg = f"{self._name}: {len(self._buffer)} bytes came and no end of an answer to {request!r}. Check the baud rate."
+                raise DeviceError(msg)
         answer, self._buffer = self._buffer.split(self._terminator, 1)
         return answer
 
     def receive_exactly(self, count: int, request: bytes) -> bytes:
         """The next `count` bytes of a binary answer."""
-        deadline_s = time.monotonic() + self._timeout_s
+        deadline_s = self.transport.now_s() + self._timeout_s
         while len(self._buffer) < count:
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - self.transport.now_s()
             if left_s <= 0:
                 said = f"{len(self._buffer)} of {count} bytes" if self._buffer else "no answer"
                 msg = f"{self._name}: {said} to {request.hex(' ')} within {self._timeout_s:g} s. Check power, cable, baud rate and address."

@@ -33,6 +33,7 @@ _MIN_S = 60.0
 @click.option(
     "--dry-run", is_flag=True, help="Show steps, turns, duration and limits; nothing moves or is written."
 )
+@click.option("--raw", is_flag=True, help="Also keep every port's bytes with their times, in RUN/raw.")
 @json_option
 def command(
     profile: str,
@@ -41,18 +42,21 @@ def command(
     seed: int | None,
     resume: bool,
     dry_run: bool,
+    raw: bool,
     as_json: bool,
 ) -> None:
     """Run PROFILE, a .toml file or the name of a shipped profile (quick, rd2100, ...), on the bench.
 
     Ctrl-C once ends the run after the data set at hand, twice at once; the table is stopped and the
     chamber goes to its safe set point either way, and --resume carries on.
+
+    Example: gyrocal acquire quick --simulate --seed 7 --out run
     """
     from gyrocal.bench import session
 
     if out is None and not dry_run:
         raise click.UsageError("Missing option '--out'.")
-    config = session.AcquireConfig(profile, out or Path(), simulate, seed, resume)
+    config = session.AcquireConfig(profile, out or Path(), simulate, seed, resume, raw, _ask)
     if dry_run:
         _show_plan(*session.dry_run(config), as_json)
         return
@@ -69,6 +73,11 @@ def command(
             f"{lost[0]}; the bench is safe. Look into the journal for why, and use --resume for what was skipped."
         )
         raise IncompleteError(msg)
+
+
+def _ask(question: str) -> str:
+    click.echo(question, err=True, nl=False)
+    return input()
 
 
 class _Watch:

@@ -1,7 +1,7 @@
 """Raw captures, ``gyrocal-raw/1``: the bytes of a port with their arrival times, to be decoded again later.
 
-The first line is JSON: ``schema``, ``device`` and its ``options``. Each further line is an arrival time in seconds
-since the capture began and the bytes in hexadecimal.
+The first line is JSON: ``schema``, ``device`` and its ``options``. Each further line is a time in seconds since the
+run began and the bytes in hexadecimal; ``>`` before the bytes marks what was sent to the device.
 """
 
 from __future__ import annotations
@@ -30,9 +30,16 @@ class RawWriter:
             json.dumps({"schema": SCHEMA, "device": device, "options": dict(options)}, sort_keys=True)
         )
 
-    def chunk(self, t_s: float, data: bytes) -> None:
-        """Add bytes that arrived at `t_s`."""
-        self._write(f"{t_s:.6f} {data.hex()}")
+    def chunk(self, t_s: float, data: bytes, *, sent: bool = False) -> None:
+        """Add bytes that arrived, or were `sent`, at `t_s`."""
+        self._write(f"{t_s:.6f} {'>' if sent else ''}{data.hex()}")
+
+    def flush(self) -> None:
+        """Hand what is buffered to the operating system, so that it outlives this program."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            raise_output_error(self._path, error)
 
     def close(self) -> None:
         """Flush and close."""
@@ -68,7 +75,7 @@ def read_raw_head(path: Path) -> dict[str, Any]:
 
 
 def iterate_raw(path: Path) -> Iterator[tuple[float, bytes]]:
-    """Yield ``(arrival time in s, bytes)`` of a capture, in bounded memory.
+    """Yield ``(arrival time in s, bytes)`` of what the device sent, in bounded memory.
 
     Raises
     ------
@@ -83,8 +90,10 @@ def iterate_raw(path: Path) -> Iterator[tuple[float, bytes]]:
                 return
             time_text, _, hexadecimal = line.strip().partition(" ")
             try:
-                yield float(time_text), bytes.fromhex(hexadecimal)
+                t_s, data = float(time_text), bytes.fromhex(hexadecimal.removeprefix(">"))
             except ValueError as error:
                 raise InputError(
                     f"{path}, line {number}: is not a time and bytes. Repair or remove the line."
                 ) from error
+            if not hexadecimal.startswith(">"):
+                yield t_s, data

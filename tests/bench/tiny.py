@@ -35,6 +35,7 @@ TINY: dict[str, Any] = {
         "slope_over_s": 20.0,
         "deadline_s": 120.0,
     },
+    "retry": {"attempts": 0, "then": "stop"},
     "safe": {"chamber_c": 22.0},
     "virtual": {"start_temp_c": 21.0, "chamber": {"air_s": 2.0, "case_s": 10.0}},
 }

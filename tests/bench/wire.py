@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Protocol
 
 from gyrocal.bench.devices import ChamberLimits, ChamberReading, TableLimits, TableReading
@@ -20,6 +21,9 @@ class ScriptedTransport:
         self._script = list(script)
         self._waiting = b""
         self.closed = False
+
+    def now_s(self) -> float:
+        return time.monotonic()
 
     def write(self, data: bytes) -> None:
         assert self._script, f"nothing more was expected, and {data!r} was sent"
@@ -50,6 +54,9 @@ class LoopTransport:
         self._responder = responder
         self._waiting = b""
         self.sent: list[bytes] = []
+
+    def now_s(self) -> float:
+        return time.monotonic()
 
     def write(self, data: bytes) -> None:
         self.sent.append(data)

@@ -59,6 +59,7 @@ class Decoder(ABC):
         self._buffer = bytearray()
         self._bytes_in = self._skipped = self._good = self._bad = self._gaps = self._status_bad = 0
         self._last_sequence: int | None = None
+        self._last_raw = b""
 
     @abstractmethod
     def _look(self, buffer: bytearray) -> Step | None:
@@ -75,12 +76,20 @@ class Decoder(ABC):
                 self._skipped += step.used
                 self._bad += step.bad
                 continue
+            if self._repeats(step.frame):
+                self._bad += 1
+                continue
             self._count(step.frame)
             frames.append(step.frame)
         return frames
 
+    def _repeats(self, frame: Frame) -> bool:
+        """Whether a frame with a counter is the last one once more, as a faulty converter or radio link sends it."""
+        return frame.sequence is not None and bool(frame.raw) and frame.raw == self._last_raw
+
     def _count(self, frame: Frame) -> None:
         self._good += 1
+        self._last_raw = frame.raw
         self._status_bad += frame.status != GOOD
         if frame.sequence is not None and self.sequence_modulus is not None:
             if self._last_sequence is not None:

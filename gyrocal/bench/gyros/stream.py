@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import GyroSamples, StreamHealth
 from gyrocal.bench.gyros.codec import Decoder, Frame
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
@@ -35,7 +36,9 @@ class StreamSpec:
     silence_s : float
         Without a byte for so long the stream counts as gone.
     commands : tuple of bytes
-        Sent once the port is open (mode selection).
+        Sent once the port is open (mode selection), and again after a pause: the device may have restarted.
+    pause_s : float
+        Without a byte for so long, and few after it, the device counts as restarted.
     """
 
     name: str
@@ -43,10 +46,14 @@ class StreamSpec:
     baud: int
     silence_s: float = 3.0
     commands: tuple[bytes, ...] = ()
+    pause_s: float = 0.5
 
 
 class WireGyro:
-    """Driver of any streaming gyro: a transport, a codec, a reading thread; see `gyrocal.bench.devices.Gyro`."""
+    """Driver of any streaming gyro: a transport, a codec, a reading thread; see `gyrocal.bench.devices.Gyro`.
+
+    Without a thread (`threaded` False) whoever owns the port hands the bytes to `take`.
+    """
 
     def __init__(
         self,
@@ -54,19 +61,23 @@ class WireGyro:
         open_transport: Callable[[], Transport],
         make_decoder: Callable[[], Decoder],
         clock: Clock,
-        on_chunk: Callable[[float, bytes], None] | None = None,
+        *,
+        threaded: bool = True,
     ) -> None:
         self._spec = spec
         self._open = open_transport
         self._make_decoder = make_decoder
         self._clock = clock
-        self._on_chunk = on_chunk
+        self._threaded = threaded
         self._queue: deque[tuple[float, Frame]] = deque()
         self._decoder = make_decoder()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._transport: Transport | None = None
         self._failure: DeviceError | None = None
+        self._first_byte_s: float | None = None
         self._last_byte_s = 0.0
+        self._restarts = 0
         self._last_t_s = -np.inf
 
     def start(self) -> None:
@@ -78,16 +89,19 @@ class WireGyro:
             No byte at all; bytes but no frame (wrong baud or another device); or frames that the device calls bad.
         """
         self._decoder = self._make_decoder()
-        self._failure = None
+        self._failure = self._first_byte_s = None
+        self._restarts = 0
+        self._queue.clear()
         self._stop.clear()
-        transport = self._open()
+        transport = self._transport = self._open()
+        self._last_byte_s = self._clock.now_s()
         for command in self._spec.commands:
             transport.write(command)
-        self._last_byte_s = self._clock.now_s()
-        self._thread = threading.Thread(
-            target=self._read, args=(transport,), name=self._spec.name, daemon=True
-        )
-        self._thread.start()
+        if self._threaded:
+            self._thread = threading.Thread(
+                target=self._read, args=(transport,), name=self._spec.name, daemon=True
+            )
+            self._thread.start()
         deadline_s = self._clock.now_s() + self._spec.silence_s
         while self._decoder.health().frames_good - self._decoder.health().status_bad < 1:
             if self._failure is not None or self._clock.now_s() > deadline_s:
@@ -138,11 +152,13 @@ class WireGyro:
 
     def health(self) -> StreamHealth:
         """Counters since `start`."""
-        return self._decoder.health()
+        return replace(self._decoder.health(), restarts=self._restarts)
 
     def close(self) -> None:
         """Stop the thread and close the port; never raises."""
         self._stop.set()
+        if not self._threaded and self._transport is not None:
+            self._transport.close()
         if self._thread is not None and self._thread is not threading.current_thread():
             # A port that hangs in close must not hold up the safety actions.
             self._thread.join(timeout=1.0)
@@ -152,16 +168,22 @@ class WireGyro:
             while not self._stop.is_set():
                 data = transport.read_available(0.05)
                 if data:
-                    self._take(self._clock.now_s(), data)
+                    self.take(self._clock.now_s(), data)
         except DeviceError as error:
             self._failure = error
         finally:
             transport.close()
 
-    def _take(self, now_s: float, data: bytes) -> None:
+    def take(self, now_s: float, data: bytes) -> None:
+        """Decode bytes that arrived at `now_s`, s.
+
+        Raises
+        ------
+        DeviceError
+            The device restarted, and its mode cannot be sent again.
+        """
+        self._notice_restart(now_s, len(data))
         self._last_byte_s = now_s
-        if self._on_chunk is not None:
-            self._on_chunk(now_s, data)
         frames = self._decoder.feed(data)
         # Frames read in one piece came one after the other on the line: each is dated by the bytes behind it.
         behind = 0
@@ -173,60 +195,112 @@ class WireGyro:
             self._last_t_s = max(t_s, self._last_t_s)
             self._queue.append((self._last_t_s, frame))
 
+    def _notice_restart(self, now_s: float, count: int) -> None:
+        """After a pause the device may be back in its power-up mode: send the commands again."""
+        if self._first_byte_s is None:
+            self._first_byte_s = now_s
+            return
+        pause_s = now_s - self._last_byte_s
+        if pause_s <= self._spec.pause_s:
+            return
+        # When this program was kept waiting, not the device, the bytes of the pause come all at once.
+        streamed_s = max(self._last_byte_s - self._first_byte_s, 1.0 / self._spec.sample_rate_hz)
+        if count < 0.5 * pause_s * self._decoder.health().bytes_in / streamed_s:
+            self._restarts += 1
+            for command in self._spec.commands:
+                if self._transport is not None:
+                    self._transport.write(command)
+
 
 @dataclass(frozen=True)
 class StreamLimits:
-    """Shares of a segment above which its stream is not good enough to calibrate with."""
+    """Shares of a segment above which its stream is not good enough to calibrate with.
 
-    bad_share: float = 0.02
-    gap_share: float = 0.01
-    #: Free-running gyros send up to 3 % slower than nominal, so without a counter only more than this is loss.
-    missing_share: float = 0.05
-    clump_share: float = 0.2
+    Attributes
+    ----------
+    bad_share : float
+        Damaged frames, and frames that the device itself calls bad.
+    gap_share : float
+        Gaps in the device's counter, of all frames.
+    missing_share : float
+        Samples that did not come. Free-running gyros send up to 3 % slower than nominal, so only more is loss.
+    clump_share : float
+        Samples that arrived less than a fifth of a period after the one before.
+    stuck_samples : int
+        So many equal samples in a row are a stuck output; 0: never.
+    """
+
+    bad_share: float = number(0.0, 1.0, "", 0.02)
+    gap_share: float = number(0.0, 1.0, "", 0.01)
+    missing_share: float = number(0.0, 1.0, "", 0.05)
+    clump_share: float = number(0.0, 1.0, "", 0.2)
+    stuck_samples: int = number(0, 10**9, "", 100)
+
+
+class StreamTally:
+    """What a segment's samples say about the stream, counted as they come."""
+
+    def __init__(self, sample_rate_hz: float) -> None:
+        self._near_s = 0.2 / sample_rate_hz
+        self.n = self.clumped = self.longest_run = 0
+        self.first_t_s = self.last_t_s = np.nan
+        self._last_dps = np.nan
+        self._run = 0
+
+    def add(self, samples: GyroSamples) -> None:
+        """Count samples, in order of time."""
+        n = samples.t_s.size
+        if n == 0:
+            return
+        steps_s = np.diff(samples.t_s, prepend=self.last_t_s)
+        self.clumped += int(np.count_nonzero(steps_s < self._near_s))
+        self.first_t_s = samples.t_s[0] if self.n == 0 else self.first_t_s
+        self.n += n
+        # Runs of equal values: the first may go on from before, the last may go on behind.
+        starts = np.flatnonzero(np.diff(samples.gyro_dps, prepend=self._last_dps) != 0)
+        edges = [-self._run, *starts.tolist(), n] if starts.size == 0 or starts[0] else [*starts.tolist(), n]
+        self.longest_run = max(self.longest_run, int(np.max(np.diff(edges))))
+        self._run = n - edges[-2]
+        self.last_t_s, self._last_dps = samples.t_s[-1], samples.gyro_dps[-1]
 
 
 def judge_stream(
-    t_s: np.ndarray[tuple[int], np.dtype[np.float64]],
-    before: StreamHealth,
-    after: StreamHealth,
-    sample_rate_hz: float,
-    limits: StreamLimits,
+    tally: StreamTally, before: StreamHealth, after: StreamHealth, sample_rate_hz: float, limits: StreamLimits
 ) -> str | None:
-    """Why the stream of a segment is not good enough; None when it is.
+    """Why the stream of a segment is not good enough, with the remedy; None when it is.
 
     Parameters
     ----------
-    t_s : ndarray, shape (n,)
-        Arrival times of the segment's samples, s.
     before, after : StreamHealth
         Counters at the segment's two ends.
     sample_rate_hz : float
         Nominal samples a second.
-
-    Notes
-    -----
-    A gap is a pair of samples more than 1.8 nominal periods apart that no clump explains: lost samples are counted
-    from the number that came over the time they took. Clumped are samples that follow each other within a fifth of a
-    period.
     """
-    if t_s.size < 2:
-        return f"only {t_s.size} samples came; check the gyro's data rate"
+    if tally.n < 2:
+        return f"only {tally.n} samples came; check the gyro's data rate"
     good = after.frames_good - before.frames_good
     bad = after.frames_bad - before.frames_bad
+    called_bad = after.status_bad - before.status_bad
+    gaps = after.sequence_gaps - before.sequence_gaps
+    restarts = after.restarts - before.restarts
+    if restarts:
+        return f"the gyro paused and started again {restarts} times, and its mode was sent again; check its supply"
     if bad > limits.bad_share * max(1, good + bad):
         return f"{bad} of {good + bad} frames were damaged ({bad / (good + bad):.1%}); check cable, grounding and baud rate"
-    steps_s = np.diff(t_s)
-    clumped = float(np.mean(steps_s < 0.2 / sample_rate_hz))
-    if clumped > limits.clump_share:
+    if called_bad > limits.bad_share * max(1, good):
+        return f"the gyro calls {called_bad} of {good} samples bad; see its status bits, and let it warm up or replace it"
+    if limits.stuck_samples and tally.longest_run >= limits.stuck_samples:
+        return f"the gyro gave the same value {tally.longest_run} times in a row; it is stuck, or stream.stuck_samples is too low for its resolution"
+    expected = (tally.last_t_s - tally.first_t_s) * sample_rate_hz + 1
+    lost = max(0.0, 1.0 - tally.n / expected)
+    if lost > limits.missing_share or gaps > limits.gap_share * max(1, good):
         return (
-            f"{clumped:.0%} of the samples arrived in clumps, so their times are not known. {_LATENCY_REMEDY}"
-        )
-    sequence_gaps = after.sequence_gaps - before.sequence_gaps
-    expected = (t_s[-1] - t_s[0]) * sample_rate_hz + 1
-    lost = max(0.0, 1.0 - t_s.size / expected)
-    if lost > limits.missing_share or sequence_gaps / max(1, good) > limits.gap_share:
-        return (
-            f"{t_s.size} samples came where {expected:.0f} were due, with {sequence_gaps} gaps in the device's counter; "
+            f"{tally.n} samples came where {expected:.0f} were due, with {gaps} gaps in the device's counter; "
             "check the data rate against the line speed, and other load on this computer"
+        )
+    if tally.clumped > limits.clump_share * (tally.n - 1):
+        share = tally.clumped / (tally.n - 1)
+        return (
+            f"{share:.0%} of the samples arrived in clumps, so their times are not known. {_LATENCY_REMEDY}"
         )
     return None

@@ -61,6 +61,7 @@ class AcutrolTable:
     def start(self) -> None:
         """Lock the panel, set the independent over-rate trip, close the interlock at rate zero; does not move."""
         axis = self._options.axis
+        self._in_rate_mode = False
         self._command(":Utility:Lockout ON")
         trip_dps = self._options.max_rate_dps * self._options.trip_margin
         self._command(f":Limit:Vtrip R,{axis},{trip_dps:.3f}")

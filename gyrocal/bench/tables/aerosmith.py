@@ -58,6 +58,7 @@ class AerosmithTable:
 
     def start(self) -> None:
         """Check that the controller answers, and set the acceleration; does not move."""
+        self._owed = 0
         self._ask("PVE")
         self._ask(f"ACL{self._options.max_acceleration_dps2:.0f}")
 

@@ -2,61 +2,128 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 from gyrocal.bench.clock import Clock
-from gyrocal.bench.devices import Bench
+from gyrocal.bench.devices import Bench, Chamber, RateTable, TableLimits, TableReading
 from gyrocal.bench.registry import CHAMBERS, GYROS, TABLES, GyroKind, Responder
 from gyrocal.bench.virtual.endpoints import Endpoint
 from gyrocal.bench.virtual.world import World
+from gyrocal.errors import DeviceError
 
 #: Pause between two looks at the ports: short against every device's answer time.
-_LOOK_S = 0.002
-
-#: What a faulty line does to the bytes of a device on their way to the program; see `gyrocal.bench.virtual.faults`.
-LineFault = Callable[[bytes], bytes]
+_LOOK_S = 0.001
 
 
-def _sound(data: bytes) -> bytes:
-    return data
+class Line(Protocol):
+    """The cable between a device and the program, and what it does to the bytes; faults are in `virtual.faults`."""
+
+    def carry(self, now_s: float, messages: Sequence[bytes], request: bytes) -> bytes:
+        """Bytes that reach the program now. Called at every look, also without messages, so that a line can delay."""
+        ...
+
+
+class SoundLine:
+    """A cable that does nothing to the bytes."""
+
+    def carry(self, now_s: float, messages: Sequence[bytes], request: bytes) -> bytes:
+        """All of it, at once."""
+        return b"".join(messages)
 
 
 @dataclass
 class Port:
-    """A device's end of a line: where it is reached, what answers, and what the line does to the answers."""
+    """A device's end of a line: where it is reached, what answers, and the line."""
 
     endpoint: Endpoint
     responder: Responder
-    fault: LineFault = _sound
+    line: Line = field(default_factory=SoundLine)
 
-    def serve(self) -> None:
-        """Answer what has come."""
-        data = self.endpoint.read()
-        if data and (answer := self.fault(self.responder.feed(data))):
-            self.endpoint.write(answer)
+    def serve(self, now_s: float) -> None:
+        """Answer what has come; a device keeps silent to what it refuses."""
+        request = self.endpoint.read()
+        answer = b""
+        if request:
+            with contextlib.suppress(DeviceError):
+                answer = self.responder.feed(request)
+        data = self.line.carry(now_s, [answer] if answer else [], request)
+        if data:
+            self.endpoint.write(data)
 
 
 @dataclass
 class GyroPort:
-    """The gyro's end of a line: every sample of the world becomes a message."""
+    """The gyro's end of a line: every sample of the world becomes a message.
+
+    A gyro that takes commands streams in its power-up mode, which is none that the driver reads, until they come.
+    """
 
     endpoint: Endpoint
     kind: GyroKind
     options: Any
-    fault: LineFault = _sound
+    line: Line = field(default_factory=SoundLine)
     count: int = 0
+    _heard: bytes = b""
+    _in_mode: bool = False
 
-    def send(self, gyro_dps: list[float], temp_c: list[float]) -> None:
+    def restart(self) -> None:
+        """Be as after power-up: mode and counter lost."""
+        self.count, self._heard, self._in_mode = 0, b"", False
+
+    def serve(self, now_s: float, gyro_dps: Sequence[float], temp_c: Sequence[float]) -> None:
         """Send samples as messages."""
+        self._heard = (self._heard + self.endpoint.read())[-256:]
+        self._in_mode = self._in_mode or all(command in self._heard for command in self.kind.commands)
         messages = []
-        for rate, temperature in zip(gyro_dps, temp_c, strict=True):
-            messages.append(self.kind.encode(rate, temperature, self.count, self.options))
+        for rate_dps, temperature_c in zip(gyro_dps, temp_c, strict=True):
+            message = self.kind.encode(rate_dps, temperature_c, self.count, self.options)
+            messages.append(message if self._in_mode else b"~" * (len(message) - 2) + b"\r\n")
             self.count += 1
-        if data := self.fault(b"".join(messages)):
+        data = self.line.carry(now_s, messages, b"")
+        if data:
             self.endpoint.write(data)
+
+
+class LiveTable:
+    """The world's table between two samples of the gyro: its angle goes on at its rate up to the clock's time."""
+
+    def __init__(self, table: RateTable, clock: Clock) -> None:
+        self._table = table
+        self._clock = clock
+
+    def limits(self) -> TableLimits:
+        """Limits of the virtual table."""
+        return self._table.limits()
+
+    def start(self) -> None:
+        """Ready at once."""
+        self._table.start()
+
+    def set_rate(self, rate_dps: float) -> float:
+        """Command a rate."""
+        return self._table.set_rate(rate_dps)
+
+    def read(self) -> TableReading:
+        """Rate over the last sample, and the angle now."""
+        reading, now_s = self._table.read(), self._clock.now_s()
+        ahead_deg = reading.rate_dps * max(now_s - reading.t_s, 0.0)
+        return replace(reading, t_s=now_s, angle_deg=reading.angle_deg + ahead_deg)
+
+    def faults(self) -> tuple[str, ...]:
+        """Faults of the table."""
+        return self._table.faults()
+
+    def send_stop(self) -> None:
+        """Bring the table to rest."""
+        self._table.send_stop()
+
+    def close(self) -> None:
+        """Close the table."""
+        self._table.close()
 
 
 class BenchServer:
@@ -83,15 +150,14 @@ class BenchServer:
                 port.endpoint.close()
 
     def step(self) -> None:
-        """One look: let the world catch up with the clock, send samples, answer requests."""
-        self._world.advance_to(self._clock.now_s())
+        """One look: let the world catch up with the clock, answer requests, send samples."""
+        now_s = self._clock.now_s()
+        self._world.advance_to(now_s)
+        # Answers first: whoever asks for an angle takes the middle of question and answer for its time.
+        self.table.serve(now_s)
+        self.chamber.serve(now_s)
         samples = self._bench.gyro.drain()
-        # A gyro port takes no requests in the kinds that are served, but its input must not fill up.
-        self.gyro.endpoint.read()
-        if samples.t_s.size:
-            self.gyro.send(samples.gyro_dps.tolist(), samples.gyro_temp_c.tolist())
-        self.table.serve()
-        self.chamber.serve()
+        self.gyro.serve(now_s, samples.gyro_dps.tolist(), samples.gyro_temp_c.tolist())
 
 
 @dataclass(frozen=True)
@@ -107,17 +173,31 @@ class ServedKinds:
 
 
 def make_server(
-    world: World, bench: Bench, kinds: ServedKinds, clock: Clock, make_endpoint: Callable[[str], Endpoint]
+    world: World,
+    bench: Bench,
+    kinds: ServedKinds,
+    clock: Clock,
+    make_endpoint: Callable[[str], Endpoint],
+    *,
+    table: RateTable | None = None,
+    chamber: Chamber | None = None,
 ) -> BenchServer:
-    """A server of the three devices; `make_endpoint` is called with ``gyro``, ``table`` and ``chamber``."""
-    gyro = GYROS[kinds.gyro]
-    table = TABLES[kinds.table].responder(bench.table, kinds.table_options)
-    chamber = CHAMBERS[kinds.chamber].responder(bench.chamber, kinds.chamber_options)
+    """A server of the three devices; `make_endpoint` is called with ``gyro``, ``table`` and ``chamber``.
+
+    Parameters
+    ----------
+    table, chamber : optional
+        Stand before those of `bench`: faulty ones, for example.
+    """
+    before_table = table or LiveTable(bench.table, clock)
     return BenchServer(
         world,
         bench,
-        GyroPort(make_endpoint("gyro"), gyro, kinds.gyro_options),
-        Port(make_endpoint("table"), table),
-        Port(make_endpoint("chamber"), chamber),
+        GyroPort(make_endpoint("gyro"), GYROS[kinds.gyro], kinds.gyro_options),
+        Port(make_endpoint("table"), TABLES[kinds.table].responder(before_table, kinds.table_options)),
+        Port(
+            make_endpoint("chamber"),
+            CHAMBERS[kinds.chamber].responder(chamber or bench.chamber, kinds.chamber_options),
+        ),
         clock,
     )

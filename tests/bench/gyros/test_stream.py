@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gyrocal.bench.clock import RealClock
-from gyrocal.bench.devices import StreamHealth
+from gyrocal.bench.devices import GyroSamples, StreamHealth
 from gyrocal.bench.gyros import kvh_frame
-from gyrocal.bench.gyros.stream import StreamLimits, StreamSpec, WireGyro, judge_stream
+from gyrocal.bench.gyros.stream import StreamLimits, StreamSpec, StreamTally, WireGyro, judge_stream
 from gyrocal.errors import DeviceError
 
 OPTIONS = kvh_frame.Options()
@@ -25,6 +25,9 @@ class ChunkTransport:
         self.written: list[bytes] = []
         self.closed = threading.Event()
         self.empty = threading.Event()
+
+    def now_s(self) -> float:
+        return 0.0
 
     def write(self, data: bytes) -> None:
         self.written.append(data)
@@ -123,10 +126,75 @@ NONE = StreamHealth()
             "900 samples came where 1000 were due",
         ),
         (STEADY, StreamHealth(frames_good=1000, sequence_gaps=20), "20 gaps in the device's counter"),
+        (STEADY, StreamHealth(frames_good=1000, status_bad=50), "the gyro calls 50 of 1000 samples bad"),
+        (STEADY, StreamHealth(frames_good=1000, restarts=1), "paused and started again 1 times"),
     ],
 )
 def test_a_segment_is_judged(
     t_s: np.ndarray[tuple[int], np.dtype[np.float64]], after: StreamHealth, text: str | None
 ) -> None:
-    verdict = judge_stream(t_s, NONE, after, 100.0, StreamLimits())
+    tally = StreamTally(100.0)
+    for part in np.array_split(t_s, 7):
+        tally.add(GyroSamples(part, np.random.default_rng(1).normal(size=part.size), part, part))
+    verdict = judge_stream(tally, NONE, after, 100.0, StreamLimits())
     assert (verdict is None) if text is None else (verdict is not None and text in verdict)
+
+
+@pytest.mark.parametrize("pieces", [1, 3, 50])
+@pytest.mark.parametrize(("equal", "stuck"), [(99, False), (100, True), (137, True)])
+def test_a_stuck_output_is_seen_across_drains(pieces: int, equal: int, stuck: bool) -> None:
+    values = np.random.default_rng(2).normal(size=1000)
+    values[400 : 400 + equal] = 1.25
+    tally = StreamTally(100.0)
+    for t_s, gyro_dps in zip(np.array_split(STEADY, pieces), np.array_split(values, pieces), strict=True):
+        tally.add(GyroSamples(t_s, gyro_dps, t_s, t_s))
+    assert tally.longest_run == equal
+    verdict = judge_stream(tally, NONE, StreamHealth(frames_good=1000), 100.0, StreamLimits())
+    assert (verdict is not None and "stuck" in verdict) == stuck
+
+
+class Hand:
+    """A clock moved by hand."""
+
+    def __init__(self) -> None:
+        self.t_s = 0.0
+
+    def now_s(self) -> float:
+        return self.t_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.t_s += duration_s
+
+
+@pytest.mark.parametrize(("after_pause", "restarts"), [(1, 1), (50, 0)])
+def test_a_pause_is_a_restart_unless_its_bytes_come_late(after_pause: int, restarts: int) -> None:
+    transport = ChunkTransport([])
+    clock = Hand()
+    spec = StreamSpec("kvh-frame-a on /dev/ttyX", 50.0, 921600, 5.0, (b"R",))
+    device = WireGyro(
+        spec, lambda: transport, lambda: kvh_frame.KvhFrameDecoder(OPTIONS), clock, threaded=False
+    )
+    sleeping = clock.sleep
+
+    def sleep_and_send(duration_s: float) -> None:
+        sleeping(duration_s)
+        device.take(clock.now_s(), frames(1))
+
+    clock.sleep = sleep_and_send  # type: ignore[method-assign]
+    device.start()
+    for _ in range(99):
+        clock.sleep(0.02)
+    sleeping(1.0)
+    device.take(clock.now_s(), frames(after_pause))
+    assert device.health().restarts == restarts
+    assert transport.written == [b"R"] * (1 + restarts)
+    device.close()
+    assert transport.closed.is_set()
+
+
+def test_a_repeated_frame_is_not_a_sample() -> None:
+    decoder = kvh_frame.KvhFrameDecoder(OPTIONS)
+    one, two = (kvh_frame.encode(1.0, 20.0, i, OPTIONS) for i in (5, 6))
+    assert len(decoder.feed(one + one + two + two + two)) == 2
+    assert decoder.health().frames_bad == 3
+    assert decoder.health().sequence_gaps == 0

@@ -1,0 +1,130 @@
+"""Looking at the bench while it runs: readings, samples, interlocks, the operator's wishes, the gyro's temperature."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import Bench, ChamberReading, GyroSamples, TableReading
+from gyrocal.bench.profile import Profile
+from gyrocal.bench.recorder import BenchRow
+from gyrocal.bench.safety import Interlocks, StopRequests
+from gyrocal.errors import DeviceError, InterruptedRunError
+from gyrocal.units import S_PER_MIN
+
+T = TypeVar("T")
+
+_DEG_PER_TURN = 360.0
+#: Without a single sample for this long, or for this many sample intervals, the gyro is gone.
+_SILENCE_S = 10.0
+_SILENT_SAMPLES = 50.0
+#: A question is asked so often before its device counts as failed: one damaged answer is no reason to lose a segment.
+_ASKED = 3
+
+
+class Lookout:
+    """What is read off the bench between two commands, and what is known from it."""
+
+    def __init__(
+        self, bench: Bench, clock: Clock, profile: Profile, interlocks: Interlocks, requests: StopRequests
+    ) -> None:
+        self._bench, self._clock, self._profile = bench, clock, profile
+        self._interlocks, self._requests = interlocks, requests
+        self._rows: list[BenchRow] = []
+        self._temps: deque[tuple[float, float]] = deque()
+        self._last_sample_s = clock.now_s()
+        self._last_angle_deg = float("nan")
+        self.gyro_temp_c = float("nan")
+        self.chamber_c = float("nan")
+        self.turns_ccw = self.turns_cw = 0.0
+        self.asked_again = 0
+
+    def forget(self) -> None:
+        """The gyro was started (again): its silence counts from now, and the angle may have been lost."""
+        self._last_sample_s = self._clock.now_s()
+        self._last_angle_deg = float("nan")
+
+    def look(self, period_s: float, *, abandon: bool = False) -> tuple[TableReading, ChamberReading]:
+        """Let a period pass, read the bench, heed the operator, check the interlocks.
+
+        With `abandon` a first Ctrl-C ends at once too: what is being recorded lasts too long to be finished.
+
+        Raises
+        ------
+        DeviceError, InterlockError, InterruptedRunError
+        """
+        self._clock.sleep(period_s)
+        table = self._ask(self._bench.table.read)
+        chamber = self._ask(self._bench.chamber.read)
+        supply_v = self._bench.supply.read_v()
+        self._rows.append(BenchRow(table.t_s, table.rate_dps, table.angle_deg, chamber.temp_c, supply_v))
+        self.chamber_c = chamber.temp_c
+        turned = (table.angle_deg - self._last_angle_deg) / _DEG_PER_TURN
+        self.turns_ccw += max(turned, 0.0) if turned == turned else 0.0
+        self.turns_cw += max(-turned, 0.0) if turned == turned else 0.0
+        self._last_angle_deg = table.angle_deg
+        self.heed(2 if not abandon else 1)
+        self._interlocks.check(table, self._ask(self._bench.table.faults), chamber, self.gyro_temp_c)
+        return table, chamber
+
+    def heed(self, level: int) -> None:
+        """End when the operator or the system asked for it with at least this level; raises InterruptedRunError."""
+        if self._requests.level >= level:
+            msg = f"Ended by {self._requests.reason}; what was sealed is kept, and --resume carries on."
+            raise InterruptedRunError(msg)
+
+    def drain(self) -> GyroSamples:
+        """Samples since the last drain; keeps the history of the gyro's temperature.
+
+        Raises
+        ------
+        DeviceError
+            The stream is gone, or no sample has come for too long.
+        """
+        samples = self._bench.gyro.drain()
+        now_s = self._clock.now_s()
+        if samples.t_s.size:
+            self._last_sample_s = now_s
+            good = np.isfinite(samples.gyro_temp_c)
+            if good.any():
+                self.gyro_temp_c = float(np.mean(samples.gyro_temp_c[good]))
+                self._temps.append((float(np.mean(samples.t_s[good])), self.gyro_temp_c))
+        silence_s = max(_SILENCE_S, _SILENT_SAMPLES / self._profile.sensor.sample_rate_hz)
+        if now_s - self._last_sample_s > silence_s:
+            msg = f"The gyro has sent no sample for {silence_s:.0f} s (at {now_s:.0f} s). Check its supply and its cable, then --resume."
+            raise DeviceError(msg)
+        while self._temps and self._temps[0][0] < now_s - self._profile.soak.slope_over_s:
+            self._temps.popleft()
+        return samples
+
+    def gyro_slope_c_per_min(self) -> float:
+        """Least-squares slope of the gyro's temperature over the profile's span; NaN until the span is nearly full."""
+        if len(self._temps) < 3:
+            return float("nan")
+        t_s, temp_c = np.array(self._temps).T
+        if t_s[-1] - t_s[0] < 0.8 * self._profile.soak.slope_over_s:
+            return float("nan")
+        centred = t_s - t_s.mean()
+        return float(centred @ temp_c / (centred @ centred)) * S_PER_MIN
+
+    def take_rows(self) -> list[BenchRow]:
+        """Bench readings since the last call."""
+        rows, self._rows = self._rows, []
+        return rows
+
+    def keep_last_row(self) -> None:
+        """Forget all bench readings but the last, which opens the segment: rate by angle then covers all of it."""
+        self._rows = self._rows[-1:]
+
+    def _ask(self, question: Callable[[], T]) -> T:
+        """Ask a device, again when its answer is missing or damaged; commands are never repeated like this."""
+        for _ in range(_ASKED - 1):
+            try:
+                return question()
+            except DeviceError:
+                self.asked_again += 1
+        return question()

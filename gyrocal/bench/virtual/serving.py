@@ -1,0 +1,123 @@
+"""``gyrocal sim``: which devices are served for a profile, with which options, and the profile lines that reach them."""
+
+from __future__ import annotations
+
+import json
+import threading
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.profile import Profile, profile_from_dict
+from gyrocal.bench.registry import CHAMBERS
+from gyrocal.bench.schema import read_table, refuse
+from gyrocal.bench.virtual.devices import virtual_bench
+from gyrocal.bench.virtual.endpoints import Endpoint
+from gyrocal.bench.virtual.server import BenchServer, ServedKinds, make_server
+from gyrocal.bench.wiring import ROLES, kinds_of
+
+#: What is served when neither the profile nor the user names a kind: all that a wire can carry is on these.
+_USUAL = {"gyro": "kvh-frame-a", "table": "json-lines", "chamber": "espec"}
+#: Options without a usable default.
+_NEEDED: dict[str, dict[str, Any]] = {
+    "kvh-ecore2000": {"lsb_dps": 0.00183},
+    "ascii-line": {"columns": ["rate", "temp", "status", "sequence"], "sequence_modulus": 65536},
+    "aerosmith": {"decimals": 4},
+}
+
+
+@dataclass(frozen=True)
+class Served:
+    """A bench on ports: `addresses` by role, and the `snippet` of TOML that puts them into a profile."""
+
+    server: BenchServer
+    addresses: dict[str, str]
+    snippet: str
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve until `stop` is set."""
+        self.server.serve(stop)
+
+
+def serve_profile(
+    profile: Profile,
+    clock: Clock,
+    make_endpoint: Callable[[str], Endpoint],
+    kinds: Mapping[str, str | None] | None = None,
+) -> Served:
+    """The virtual bench of a profile behind ports.
+
+    Parameters
+    ----------
+    kinds : mapping, optional
+        Kind by role; where there is none, that of the profile's device, else one that carries everything.
+
+    Raises
+    ------
+    ProfileError
+        No such kind, or a bad option of it in the profile.
+    """
+    chosen = {role: _kind(profile, role, (kinds or {}).get(role)) for role in ROLES}
+    given = {role: _plain_options(profile, role, kind) for role, kind in chosen.items()}
+    options = {
+        role: read_table(kinds_of(role)[kind].options, given[role], profile.source, f"{role}.options")
+        for role, kind in chosen.items()
+    }
+    bench, _, world = virtual_bench(profile, start_s=clock.now_s())
+    served = ServedKinds(
+        chosen["gyro"],
+        chosen["table"],
+        chosen["chamber"],
+        options["gyro"],
+        options["table"],
+        options["chamber"],
+    )
+    addresses: dict[str, str] = {}
+
+    def endpoint(role: str) -> Endpoint:
+        made = make_endpoint(role)
+        addresses[role] = made.address
+        return made
+
+    server = make_server(world, bench, served, clock, endpoint)
+    lines = [_section(role, f"{chosen[role]}:{addresses[role]}", given[role]) for role in ROLES]
+    return Served(server, addresses, "\n".join(lines))
+
+
+def wired(profile: Profile, served: Served) -> Profile:
+    """The profile with the served ports in the place of its devices."""
+    devices = tomllib.loads(served.snippet)
+    return profile_from_dict({**profile.raw, **devices}, profile.source)
+
+
+def _kind(profile: Profile, role: str, asked: str | None) -> str:
+    named = getattr(profile, role).device.partition(":")[0]
+    kind = asked or (named if named in kinds_of(role) else _USUAL[role])
+    if kind not in kinds_of(role):
+        refuse(profile.source, f"the kind of {role} to serve", kind, "one of " + ", ".join(kinds_of(role)))
+    return kind
+
+
+def _plain_options(profile: Profile, role: str, kind: str) -> dict[str, Any]:
+    """Options that the profile gives this kind, or those of the virtual bench: limits, data rate."""
+    if getattr(profile, role).device.partition(":")[0] == kind:
+        own = dict(getattr(profile, role).options)
+    else:
+        own = dict(_NEEDED.get(kind, {}))
+    known = {f.name for f in fields(kinds_of(role)[kind].options)}
+    physical: dict[str, Any] = {"data_rate_hz": profile.sensor.sample_rate_hz}
+    if role != "gyro":
+        physical = asdict(getattr(profile.virtual, role))
+    return {**{name: value for name, value in physical.items() if name in known}, **own}
+
+
+def _section(role: str, device: str, options: Mapping[str, Any]) -> str:
+    lines = [f"[{role}]", f"device = {json.dumps(device)}"]
+    if role == "chamber" and not CHAMBERS[device.partition(":")[0]].sets_alarms:
+        lines.append("own_alarms_set = true")
+    if options:
+        lines.append(f"[{role}.options]")
+        lines += [f"{name} = {json.dumps(value)}" for name, value in options.items()]
+    return "\n".join(lines) + "\n"

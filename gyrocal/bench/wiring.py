@@ -1,0 +1,215 @@
+"""From a profile to a bench of real devices: kinds and ports by name, options read strictly, every port captured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, NoReturn
+
+from gyrocal.bench.capture import RawCapture
+from gyrocal.bench.chambers.stepped import AlarmsByHand, SteppedChamber
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.devices import Bench, Chamber, RateTable
+from gyrocal.bench.gyros.stream import StreamSpec, WireGyro
+from gyrocal.bench.profile import DeviceSpec, Profile
+from gyrocal.bench.registry import (
+    CHAMBERS,
+    GYROS,
+    MANUAL_CHAMBER,
+    MANUAL_TABLE,
+    TABLES,
+    ChamberKind,
+    GyroKind,
+    TableKind,
+)
+from gyrocal.bench.schema import read_table, refuse
+from gyrocal.bench.transport import ReopeningTransport, SerialTransport, Transport
+from gyrocal.errors import ProfileError
+
+#: Asks the operator of a manual table or chamber; the command line supplies it.
+Prompt = Callable[[str], str]
+#: Opens the port of a role's device.
+OpenPort = Callable[[str, "Wire"], Transport]
+
+ROLES = ("gyro", "table", "chamber")
+VIRTUAL, MANUAL = "virtual", "manual"
+#: Without a sample for so long, or for so many sample intervals, a gyro is silent.
+_SILENCE_S, _SILENT_SAMPLES = 3.0, 20.0
+_BITS_PER_BYTE = 10
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A device of a profile, checked: its kind, where it is, and the kind's options."""
+
+    kind: str
+    url: str
+    baud: int
+    options: Any
+
+    @property
+    def plain_options(self) -> dict[str, Any]:
+        """Options as they may stand in TOML or JSON."""
+        return {name: value for name, value in asdict(self.options).items() if value is not None}
+
+
+def kinds_of(role: str) -> Mapping[str, GyroKind | TableKind | ChamberKind]:
+    """Kinds that a device of this role can be."""
+    registries: dict[str, Mapping[str, GyroKind | TableKind | ChamberKind]] = {
+        "gyro": GYROS,
+        "table": TABLES,
+        "chamber": CHAMBERS,
+    }
+    return registries[role]
+
+
+def is_virtual(profile: Profile) -> bool:
+    """Whether all three devices are virtual.
+
+    Raises
+    ------
+    ProfileError
+        Some are and some are not: a virtual device knows nothing of a real one.
+    """
+    names = {role: getattr(profile, role).device for role in ROLES}
+    virtual = [role for role, device in names.items() if device == VIRTUAL]
+    if virtual and len(virtual) < len(ROLES):
+        real = next(role for role in ROLES if role not in virtual)
+        msg = (
+            f'{profile.source}: {virtual[0]}.device is "virtual" and {real}.device is "{names[real]}". Make all three '
+            "virtual or none; gyrocal sim serves virtual devices on ports."
+        )
+        raise ProfileError(msg)
+    return bool(virtual)
+
+
+def read_wire(profile: Profile, role: str) -> Wire:
+    """Kind, port and options of a device.
+
+    Raises
+    ------
+    ProfileError
+        No such kind, a bad option, or a gyro that sends more than its line can carry.
+    """
+    spec: DeviceSpec = getattr(profile, role)
+    kinds = kinds_of(role)
+    name, _, url = spec.device.partition(":")
+    if spec.device == MANUAL and role != "gyro":
+        options_class = (MANUAL_TABLE if role == "table" else MANUAL_CHAMBER)[0]
+        return Wire(MANUAL, "", 0, _options(profile, role, options_class))
+    if name not in kinds or not url:
+        _refuse_device(profile, role, spec.device)
+    kind = kinds[name]
+    wire = Wire(name, url, spec.baud or kind.baud, _options(profile, role, kind.options))
+    if isinstance(kind, GyroKind):
+        _check_line(profile, wire, kind)
+    return wire
+
+
+def _refuse_device(profile: Profile, role: str, device: str) -> NoReturn:
+    words = ['"virtual"', *(['"manual"'] if role != "gyro" else [])]
+    kinds = ", ".join(kinds_of(role))
+    allowed = f'{", ".join(words)} or "kind:port" with one of the kinds {kinds}'
+    refuse(profile.source, f"{role}.device", device, allowed)
+
+
+def _options(profile: Profile, role: str, options_class: type[Any]) -> Any:
+    """Options of a kind; where the device has to send at the sensor's rate, that is its default."""
+    given = dict(getattr(profile, role).options)
+    rate_hz = profile.sensor.sample_rate_hz
+    if "data_rate_hz" in {f.name for f in fields(options_class)}:
+        stated = given.setdefault("data_rate_hz", rate_hz)
+        if stated != rate_hz:
+            # A delta angle times the wrong rate is a wrong scale factor that no later check can see.
+            refuse(
+                profile.source,
+                f"{role}.options.data_rate_hz",
+                stated,
+                f"sensor.sample_rate_hz ({rate_hz:g} Hz)",
+            )
+    return read_table(options_class, given, profile.source, f"{role}.options")
+
+
+def _check_line(profile: Profile, wire: Wire, kind: GyroKind) -> None:
+    kind.decoder(wire.options)  # refuses what no single option can show
+    needed = len(kind.encode(0.0, 20.0, 0, wire.options)) * _BITS_PER_BYTE * profile.sensor.sample_rate_hz
+    if "://" not in wire.url and needed > wire.baud:
+        msg = (
+            f"{profile.source}: {wire.kind} at {profile.sensor.sample_rate_hz:g} Hz needs {needed:.0f} baud, and gyro.baud is "
+            f"{wire.baud}. Raise the baud rate on both sides, or lower the data rate."
+        )
+        raise ProfileError(msg)
+
+
+def open_bench(
+    profile: Profile,
+    clock: Clock,
+    prompt: Prompt,
+    capture: RawCapture | None = None,
+    open_port: OpenPort | None = None,
+) -> Bench:
+    """The devices that a profile names. Ports are opened at their first use.
+
+    Parameters
+    ----------
+    prompt : callable
+        Asks the operator of a manual table or chamber.
+    capture : RawCapture, optional
+        Takes a copy of every port's bytes.
+    open_port : callable, optional
+        Opens a port in place of pyserial, and hands the gyro's bytes to its `take`.
+
+    Raises
+    ------
+    ProfileError
+        A device that does not exist or a bad option.
+    """
+    wires = {role: read_wire(profile, role) for role in ROLES}
+    taps = {
+        role: capture.tap(role, w.kind, w.plain_options) for role, w in wires.items() if capture and w.url
+    }
+    opening = open_port or (lambda role, wire: SerialTransport(wire.url, wire.baud, tap=taps.get(role)))
+
+    def transport(role: str) -> Transport:
+        return ReopeningTransport(lambda: opening(role, wires[role]))
+
+    return Bench(
+        _gyro(profile, wires["gyro"], clock, lambda: opening("gyro", wires["gyro"]), open_port is None),
+        _table(wires["table"], clock, prompt, transport),
+        _chamber(profile, wires["chamber"], clock, prompt, transport),
+        describe=", ".join(f"{role} {wire.kind}" for role, wire in wires.items()),
+    )
+
+
+def _gyro(
+    profile: Profile, wire: Wire, clock: Clock, opening: Callable[[], Transport], threaded: bool
+) -> WireGyro:
+    kind = GYROS[wire.kind]
+    rate_hz = profile.sensor.sample_rate_hz
+    spec = StreamSpec(
+        f"{wire.kind} on {wire.url}",
+        rate_hz,
+        wire.baud,
+        max(_SILENCE_S, _SILENT_SAMPLES / rate_hz),
+        kind.commands,
+        max(0.5, _SILENT_SAMPLES / rate_hz),
+    )
+    return WireGyro(spec, opening, lambda: kind.decoder(wire.options), clock, threaded=threaded)
+
+
+def _table(wire: Wire, clock: Clock, prompt: Prompt, transport: Callable[[str], Transport]) -> RateTable:
+    if wire.kind == MANUAL:
+        return MANUAL_TABLE[1](prompt, clock, wire.options)
+    return TABLES[wire.kind].driver(transport("table"), clock, wire.options)
+
+
+def _chamber(
+    profile: Profile, wire: Wire, clock: Clock, prompt: Prompt, transport: Callable[[str], Transport]
+) -> Chamber:
+    if wire.kind == MANUAL:
+        return MANUAL_CHAMBER[1](prompt, clock, wire.options)
+    kind = CHAMBERS[wire.kind]
+    chamber: Chamber = kind.driver(transport("chamber"), clock, wire.options)
+    if not kind.ramps:
+        chamber = SteppedChamber(chamber, clock)
+    return AlarmsByHand(chamber) if profile.chamber.own_alarms_set else chamber
