@@ -1,0 +1,108 @@
+"""The noise model: its filter against the dense covariance, its levels, and the fallback without numba."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from gyrocal.diagnosis import whitening
+from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.series import Raw, Series
+from gyrocal.diagnosis.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels
+
+LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
+
+
+def make_series(n_sets: int = 30, per_set: int = 12) -> Series:
+    """A shuffled sweep of rates in a slowly warming chamber."""
+    rng = np.random.default_rng(3)
+    rates = rng.permutation(np.tile(np.linspace(-100, 100, 10), n_sets // 10 + 1))[:n_sets]
+    n = n_sets * per_set
+    index = np.repeat(np.arange(n_sets), per_set)
+    t_s = index * 24.0 + np.tile(np.arange(per_set) * 1.0, n_sets)
+    temp = 20.0 + 5.0 * np.sin(t_s / 400.0)
+    return Series(
+        name="made",
+        t_s=t_s,
+        gyro_dps=np.zeros(n),
+        rate_dps=rates[index],
+        temp_c=temp,
+        white_std_dps=np.full(n, 1.4e-3),
+        averaging_s=np.full(n, 1.0),
+        set_index=index,
+        is_set=np.ones(n, dtype=bool),
+        temp_rate_c_per_min=np.gradient(temp, t_s) * 60.0,
+        history=temperature_history(t_s, temp),
+        raw=Raw(np.empty(0), np.empty(0), n),
+    )
+
+
+def dense_covariance(series: Series, model: NoiseModel, levels: NoiseLevels) -> np.ndarray:
+    """The covariance that the filter stands for, written out."""
+    gap = np.abs(series.t_s[:, None] - series.t_s[None, :])
+    total = np.diag((levels.white * series.white_std_dps) ** 2)
+    for k, tau in enumerate(TAUS_S):
+        read = model.read[:, k]
+        total = total + levels.flicker_dps**2 * np.exp(-gap / tau) * np.outer(read, read)
+    same = series.set_index[:, None] == series.set_index[None, :]
+    return np.asarray(total + same * (levels.jitter * series.rate_dps[:, None]) ** 2)
+
+
+def test_filter_equals_the_dense_covariance() -> None:
+    series = make_series()
+    model = NoiseModel(series)
+    X = np.random.default_rng(0).standard_normal((len(series), 4))
+    white, std = model.whiten(LEVELS, X)
+    covariance = dense_covariance(series, model, LEVELS)
+    np.testing.assert_allclose(white.T @ white, X.T @ np.linalg.solve(covariance, X), rtol=1e-9)
+    assert 2.0 * np.log(std).sum() == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
+
+
+def test_simulated_noise_is_whitened_to_standard_normal() -> None:
+    model = NoiseModel(make_series(60))
+    noise = model.simulate(LEVELS, np.random.default_rng(1), 4)
+    white, _ = model.whiten(LEVELS, noise)
+    # Kolmogorov-Smirnov at a false-alarm rate of one in a thousand.
+    assert kstest(white.ravel(), "norm").pvalue > 1e-3
+    lagged = np.mean(white[1:] * white[:-1])
+    assert abs(lagged) < 4.0 / np.sqrt(white.size)
+
+
+def test_fallback_without_numba_is_the_same() -> None:
+    model = NoiseModel(make_series(10))
+    X = np.random.default_rng(2).standard_normal((model.fresh.size, 3))
+    fast, std = model.whiten(LEVELS, X)
+    gains, _ = whitening._gains(
+        model.decay,
+        model.read,
+        model.fresh,
+        LEVELS.white**2 * model.white_var,
+        LEVELS.jitter**2 * model.rate_var,
+        LEVELS.flicker_dps**2,
+    )
+    slow = whitening._whiten_numpy(model.decay, model.read, model.fresh, gains, std, X)
+    np.testing.assert_allclose(slow, fast, rtol=1e-10, atol=1e-12)
+
+
+def test_levels_are_found_again() -> None:
+    series = make_series(150)
+    model = NoiseModel(series)
+    noise = model.simulate(LEVELS, np.random.default_rng(5), 1)[:, 0]
+    X = np.column_stack([np.ones(len(series)), series.rate_dps, series.temp_c])
+    found = estimate_levels(model, noise, X).levels
+    # 1 800 rows: white noise to 2 % (one sigma), the others far less; bounds at four sigma.
+    assert found.white == pytest.approx(LEVELS.white, rel=0.08)
+    assert found.flicker_dps == pytest.approx(LEVELS.flicker_dps, rel=0.5)
+    assert found.jitter == pytest.approx(LEVELS.jitter, rel=0.6)
+
+
+def test_record_at_rest_needs_no_jitter() -> None:
+    series = replace(make_series(40), rate_dps=np.zeros(480))
+    model = NoiseModel(series)
+    noise = model.simulate(LEVELS, np.random.default_rng(6), 1)[:, 0]
+    found = estimate_levels(model, noise, np.ones((480, 1))).levels
+    assert found.white == pytest.approx(1.0, rel=0.2)
+    assert found.jitter < 1e-6
