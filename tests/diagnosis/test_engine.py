@@ -28,7 +28,7 @@ def make_table(hidden: np.ndarray | float = 0.0, seed: int = 0, sets: int = 140)
     c[0, :2], c[1, 0], c[2, 0], c[3, 0] = (0.02, 0.1), 0.3, 0.1, -0.5
     clean = Surface(c, 0.0, 100.0, 20.0, 30.0).output_dps(rate, temp)
     gyro = clean + hidden + 5e-4 * rng.standard_normal(sets)
-    return DataSetTable(Path("made.csv"), rate, gyro, temp, t_s=25.0 * np.arange(sets))
+    return DataSetTable(Path("made.csv"), rate, gyro, temp, t_s=np.linspace(0.0, 25.0 * (sets - 1), sets))
 
 
 @pytest.fixture(scope="module")
