@@ -53,7 +53,7 @@ def test_table_and_run_hold_the_same_data_sets() -> None:
 
 
 def same_numbers(a: Any, b: Any, where: str = "") -> None:
-    """Equal structure and text; numbers equal to 1e-9."""
+    """Equal structure and text; the surface to 1e-9 deg/s, estimates that an optimiser ends on to 1e-4."""
     if isinstance(a, dict):
         assert a.keys() == b.keys(), where
         for key in a:
@@ -64,7 +64,8 @@ def same_numbers(a: Any, b: Any, where: str = "") -> None:
         for i, (x, y) in enumerate(zip(a, b, strict=True)):
             same_numbers(x, y, f"{where}[{i}]")
     elif isinstance(a, float):
-        assert a == pytest.approx(b, rel=1e-6, abs=1e-9), where
+        relative = 0.0 if where.startswith(".surface.coefficients_dps") else 1e-4
+        assert a == pytest.approx(b, rel=relative, abs=1e-9), where
     else:
         assert a == b, where
 
