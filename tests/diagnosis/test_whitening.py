@@ -11,7 +11,7 @@ from scipy.stats import kstest
 from gyrocal.diagnosis import whitening
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.series import Raw, Series
-from gyrocal.diagnosis.whitening import TAUS_S, Floats, NoiseLevels, NoiseModel, estimate_levels
+from gyrocal.diagnosis.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels
 
 LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
 
@@ -22,7 +22,7 @@ def make_series(n_sets: int = 30, per_set: int = 12) -> Series:
     rates = rng.permutation(np.tile(np.linspace(-100, 100, 10), n_sets // 10 + 1))[:n_sets]
     n = n_sets * per_set
     index = np.repeat(np.arange(n_sets), per_set)
-    t_s: Floats = index * 24.0 + np.tile(np.arange(per_set) * 1.0, n_sets)
+    t_s = (index * 24 + np.tile(np.arange(per_set), n_sets)).astype(np.float64)
     temp = 20.0 + 5.0 * np.sin(t_s / 400.0)
     return Series(
         name="made",
