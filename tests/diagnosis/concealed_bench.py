@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import linalg, sparse, special
 
 from tests.diagnosis.concealed_effects import CATALOGUE, OF_OUTPUT, OF_SURFACE, OUTSIDE, Drawn
 from tests.diagnosis.concealed_world import PLANS, STEP_S, Floats, World, build_world, first_order
@@ -27,6 +27,7 @@ from tests.diagnosis.concealed_world import PLANS, STEP_S, Floats, World, build_
 EFFECTS = (*CATALOGUE, *OF_SURFACE, *OF_OUTPUT)
 ROW_HEADER = "t_s,gyro_dps,gyro_temp_c,status,table_rate_dps,table_angle_deg,chamber_temp_c,supply_v\n"
 _NODE_S = 12.0
+_SAMPLE_NOISE_DPS = 4.4e-3
 _SPECTRUM_SPANS = 4
 
 
@@ -172,6 +173,9 @@ def _unit_effect(
         return _bend(surface, output, coil) - _bend(surface, output, w.case_c), {"tau_s": tau}
     if name == "fit_direction":
         return _bend(surface, w.rate_dps, w.case_c) - _bend(surface, output, w.case_c), {}
+    if name == "truncation":
+        # Mean loss with a step of 1 mdeg/s: toward zero of the output, smeared where its noise crosses zero.
+        return -0.5e-3 * special.erf(output / (np.sqrt(2.0) * _SAMPLE_NOISE_DPS)), {}
     maker = CATALOGUE[name] if name in CATALOGUE else OUTSIDE[name][0]
     return maker(w, rng)
 

@@ -93,11 +93,6 @@ def dead_zone(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
     return -1e-3 * np.exp(-((w.rate_dps / 0.5) ** 4)), {}
 
 
-def truncation(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    """Mean loss of truncation toward zero with a step of 1 mdeg/s; the lattice is made at the output."""
-    return -0.5e-3 * np.sign(w.rate_dps), {}
-
-
 def sagnac_sine(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
     kappa = rng.uniform(0.003, 0.008)
     return np.sin(kappa * w.rate_dps) / kappa - w.rate_dps, {"phase_rad_per_dps": kappa}
@@ -194,7 +189,6 @@ _OF_BENCH: tuple[Maker, ...] = (
     scale_step,
     scale_asymmetry,
     dead_zone,
-    truncation,
     sagnac_sine,
     saturation,
     rate_order,
@@ -209,7 +203,7 @@ CATALOGUE: dict[str, Maker] = {f.__name__: f for f in _OF_BENCH}
 CATALOGUE |= dict.fromkeys(("earth_rate_tilt", "magnetic", "g_sensitivity"), once_per_turn)
 
 #: Need the surface, or act on the output itself: made in `concealed_bench`.
-OF_SURFACE = ("thermal_lag", "fit_direction")
+OF_SURFACE = ("thermal_lag", "fit_direction", "truncation")
 OF_OUTPUT = ("quantisation", "time_base", "bursts")
 
 

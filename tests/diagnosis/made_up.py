@@ -73,7 +73,7 @@ def made_up_diagnosis(recording: Recording, verdict: str = "explained") -> Diagn
     named = []
     for h in recording.hidden:
         effect = CATALOGUE[h.effect]
-        sizes = {"amplitude": h.amplitude, **{k: v for k, v in h.parameters.items()}}
+        sizes = {"amplitude": h.amplitude, **h.parameters}
         known = {p.name: p.unit for p in effect.parameters}
         parameters = {
             k: Estimate(v, abs(v) / 20, known[k], (v - abs(v) / 10, v + abs(v) / 10))

@@ -32,7 +32,7 @@ from tests.diagnosis.score_table import Outcome, format_table
 SHARED = Path(__file__).parents[2].parent / "shared" / "concealed"
 
 #: One id of each law: earth rate, field and gravity turn alike on a table.
-SINGLES = (*(e for e in CONCEALED if e not in ("magnetic", "g_sensitivity")), "thermal_lag")
+SINGLES = (*(e for e in CONCEALED if e not in ("magnetic", "g_sensitivity")), "thermal_lag", "truncation")
 #: Acts with a size of its own: level in the unit of `concealed_bench`.
 LEVELS = {"fit_direction": 0.0, "quantisation": 12.0, "time_base": 2000.0, "bursts": 0.3}
 #: Parameters that mean the same here and in the catalogue, and the unit of the amplitude there in the unit here.
