@@ -271,12 +271,15 @@ def _check_turns(found: Survey, separation_m: float) -> None:
     name = found.source
     left, right, gyro = (sliding(found, v, WINDOW_S) for v in (found.left_m, found.right_m, found.gyro_deg))
     encoder = (right - left) / separation_m * RAD_TO_DEG
-    # A turn shows in few windows; a bias or a drift shifts them all and goes with the median.
-    turned = [float(np.max(np.abs(v - np.median(v)), initial=0.0)) for v in (gyro, encoder)]
+    # A turn shows in few windows; a gyro bias shifts them all and goes with the median. Encoders have none.
+    turned = [float(np.max(np.abs(v), initial=0.0)) for v in (gyro - np.median(gyro), encoder)]
     if max(turned) < MIN_TURN_DEG:
         msg = f"{name}: has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders); gyro and encoders cannot be compared. Log a drive that turns both ways."
         raise DataError(msg)
-    ratio, correlation = _compare(encoder, gyro)
+    # Turns that come and go correlate about their mean; a circle, which never changes, only about zero.
+    ratio, correlation = max(
+        _compare(encoder, gyro), _compare(encoder, gyro, 0.0), key=lambda found: found[1]
+    )
     if correlation < _CORRELATION_GOOD:
         for cause, left_sign, right_sign in _HYPOTHESES:
             other = (left_sign * left + right_sign * right) / separation_m * RAD_TO_DEG
@@ -302,9 +305,9 @@ def sliding(found: Survey, sums: Floats, window_s: float, delay_s: float = 0.0) 
     )
 
 
-def _compare(encoder: Floats, gyro: Floats) -> tuple[float, float]:
-    """Size of the gyro's turns over the encoders' (ratio of standard deviations) and their correlation."""
-    e, g = encoder - encoder.mean(), gyro - gyro.mean()
+def _compare(encoder: Floats, gyro: Floats, centred: float = 1.0) -> tuple[float, float]:
+    """Size of the gyro's turns over the encoders' (root mean squares) and their correlation, about mean or zero."""
+    e, g = encoder - centred * encoder.mean(), gyro - centred * gyro.mean()
     see, sgg, seg = float(e @ e), float(g @ g), float(e @ g)
     if see == 0.0 or sgg == 0.0:
         return np.inf if see == 0.0 else 0.0, 0.0

@@ -61,6 +61,22 @@ def test_a_sound_log_passes() -> None:
     check(survey("log", [drive()]), robot().wheel_separation_m)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_circle_is_a_turn_too(sign: float) -> None:
+    rows = 600
+    t_s = 0.1 * np.arange(rows, dtype=np.float64)
+    gyro = 15.0 * sign + np.random.default_rng(1).normal(0.0, 0.1, rows)
+    side = np.full(rows, 0.1)
+    nothing = np.full(rows, np.nan)
+    half = 0.5 * 0.6 * np.radians(1.5)
+    log = DriveBlock(2, t_s, side - half, side + half, gyro, nothing, nothing, nothing, nothing)
+    if sign > 0:
+        check(survey("log", [log]), 0.6)
+    else:
+        with pytest.raises(DataError, match="encoder and gyro turns"):
+            check(survey("log", [log]), 0.6)
+
+
 @pytest.mark.parametrize("delay_s", [-0.3, 0.0, 0.42])
 def test_a_delay_of_the_encoders_is_measured(delay_s: float) -> None:
     log = delayed(drive(), delay_s)

@@ -11,6 +11,8 @@ import pytest
 
 from gyrocal.errors import DataError, InputError, ProfileError
 from gyrocal.records.bags import Wheels, is_bag, iterate_bag, read_bag
+from gyrocal.report import navigation
+from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 
 rosbags = pytest.importorskip("rosbags")
 
@@ -57,7 +59,8 @@ class Messages:
             header=self.header(t_s),
             orientation=self.pose(0.0).orientation,
             orientation_covariance=np.zeros(9),
-            angular_velocity=self.vector(TURN_RADPS),
+            # A gyro that never changes at all would be a stuck one.
+            angular_velocity=self.vector(TURN_RADPS + 1e-5 * float(np.sin(37.0 * t_s))),
             angular_velocity_covariance=np.zeros(9),
             linear_acceleration=self.vector(),
             linear_acceleration_covariance=np.zeros(9),
@@ -88,12 +91,14 @@ class Messages:
         )
 
 
-def write_bag(path: Path, kind: str, topics: dict[str, str], *, wheel_delay_s: float = 0.0) -> Path:
-    """A bag of 3 s: gyro at 50 Hz, wheels at 20 Hz; `topics` maps topic to type."""
+def write_bag(
+    path: Path, kind: str, topics: dict[str, str], *, wheel_delay_s: float = 0.0, last_s: float = 4.0
+) -> Path:
+    """A bag from 1 s to `last_s`: gyro at 50 Hz, wheels at 20 Hz; `topics` maps topic to type."""
     ros1 = kind == "bag"
     m = Messages(STORE1 if ros1 else STORE2, ros1)
     times = {
-        topic: np.arange(1.0, 4.0, 0.02 if t == "sensor_msgs/msg/Imu" else 0.05)
+        topic: np.arange(1.0, last_s, 0.02 if t == "sensor_msgs/msg/Imu" else 0.05)
         for topic, t in topics.items()
     }
     names = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
@@ -141,7 +146,7 @@ def test_a_circle_reads_as_a_circle(tmp_path: Path, kind: str, wheels: str) -> N
     half = 0.5 * SEPARATION_M * TURN_RADPS
     assert log.left_m.sum() == pytest.approx((SPEED_MPS - half) * duration_s, rel=1e-4)
     assert log.right_m.sum() == pytest.approx((SPEED_MPS + half) * duration_s, rel=1e-4)
-    np.testing.assert_allclose(log.gyro_dps, np.degrees(TURN_RADPS))
+    np.testing.assert_allclose(log.gyro_dps, np.degrees(TURN_RADPS), atol=1e-3)
     np.testing.assert_allclose(np.diff(log.t_s), 0.02, atol=1e-6)
     np.testing.assert_allclose(np.diff(log.gyro_temp_c), 0.02, atol=1e-6)
     assert np.isnan(log.truth_x_m).all()
@@ -210,3 +215,20 @@ def test_without_the_extra_one_sentence_says_how_to_install(
     assert str(error.value).endswith(
         "reading ROS bags needs the rosbags library; install it with: pip install 'gyrocal[ros]'."
     )
+
+
+def test_replay_takes_a_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(navigation, "draw_figures", lambda replays, table: [])
+    path = write_bag(tmp_path / "run", "mcap", IMU_ODOMETRY, last_s=40.0)
+    (tmp_path / "robot.toml").write_text(f"wheel_separation_m = {SEPARATION_M}\nstatic_s = 0\n")
+    request = ReplayRequest([path], tmp_path / "robot.toml", tmp_path / "out")
+    result = replay_to_directory(request, lambda share, what: None)
+    (log,) = result.summary["logs"]
+    assert log["log"] == "run"
+    assert log["direction"] == "ccw"
+    rows = (tmp_path / "out" / "trajectories" / "run.csv").read_text().splitlines()
+    last = dict(zip(rows[0].split(","), map(float, rows[-1].split(",")), strict=True))
+    # The dead-reckoned frame starts where the bag's first gyro row is, along the robot.
+    radius, turned = SPEED_MPS / TURN_RADPS, TURN_RADPS * log["duration_s"]
+    assert last["uncalibrated_x_m"] == pytest.approx(radius * np.sin(turned), abs=0.05)
+    assert last["uncalibrated_y_m"] == pytest.approx(radius * (1 - np.cos(turned)), abs=0.05)
