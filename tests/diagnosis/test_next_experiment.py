@@ -73,15 +73,17 @@ def test_longer_record_sees_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect", "others", "plan"),
+    ("effect", "others", "hours", "plan"),
     [
-        ("warm_up", ("bias_drift",), "power-on"),
-        ("dead_zone", ("truncation",), "zero"),
-        ("reference_rate_error", ("rate_order",), "rates"),
+        ("warm_up", ("bias_drift",), 4.2, "power-on"),
+        ("dead_zone", ("truncation",), 1.5, "zero"),
+        ("reference_rate_error", ("rate_order",), 1.5, "rates"),
     ],
 )
-def test_doubt_gets_the_plan_that_settles_it(effect: str, others: tuple[str, ...], plan: str) -> None:
-    proposal = propose(doubtful(effect, *others, d_prime=12.0), {}, 8.0)
+def test_doubt_gets_the_plan_that_settles_it(
+    effect: str, others: tuple[str, ...], hours: float, plan: str
+) -> None:
+    proposal = propose(doubtful(effect, *others, d_prime=12.0), {}, hours)
     assert proposal is not None
     assert proposal.profile is not None
     assert proposal.expected_power is not None

@@ -26,18 +26,13 @@ from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 
 ONE_OF_EACH_COORDINATE = (
-    "shupe",
     "shupe_gradient",
     "thermal_lag",
-    "thermal_hysteresis",
     "warm_up",
     "scale_drift",
-    "temperature_order",
     "step_response",
     "supply_voltage",
-    "earth_rate_tilt",
     "table_eccentricity",
-    "saturation",
 )
 
 
