@@ -89,7 +89,7 @@ DRAWINGS = (
     Drawing(
         "residual_over_time",
         "Residual over time",
-        "Over the number of the data set where the recording has no times. Bars are what scatter and coefficient "
+        "Over the number of the data set where the recording has no times. Bars (or a band) are what scatter and coefficient "
         "uncertainty lead one to expect (95 %). A running median that wanders is drift; steps are events.",
         lambda m: figures_residual.residual_over_time(m.data),
     ),

@@ -23,6 +23,8 @@ ERROR_LABEL = "Error ε = ω$_g$ − ω, deg/s"
 #: Curves beyond which a figure is no longer read but admired.
 _MOST_CURVES = 9
 _GRID = 61
+#: Points of one curve beyond which they are drawn small, and the fitted line in another colour to be seen on them.
+_MANY = 300
 
 
 def _temperature_name(level: Level, tight: bool) -> str:
@@ -32,6 +34,8 @@ def _temperature_name(level: Level, tight: bool) -> str:
 def _curve(axes: Any, x: Floats, y: Floats, colour: Any, marker: str, marked: NDArray[np.bool_]) -> None:
     """Points of one level; marked ones hollow."""
     common: dict[str, Any] = {"linestyle": "", "marker": marker, "markeredgewidth": 0.6, "color": colour}
+    if x.size > _MANY:
+        common |= {"marker": ".", "markersize": 1.5}
     axes.plot(x[~marked], y[~marked], **common)
     axes.plot(x[marked], y[marked], markerfacecolor="white", **common)
 
@@ -71,7 +75,8 @@ def error_against_temperature(data: Examined, surface: Surface) -> Figure:
         _curve(axes, temp, data.sets.error_dps[rows], colour, marker, data.marked[rows])
         line = np.linspace(data.sets.temp_c.min(), data.sets.temp_c.max(), 201)
         error = surface.output_dps(level.value, line) - level.value
-        axes.plot(line, error, color=colour, linewidth=0.9)
+        ink = style.ORANGE if rows.size > _MANY else colour
+        axes.plot(line, error, color=ink, linewidth=0.9, zorder=3)
         axes.plot([], [], color=colour, marker=marker, label=f"{level.value:+.1f} deg/s")
     axes.set_xlabel(TEMPERATURE_LABEL)
     axes.set_ylabel(ERROR_LABEL)

@@ -18,6 +18,8 @@ from gyrocal.units import DPS_TO_DPH, S_PER_H
 _MOST_RATES = 64
 _MOST_TEMPERATURES = 12
 _RUNNING = 15
+#: Data sets beyond which single bars no longer show.
+_MANY = 300
 #: A step in time this many times the usual one is a gap, over which no line is drawn.
 _GAP = 5.0
 _MEANS: dict[str, Any] = {
@@ -114,10 +116,7 @@ def residual_over_time(data: Examined) -> Figure:
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.axhline(0.0, color=style.GREY, linewidth=0.6)
-    if np.isfinite(data.sigma_dps).any():
-        upper.errorbar(
-            x, residual, yerr=1.96 * data.sigma_dps * DPS_TO_DPH, fmt="none", ecolor="#BBBBBB", elinewidth=0.5
-        )
+    _expected(upper, x, residual, 1.96 * data.sigma_dps * DPS_TO_DPH)
     points = _by_temperature(upper, x, residual, data)
     figure.colorbar(points, ax=upper, label="Gyro temp., °C", pad=0.01)
     window = min(_RUNNING, max(3, len(sets) // 8))
@@ -148,13 +147,23 @@ def residual_over_time(data: Examined) -> Figure:
     return figure
 
 
+def _expected(axes: Any, x: Floats, residual: Floats, half: Floats) -> None:
+    """What scatter leads one to expect: a bar for each data set, or a band about zero where they are many."""
+    if not np.isfinite(half).any():
+        return
+    if x.size > _MANY:
+        axes.fill_between(x, -half, half, color="#E4E4E4", linewidth=0, label="expected, 95 %")
+    else:
+        axes.errorbar(x, residual, yerr=half, fmt="none", ecolor="#BBBBBB", elinewidth=0.5)
+
+
 def _by_temperature(axes: Any, x: Floats, residual: Floats, data: Examined) -> Any:
     return axes.scatter(
         x,
         residual,
         c=data.sets.temp_c,
         cmap=style.SEQUENTIAL,
-        s=9,
+        s=9 if x.size <= _MANY else 4,
         linewidths=0.2,
         edgecolors="white",
         zorder=3,

@@ -89,7 +89,8 @@ def coefficient_figure(coefficients: Coefficients) -> Figure:
     for i in range(SHAPE[0]):
         for j in range(SHAPE[1]):
             dark = sum(colours(norm(size[i, j]))[:3]) < 1.5
-            text = f"{value[i, j]:+.6f}\n± {sigma[i, j]:.6f}"
+            fitted = value[i, j] != 0 or sigma[i, j] > 0
+            text = f"{value[i, j]:+.6f}\n± {sigma[i, j]:.6f}" if fitted else "not fitted"
             axes.text(
                 j, i, text, ha="center", va="center", fontsize=7.5, color="white" if dark else style.INK
             )
