@@ -327,7 +327,7 @@ def verdict(table: Table) -> str:
     sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
     text = f"Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
     factors = [
-        f"{v:.2g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
+        f"{v:.3g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
     ]
     return text + (f" Improvement factors: {', '.join(factors)}." if factors else "")
 

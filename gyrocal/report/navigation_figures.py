@@ -21,7 +21,6 @@ from gyrocal.report.style import (
     SKY,
     TWO_COLUMNS_IN,
     new_figure,
-    say_in_figure,
     styled,
 )
 
@@ -174,12 +173,9 @@ def draw_innovations(replay: LogReplay) -> Figure:
         seen = np.maximum(np.quantile(np.abs(z[measured]), 0.995), 2 * np.median(sigma[measured]))
         limit = 1.4 * float(seen) if measured.size else 1.0
         axes.set_ylim(-limit, limit)
-        axes.set_title(track.condition.label)
+        said = f"{outside:.1%} outside ±2σ (Gaussian: 4.6 %), NIS {track.nis:.2f}, {track.counts.gated} slips gated"
+        axes.set_title(f"{track.condition.label}\n{said}", fontsize=7, fontweight="normal")
         axes.set_xlabel("t, s")
-        say_in_figure(
-            axes,
-            f"outside ±2σ: {outside:.1%} (4.6 % if Gaussian); NIS {track.nis:.2f}; slips gated {track.counts.gated}",
-        )
     panels[0].set_ylabel("innovation, deg")
     return figure
 
