@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from scipy import linalg, sparse, special
 
-from tests.diagnosis.concealed_effects import CATALOGUE, OF_OUTPUT, OF_SURFACE, OUTSIDE, Drawn
+from tests.diagnosis.concealed_effects import CATALOGUE, OF_OUTPUT, OF_SURFACE, Drawn
+from tests.diagnosis.concealed_outside import OUTSIDE
 from tests.diagnosis.concealed_world import PLANS, STEP_S, Floats, World, build_world, first_order
 
 EFFECTS = (*CATALOGUE, *OF_SURFACE, *OF_OUTPUT)

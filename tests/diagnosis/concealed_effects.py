@@ -1,4 +1,4 @@
-"""What the concealed recordings hide: effects of the catalogue, and effects that no catalogue has.
+"""What the concealed recordings hide: effects of the catalogue.
 
 Each is a function of the world and a random generator that returns the error at unit size on the fine grid, and
 what it drew at random. Own physics, in the time domain: nothing here is shared with gyrocal.
@@ -18,13 +18,13 @@ Maker = Callable[[World, np.random.Generator], tuple[Floats, Drawn]]
 ARCSEC = 1.0 / 3600.0
 
 
-def _case_slope(w: World) -> Floats:
+def case_slope(w: World) -> Floats:
     """Slope of the case temperature, deg C per minute."""
     return np.gradient(w.case_c, STEP_S) * 60.0
 
 
 def shupe(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    return 1e-3 * _case_slope(w), {}
+    return 1e-3 * case_slope(w), {}
 
 
 def shupe_gradient(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
@@ -205,92 +205,3 @@ CATALOGUE |= dict.fromkeys(("earth_rate_tilt", "magnetic", "g_sensitivity"), onc
 #: Need the surface, or act on the output itself: made in `concealed_bench`.
 OF_SURFACE = ("thermal_lag", "fit_direction", "truncation")
 OF_OUTPUT = ("quantisation", "time_base", "bursts")
-
-
-def hvac_period(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    period, phase = rng.uniform(1500, 4500), rng.uniform(0, 2 * np.pi)
-    return 1e-3 * np.sin(2 * np.pi * w.t_s / period + phase), {"period_s": period}
-
-
-def temperature_bump(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    centre, width = rng.uniform(5, 40), rng.uniform(2, 5)
-    return 1e-3 * np.exp(-(((w.case_c - centre) / width) ** 2)), {"temp_c": centre}
-
-
-def glass_transition(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    centre, width = rng.uniform(5, 35), rng.uniform(1, 3)
-    return 1e-3 * np.tanh((w.case_c - centre) / width), {"temp_c": centre}
-
-
-def temperature_ripple(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    period, phase = rng.uniform(5, 12), rng.uniform(0, 2 * np.pi)
-    return 1e-3 * np.sin(2 * np.pi * w.case_c / period + phase), {"period_c": period}
-
-
-def three_per_rev(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    phase = rng.uniform(0, 2 * np.pi)
-    return 1e-3 * np.cos(3 * np.deg2rad(w.angle_deg) + phase), {}
-
-
-def warm_angle(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    phase = rng.uniform(0, 2 * np.pi)
-    return 1e-3 * np.cos(np.deg2rad(w.angle_deg) + phase) * (w.case_c - 20.0) / 30.0, {}
-
-
-def one_sided_bump(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    rates = sorted({p.rate_dps for p in w.pieces if 15 <= abs(p.rate_dps) <= 90})
-    centre = float(rng.choice(rates))
-    return 1e-3 * np.exp(-(((w.rate_dps - centre) / 6.0) ** 2)), {"rate_dps": centre}
-
-
-def supply_times_rate(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    return 1e-4 * (w.supply_v - 12.0) * w.rate_dps, {}
-
-
-def box_in_time(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    start, length = rng.uniform(0.2, 0.6) * w.t_s[-1], rng.uniform(1200, 3600)
-    return 1e-3 * ((w.t_s > start) & (w.t_s < start + length)).astype(float), {
-        "t_s": float(start),
-        "length_s": length,
-    }
-
-
-def telegraph(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    """A bias that jumps between two levels every ten minutes or so."""
-    flips = np.cumsum(rng.exponential(700.0, 100))
-    return 1e-3 * np.asarray(np.searchsorted(flips, w.t_s) % 2, dtype=float), {}
-
-
-def square_root_of_time(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    return 1e-3 * np.sqrt(w.t_s / 3600.0), {}
-
-
-def rectified_slope(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    return 1e-3 * np.abs(_case_slope(w)), {}
-
-
-def sawtooth_in_set(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    """Starts anew with every rate segment and does not decay."""
-    out = np.zeros(w.t_s.size)
-    for p in w.pieces:
-        if p.kind == "rate":
-            out[p.start : p.stop] = np.linspace(-1, 1, p.stop - p.start) * np.sign(p.step_dps)
-    return 1e-3 * out, {}
-
-
-#: Effects outside the catalogue, and the coordinates of formats.md under any of which it is rightly located.
-OUTSIDE: dict[str, tuple[Maker, tuple[str, ...]]] = {
-    "hvac_period": (hvac_period, ("time",)),
-    "temperature_bump": (temperature_bump, ("temperature",)),
-    "glass_transition": (glass_transition, ("temperature",)),
-    "temperature_ripple": (temperature_ripple, ("temperature",)),
-    "three_per_rev": (three_per_rev, ("table_angle",)),
-    "warm_angle": (warm_angle, ("table_angle",)),
-    "one_sided_bump": (one_sided_bump, ("rate",)),
-    "supply_times_rate": (supply_times_rate, ("supply",)),
-    "box_in_time": (box_in_time, ("time",)),
-    "telegraph": (telegraph, ("time",)),
-    "square_root_of_time": (square_root_of_time, ("time", "time_since_power_on")),
-    "rectified_slope": (rectified_slope, ("temperature_rate",)),
-    "sawtooth_in_set": (sawtooth_in_set, ("time_since_step",)),
-}

@@ -25,7 +25,7 @@ from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.physics.catalogue import CATALOGUE
 from tests.diagnosis.concealed_bench import Recording, make_recording, write_run
 from tests.diagnosis.concealed_effects import CATALOGUE as CONCEALED
-from tests.diagnosis.concealed_effects import OUTSIDE
+from tests.diagnosis.concealed_outside import OUTSIDE, SEEN, UNSEEN
 from tests.diagnosis.concealed_world import PLANS, Floats
 from tests.diagnosis.score_table import Outcome, format_table
 
@@ -79,7 +79,7 @@ def cases(trials: int, seed: int, plan: str | None = None) -> Iterator[Case]:
     wheel = ["null", "8", "12", "20", "pair", "outside", "strong", "12", "null", "8"]
     wheel += ["20", "pair", "outside", "12", "8", "null", "strong", "outside", "20", "level"]
     order = {kind: rng.permutation(len(SINGLES)) for kind in ("8", "12", "20", "strong")}
-    outside = rng.permutation(list(OUTSIDE))
+    outside = rng.permutation(list(SEEN))
     count = dict.fromkeys([*wheel], 0)
     for n in range(trials):
         kind = wheel[n % len(wheel)]
@@ -98,6 +98,13 @@ def cases(trials: int, seed: int, plan: str | None = None) -> Iterator[Case]:
         elif kind == "level":
             effects = (list(LEVELS.items())[k % len(LEVELS)],)
         yield Case("single" if kind in order else kind, effects, 100_000 * seed + n, plan)
+
+
+def unseen(seed: int, plan: str | None = None) -> Iterator[Case]:
+    """Every effect outside the catalogue that was written after the finder, at d' 20 and 12."""
+    for k, strength in enumerate((20.0, 12.0)):
+        for n, effect in enumerate(UNSEEN):
+            yield Case("outside", ((effect, strength),), 100_000 * seed + 100 * k + n, plan)
 
 
 def run_case(case: Case) -> Outcome:
@@ -237,13 +244,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("score.jsonl"))
     parser.add_argument("--plan", choices=list(PLANS), help="One plan for all; drawn unless given.")
+    parser.add_argument(
+        "--unseen", action="store_true", help="Each effect that the finder was not made with."
+    )
     parser.add_argument("--practice", action="store_true")
     args = parser.parse_args()
     if args.practice:
         sys.stdout.write("\n".join(practice()) + "\n")
         return
+    todo = cases(args.trials, args.seed, args.plan)
+    if args.unseen:
+        todo = unseen(args.seed, args.plan)
     sys.stdout.write(f"plans {', '.join(PLANS)}; seed {args.seed}\n")
-    sys.stdout.write(format_table(run_all(cases(args.trials, args.seed, args.plan), args.out)))
+    sys.stdout.write(format_table(run_all(todo, args.out)))
 
 
 if __name__ == "__main__":
