@@ -104,7 +104,9 @@ def diagnose(
     remaining = lack_of_fit(analysis, options.false_alarm_rate)
     decided = gate(analysis.members, remaining)
     located = locate(analysis, remaining, options.false_alarm_rate)
-    findings += outlier_findings(series) + step_findings(series, _sample_white(series, analysis))
+    findings += outlier_findings(series)
+    if "truncation" not in [m.hypothesis.id for m in decided.named]:
+        findings += step_findings(series, _sample_white(series, analysis))
     findings += clock_findings(series)
     scatter = variance_places(analysis, options.false_alarm_rate)
     refined = refine(analysis, decided)

@@ -12,6 +12,15 @@ from gyrocal.diagnosis.search import Member, related
 _LEFT_SHARE = 0.05
 #: So many laws of the catalogue for one coordinate are a patchwork, not physics.
 _PATCHWORK = 3
+#: Coordinates that all change slowly in one recording, so that a pattern in one is half a pattern in another.
+_SLOW = {
+    "time",
+    "time_since_power_on",
+    "data_set_index",
+    "temperature",
+    "temperature_rate",
+    "temperature_branch",
+}
 
 
 @dataclass(frozen=True)
@@ -58,9 +67,13 @@ def _why_withheld(member: Member, members: Sequence[Member], remaining: Sequence
     near = [m for m in members if related(m.hypothesis.coordinate, h.coordinate)]
     if sum(m.hypothesis.in_catalogue for m in near) >= _PATCHWORK:
         return f"{h.id} is not named: it takes {len(near)} laws to follow what is in {_words(h.coordinate)}."
-    stranger = max((m.gain for m in near if not m.hypothesis.in_catalogue), default=0.0)
-    if stranger > member.gain:
-        return f"{h.id} is not named: a stronger pattern that is not in the catalogue lives in {_words(h.coordinate)} too."
+    for m in members:
+        alike = m in near or {m.hypothesis.coordinate, h.coordinate} <= _SLOW
+        if alike and not m.hypothesis.in_catalogue and m.gain > member.gain:
+            return (
+                f"{h.id} is not named: a stronger pattern that is not in the catalogue lives in "
+                f"{_words(m.hypothesis.coordinate)}, and may be what it follows."
+            )
     left = max((p.excess for p in remaining if related(p.coordinate, h.coordinate)), default=0.0)
     if left > _LEFT_SHARE * member.gain:
         return (
