@@ -196,7 +196,19 @@ def _result(
         "calibration_error_cm": both_cm,
         "paper": {"mean_cm": list(PAPER_CM), "factors": PAPER_FACTORS},
     }
-    return Table2Result(tables, verdict, summary)
+    return Table2Result(tables, f"{verdict} {_explanation(parts['sensitivity'])}", summary)
+
+
+def _explanation(rows: Sequence[Sensitivity]) -> str:
+    """Which inputs the paper's own figures would need, from the sensitivities; no figure of it is written here."""
+    by_name = {s.source.split(" (")[0]: s for s in rows}
+    bent = by_name["uncalibrated: nonlinearity"]
+    bias, scale = by_name["gyro bias that the static mean misses"], by_name["gyro scale factor"]
+    return (
+        f"The paper's {PAPER_CM[0]:g} cm without calibration need a nonlinearity of {0.1 * bent.for_paper:.2f} % rms of full "
+        f"scale where the data sheet allows {0.1 * bent.here:.2g} %; its {PAPER_CM[2]:g} cm with calibration need "
+        f"{bias.for_paper:.1f} mdeg/s of bias or {0.1 * scale.for_paper:.2f} % of scale factor that the bench did not see."
+    )
 
 
 def _plain(s: Sensitivity) -> dict[str, Any]:
