@@ -24,13 +24,21 @@ class Responder(Protocol):
         ...
 
 
+class Encode(Protocol):
+    """The gyro's side of its wire."""
+
+    def __call__(self, rate_dps: float, temp_c: float, count: int, options: Any, good: bool = True) -> bytes:
+        """What it sends for its sample number `count`; not `good` where its protocol can say so."""
+        ...
+
+
 @dataclass(frozen=True)
 class GyroKind:
-    """A gyro: ``encode(rate_dps, temp_c, count, options)`` is what it sends for its sample number `count`."""
+    """A gyro: options, codec, and what it sends."""
 
     options: type[Any]
     decoder: Callable[[Any], Decoder]
-    encode: Callable[[float, float, int, Any], bytes]
+    encode: Encode
     baud: int
     has_temperature: bool
     commands: tuple[bytes, ...] = ()
@@ -61,16 +69,19 @@ class ChamberKind:
     sets_alarms: bool = False
 
 
-def _encode_ecore(rate_dps: float, temp_c: float, count: int, options: ecore2000.Options) -> bytes:
+def _encode_ecore(
+    rate_dps: float, temp_c: float, count: int, options: ecore2000.Options, good: bool = True
+) -> bytes:
     sign = 1.0 if options.counter_clockwise_positive else -1.0
     return ecore2000.encode(round(sign * rate_dps / options.lsb_dps))
 
 
-def _encode_ascii(rate_dps: float, temp_c: float, count: int, options: ascii_line.Options) -> bytes:
+def _encode_ascii(
+    rate_dps: float, temp_c: float, count: int, options: ascii_line.Options, good: bool = True
+) -> bytes:
+    status = options.status_good if good else options.status_good + 1.0
     sequence = count % (options.sequence_modulus or 1 << 30)
-    return ascii_line.encode(
-        options, rate=rate_dps, temp=temp_c, status=options.status_good, sequence=sequence
-    )
+    return ascii_line.encode(options, rate=rate_dps, temp=temp_c, status=status, sequence=sequence)
 
 
 GYROS: dict[str, GyroKind] = {
@@ -78,7 +89,9 @@ GYROS: dict[str, GyroKind] = {
     "kvh-dsp3000": GyroKind(
         dsp3000.Options,
         dsp3000.Dsp3000Decoder,
-        lambda rate_dps, temp_c, count, options: dsp3000.encode(rate_dps, options=options),
+        lambda rate_dps, temp_c, count, options, good=True: dsp3000.encode(
+            rate_dps, valid=good, options=options
+        ),
         38400,
         False,
         # No acknowledgement exists, so the mode command goes out three times.
@@ -87,15 +100,22 @@ GYROS: dict[str, GyroKind] = {
     "kvh-frame-a": GyroKind(
         kvh_frame.Options,
         kvh_frame.KvhFrameDecoder,
-        lambda rate_dps, temp_c, count, options: kvh_frame.encode(rate_dps, temp_c, count, options),
+        lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
+            rate_dps, temp_c, count, options, valid=good
+        ),
         921600,
         True,
     ),
     "kvh-frame-b": GyroKind(
         kvh_frame.Options,
         kvh_frame.KvhFrameDecoder,
-        lambda rate_dps, temp_c, count, options: kvh_frame.encode(
-            rate_dps, temp_c, count, options, time_us=round(count * 1e6 / options.data_rate_hz)
+        lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
+            rate_dps,
+            temp_c,
+            count,
+            options,
+            time_us=round(count * 1e6 / options.data_rate_hz),
+            valid=good,
         ),
         921600,
         True,
@@ -103,7 +123,7 @@ GYROS: dict[str, GyroKind] = {
     "vn100": GyroKind(
         vn100.Options,
         vn100.Vn100Decoder,
-        lambda rate_dps, temp_c, count, options: vn100.encode(rate_dps, temp_c, options),
+        lambda rate_dps, temp_c, count, options, good=True: vn100.encode(rate_dps, temp_c, options),
         115200,
         True,
         (vn100.command("VNWRG,06,19"),),

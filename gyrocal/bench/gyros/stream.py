@@ -293,7 +293,8 @@ def judge_stream(
         return f"the gyro gave the same value {tally.longest_run} times in a row; it is stuck, or stream.stuck_samples is too low for its resolution"
     expected = (tally.last_t_s - tally.first_t_s) * sample_rate_hz + 1
     lost = max(0.0, 1.0 - tally.n / expected)
-    if lost > limits.missing_share or gaps > limits.gap_share * max(1, good):
+    # A damaged frame leaves a gap too, and was judged above.
+    if lost > limits.missing_share or gaps - bad > limits.gap_share * max(1, good):
         return (
             f"{tally.n} samples came where {expected:.0f} were due, with {gaps} gaps in the device's counter; "
             "check the data rate against the line speed, and other load on this computer"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from gyrocal.bench.clock import Clock
-from gyrocal.bench.devices import Bench, Chamber, RateTable, TableLimits, TableReading
+from gyrocal.bench.devices import Bench, Chamber, GyroSamples, RateTable, TableLimits, TableReading
 from gyrocal.bench.registry import CHAMBERS, GYROS, TABLES, GyroKind, Responder
 from gyrocal.bench.virtual.endpoints import Endpoint
 from gyrocal.bench.virtual.world import World
@@ -74,13 +74,14 @@ class GyroPort:
         """Be as after power-up: mode and counter lost."""
         self.count, self._heard, self._in_mode = 0, b"", False
 
-    def serve(self, now_s: float, gyro_dps: Sequence[float], temp_c: Sequence[float]) -> None:
+    def serve(self, now_s: float, samples: GyroSamples) -> None:
         """Send samples as messages."""
         self._heard = (self._heard + self.endpoint.read())[-256:]
         self._in_mode = self._in_mode or all(command in self._heard for command in self.kind.commands)
         messages = []
-        for rate_dps, temperature_c in zip(gyro_dps, temp_c, strict=True):
-            message = self.kind.encode(rate_dps, temperature_c, self.count, self.options)
+        columns = (samples.gyro_dps, samples.gyro_temp_c, samples.status)
+        for rate_dps, temp_c, status in zip(*(column.tolist() for column in columns), strict=True):
+            message = self.kind.encode(rate_dps, temp_c, self.count, self.options, status == 0)
             messages.append(message if self._in_mode else b"~" * (len(message) - 2) + b"\r\n")
             self.count += 1
         data = self.line.carry(now_s, messages, b"")
@@ -130,13 +131,19 @@ class BenchServer:
     """Three ports before one world. `serve` returns when `stop` is set."""
 
     def __init__(
-        self, world: World, bench: Bench, gyro: GyroPort, table: Port, chamber: Port, clock: Clock
+        self,
+        world: World,
+        drain: Callable[[], GyroSamples],
+        gyro: GyroPort,
+        table: Port,
+        chamber: Port,
+        clock: Clock,
     ) -> None:
         self.gyro = gyro
         self.table = table
         self.chamber = chamber
         self._world = world
-        self._bench = bench
+        self._drain = drain
         self._clock = clock
 
     def serve(self, stop: threading.Event) -> None:
@@ -156,8 +163,7 @@ class BenchServer:
         # Answers first: whoever asks for an angle takes the middle of question and answer for its time.
         self.table.serve(now_s)
         self.chamber.serve(now_s)
-        samples = self._bench.gyro.drain()
-        self.gyro.serve(now_s, samples.gyro_dps.tolist(), samples.gyro_temp_c.tolist())
+        self.gyro.serve(now_s, self._drain())
 
 
 @dataclass(frozen=True)
@@ -181,6 +187,7 @@ def make_server(
     *,
     table: RateTable | None = None,
     chamber: Chamber | None = None,
+    gyro: Callable[[GyroSamples], GyroSamples] = lambda samples: samples,
 ) -> BenchServer:
     """A server of the three devices; `make_endpoint` is called with ``gyro``, ``table`` and ``chamber``.
 
@@ -188,11 +195,13 @@ def make_server(
     ----------
     table, chamber : optional
         Stand before those of `bench`: faulty ones, for example.
+    gyro : callable, optional
+        Changes the samples before they are sent.
     """
     before_table = table or LiveTable(bench.table, clock)
     return BenchServer(
         world,
-        bench,
+        lambda: gyro(bench.gyro.drain()),
         GyroPort(make_endpoint("gyro"), GYROS[kinds.gyro], kinds.gyro_options),
         Port(make_endpoint("table"), TABLES[kinds.table].responder(before_table, kinds.table_options)),
         Port(

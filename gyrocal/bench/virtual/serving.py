@@ -59,21 +59,8 @@ def serve_profile(
     ProfileError
         No such kind, or a bad option of it in the profile.
     """
-    chosen = {role: _kind(profile, role, (kinds or {}).get(role)) for role in ROLES}
-    given = {role: _plain_options(profile, role, kind) for role, kind in chosen.items()}
-    options = {
-        role: read_table(kinds_of(role)[kind].options, given[role], profile.source, f"{role}.options")
-        for role, kind in chosen.items()
-    }
+    served = served_kinds(profile, kinds or {})
     bench, _, world = virtual_bench(profile, start_s=clock.now_s())
-    served = ServedKinds(
-        chosen["gyro"],
-        chosen["table"],
-        chosen["chamber"],
-        options["gyro"],
-        options["table"],
-        options["chamber"],
-    )
     addresses: dict[str, str] = {}
 
     def endpoint(role: str) -> Endpoint:
@@ -82,8 +69,35 @@ def serve_profile(
         return made
 
     server = make_server(world, bench, served, clock, endpoint)
-    lines = [_section(role, f"{chosen[role]}:{addresses[role]}", given[role]) for role in ROLES]
-    return Served(server, addresses, "\n".join(lines))
+    return Served(server, addresses, _toml(snippet_of(profile, served, addresses)))
+
+
+def served_kinds(profile: Profile, kinds: Mapping[str, str | None]) -> ServedKinds:
+    """Kinds and options to serve; see `serve_profile`."""
+    chosen = {role: _kind(profile, role, kinds.get(role)) for role in ROLES}
+    options = {
+        role: read_table(
+            kinds_of(role)[kind].options,
+            _plain_options(profile, role, kind),
+            profile.source,
+            f"{role}.options",
+        )
+        for role, kind in chosen.items()
+    }
+    return ServedKinds(**chosen, **{f"{role}_options": value for role, value in options.items()})
+
+
+def snippet_of(profile: Profile, served: ServedKinds, addresses: Mapping[str, str]) -> dict[str, Any]:
+    """The sections ``gyro``, ``table`` and ``chamber`` of a profile that uses the served devices."""
+    sections: dict[str, Any] = {}
+    for role in ROLES:
+        kind = getattr(served, role)
+        section: dict[str, Any] = {"device": f"{kind}:{addresses[role]}"}
+        if role == "chamber" and not CHAMBERS[kind].sets_alarms:
+            section["own_alarms_set"] = True
+        options = _plain_options(profile, role, kind)
+        sections[role] = section | ({"options": options} if options else {})
+    return sections
 
 
 def wired(profile: Profile, served: Served) -> Profile:
@@ -113,11 +127,14 @@ def _plain_options(profile: Profile, role: str, kind: str) -> dict[str, Any]:
     return {**{name: value for name, value in physical.items() if name in known}, **own}
 
 
-def _section(role: str, device: str, options: Mapping[str, Any]) -> str:
-    lines = [f"[{role}]", f"device = {json.dumps(device)}"]
-    if role == "chamber" and not CHAMBERS[device.partition(":")[0]].sets_alarms:
-        lines.append("own_alarms_set = true")
-    if options:
-        lines.append(f"[{role}.options]")
-        lines += [f"{name} = {json.dumps(value)}" for name, value in options.items()]
-    return "\n".join(lines) + "\n"
+def _toml(sections: Mapping[str, Mapping[str, Any]]) -> str:
+    """TOML of sections whose values are JSON's, which TOML reads alike."""
+    lines = []
+    for name, section in sections.items():
+        lines.append(f"[{name}]")
+        lines += [f"{key} = {json.dumps(value)}" for key, value in section.items() if key != "options"]
+        if "options" in section:
+            lines.append(f"[{name}.options]")
+            lines += [f"{key} = {json.dumps(value)}" for key, value in section["options"].items()]
+        lines.append("")
+    return "\n".join(lines)
