@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,9 @@ class SegmentSums:
     table_rate: Sums = Sums()
     time: Sums = Sums()
     time_temp: float = 0.0
+    chamber: Sums = Sums()
+    chamber_time: Sums = Sums()
+    chamber_time_temp: float = 0.0
     t_first_s: float = math.nan
     t_last_s: float = math.nan
     angle_first: tuple[float, float] | None = None
@@ -119,23 +122,23 @@ class SegmentSums:
         """Slope of the temperature over time by least squares; NaN where all samples share one time."""
         return self.time_temp / self.time.squares * S_PER_MIN if self.time.squares > 0 else math.nan
 
+    def by_chamber(self) -> SegmentSums:
+        """The same with the chamber's temperature in the place of the gyro's own."""
+        return replace(self, temp=self.chamber, time=self.chamber_time, time_temp=self.chamber_time_temp)
+
     def merge(self, after: SegmentSums) -> SegmentSums:
         """Sums of this block and the one `after` it in time."""
-        both = self.temp.n * after.temp.n
-        cross = (
-            (after.time.mean - self.time.mean)
-            * (after.temp.mean - self.temp.mean)
-            * both
-            / (self.temp.n + after.temp.n)
-            if both
-            else 0.0
-        )
         return SegmentSums(
             gyro=self.gyro.merge(after.gyro),
             temp=self.temp.merge(after.temp),
             table_rate=self.table_rate.merge(after.table_rate),
             time=self.time.merge(after.time),
-            time_temp=self.time_temp + after.time_temp + cross,
+            time_temp=self.time_temp + after.time_temp + _cross(self.time, self.temp, after.time, after.temp),
+            chamber=self.chamber.merge(after.chamber),
+            chamber_time=self.chamber_time.merge(after.chamber_time),
+            chamber_time_temp=self.chamber_time_temp
+            + after.chamber_time_temp
+            + _cross(self.chamber_time, self.chamber, after.chamber_time, after.chamber),
             t_first_s=after.t_first_s if math.isnan(self.t_first_s) else self.t_first_s,
             t_last_s=self.t_last_s if math.isnan(after.t_last_s) else after.t_last_s,
             angle_first=self.angle_first or after.angle_first,
@@ -143,6 +146,14 @@ class SegmentSums:
             bad_status=self.bad_status + after.bad_status,
             non_finite=self.non_finite + after.non_finite,
         )
+
+
+def _cross(t_before: Sums, before: Sums, t_after: Sums, after: Sums) -> float:
+    """What merging two groups adds to the centred sum of products of time and value."""
+    both = before.n * after.n
+    if not both:
+        return 0.0
+    return (t_after.mean - t_before.mean) * (after.mean - before.mean) * both / (before.n + after.n)
 
 
 #: A segment of no samples.
@@ -160,6 +171,9 @@ def sums_of_block(block: Segment) -> SegmentSums:
     warm = np.isfinite(temp_c)
     temp, temp_t_s = (temp_c, t_s) if warm.all() else (temp_c[warm], t_s[warm])
     temp_sums, time_sums = sums_of(temp, integers=True), sums_of(temp_t_s)
+    aired = np.isfinite(block.chamber_temp_c)
+    air, air_t_s = block.chamber_temp_c[aired], block.bench_t_s[aired]
+    air_sums, air_time_sums = sums_of(air, integers=True), sums_of(air_t_s)
     angle = np.flatnonzero(np.isfinite(block.table_angle_deg))
 
     def reading(row: int) -> tuple[float, float]:
@@ -171,6 +185,9 @@ def sums_of_block(block: Segment) -> SegmentSums:
         table_rate=sums_of(block.table_rate_dps[np.isfinite(block.table_rate_dps)]),
         time=time_sums,
         time_temp=float((temp_t_s - time_sums.mean) @ (temp - temp_sums.mean)) if temp.size else 0.0,
+        chamber=air_sums,
+        chamber_time=air_time_sums,
+        chamber_time_temp=float((air_t_s - air_time_sums.mean) @ (air - air_sums.mean)) if air.size else 0.0,
         t_first_s=float(t_s[0]) if t_s.size else math.nan,
         t_last_s=float(t_s[-1]) if t_s.size else math.nan,
         angle_first=reading(0) if angle.size else None,
