@@ -38,7 +38,7 @@ from gyrocal.report.navigation import Report
 from gyrocal.report.navigation_figures import draw_bars
 from gyrocal.report.page import Page, Picture, render_page
 from gyrocal.report.page import Table as PageTable
-from gyrocal.report.style import BLUE, GREY, ORANGE, TWO_COLUMNS_IN, new_figure, render, say_in_figure, styled
+from gyrocal.report.style import BLUE, GREY, ORANGE, TWO_COLUMNS_IN, new_figure, render, styled
 
 Floats = NDArray[np.float64]
 
@@ -159,7 +159,7 @@ def _result(
     verdict = (
         f"Over {request.experiments} experiments the mean return error improves "
         + ", ".join(
-            f"{middle:.2g}-fold (5..95 %: {low:.2g}..{high:.2g}; paper: {PAPER_FACTORS[name]:g}) by {name}"
+            f"{middle:.2g}-fold (5..95 %: {low:.3g}..{high:.3g}; paper: {PAPER_FACTORS[name]:g}) by {name}"
             for name, (low, middle, high) in factors.items()
         )
         + "."
@@ -270,7 +270,7 @@ def _what_if_table(runs: Mapping[str, MonteCarlo]) -> PageTable:
 
 def _span(quantiles: tuple[float, float, float]) -> str:
     low, middle, high = quantiles
-    return f"{middle:.3g} ({low:.2g}..{high:.2g})"
+    return f"{middle:.3g} ({low:.3g}..{high:.3g})"
 
 
 def _sensitivity_table(name: str, title: str, rows: Sequence[Sensitivity], note: str = "") -> PageTable:
@@ -337,17 +337,12 @@ def draw_factors(main: MonteCarlo) -> Figure:
         axes.axvline(float(np.median(values)), color=GREY, linewidth=1.2, linestyle="--", label="median")
         axes.axvline(PAPER_FACTORS[name], color=ORANGE, linewidth=1.4, label="paper")
         axes.set_xscale("log")
-        ticks = [
-            t
-            for t in (0.5, 1, 2, 5, 10, 20, 50, 100, 200)
-            if edges[0] * 0.7 < t < edges[-1] * 1.4 or t == PAPER_FACTORS[name]
-        ]
+        low, high = 0.7 * min(edges[0], PAPER_FACTORS[name]), 1.4 * max(edges[-1], PAPER_FACTORS[name])
+        ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low < t < high]
         axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
         axes.minorticks_off()
-        axes.set_title(f"by {name}")
+        axes.set_title(f"by {name}: {_span(_quantiles(values))}", fontsize=7.5)
         axes.set_xlabel("improvement factor")
-        low, middle, high = _quantiles(values)
-        say_in_figure(axes, f"{middle:.2g} ({low:.2g}..{high:.2g})")
     panels[0].set_ylabel("experiments")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
