@@ -28,6 +28,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("replay", "Dead reckoning of drive logs, with and without calibration and filter."),
     "simulate": ("simulate", "Simulate robot drives with the virtual gyro."),
     "probe": ("probe", "Say what is on a port: nothing, unknown bytes, or which gyro."),
+    "sim": ("sim", "The virtual bench on ports, in real time, for acquire in another terminal."),
+    "status": ("status", "Where a run is: progress, time left, temperatures, last events."),
     "decode": ("decode", "Decode a raw capture to samples."),
 }
 

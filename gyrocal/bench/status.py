@@ -1,0 +1,198 @@
+"""Where a run is, read from its directory alone: nothing is locked, written or asked of the program that records."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from gyrocal.bench.plan import Bound, Limits, make_plan
+from gyrocal.bench.profile import Profile, profile_from_dict
+from gyrocal.errors import GyrocalError, InputError
+from gyrocal.records.files import reading
+
+#: How much of the end of a segment that is being recorded is looked at.
+_TAIL_BYTES = 65536
+_LAST_EVENTS = 8
+_FAR = 1e9
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where a run is.
+
+    Attributes
+    ----------
+    state : str
+        ``running``, ``complete``, ``incomplete`` (ended, with segments failed or skipped), ``stopped`` (ended early,
+        the bench made safe), or ``dead`` (nothing was said: the program or the computer died).
+    reason : str or None
+        Why it stopped.
+    steps, recorded, unsettled, failed, retried : int
+        Steps of the plan, and what became of those that were sealed; attempts done again.
+    now : str or None
+        What is being recorded.
+    left_s : float
+        Bench time that the steps left are expected to take; NaN where the profile is unknown.
+    chamber_c, gyro_c, table_dps : float
+        Last readings; NaN where there are none.
+    quiet_s : float
+        Since the run's files changed last, s by the wall clock.
+    events : tuple of dict
+        The last lines of the journal.
+    """
+
+    state: str
+    reason: str | None
+    steps: int
+    recorded: int
+    unsettled: int
+    failed: int
+    retried: int
+    now: str | None
+    left_s: float
+    chamber_c: float
+    gyro_c: float
+    table_dps: float
+    quiet_s: float
+    events: tuple[dict[str, Any], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+def read_status(path: Path, now: datetime | None = None) -> Status:
+    """Status of a run directory, running or not.
+
+    Raises
+    ------
+    InputError
+        `path` holds no run.
+    """
+    with reading(path / "run.json"):
+        head = json.loads((path / "run.json").read_text(encoding="utf-8"))
+    if not isinstance(head, dict):
+        raise InputError(f"{path}/run.json: is not the head of a run. Check the path.")
+    events = _events(path / "journal.jsonl")
+    sealed = {e["id"]: str(e["outcome"]) for e in events if e.get("event") == "segment"}
+    part = max((path / "data").glob("*.part"), key=lambda p: p.stat().st_mtime, default=None)
+    files = [str(e["file"]) for e in events if e.get("event") == "segment"]
+    last = part or (path / files[-1] if files else None)
+    readings = _last_readings(last) if last else {}
+    changed_s = max(p.stat().st_mtime for p in (path / "run.json", path / "journal.jsonl", last) if p)
+    quiet_s = (now or datetime.now(UTC)).timestamp() - changed_s
+    state, reason = _state(events, held=_is_held(path / "journal.jsonl"))
+    steps, left_s = _plan_left(head.get("profile"), sealed, events)
+    return Status(
+        state=state,
+        reason=reason,
+        steps=steps,
+        recorded=sum(o == "ok" for o in sealed.values()),
+        unsettled=sum(o == "unsettled" for o in sealed.values()),
+        failed=sum(o == "failed" for o in sealed.values()),
+        retried=sum(e.get("event") == "attempt_failed" for e in events),
+        now=part.name.removesuffix(".csv.part") if part and state == "running" else None,
+        left_s=0.0 if state in ("complete", "incomplete") else left_s,
+        chamber_c=readings.get("chamber_temp_c", math.nan),
+        gyro_c=readings.get("gyro_temp_c", math.nan),
+        table_dps=readings.get("table_rate_dps", math.nan),
+        quiet_s=max(quiet_s, 0.0),
+        events=tuple(events[-_LAST_EVENTS:]),
+    )
+
+
+def _events(journal: Path) -> list[dict[str, Any]]:
+    """Whole lines of the journal; the one that is being written is not read."""
+    with reading(journal):
+        text = journal.read_text(encoding="utf-8", errors="replace")
+    found = []
+    for line in text.splitlines(keepends=True):
+        try:
+            event = json.loads(line) if line.endswith("\n") else None
+        except json.JSONDecodeError:
+            continue
+        if isinstance(event, dict):
+            found.append(event)
+    return found
+
+
+def _state(events: list[dict[str, Any]], *, held: bool | None) -> tuple[str, str | None]:
+    """State by the last start's own words; without an end it runs as long as its journal is held."""
+    starts = [i for i, e in enumerate(events) if e.get("event") in ("start", "resume")]
+    said = events[starts[-1] :] if starts else []
+    for event in reversed(said):
+        if event.get("event") == "end":
+            return ("complete" if event.get("complete") else "incomplete"), None
+        if event.get("event") == "aborted":
+            return "stopped", str(event.get("reason"))
+    if held is False:
+        return "dead", None
+    return "running", None
+
+
+def _is_held(journal: Path) -> bool | None:
+    """Whether a program holds the journal's lock, from the kernel's list; None where there is no such list."""
+    try:
+        locks = Path("/proc/locks").read_text(encoding="ascii")
+    except OSError:
+        return None
+    inode = str(journal.stat().st_ino)
+    return any(
+        words[1] == "FLOCK" and words[-3].rpartition(":")[2] == inode
+        for words in map(str.split, locks.splitlines())
+        if len(words) >= 4 and "->" not in words
+    )
+
+
+def _last_readings(segment: Path) -> dict[str, float]:
+    """Last value of each column of a segment file, without reading all of it."""
+    with reading(segment), segment.open("rb") as f:
+        header = f.readline().decode("ascii", errors="replace").strip().split(",")
+        f.seek(0, 2)
+        f.seek(max(f.tell() - _TAIL_BYTES, len(",".join(header)) + 1))
+        lines = f.read().split(b"\n")[:-1]
+    values: dict[str, float] = {}
+    for line in lines:
+        cells = line.decode("ascii", errors="replace").split(",")
+        if len(cells) != len(header):
+            continue  # the first line may be cut
+        for name, cell in zip(header, cells, strict=True):
+            try:
+                values[name] = float(cell)
+            except ValueError:
+                continue
+    return values
+
+
+def _plan_left(
+    raw: Mapping[str, Any] | None, sealed: Mapping[int, str], events: list[dict[str, Any]]
+) -> tuple[int, float]:
+    """Number of steps, and the expected bench time of those that are left."""
+    said = next((e for e in events if e.get("event") == "start"), {})
+    try:
+        profile = profile_from_dict(raw or {}, "run.json")
+        steps = make_plan(profile, _no_limits(), _start_c(profile)).steps
+    except GyrocalError:
+        return int(said.get("steps", len(sealed))), math.nan
+    expected_s = sum(step.expected_s for step in steps)
+    left_s = sum(step.expected_s for step in steps if step.id not in sealed)
+    # What was said at the start also knows how fast the table speeds up.
+    return len(steps), left_s * (
+        float(said.get("expected_s", expected_s)) / expected_s if expected_s else 1.0
+    )
+
+
+def _start_c(profile: Profile) -> float:
+    virtual = profile.table.device == "virtual"
+    return profile.virtual.start_temp_c if virtual else profile.safe.chamber_c
+
+
+def _no_limits() -> Limits:
+    """Limits that no plan of a running run exceeds: they were checked when it began."""
+    low, high = Bound(-_FAR, "nobody"), Bound(_FAR, "nobody")
+    return Limits(low, high, low, high, high, high, None)

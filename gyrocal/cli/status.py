@@ -1,0 +1,65 @@
+"""``gyrocal status``: where a run is, from another terminal or after a crash."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gyrocal.cli.console import emit_json, emit_table, json_option
+
+_H_S, _MIN_S = 3600.0, 60.0
+_SEEN = {
+    "running": "is running",
+    "complete": "is complete",
+    "incomplete": "has ended, and some segments failed or were skipped; --resume carries on",
+    "stopped": "was ended early, and the bench was made safe; --resume carries on",
+    "dead": "died without a word; make sure that the table stands, then carry on with --resume",
+}
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@json_option
+def command(run: Path, as_json: bool) -> None:
+    """Say where RUN is: progress, time left, temperatures, last events. The run is not disturbed.
+
+    \b
+    Example:
+      gyrocal status run
+    """
+    from gyrocal.bench.status import read_status
+
+    s = read_status(run)
+    if as_json:
+        emit_json({"run": str(run), **s.to_json()})
+        return
+    click.echo(f"{run} {_SEEN[s.state]}" + (f" ({s.reason})" if s.reason else "") + ".")
+    done = s.recorded + s.unsettled + s.failed
+    click.echo(
+        f"{done} segments sealed, {s.steps} steps planned: {s.recorded} ok, {s.unsettled} unsettled, {s.failed} failed; "
+        f"{s.retried} attempts failed."
+    )
+    if s.now:
+        click.echo(f"Recording {s.now}.")
+    if s.state not in ("complete", "incomplete") and s.left_s == s.left_s:
+        click.echo(f"{_duration(s.left_s)} of bench time left.")
+    readings = (("chamber", s.chamber_c, "°C"), ("gyro", s.gyro_c, "°C"), ("table", s.table_dps, "deg/s"))
+    known = [f"{name} {value:.2f} {unit}" for name, value, unit in readings if value == value]
+    click.echo(f"Last readings: {', '.join(known) or 'none'}; last change {_duration(s.quiet_s)} ago.\n")
+    emit_table(["t, s", "event", "what"], [_row(e) for e in s.events], "Last events")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 2 * _MIN_S:
+        return f"{seconds:.0f} s"
+    if seconds < 2 * _H_S:
+        return f"{seconds / _MIN_S:.0f} min"
+    return f"{seconds / _H_S:.1f} h"
+
+
+def _row(event: dict[str, Any]) -> list[str]:
+    shown = ("id", "kind", "rate_dps", "chamber_c", "outcome", "reason", "table_stopped", "complete")
+    what = ", ".join(f"{key} {event[key]}" for key in shown if event.get(key) is not None)
+    return [f"{event.get('t_s', 0.0):.1f}", str(event.get("event")), what]

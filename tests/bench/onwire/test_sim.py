@@ -1,0 +1,218 @@
+"""Real time: the virtual bench on ports, and the program that acquires from it as from a real one."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from gyrocal.bench.capture import decode_capture
+from gyrocal.bench.clock import RealClock
+from gyrocal.bench.profile import Profile, profile_from_dict
+from gyrocal.bench.session import AcquireConfig, acquire
+from gyrocal.bench.status import read_status
+from gyrocal.bench.transport import SerialTransport
+from gyrocal.bench.virtual.endpoints import Endpoint, PtyEndpoint, TcpEndpoint
+from gyrocal.bench.virtual.serving import Served, serve_profile, wired
+from gyrocal.calibration.calibrate import FitConfig, calibrate
+from gyrocal.errors import DeviceError
+from gyrocal.records.run import read_run
+from tests.bench.test_resume import toml
+from tests.bench.tiny import Silent, tiny
+
+#: A second a data set; a gyro without thermometer soaks by the chamber alone. The stream's times depend on the load of
+#: this computer, so they are not judged here.
+SHORT: dict[str, Any] = {
+    "plan__temperatures_c": [20.0],
+    "plan__dwell_s": 1.0,
+    "settle__hold_s": 0.3,
+    "settle__tolerance_dps": 0.5,
+    "soak__time_s": 1.0,
+    "soak__slope_over_s": 10.0,
+    "record__bench_period_s": 0.1,
+    "sensor__sample_rate_hz": 50.0,
+    "stream__clump_share": 1.0,
+    "stream__missing_share": 0.3,
+    "retry__attempts": 1,
+    "safe__chamber_c": 20.0,
+    "virtual__start_temp_c": 20.0,
+    "virtual__chamber__ripple_c": 0.0,
+    "virtual__table__max_acceleration_dps2": 300.0,
+}
+
+
+@contextmanager
+def serving(profile: Profile, kinds: dict[str, str | None], folder: Path | None = None) -> Iterator[Served]:
+    """A bench on ports in a thread; pseudo-terminals with links in `folder`, else TCP."""
+
+    def endpoint(role: str) -> Endpoint:
+        return TcpEndpoint() if folder is None else PtyEndpoint(folder / role)
+
+    served = serve_profile(profile, RealClock(), endpoint, kinds)
+    stop = threading.Event()
+    thread = threading.Thread(target=served.run, args=(stop,), daemon=True)
+    thread.start()
+    try:
+        yield served
+    finally:
+        stop.set()
+        thread.join(10.0)
+
+
+@contextmanager
+def sim(*arguments: str) -> Iterator[list[str]]:
+    """``gyrocal sim`` in a process of its own; yields the lines for the profile."""
+    command = [sys.executable, "-u", "-m", "gyrocal", "sim", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            stdout = process.stdout
+            assert stdout is not None
+            yield list(iter(stdout.readline, "# Serving until Ctrl-C.\n"))
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30.0) == 0
+
+
+def profile_file(profile: Profile, path: Path) -> Path:
+    """A profile as TOML; lists and texts read alike in JSON."""
+    path.write_text(toml(json.loads(json.dumps(dict(profile.raw)))))
+    return path
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+def test_a_run_against_served_ports(tmp_path: Path, tcp: bool) -> None:
+    profile = profile_from_dict(tiny(**SHORT), "short.toml")
+    kinds: dict[str, str | None] = {"gyro": "kvh-dsp3000", "table": "zaber", "chamber": "espec"}
+    with serving(profile, kinds, None if tcp else tmp_path) as served:
+        path = profile_file(wired(profile, served), tmp_path / "wired.toml")
+        watch = Silent()
+        summary = acquire(AcquireConfig(path, tmp_path / "r", raw=True), watch)
+    assert summary.complete, (summary, watch.said)
+    run = read_run(tmp_path / "r")
+    assert run.bench["devices"] == "gyro kvh-dsp3000, table zaber, chamber espec"
+    for segment in run:
+        if segment.record.kind == "rate":
+            assert segment.record.n > 20
+            assert np.mean(segment.gyro_dps) == pytest.approx(segment.record.rate_dps, abs=2.0)
+            assert np.isnan(segment.gyro_temp_c).all()
+    status = read_status(tmp_path / "r")
+    assert (status.state, status.steps, status.chamber_c) == ("complete", 6, pytest.approx(20.0, abs=0.5))
+    # every port was captured, and the gyro's capture decodes to more than the data sets hold
+    assert {p.name for p in (tmp_path / "r" / "raw").iterdir()} == {
+        "gyro-1.raw",
+        "table-1.raw",
+        "chamber-1.raw",
+    }
+    decoded = decode_capture(tmp_path / "r" / "raw" / "gyro-1.raw", tmp_path / "samples.csv")
+    assert decoded.health.frames_good >= summary.samples
+    assert decoded.health.frames_bad == 0
+    assert b">" in (tmp_path / "r" / "raw" / "table-1.raw").read_bytes()
+
+
+def test_a_port_is_held_by_one_program(tmp_path: Path) -> None:
+    endpoint = PtyEndpoint(tmp_path / "port")
+    first = SerialTransport(endpoint.address, 9600)
+    with pytest.raises(DeviceError, match=r"another program holds the port\. Close it and try again\."):
+        SerialTransport(endpoint.address, 9600)
+    first.close()
+    SerialTransport(endpoint.address, 9600).close()
+    endpoint.close()
+    with pytest.raises(DeviceError, match="there is no such port"):
+        SerialTransport(endpoint.address, 9600)
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+def test_a_port_that_vanishes_says_so_and_opens_again(tmp_path: Path, tcp: bool) -> None:
+    endpoint: Endpoint = TcpEndpoint() if tcp else PtyEndpoint(tmp_path / "port")
+    port = SerialTransport(endpoint.address, 9600)
+    endpoint.read()
+    endpoint.vanish()
+
+    def use() -> None:
+        for _ in range(50):
+            port.read_available(0.02)
+            port.write(b"x")
+
+    with pytest.raises(DeviceError, match="the port is gone"):
+        use()
+    port.close()
+    endpoint.come_back()
+    again = SerialTransport(endpoint.address, 9600)
+    endpoint.read()
+    endpoint.write(b"hello")
+    assert again.read_available(2.0) == b"hello"
+    again.close()
+    endpoint.close()
+
+
+#: Rates and temperatures enough for all twelve terms, in two minutes.
+WHOLE: dict[str, Any] = {
+    "plan__temperatures_c": [0.0, 20.0, 40.0],
+    "plan__rates_dps": [20.0, 50.0, 80.0],
+    "plan__dwell_s": 3.0,
+    "plan__temperature_order": "up",
+    "ramp__rate_c_per_min": 100.0,
+    "soak__time_s": 10.0,
+    "soak__slope_over_s": 10.0,
+    "soak__slope_c_per_min": 5.0,
+    "virtual__start_temp_c": 0.0,
+    "virtual__chamber__air_s": 1.0,
+    "virtual__chamber__case_s": 2.0,
+    "virtual__chamber__max_ramp_c_per_min": 100.0,
+    "virtual__gyro__angle_random_walk_deg_per_rt_h": 0.2,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_two_programs_measure_what_one_does(tmp_path: Path) -> None:
+    profile = profile_from_dict(tiny(**{**SHORT, **WHOLE}), "whole.toml")
+    virtual = profile_file(profile, tmp_path / "virtual.toml")
+    with sim("--profile", str(virtual), "--chamber", "watlow-f4t-scpi") as lines:
+        own = {k: v for k, v in profile.raw.items() if k not in ("gyro", "table", "chamber")}
+        wired_path = tmp_path / "wired.toml"
+        wired_path.write_text(toml(json.loads(json.dumps(own))) + "\n" + "".join(lines))
+        command = [
+            sys.executable,
+            "-m",
+            "gyrocal",
+            "acquire",
+            str(wired_path),
+            "--out",
+            str(tmp_path / "wire"),
+        ]
+        subprocess.run(command, check=True, timeout=800)
+    acquire(AcquireConfig(virtual, tmp_path / "process"), Silent())
+    wire, process = (calibrate(tmp_path / name, FitConfig()).coefficients for name in ("wire", "process"))
+    # Same surface: at none of 15 points do the two differ by more than their uncertainties allow.
+    rates, temps = (axis.ravel() for axis in np.meshgrid([-70.0, -30.0, 0.0, 30.0, 70.0], [5.0, 20.0, 35.0]))
+    difference = wire.surface.error_dps(rates, temps) - process.surface.error_dps(rates, temps)
+    sigma = np.hypot(wire.sigma_dps(rates, temps), process.sigma_dps(rates, temps))
+    false_alarm = 1e-4
+    assert np.max(np.abs(difference) / sigma) < norm.isf(false_alarm / 2 / rates.size)
+    # and the common surface is far larger than that: the comparison says something
+    assert np.max(np.abs(process.surface.error_dps(rates, temps))) > 10 * np.max(sigma)
+
+
+def test_sim_prints_a_profile_that_works(tmp_path: Path) -> None:
+    with sim("--profile", "quick", "--links", str(tmp_path / "ports")) as lines:
+        assert any(line.startswith('device = "kvh-frame-a:') for line in lines)
+        port = SerialTransport(str(tmp_path / "ports" / "gyro"), 921600)
+        deadline = time.monotonic() + 60.0
+        data = b""
+        while len(data) < 36 * 3 and time.monotonic() < deadline:
+            data += port.read_available(0.5)
+        port.close()
+        assert bytes.fromhex("FE81FF55") in data
+    assert not (tmp_path / "ports" / "gyro").is_symlink()
