@@ -149,8 +149,7 @@ def _finer(setup: Setup, search: Search, members: Sequence[Member]) -> Setup | N
                 and score.p_value < 1e-3
             ):
                 wanted.setdefault((h.id, h.df), score.point)
-    base = setup.columns[:, setup.surface_columns]
-    q = np.linalg.qr(base / np.linalg.norm(base, axis=0))[0]
+    q = setup.columns[:, setup.surface_columns] / np.sqrt(len(setup.series))
     c = conditions_of(setup.series)
     parts, known, count = [setup.matrix], [], setup.matrix.shape[1] - 1
     current = {(h.id, h.df): h for h in search.hypotheses}

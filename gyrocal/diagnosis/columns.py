@@ -56,9 +56,10 @@ class Book:
     _count: int = 0
 
     def __post_init__(self) -> None:
+        # Orthogonal columns span the same and stay well conditioned where rates or temperatures are few.
         self._q = np.linalg.qr(self.base / np.linalg.norm(self.base, axis=0))[0]
         self._count = self.base.shape[1]
-        self._parts += [self.record[:, None], self.base]
+        self._parts += [self.record[:, None], self._q * np.sqrt(len(self._q))]
 
     @property
     def model(self) -> Ints:

@@ -25,6 +25,8 @@ Ints = NDArray[np.int64]
 _FOLDS = 8
 _SIMULATIONS = 12
 _BOOTSTRAP = 1000
+#: Noise of a prediction, in units of the usual one, from which on it is an extrapolation.
+_EXTRAPOLATED = 4.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,10 @@ def improvements(
     logloss = np.concatenate([p.logloss for p in parts])
     floor2 = np.concatenate([p.floor2 for p in parts])
     blocks = np.concatenate([p.blocks for p in parts])
-    result = _Heldout(squares, logloss, floor2, blocks)
+    # What noise alone moves this much is extrapolated from what is left (the only ramp, the only temperature):
+    # no model is judged by it.
+    sure = floor2 < _EXTRAPOLATED**2 * np.median(floor2)
+    result = _Heldout(squares[sure], logloss[sure], floor2[sure], blocks[sure])
     each = {p.member.hypothesis.id: _improvement(result, 2 + k, 1, rng) for k, p in enumerate(named)}
     return each, _improvement(result, 0, 1, rng)
 

@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 _SMOOTH_TEMP_S = 10.0
 _SMOOTH_RATE_S = 20.0
 _MOST_POINTS = 30_000
+#: A pause between readings over which nothing is smoothed, s.
+_GAP_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -90,10 +92,32 @@ def temperature_history(t_s: Floats, temp_c: Floats, smooth: bool = True) -> Tem
     temp = np.interp(grid, t_s, temp_c)
     typical = float(np.median(np.diff(t_s))) if t_s.size > 1 else step
     kernel_s = max(_SMOOTH_TEMP_S, 2.0 * min(typical, 60.0))
-    fine = _gaussian(temp, kernel_s / step) if smooth and t_s.size > 3 else temp
-    slow = _gaussian(temp, max(_SMOOTH_RATE_S, kernel_s) / step)
+    pieces = _pieces(grid, t_s)
+    fine = _smoothed(temp, pieces, kernel_s / step) if smooth and t_s.size > 3 else temp
+    slow = _smoothed(temp, pieces, max(_SMOOTH_RATE_S, kernel_s) / step)
     rate = np.gradient(slow, step) * 60.0
     return TemperatureHistory(grid, fine, rate)
+
+
+def _pieces(grid: Floats, t_s: Floats) -> list[slice]:
+    """Parts of the grid that readings cover; between them the temperature is not known and not smoothed over."""
+    gaps = np.flatnonzero(np.diff(t_s) > max(_GAP_S, 20.0 * float(np.median(np.diff(t_s)))))
+    if t_s.size < 3 or gaps.size == 0:
+        return [slice(0, grid.size)]
+    starts = np.concatenate([[t_s[0]], t_s[gaps + 1]])
+    ends = np.concatenate([t_s[gaps], [t_s[-1]]])
+    return [
+        slice(int(np.searchsorted(grid, a)), int(np.searchsorted(grid, b, side="right")))
+        for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+def _smoothed(values: Floats, pieces: list[slice], sigma: float) -> Floats:
+    out = values.copy()
+    for piece in pieces:
+        if piece.stop - piece.start > 2:
+            out[piece] = _gaussian(values[piece], sigma)
+    return out
 
 
 def _gaussian(values: Floats, sigma: float) -> Floats:

@@ -121,9 +121,11 @@ class _Fit:
             X = np.column_stack([X, self.whiten(columns)])
         scale = np.linalg.norm(X, axis=0)
         scale[scale == 0] = 1.0
-        inverse = np.linalg.pinv((X / scale).T @ (X / scale), rcond=1e-12, hermitian=True)
-        coefficients = inverse @ ((X / scale).T @ self.white_base[:, 0])
-        return coefficients / scale, inverse / np.outer(scale, scale)
+        left, values, right = np.linalg.svd(X / scale, full_matrices=False)
+        inverse = np.where(values > 1e-11 * values[0], 1.0 / np.maximum(values, 1e-300), 0.0)
+        half = right.T * inverse
+        coefficients = half @ (left.T @ self.white_base[:, 0])
+        return coefficients / scale, half @ half.T / np.outer(scale, scale)
 
 
 def member_columns(
