@@ -76,6 +76,8 @@ class WireGyro:
         self._transport: Transport | None = None
         self._failure: DeviceError | None = None
         self._first_byte_s: float | None = None
+        #: A pause that is not judged yet: its two ends, bytes before it, and bytes a second until then.
+        self._paused: tuple[float, float, int, float] | None = None
         self._last_byte_s = 0.0
         self._restarts = 0
         self._last_t_s = -np.inf
@@ -89,7 +91,7 @@ class WireGyro:
             No byte at all; bytes but no frame (wrong baud or another device); or frames that the device calls bad.
         """
         self._decoder = self._make_decoder()
-        self._failure = self._first_byte_s = None
+        self._failure = self._first_byte_s = self._paused = None
         self._restarts = 0
         self._queue.clear()
         self._stop.clear()
@@ -182,7 +184,7 @@ class WireGyro:
         DeviceError
             The device restarted, and its mode cannot be sent again.
         """
-        self._notice_restart(now_s, len(data))
+        self._notice_restart(now_s)
         self._last_byte_s = now_s
         frames = self._decoder.feed(data)
         # Frames read in one piece came one after the other on the line: each is dated by the bytes behind it.
@@ -195,21 +197,26 @@ class WireGyro:
             self._last_t_s = max(t_s, self._last_t_s)
             self._queue.append((self._last_t_s, frame))
 
-    def _notice_restart(self, now_s: float, count: int) -> None:
-        """After a pause the device may be back in its power-up mode: send the commands again."""
+    def _notice_restart(self, now_s: float) -> None:
+        """After a pause the device may be back in its power-up mode: send the commands again.
+
+        When something else was kept waiting, not the device, the bytes of the pause come late but do come: so it is
+        judged a moment after the pause, by how many came.
+        """
+        bytes_in = self._decoder.health().bytes_in
         if self._first_byte_s is None:
             self._first_byte_s = now_s
-            return
-        pause_s = now_s - self._last_byte_s
-        if pause_s <= self._spec.pause_s:
-            return
-        # When this program was kept waiting, not the device, the bytes of the pause come all at once.
-        streamed_s = max(self._last_byte_s - self._first_byte_s, 1.0 / self._spec.sample_rate_hz)
-        if count < 0.5 * pause_s * self._decoder.health().bytes_in / streamed_s:
-            self._restarts += 1
-            for command in self._spec.commands:
-                if self._transport is not None:
-                    self._transport.write(command)
+        elif self._paused is None and now_s - self._last_byte_s > self._spec.pause_s:
+            streamed_s = max(self._last_byte_s - self._first_byte_s, 1.0 / self._spec.sample_rate_hz)
+            self._paused = (self._last_byte_s, now_s, bytes_in, bytes_in / streamed_s)
+        elif self._paused is not None and now_s - self._paused[1] >= 0.5 * self._spec.pause_s:
+            begin_s, _, before, bytes_per_s = self._paused
+            self._paused = None
+            if bytes_in - before < 0.6 * bytes_per_s * (now_s - begin_s):
+                self._restarts += 1
+                for command in self._spec.commands:
+                    if self._transport is not None:
+                        self._transport.write(command)
 
 
 @dataclass(frozen=True)

@@ -185,7 +185,10 @@ def test_a_pause_is_a_restart_unless_its_bytes_come_late(after_pause: int, resta
     for _ in range(99):
         clock.sleep(0.02)
     sleeping(1.0)
-    device.take(clock.now_s(), frames(after_pause))
+    device.take(clock.now_s(), frames(after_pause)[:50])
+    device.take(clock.now_s(), frames(after_pause)[50:])
+    for _ in range(20):
+        clock.sleep(0.02)
     assert device.health().restarts == restarts
     assert transport.written == [b"R"] * (1 + restarts)
     device.close()
