@@ -10,14 +10,14 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.bench.profile import Profile, load_profile
+from gyrocal.bench.profile import Profile, VirtualTableSpec, load_profile
 from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.diagnosis.base import Base, fit_surface
 from gyrocal.diagnosis.columns import conditions_of
@@ -30,7 +30,8 @@ from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels
 from gyrocal.errors import ProfileError
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.records.run import read_run
+from gyrocal.physics.effect import Conditions
+from gyrocal.records.run import Run, read_run
 
 Floats = NDArray[np.float64]
 #: What diagnoses a run directory; a test puts another in its place.
@@ -46,6 +47,22 @@ _COUNTS = (0.2, 0.5, 0.2, 0.1)
 _OF_ONE_SIZE = ("fit_direction", "quantisation", "time_base", "bursts")
 
 
+#: Choices of description, not sizes.
+_DESCRIPTIONS = (
+    "phase_rad",
+    "frequency_hz",
+    "seed",
+    "order",
+    "harmonic",
+    "center_c",
+    "scale_c",
+    "scale_dps",
+    "scatter",
+)
+#: Sizes that the finder counts from another zero: the recorded data set begins after the step, and a draw of relative
+#: errors has a size of its own.
+_OTHER_ZERO = ("step_response.amplitude", "reference_rate_error.amplitude")
+_USUAL_ACCELERATION_DPS2 = VirtualTableSpec().max_acceleration_dps2
 #: True of every run: the virtual gyro counts in steps of its data sheet. Naming that is no false alarm.
 _ALWAYS_THERE = ("quantisation",)
 
@@ -129,6 +146,7 @@ class Rehearsal:
     series: Series
     base: Base
     levels: NoiseLevels
+    conditions: Conditions
 
     def d_prime(self, error_dps: Floats) -> float:
         """Signal-to-noise ratio of an error in the rows, the surface fitted."""
@@ -139,16 +157,32 @@ class Rehearsal:
     def error_dps(self, effect: str, parameters: Mapping[str, float]) -> Floats:
         """An effect in the rows of the record."""
         shape = {k: v for k, v in parameters.items() if k != "amplitude"}
-        unit = law(effect, conditions_of(self.series), shape, self.base.surface, parameters.get("phase_rad"))
+        unit = law(effect, self.conditions, shape, self.base.surface, parameters.get("phase_rad"))
         return np.asarray(parameters["amplitude"] * unit)
 
 
-def rehearse(run: Path) -> Rehearsal:
-    """Reduce a clean run."""
-    series = series_of_run(read_run(run))
+def rehearse(run: Path, acceleration_dps2: float = _USUAL_ACCELERATION_DPS2) -> Rehearsal:
+    """Reduce a run; what its table can do tells when it arrived at each rate."""
+    opened = read_run(run)
+    series = series_of_run(opened)
     base = fit_surface(series)
     levels = estimate_levels(NoiseModel(series), base.residual_dps, base.design).levels
-    return Rehearsal(series, base, levels)
+    return Rehearsal(series, base, levels, _bench_conditions(opened, series, acceleration_dps2))
+
+
+def _bench_conditions(run: Run, series: Series, acceleration_dps2: float) -> Conditions:
+    """What the bench did in each row: it knows its commands, and when the table arrived, which the finder does not."""
+    command = np.array([r.rate_dps for r in run.segments])
+    arrived_s, last_s = np.empty(command.size), 0.0
+    for k, record in enumerate(run.segments):
+        if k and command[k] != command[k - 1]:
+            step_s = abs(command[k] - command[k - 1]) / acceleration_dps2
+            last_s = run.segments[k - 1].t_end_s + step_s
+        arrived_s[k] = last_s if k else record.t_start_s
+    of_row = series.set_index
+    return replace(
+        conditions_of(series), command_dps=command[of_row], since_step_s=series.t_s - arrived_s[of_row]
+    )
 
 
 def draw_secret(stage: Rehearsal, rng: np.random.Generator) -> Secret:
@@ -200,6 +234,12 @@ def _draw_shape(effect: str, series: Series, rng: np.random.Generator) -> dict[s
     shape = {name: drawn[name]() if name in drawn else value for name, value in p.items()}
     if effect == "rate_order":
         shape |= {"order": float(rng.integers(4, 6)), "scale_dps": full}
+    if effect == "step_response":
+        ringing = bool(rng.random() < 0.5)
+        shape |= {
+            "frequency_hz": float(rng.uniform(0.2, 0.8)) if ringing else 0.0,
+            "phase_rad": shape["phase_rad"] if ringing else 0.0,
+        }
     if effect == "temperature_order":
         low, high = float(series.temp_c.min()), float(series.temp_c.max())
         shape |= {"order": 3.0, "center_c": (low + high) / 2, "scale_c": (high - low) / 2}
@@ -245,7 +285,8 @@ def run_trials(
     with tempfile.TemporaryDirectory(prefix="gyrocal-blind-") as place:
         progress(0.0, "rehearsal")
         clean = Secret({}, {}, config.seed + 1, config.seed + 1, "")
-        stage = rehearse(_record(profile, clean, Path(place) / "rehearsal"))
+        acceleration = profile.virtual.table.max_acceleration_dps2
+        stage = rehearse(_record(profile, clean, Path(place) / "rehearsal"), acceleration)
         trials = []
         for number in range(config.trials):
             progress(number / config.trials, f"trial {number + 1} of {config.trials}")
@@ -254,7 +295,7 @@ def run_trials(
             commitment = secret.seal()
             commit(number, commitment)
             run = _record(profile, secret, Path(place) / f"trial{number:04d}")
-            trials.append(judge(number, commitment, secret, find(run), run))
+            trials.append(judge(number, commitment, secret, find(run), run, acceleration))
     progress(1.0, "")
     return trials
 
@@ -292,7 +333,14 @@ def _hide(run: Path) -> None:
     (run / "run.json").write_text(json.dumps(head), encoding="utf-8")
 
 
-def judge(number: int, commitment: str, secret: Secret, found: Diagnosis, run: Path) -> Trial:
+def judge(
+    number: int,
+    commitment: str,
+    secret: Secret,
+    found: Diagnosis,
+    run: Path,
+    acceleration_dps2: float = _USUAL_ACCELERATION_DPS2,
+) -> Trial:
     """Open a trial: check its seal, and compare the answer with the truth."""
     if secret.seal() != commitment:
         msg = f"trial {number}: what was opened is not what was sealed"
@@ -306,7 +354,7 @@ def judge(number: int, commitment: str, secret: Secret, found: Diagnosis, run: P
         tuple(e.effect for e in counted),
         tuple((e.effect, *(a.effect for a in e.alternatives)) for e in counted),
         _coverage(secret, found),
-        _gain_share(secret, found, run),
+        _gain_share(secret, found, run, acceleration_dps2),
     )
 
 
@@ -315,8 +363,7 @@ def _coverage(secret: Secret, found: Diagnosis) -> dict[str, bool]:
     for effect in found.effects:
         truth = secret.effects.get(effect.effect, {})
         for name, estimate in effect.parameters.items():
-            # Phases, orders and seeds are choices of description, not sizes.
-            if name not in truth or name in ("phase_rad", "seed", "order", "harmonic", "center_c", "scale_c"):
+            if name not in truth or name in _DESCRIPTIONS or f"{effect.effect}.{name}" in _OTHER_ZERO:
                 continue
             low, high = estimate.interval_95
             values = [truth[name], -truth[name]] if "phase_rad" in truth else [truth[name]]
@@ -324,12 +371,12 @@ def _coverage(secret: Secret, found: Diagnosis) -> dict[str, bool]:
     return covered
 
 
-def _gain_share(secret: Secret, found: Diagnosis, run: Path) -> float | None:
+def _gain_share(secret: Secret, found: Diagnosis, run: Path, acceleration_dps2: float) -> float | None:
     """What the model removes of the hidden error, in units of what an oracle removes that only fits its sizes."""
     measured = [e for e in secret.effects if e in secret.d_primes]
     if not measured or found.rows is None:
         return None
-    stage = rehearse(run)
+    stage = rehearse(run, acceleration_dps2)
     if found.rows.t_s.size != len(stage.series):
         return None
     truth = np.sum([stage.error_dps(e, secret.effects[e]) for e in measured], axis=0)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.diagnosis.blind import BlindConfig, Secret, draw_secret, judge, rehearse, run_trials
 from gyrocal.diagnosis.blind_summary import Share, summarise
 from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect
@@ -40,6 +41,16 @@ slope_over_s = 60.0
 
 def _quiet(share: float, what: str) -> None:
     """No progress is shown."""
+
+
+class _Watch:
+    """Nobody watches."""
+
+    def progress(self, progress: object) -> None:
+        """Nothing is shown."""
+
+    def say(self, text: str) -> None:
+        """Nothing is said."""
 
 
 def _answer(effects: dict[str, dict[str, float]], verdict: str) -> Diagnosis:
@@ -94,6 +105,45 @@ def test_drawn_strength_is_the_strength_in_the_record(tmp_path: Path) -> None:
         for effect, d_prime in secret.d_primes.items():
             error = stage.error_dps(effect, secret.effects[effect])
             assert stage.d_prime(error) == pytest.approx(d_prime, rel=1e-6)
+
+
+QUIET_GYRO = """
+[virtual.gyro]
+lsb_deg = 0.0
+angle_random_walk_deg_per_rt_h = 1e-6
+bias_instability_deg_per_h = 1e-6
+[virtual.effects]
+"""
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters"),
+    [
+        ("step_response", {"amplitude": 5.0, "tau_s": 3.0, "frequency_hz": 0.3, "phase_rad": 0.5}),
+        ("reference_rate_error", {"amplitude": 50.0, "seed": 12345.0}),
+        ("shupe_gradient", {"amplitude": 2.0, "tau_s": 300.0}),
+    ],
+)
+def test_truth_in_the_rows_is_what_the_bench_did(
+    effect: str, parameters: dict[str, float], tmp_path: Path
+) -> None:
+    """Against the difference of two noiseless virtual runs, one with the effect and one without."""
+    text = "".join(f"{name} = {value}\n" for name, value in parameters.items())
+    profiles = {
+        "plain": SMALL + QUIET_GYRO,
+        "with": SMALL + QUIET_GYRO + f"[virtual.effects.{effect}]\n" + text,
+    }
+    stages = {}
+    for name, profile in profiles.items():
+        source = tmp_path / f"{name}.toml"
+        source.write_text(profile)
+        acquire(AcquireConfig(source, tmp_path / name, simulate=True), _Watch())
+        stages[name] = rehearse(tmp_path / name)
+    a, b = stages["plain"].series, stages["with"].series
+    _, i, j = np.intersect1d(np.round(a.t_s, 2), np.round(b.t_s, 2), return_indices=True)
+    done = b.gyro_dps[j] - a.gyro_dps[i]
+    stated = stages["plain"].error_dps(effect, parameters)[i]
+    assert np.std(done - stated) < 0.06 * np.std(done)
 
 
 def test_trials_are_sealed_before_they_are_diagnosed(profile: Path) -> None:
