@@ -83,6 +83,9 @@ def law(
         # What is cut is the output: at rest its sign is that of the bias.
         output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
         return np.asarray(-1e-3 * np.sign(output))
+    if effect == "saturation" and shape.get("softness_dps"):
+        # A gain that falls gradually: the catalogue's knee is its limit.
+        return -_soft_knee(c.rate_dps, shape["knee_dps"], shape["softness_dps"])
     p = {**known.typical(), **shape, "amplitude": 1.0}
     if phase_rad is not None:
         p["phase_rad"] = phase_rad
@@ -135,7 +138,11 @@ def shapes_of(effect: str, series: Series) -> list[dict[str, float]]:
         "bias_step": [{"at_s": float(x)} for x in _instants(series)],
         "scale_step": [{"at_s": float(x)} for x in _set_starts(series)],
         "sagnac_sine": [{"phase_rad_per_dps": float(x) / full} for x in (0.2, 0.5, 0.8, 1.2)] if full else [],
-        "saturation": [{"knee_dps": float(x) * full} for x in np.linspace(0.45, 0.95, 11)],
+        "saturation": [
+            {"knee_dps": float(x) * full, "softness_dps": soft * full}
+            for soft in (0.0, 0.04)
+            for x in np.linspace(0.45, 0.95, 11)
+        ],
         "mechanical_resonance": [
             {"center_dps": float(a), "width_dps": float(b) * full, "scatter": 0.0}
             for a in size[size > 0]

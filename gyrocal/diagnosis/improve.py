@@ -38,6 +38,8 @@ _REFINED = {
     "mechanical_resonance": ("center_dps", "width_dps"),
     "step_response": ("tau_s", "frequency_hz"),
 }
+#: Shape parameters that help the search and are not in the catalogue's law.
+_SEARCH_ONLY = ("softness_dps", "of_output")
 _NORMAL_95 = 1.959964
 
 
@@ -200,7 +202,7 @@ def _refine_shapes(
 ) -> tuple[list[Piece], dict[tuple[str, str], Profile]]:
     """Shapes between the points of the grid, one parameter at a time, and profile intervals of them."""
     surface, grid = analysis.setup.base.surface, analysis.setup.columns
-    shapes = [dict(m.hypothesis.shapes[m.point]) for m in members]
+    shapes = [_of_catalogue(m) for m in members]
 
     def columns_of(k: int) -> Floats:
         return member_columns(members[k], shapes[k], c, surface, grid)
@@ -242,6 +244,11 @@ def _refine_shapes(
         )
     pieces = [Piece(m, s, x) for m, s, x in zip(members, shapes, columns, strict=True)]
     return pieces, profiles
+
+
+def _of_catalogue(member: Member) -> dict[str, float]:
+    """Shape of a member in the parameters of the catalogue, which the runtime evaluates: no softened knees."""
+    return {k: v for k, v in member.hypothesis.shapes[member.point].items() if k not in _SEARCH_ONLY}
 
 
 def _reach(member: Member, name: str) -> float:
