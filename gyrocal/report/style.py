@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 P = ParamSpec("P")
@@ -103,10 +104,9 @@ def render(figure: Figure, kind: str) -> bytes:
 
 def _lay_out(figure: Figure) -> None:
     """Work out the layout once, for all formats: each savefig would otherwise draw twice for it."""
-    if figure.get_layout_engine() is not None:
+    if isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine):
         figure.draw_without_rendering()
-        with mpl.rc_context({"figure.constrained_layout.use": False, "figure.autolayout": False}):
-            figure.set_layout_engine(None)
+        figure.set_layout_engine("none")
 
 
 def ordered_colours(n: int) -> list[tuple[float, float, float, float]]:
