@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import gyrocal
 from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface
 from gyrocal.calibration.coarsen import coarsen
+from gyrocal.calibration.covariance import PARTS
 from gyrocal.calibration.crossval import CrossValidation, cross_validate
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
 from gyrocal.calibration.figures import merit_figures
@@ -126,7 +127,7 @@ def calibrate(path: Path, config: FitConfig) -> Calibration:
         sets, block = coarsen(sets, MOST_DATA_SETS)
         notes += [_averaged_note(len(recording.sets), block)] if block > 1 else []
         notes += check_surface(recording, sets, force=config.force)
-    fit = fit_surface(sets, config.weights, BIAS_TERMS if config.bias_only else ALL_TERMS)
+    fit = fit_surface(sets, config.weights, BIAS_TERMS if config.bias_only else ALL_TERMS, recording.rest)
     notes += check_rounding(recording, fit, force=config.force)
     return _assess(recording, config, fit, tuple(notes))
 
@@ -282,7 +283,9 @@ def _figures(c: Calibration) -> dict[str, Any]:
                 "independent_dps": scatter.white_dps,
                 "flicker_per_decade_dps": scatter.flicker_dps,
                 "rate_jitter_ppm": scatter.jitter * 1e6,
+                "seen": dict(zip(PARTS, scatter.seen.tolist(), strict=True)),
                 "timed": scatter.timed,
+                "rest_s": scatter.rest.span_s if scatter.rest else 0.0,
             },
         },
     }

@@ -8,38 +8,46 @@
   averaged over the window of each data set; it correlates neighbours in time;
 - ``jitter``: a rate error of the table, independent from data set to data set, proportional to the rate.
 
-The three levels are estimated by restricted maximum likelihood (Patterson, Thompson 1971), which allows for the
-coefficients that the same data have to give.
+The three levels come from the restricted likelihood (Patterson, Thompson 1971), which allows for the coefficients
+that the same data have to give, and for flicker from records at rest as well (`flicker.Rest`). What is not known about
+the levels is carried on: the covariance is the mean over their posterior (`levels`), and its own spread gives the
+degrees of freedom of every interval.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg, optimize, stats
 
 from gyrocal.calibration.datasets import DataSets
+from gyrocal.calibration.flicker import TIME_CONSTANTS_S, Rest, flicker_correlation
+from gyrocal.calibration.levels import integrate
 
 Floats = NDArray[np.float64]
 
 #: Names of the estimated levels, in the order of `Scatter.levels`.
 PARTS = ("white", "flicker", "jitter")
 
-#: Time constants of the Ornstein-Uhlenbeck sum, s: a decade apart they add up to 1/f within 6 %.
-TIME_CONSTANTS_S = (2.0, 20.0, 200.0, 2000.0, 20000.0)
-
 #: Without times the order of the data sets stands for them; time constants in data sets.
-TIME_CONSTANTS_SETS = (1.0, 10.0, 100.0, 1000.0)
+TIME_CONSTANTS_SETS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
 
 #: Without times a step of temperature of this share of the span was a soak, taken to last this many data sets:
 #: half an hour against 20 s. Left out, drift between temperatures would pass for structure in temperature.
 _SOAK_STEP = 0.05
 _SOAK_SETS = 100.0
 
+#: A search starts here or higher: as logarithms, levels that are nearly none hardly move.
+_SEED_SHARE = 0.05
 #: A level below this share of the scatter is none.
 _NOTHING = 1e-6
+
+#: Of more data sets than these the levels are known well enough for a normal law about their estimate.
+_MOST_INTEGRATED = 600
+#: Chance that records at rest are set aside although they speak for the data sets.
+_DISAGREEMENT = 0.01
 
 #: Relative variance of arithmetic: nothing is known better.
 _ROUNDING = 1e-22
@@ -47,14 +55,18 @@ _ROUNDING = 1e-22
 
 @dataclass(frozen=True)
 class Scatter:
-    """Estimated levels of the scatter and the covariance they make.
+    """Levels of the scatter and the covariance they make.
 
     Attributes
     ----------
     levels : ndarray, shape (3,)
-        ``white`` in (deg/s)^2, ``flicker`` in (deg/s)^2 for each decade, ``jitter`` relative, squared.
-    information : ndarray, shape (3, 3)
-        Average information of the levels (Gilmour, Thompson, Cullis 1995); zero rows where a level is none.
+        Posterior means: ``white`` in (deg/s)^2, ``flicker`` in (deg/s)^2 for each decade, ``jitter`` relative, squared.
+    level_covariance : ndarray, shape (3, 3)
+        How well they are known.
+    upper : ndarray, shape (3,)
+        95 % upper bounds.
+    seen : ndarray of bool, shape (3,)
+        Whether the recording shows the level at all: the likelihood falls by 1.35 (5 %, one-sided) without it.
     matrix : ndarray, shape (n, n), (deg/s)^2
     parts : tuple of ndarray, shape (n, n) or (n,) for a diagonal
         Derivative of the matrix by each level.
@@ -62,14 +74,22 @@ class Scatter:
         Columns of the model that the levels were estimated beside.
     timed : bool
         Whether times were known; else the order stood for them.
+    rest : Rest or None
+        Records at rest that the levels rest on too.
+    rest_disagrees : bool
+        The data sets drift more than the records at rest allow: those were then left aside.
     """
 
     levels: Floats
-    information: Floats
+    level_covariance: Floats
+    upper: Floats
+    seen: NDArray[np.bool_]
     matrix: Floats
     parts: tuple[Floats, ...]
     design: Floats
     timed: bool
+    rest: Rest | None = None
+    rest_disagrees: bool = False
 
     @property
     def white_dps(self) -> float:
@@ -85,22 +105,6 @@ class Scatter:
     def jitter(self) -> float:
         """Relative rate error from data set to data set."""
         return float(np.sqrt(self.levels[2]))
-
-
-def flicker_correlation(t_s: Floats, duration_s: Floats, time_constants: tuple[float, ...]) -> Floats:
-    """Covariance of window means of a sum of unit Ornstein-Uhlenbeck processes, shape (n, n).
-
-    Exact for windows that do not overlap: the mean of ``exp(-|t - s| / tau)`` over both windows.
-    """
-    gap = np.abs(t_s[:, None] - t_s[None, :]) - 0.5 * (duration_s[:, None] + duration_s[None, :])
-    total = np.zeros_like(gap)
-    for tau in time_constants:
-        share = duration_s / tau
-        window = -np.expm1(-share) / share
-        covariance = np.exp(-np.maximum(gap, 0.0) / tau) * window[:, None] * window[None, :]
-        np.fill_diagonal(covariance, 2.0 * (share + np.expm1(-share)) / share**2)
-        total += covariance
-    return total
 
 
 def scatter_parts(sets: DataSets) -> tuple[Floats, tuple[Floats, ...], bool]:
@@ -122,13 +126,60 @@ def order_of(sets: DataSets) -> Floats:
     return np.asarray(sets.segment + _SOAK_SETS * soaks, dtype=np.float64)
 
 
-def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
-    """Levels of the scatter around a linear model, by restricted maximum likelihood.
+@dataclass(frozen=True)
+class _Likelihood:
+    """Restricted likelihood of the levels, given as shares of the scatter (``level = scale * share^2``)."""
+
+    known: Floats
+    parts: tuple[Floats, ...]
+    scale: Floats
+    basis: Floats
+    error_dps: Floats
+    rest: Rest | None
+
+    def cost(self, log_levels: Floats) -> tuple[float, Floats]:
+        """Minus the logarithm, and its slope by the logarithms of ``share^2``."""
+        levels = (self.scale * np.exp(log_levels)).astype(np.float64)
+        value, slope = _restricted_likelihood(self.known, self.parts, levels, self.basis, self.error_dps)
+        if self.rest is not None:
+            more, steeper = self.rest.cost(float(levels[1]))
+            value += more
+            slope[1] += steeper
+        return value, slope * levels
+
+    def log_likelihood(self, share: Floats) -> float:
+        """The logarithm alone: a third of the work."""
+        levels = (self.scale * share**2).astype(np.float64)
+        lower = linalg.cholesky(_matrix(self.known, self.parts, levels), lower=True, check_finite=False)
+        columns = np.column_stack([self.basis, self.error_dps])
+        white = linalg.solve_triangular(lower, columns, lower=True, check_finite=False)
+        # The last diagonal element of R is what remains of the data beside the model.
+        r = np.abs(np.diag(linalg.qr(white, mode="r", check_finite=False)[0][: columns.shape[1]]))
+        value = -float(np.log(np.diag(lower)).sum() + np.log(r[:-1]).sum()) - 0.5 * float(r[-1]) ** 2
+        return value if self.rest is None else value - self.rest.cost(float(levels[1]))[0]
+
+    def peak(self, start: Floats) -> tuple[Floats, float]:
+        """``share^2`` of the highest likelihood, and the cost there."""
+        found = optimize.minimize(
+            self.cost,
+            np.log(start),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(np.log(0.01 * _NOTHING), np.log(1e3))] * start.size,
+            options={"ftol": 1e-10, "gtol": 1e-5, "maxiter": 200},
+        )
+        return np.asarray(np.exp(found.x), dtype=np.float64), float(found.fun)
+
+
+def estimate_scatter(sets: DataSets, design: Floats, rest: Rest | None = None) -> Scatter:
+    """Levels of the scatter around a linear model, and how well they are known.
 
     Parameters
     ----------
     design : ndarray, shape (n, p)
         Columns of the model of the error.
+    rest : Rest, optional
+        Records at rest of the same run; only used where the data sets have times.
     """
     known, parts, timed = scatter_parts(sets)
     error_dps = sets.error_dps
@@ -136,33 +187,62 @@ def estimate_scatter(sets: DataSets, design: Floats) -> Scatter:
     residual = error_dps - basis @ (basis.T @ error_dps)
     # Whatever is estimated, the matrix stays regular: rounding is noise too.
     known = known + _ROUNDING * float(np.mean(error_dps**2)) + np.finfo(float).tiny
-    unit = max(float(residual @ residual) / (len(sets) - design.shape[1]), float(known.mean()))
-    sizes = np.array([np.mean(_diagonal(part)) for part in parts])
-    # Levels are sought as logarithms of their share of the scatter: positive, and of one size.
+    # Levels are sought as their share of the residual's scatter: positive, and of one size. What the model takes for
+    # itself (drift from one temperature to the next, mostly) is no part of that scatter.
+    dof = len(sets) - design.shape[1]
+    sizes = np.array([_trace(part) - _trace(basis.T @ times(part, basis)) for part in parts]) / dof
+    sizes = np.where(sizes > _NOTHING * np.array([_trace(part) / len(sets) for part in parts]), sizes, 0.0)
+    unit = max(float(residual @ residual) / dof, float(known.mean()))
     scale = np.where(sizes > 0, unit / np.where(sizes > 0, sizes, 1.0), 0.0)
-
-    def cost(log_share: Floats) -> tuple[float, Floats]:
-        levels = (scale * np.exp(log_share)).astype(np.float64)
-        value, slope = _restricted_likelihood(known, parts, levels, basis, error_dps)
-        return value, slope * levels
-
-    found = optimize.minimize(
-        cost,
-        np.log(np.full(len(parts), 1.0 / len(parts))),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(np.log(0.01 * _NOTHING), np.log(1e3))] * len(parts),
-        options={"ftol": 1e-10, "gtol": 1e-5, "maxiter": 200},
-    )
-    share = np.exp(found.x)
-    levels = np.where(share > _NOTHING, scale * share, 0.0).astype(np.float64)
-    matrix = _matrix(known, parts, levels)
-    information = _average_information(matrix, parts, levels, basis, error_dps)
-    return Scatter(levels, information, matrix, parts, design, timed)
+    alone = _Likelihood(known, parts, scale, basis, residual, None)
+    square, least = alone.peak(np.full(len(parts), 1.0 / len(parts)))
+    likelihood, disagrees = alone, False
+    if timed and rest is not None:
+        both = replace(alone, rest=rest)
+        joint, _ = both.peak(np.maximum(square, _SEED_SHARE))
+        # What the data sets alone would gain is chi-square with one degree of freedom, if rest speaks for them.
+        gain = 2.0 * (alone.cost(np.log(joint))[0] - least)
+        disagrees = bool(gain > stats.chi2.isf(_DISAGREEMENT, 1) and joint[1] < square[1])
+        if not disagrees:
+            square, likelihood = joint, both
+    return _weighed(likelihood, square, design, timed, rest, disagrees)
 
 
-def _diagonal(part: Floats) -> Floats:
-    return part if part.ndim == 1 else np.diag(part)
+def _weighed(
+    likelihood: _Likelihood, square: Floats, design: Floats, timed: bool, rest: Rest | None, disagrees: bool
+) -> Scatter:
+    """Scatter from the likelihood: its posterior, or for many data sets its peak and curvature."""
+    parts, scale = likelihood.parts, likelihood.scale
+    active = np.flatnonzero(scale > 0)
+
+    def log_likelihood(share: Floats) -> float:
+        whole = np.zeros(scale.size)
+        whole[active] = share
+        return likelihood.log_likelihood(whole)
+
+    mode = np.sqrt(np.where(square > _NOTHING, square, 0.0))[active]
+    seen = np.zeros(scale.size, dtype=np.bool_)
+    top = log_likelihood(mode)
+    without = [log_likelihood(np.where(np.arange(mode.size) == k, 0.0, mode)) for k in range(mode.size)]
+    seen[active] = top - np.array(without) > 0.5 * stats.chi2.isf(0.1, 1)
+    levels, upper, spread = np.zeros(scale.size), np.zeros(scale.size), np.zeros((scale.size, scale.size))
+    if likelihood.error_dps.size <= _MOST_INTEGRATED:
+        posterior = integrate(log_likelihood, mode)
+        levels[active], upper[active] = scale[active] * posterior.mean, scale[active] * posterior.upper
+        spread[np.ix_(active, active)] = posterior.covariance * np.outer(scale[active], scale[active])
+        matrix = _matrix(likelihood.known, parts, levels)
+    else:
+        levels[active] = scale[active] * mode**2
+        matrix = _matrix(likelihood.known, parts, levels)
+        information = _average_information(matrix, parts, levels, likelihood.basis, likelihood.error_dps)
+        spread[:] = np.linalg.pinv(information, hermitian=True)
+        upper = levels + stats.norm.ppf(0.95) * np.sqrt(np.diag(spread))
+    used = None if disagrees or not timed else rest
+    return Scatter(levels, spread, upper, seen, matrix, parts, design, timed, used, disagrees)
+
+
+def _trace(part: Floats) -> float:
+    return float(part.sum() if part.ndim == 1 else np.trace(part))
 
 
 def times(part: Floats, columns: Floats) -> Floats:

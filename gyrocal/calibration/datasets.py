@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.flicker import Rest, RestWindows, merge_rest
 from gyrocal.calibration.moments import EMPTY, SegmentSums, sums_of_block
 from gyrocal.errors import DataError, InputError
 from gyrocal.records.datasets import DataSetTable, read_data_sets
@@ -154,6 +155,8 @@ class Recording:
     reach : ndarray, shape (n, 4), or None
         Lowest and highest output (deg/s) and temperature (°C) of the samples of each data set, stray ones apart;
         None for a table.
+    rest : Rest or None
+        What segments at rest (soaks too, once steady) say about drift.
     """
 
     source: Path
@@ -169,6 +172,7 @@ class Recording:
     run: Run | None = None
     counts_per_dps: float | None = None
     reach: Floats | None = None
+    rest: Rest | None = None
 
 
 def load_recording(path: Path, counts_per_dps: float | None = None) -> Recording:
@@ -252,8 +256,13 @@ def _from_run(run: Run) -> Recording:
     excluded: list[Excluded] = []
     notes = list(run.notes)
     bad_status = non_finite = n_samples = 0
+    rest: list[Rest | None] = []
     for record in run.segments:
+        windows = RestWindows(record)
         if record.kind not in CONSTANT_KINDS:
+            if windows.wanted:
+                run.verify(record)
+                rest.append(windows.of(run.iterate_segment(record)))
             continue
         if record.outcome == "failed":
             excluded.append(
@@ -261,7 +270,8 @@ def _from_run(run: Run) -> Recording:
             )
             continue
         run.verify(record)
-        sums = reduce_segment(run.iterate_segment(record))
+        sums = reduce_segment(windows.watch(run.iterate_segment(record)))
+        rest.append(windows.rest())
         bad_status += sums.bad_status
         non_finite += sums.non_finite
         n_samples += sums.gyro.n + sums.bad_status + sums.non_finite
@@ -292,6 +302,7 @@ def _from_run(run: Run) -> Recording:
         notes=tuple(notes),
         run=run,
         reach=np.array([(*s.gyro.within(_REACH), *s.temp.within(_REACH)) for _, s, _, _ in rows]),
+        rest=merge_rest(rest),
     )
 
 

@@ -23,6 +23,7 @@ from scipy import linalg, stats
 
 from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection, times
 from gyrocal.calibration.datasets import DataSets
+from gyrocal.calibration.flicker import Rest
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,9 @@ Weights = Literal["gls", "ols"]
 TERMS = SHAPE[0] * SHAPE[1]
 ALL_TERMS = np.ones(TERMS, dtype=np.bool_)
 BIAS_TERMS = np.arange(TERMS) < SHAPE[1]
+
+#: As good as a normal law.
+_MOST_DOF = 1e6
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class SurfaceFit:
     covariance_dps2 : ndarray, shape (12, 12), (deg/s)^2
         Of the coefficients, row-major over (i, j); for the weights used, under the estimated scatter.
     dof : ndarray, shape (12,)
-        Degrees of freedom of each standard error (Satterthwaite), for Student intervals.
+        Degrees of freedom of each standard error, more than 4, for Student intervals.
     predicted_dps, residual_dps : ndarray
         Fitted error, and error minus fitted error.
     studentised : ndarray
@@ -73,7 +77,8 @@ class SurfaceFit:
 
     def half_width_dps(self, level: float = 0.95) -> Floats:
         """Half widths of the coefficients' confidence intervals, shape (4, 3), deg/s."""
-        factor = stats.t.ppf(0.5 + 0.5 * level, self.dof)
+        # `std_dps` is the standard deviation of Student's law, not its scale.
+        factor = stats.t.ppf(0.5 + 0.5 * level, self.dof) * np.sqrt((self.dof - 2.0) / self.dof)
         return np.asarray(self.std_dps * np.asarray(factor).reshape(SHAPE))
 
     @property
@@ -100,7 +105,12 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def fit_surface(sets: DataSets, weights: Weights = "gls", terms: NDArray[np.bool_] = ALL_TERMS) -> SurfaceFit:
+def fit_surface(
+    sets: DataSets,
+    weights: Weights = "gls",
+    terms: NDArray[np.bool_] = ALL_TERMS,
+    rest: Rest | None = None,
+) -> SurfaceFit:
     """Fit the twelve terms to data sets that `checks.check_surface` has passed.
 
     Parameters
@@ -109,9 +119,11 @@ def fit_surface(sets: DataSets, weights: Weights = "gls", terms: NDArray[np.bool
         Weight by the estimated covariance of the scatter, or equally as the paper does.
     terms : ndarray of bool, shape (12,)
         Terms to fit, row-major over (i, j); the others are zero. `BIAS_TERMS` is the bias over temperature.
+    rest : Rest, optional
+        What the run's records at rest say about drift (`Recording.rest`): better intervals, the same surface.
     """
     design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)[:, terms]
-    scatter = estimate_scatter(sets, design)
+    scatter = estimate_scatter(sets, design, rest)
     error_dps = sets.error_dps
     ols_gain: Floats = np.asarray(np.linalg.pinv(design), dtype=np.float64)
     gain: Floats = gls_gain(scatter.matrix, design) if weights == "gls" else ols_gain
@@ -124,7 +136,7 @@ def fit_surface(sets: DataSets, weights: Weights = "gls", terms: NDArray[np.bool
         surface=surface,
         weights=weights,
         covariance_dps2=place @ gain @ scatter.matrix @ gain.T @ place.T,
-        dof=place @ _degrees_of_freedom(scatter, gain, len(sets) - design.shape[1]) + ~terms,
+        dof=place @ _degrees_of_freedom(scatter, gain) + _MOST_DOF * ~terms,
         scatter=scatter,
         design=design,
         predicted_dps=predicted,
@@ -143,18 +155,17 @@ def gls_gain(matrix: Floats, design: Floats) -> Floats:
     return np.asarray(linalg.solve_triangular(r, linalg.solve_triangular(lower, q, lower=True, trans="T").T))
 
 
-def _degrees_of_freedom(scatter: Scatter, gain: Floats, most: int) -> Floats:
-    """Satterthwaite's degrees of freedom of each variance ``(G V G')_kk``: ``2 v^2 / var(v)``.
+def _degrees_of_freedom(scatter: Scatter, gain: Floats) -> Floats:
+    """Degrees of freedom of each variance ``(G V G')_kk``: ``4 + 2 mean^2 / variance`` over the posterior of the levels.
 
-    The variance of ``v`` follows from the information that the data hold about the levels of the scatter.
+    A normal error whose variance is drawn like that is Student's t with as many.
     """
     slopes = np.stack([np.sum(gain * times(part, gain.T).T, axis=1) for part in scatter.parts], axis=1)
     variance = np.sum(gain * (gain @ scatter.matrix), axis=1)
-    level_covariance = np.linalg.pinv(scatter.information, hermitian=True)
-    spread = np.einsum("ki,ij,kj->k", slopes, level_covariance, slopes)
-    with np.errstate(divide="ignore"):
-        dof = 2.0 * variance**2 / spread
-    return np.asarray(np.clip(dof, 1.0, float(max(most, 1))))
+    spread = np.einsum("ki,ij,kj->k", slopes, scatter.level_covariance, slopes)
+    with np.errstate(divide="ignore", over="ignore"):
+        dof = 4.0 + 2.0 * variance**2 / np.maximum(spread, 0.0)
+    return np.asarray(np.minimum(dof, _MOST_DOF))
 
 
 def studentised_residuals(scatter: Scatter, error_dps: Floats) -> Floats:

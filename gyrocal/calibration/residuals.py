@@ -114,7 +114,7 @@ def find_outliers(sets: DataSets, scatter: Scatter) -> tuple[tuple[Outlier, ...]
         found |= {int(rows[i]): (float(t[i]), float(p[i])) for i in np.flatnonzero(new)}
         kept[rows[new]] = False
         rest = sets.select(kept)
-        scatter = estimate_scatter(rest, design[kept])
+        scatter = estimate_scatter(rest, design[kept], scatter.rest)
     rest = sets.select(kept)
     surface_dps = _predicted_from(rest, scatter, design)
     outliers = [

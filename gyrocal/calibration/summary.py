@@ -71,7 +71,7 @@ def _p(value: float) -> str:
 
 def remarks(c: Calibration) -> tuple[str, ...]:
     """Sentences beside the verdict: weights, scatter, outliers, noise, notes."""
-    lines = [_weights_line(c), _scatter_line(c)]
+    lines = [_weights_line(c), _scatter_line(c), *_rest_line(c)]
     lines += _odd_rates(c)
     lines.append(
         f"{len(c.outliers)} outliers, listed and kept in the fit (leave out with --exclude)"
@@ -114,15 +114,34 @@ def _difference(c: Calibration) -> tuple[float, float]:
 
 def _scatter_line(c: Calibration) -> str:
     s = c.fit.scatter
-    parts = [
-        f"{dph(s.white_dps)} deg/h independent" if s.levels[0] > 0 else "",
-        f"{dph(s.flicker_dps)} deg/h of bias drift a decade of {'time' if s.timed else 'data sets'}"
-        if s.levels[1] > 0
-        else "",
-        f"{s.jitter * _PPM:.3g} ppm of the rate" if s.levels[2] > 0 else "",
+    whats = (
+        ("deg/h independent", DPS_TO_DPH),
+        (f"deg/h of bias drift a decade of {'time' if s.timed else 'data sets'}", DPS_TO_DPH),
+        ("ppm of the rate", _PPM),
+    )
+    seen, bounds = [], []
+    for (what, unit), level, upper, there in zip(whats, s.levels, s.upper, s.seen, strict=True):
+        if there:
+            seen.append(f"{np.sqrt(level) * unit:.3g} {what}")
+        elif upper > 0:
+            bounds.append(f"{np.sqrt(upper) * unit:.3g} {what}")
+    unseen = f"; not seen, and less than this with 95 %: {', '.join(bounds)}" if bounds else ""
+    return f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}"
+
+
+def _rest_line(c: Calibration) -> list[str]:
+    """Where the level of drift comes from."""
+    s = c.fit.scatter
+    if s.rest_disagrees:
+        return [
+            "the bias drifts more between data sets than at rest: the intervals rest on the data sets alone, "
+            "and something other than 1/f noise may be at work (gyrocal diagnose)"
+        ]
+    if s.rest is None:
+        return []
+    return [
+        f"the level of drift rests on {s.rest.span_s / 60:.0f} min at rest too ({s.rest.records} records)"
     ]
-    found = ", ".join(p for p in parts if p)
-    return f"scatter of the data sets beyond sample noise: {found or 'none'}"
 
 
 def _odd_rates(c: Calibration) -> list[str]:

@@ -195,7 +195,8 @@ def acquired(name: str, out: Path, seed: int) -> Run:
 
 def miss(out: Path) -> tuple[SurfaceFit, Floats, NDArray[np.bool_]]:
     """Fit of a quick run; fitted minus true error over rate and temperature; which true terms lie inside 95 %."""
-    fit = fit_surface(load_recording(out).sets)
+    recording = load_recording(out)
+    fit = fit_surface(recording.sets, rest=recording.rest)
     spec = load_profile("quick")
     true = gyro_of(spec.virtual, spec.sensor.sample_rate_hz).surface
     gyro, temp = (a.ravel() for a in np.meshgrid(np.linspace(-100, 100, 21), np.linspace(-10, 50, 13)))
