@@ -19,7 +19,7 @@ def command(capture: Path, out: Path, as_json: bool) -> None:
 
     \b
     Example:
-      gyrocal decode run/raw/gyro.raw -o samples.csv
+      gyrocal decode run/raw/gyro-1.raw -o samples.csv
     """
     from gyrocal.bench.capture import decode_capture
 

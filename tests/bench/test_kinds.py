@@ -13,14 +13,23 @@ import pytest
 from gyrocal.bench.clock import VirtualClock
 from gyrocal.bench.devices import ChamberLimits, TableLimits
 from gyrocal.bench.profile import profile_from_dict
-from gyrocal.bench.registry import CHAMBERS, GYROS, MANUAL_CHAMBER, MANUAL_TABLE, TABLES
+from gyrocal.bench.registry import (
+    CHAMBERS,
+    GYROS,
+    MANUAL_CHAMBER,
+    MANUAL_TABLE,
+    TABLES,
+    ChamberKind,
+    GyroKind,
+    TableKind,
+)
 from gyrocal.bench.virtual.serving import served_kinds
 from gyrocal.errors import DeviceError
 from tests.bench.tiny import tiny
 from tests.bench.wire import IdealChamber, IdealTable, LoopTransport
 
 ROOM = Path(__file__).parent
-KINDS = {**GYROS, **TABLES, **CHAMBERS}
+KINDS: dict[str, GyroKind | TableKind | ChamberKind] = {**GYROS, **TABLES, **CHAMBERS}
 #: Numbers that are plain counts or addresses, and need no unit in their name.
 COUNTS = {
     "address", "axis", "condition_event", "control_variables", "decimals", "device", "fault_bit", "loop",

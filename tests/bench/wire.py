@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Protocol
 
 from gyrocal.bench.devices import ChamberLimits, ChamberReading, TableLimits, TableReading
@@ -20,10 +19,11 @@ class ScriptedTransport:
     def __init__(self, *script: tuple[bytes, bytes]) -> None:
         self._script = list(script)
         self._waiting = b""
+        self._waited_s = 0.0
         self.closed = False
 
     def now_s(self) -> float:
-        return time.monotonic()
+        return self._waited_s
 
     def write(self, data: bytes) -> None:
         assert self._script, f"nothing more was expected, and {data!r} was sent"
@@ -32,7 +32,8 @@ class ScriptedTransport:
         self._waiting += answer
 
     def read_available(self, wait_s: float) -> bytes:
-        # One byte a time, as a slow line gives them.
+        # One byte a time, as a slow line gives them. Time passes only while nothing comes.
+        self._waited_s += 0.0 if self._waiting else wait_s
         byte, self._waiting = self._waiting[:1], self._waiting[1:]
         return byte
 
@@ -53,16 +54,18 @@ class LoopTransport:
     def __init__(self, responder: Responder) -> None:
         self._responder = responder
         self._waiting = b""
+        self._waited_s = 0.0
         self.sent: list[bytes] = []
 
     def now_s(self) -> float:
-        return time.monotonic()
+        return self._waited_s
 
     def write(self, data: bytes) -> None:
         self.sent.append(data)
         self._waiting += self._responder.feed(data)
 
     def read_available(self, wait_s: float) -> bytes:
+        self._waited_s += 0.0 if self._waiting else wait_s
         data, self._waiting = self._waiting, b""
         return data
 

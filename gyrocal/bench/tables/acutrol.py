@@ -87,10 +87,11 @@ class AcutrolTable:
         return self._sign * float(text)
 
     def read(self) -> TableReading:
-        """``:Read:Position?`` and ``:Read:Rate?``."""
-        angle_deg = self._sign * self._number(f":Read:Position? {self._options.axis}")
+        """``:Read:Rate?`` and ``:Read:Position?``; its time is the middle of question and answer of the angle."""
         rate_dps = self._sign * self._number(f":Read:Rate? {self._options.axis}")
-        return TableReading(self._clock.now_s(), rate_dps, angle_deg)
+        asked_s = self._clock.now_s()
+        angle_deg = self._sign * self._number(f":Read:Position? {self._options.axis}")
+        return TableReading(0.5 * (asked_s + self._clock.now_s()), rate_dps, angle_deg)
 
     def faults(self) -> tuple[str, ...]:
         """The interlock's own word, when it is a fault."""

@@ -78,10 +78,11 @@ class AerosmithTable:
         return self._sign * wire
 
     def read(self) -> TableReading:
-        """``PVE`` and ``PPO``: measured rate and angle."""
+        """``PVE`` and ``PPO``: measured rate and angle; its time is the middle of question and answer of the angle."""
         rate_dps = self._sign * self._number("PVE")
+        asked_s = self._clock.now_s()
         angle_deg = self._sign * self._number("PPO")
-        return TableReading(self._clock.now_s(), rate_dps, angle_deg)
+        return TableReading(0.5 * (asked_s + self._clock.now_s()), rate_dps, angle_deg)
 
     def faults(self) -> tuple[str, ...]:
         """Empty: the bits of ``STA`` are documented nowhere; a fault shows as a rate that is not reached."""

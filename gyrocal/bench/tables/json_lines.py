@@ -63,9 +63,11 @@ class JsonLinesTable:
         return _number(self._ask({"command": "set_rate", "rate_dps": rate_dps}), "rate_dps")
 
     def read(self) -> TableReading:
-        """Measured rate and angle."""
+        """Measured rate and angle, at the middle of question and answer."""
+        asked_s = self._clock.now_s()
         answer = self._ask({"command": "read"})
-        return TableReading(self._clock.now_s(), _number(answer, "rate_dps"), _number(answer, "angle_deg"))
+        t_s = 0.5 * (asked_s + self._clock.now_s())
+        return TableReading(t_s, _number(answer, "rate_dps"), _number(answer, "angle_deg"))
 
     def faults(self) -> tuple[str, ...]:
         """Faults in the table's own words."""

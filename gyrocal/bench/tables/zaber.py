@@ -93,10 +93,11 @@ class ZaberTable:
         return data / self._options.data_per_dps
 
     def read(self) -> TableReading:
-        """``get pos`` and ``get vel``: measured angle and rate."""
-        angle_deg = self._number("get pos") / self._options.data_per_deg
+        """``get vel`` and ``get pos``: measured rate and angle; its time is the middle of question and answer of the angle."""
         rate_dps = self._number("get vel") / self._options.data_per_dps
-        return TableReading(self._clock.now_s(), rate_dps, angle_deg)
+        asked_s = self._clock.now_s()
+        angle_deg = self._number("get pos") / self._options.data_per_deg
+        return TableReading(0.5 * (asked_s + self._clock.now_s()), rate_dps, angle_deg)
 
     def faults(self) -> tuple[str, ...]:
         """The warning flag, when it is a fault or would spoil a data set."""

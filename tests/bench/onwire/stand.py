@@ -159,7 +159,7 @@ class WireStand:
             bench,
             kinds,
             self.clock,
-            self.ports.__getitem__,  # type: ignore[arg-type]
+            self.ports.__getitem__,
             table=self.table,
             chamber=self.chamber,
             gyro=faulty_gyro,

@@ -107,7 +107,8 @@ def test_a_run_against_served_ports(tmp_path: Path, tcp: bool) -> None:
             assert np.mean(segment.gyro_dps) == pytest.approx(segment.record.rate_dps, abs=2.0)
             assert np.isnan(segment.gyro_temp_c).all()
     status = read_status(tmp_path / "r")
-    assert (status.state, status.steps, status.chamber_c) == ("complete", 6, pytest.approx(20.0, abs=0.5))
+    assert (status.state, status.steps) == ("complete", 6)
+    assert status.chamber_c == pytest.approx(20.0, abs=0.5)
     # every port was captured, and the gyro's capture decodes to more than the data sets hold
     assert {p.name for p in (tmp_path / "r" / "raw").iterdir()} == {
         "gyro-1.raw",
@@ -160,7 +161,7 @@ def test_a_port_that_vanishes_says_so_and_opens_again(tmp_path: Path, tcp: bool)
 WHOLE: dict[str, Any] = {
     "plan__temperatures_c": [0.0, 20.0, 40.0],
     "plan__rates_dps": [20.0, 50.0, 80.0],
-    "plan__dwell_s": 3.0,
+    "plan__dwell_s": 4.0,
     "plan__temperature_order": "up",
     "ramp__rate_c_per_min": 100.0,
     "soak__time_s": 10.0,
@@ -201,8 +202,9 @@ def test_two_programs_measure_what_one_does(tmp_path: Path) -> None:
     sigma = np.hypot(wire.sigma_dps(rates, temps), process.sigma_dps(rates, temps))
     false_alarm = 1e-4
     assert np.max(np.abs(difference) / sigma) < norm.isf(false_alarm / 2 / rates.size)
-    # and the common surface is far larger than that: the comparison says something
-    assert np.max(np.abs(process.surface.error_dps(rates, temps))) > 10 * np.max(sigma)
+    # and the surface itself is larger than that: the comparison says something
+    surface = process.surface.error_dps(rates, temps)
+    assert np.sqrt(np.mean(surface**2)) > 3.0 * np.sqrt(np.mean(sigma**2))
 
 
 def test_sim_prints_a_profile_that_works(tmp_path: Path) -> None:

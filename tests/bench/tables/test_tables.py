@@ -171,7 +171,7 @@ def test_zaber_conversation() -> None:
     ],
 )
 def test_zaber_refuses(answer: bytes, text: str) -> None:
-    port = ScriptedTransport((b"/1 1 get pos:" + zaber.lrc("1 1 get pos").encode() + b"\r\n", answer))
+    port = ScriptedTransport((b"/1 1 get vel:" + zaber.lrc("1 1 get vel").encode() + b"\r\n", answer))
     with pytest.raises(DeviceError, match=text):
         zaber.ZaberTable(port, CLOCK, zaber.Options(timeout_s=0.004)).read()
 
@@ -196,7 +196,7 @@ def test_acutrol_conversation_and_latched_fault() -> None:
     ],
 )
 def test_acutrol_refuses(answer: bytes, text: str) -> None:
-    port = ScriptedTransport((b":Read:Position? 1\r\n", answer))
+    port = ScriptedTransport((b":Read:Rate? 1\r\n", answer))
     with pytest.raises(DeviceError, match=text):
         acutrol.AcutrolTable(port, CLOCK, acutrol.Options(timeout_s=0.004)).read()
 
