@@ -253,25 +253,16 @@ def _saturated_means(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
 
 def _from_run(run: Run) -> Recording:
     rows: list[tuple[SegmentRecord, SegmentSums, float, str]] = []
-    excluded: list[Excluded] = []
     notes = list(run.notes)
     bad_status = non_finite = n_samples = 0
-    rest: list[Rest | None] = []
-    for record in run.segments:
-        windows = RestWindows(record)
-        if record.kind not in CONSTANT_KINDS:
-            if windows.wanted:
-                run.verify(record)
-                rest.append(windows.of(run.iterate_segment(record)))
-            continue
-        if record.outcome == "failed":
-            excluded.append(
-                Excluded(record.id, record.rate_dps, record.chamber_c, "the bench marked it failed")
-            )
-            continue
-        run.verify(record)
-        sums = reduce_segment(windows.watch(run.iterate_segment(record)))
-        rest.append(windows.rest())
+    reduced, excluded, rest = _reduce(run)
+    if any(s.chamber.n for _, s in reduced) and not any(s.temp.n for _, s in reduced):
+        # A thermometer that is dead in some segments only is another matter: those are left out below.
+        reduced = [(record, sums.by_chamber()) for record, sums in reduced]
+        notes.append(
+            "the gyro sends no temperature: the chamber's stands for its own, and how far the gyro lags behind is unknown"
+        )
+    for record, sums in reduced:
         bad_status += sums.bad_status
         non_finite += sums.non_finite
         n_samples += sums.gyro.n + sums.bad_status + sums.non_finite
@@ -304,6 +295,30 @@ def _from_run(run: Run) -> Recording:
         reach=np.array([(*s.gyro.within(_REACH), *s.temp.within(_REACH)) for _, s, _, _ in rows]),
         rest=merge_rest(rest),
     )
+
+
+def _reduce(
+    run: Run,
+) -> tuple[list[tuple[SegmentRecord, SegmentSums]], list[Excluded], list[Rest | None]]:
+    """Sums of each segment at one rate and one temperature, those that the bench gave up, and what rest says."""
+    reduced: list[tuple[SegmentRecord, SegmentSums]] = []
+    excluded: list[Excluded] = []
+    rest: list[Rest | None] = []
+    for record in run.segments:
+        windows = RestWindows(record)
+        if record.kind not in CONSTANT_KINDS:
+            if windows.wanted:
+                run.verify(record)
+                rest.append(windows.of(run.iterate_segment(record)))
+            continue
+        if record.outcome == "failed":
+            reason = "the bench marked it failed"
+            excluded.append(Excluded(record.id, record.rate_dps, record.chamber_c, reason))
+            continue
+        run.verify(record)
+        reduced.append((record, reduce_segment(windows.watch(run.iterate_segment(record)))))
+        rest.append(windows.rest())
+    return reduced, excluded, rest
 
 
 def reduce_segment(blocks: Iterable[Segment]) -> SegmentSums:

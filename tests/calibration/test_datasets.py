@@ -203,3 +203,37 @@ def test_select_takes_the_same_rows_of_every_column() -> None:
     assert some.segment.tolist() == [6, 3]
     assert some.gyro_dps.tolist() == [sets.gyro_dps[5], sets.gyro_dps[2]]
     assert some.outcome.tolist() == ["ok", "ok"]
+
+
+def parts_without_thermometer(aired: bool = True) -> list[Part]:
+    """Two data sets of a gyro that sends no temperature, in a chamber at 19.5 and 20.5 deg C."""
+    parts = []
+    for k, rate in enumerate((-10.0, 10.0)):
+        t0 = 100.0 * k
+        rows = [gyro_row(t0 + 0.1 * i, rate + 0.01 * (i % 3), "") for i in range(100)]
+        chamber = [bench_row(t0 + 0.1 * i + 0.05, rate, rate * 0.1 * i) for i in range(0, 100, 10)]
+        chamber = [row.replace(",20.0,12.0", f",{19.5 + k},12.0" if aired else ",,12.0") for row in chamber]
+        parts.append(Part(sorted(rows + chamber, key=lambda row: float(row.split(",")[0])), rate_dps=rate))
+    return parts
+
+
+def test_the_chamber_stands_for_a_gyro_without_thermometer(tmp_path: Path) -> None:
+    recording = load_recording(write_run(tmp_path / "r", parts_without_thermometer()))
+    assert recording.sets.temp_c == pytest.approx([19.5, 20.5])
+    assert recording.excluded == ()
+    assert any(
+        "the gyro sends no temperature: the chamber's stands for its own" in note for note in recording.notes
+    )
+
+
+def test_a_thermometer_that_died_half_way_is_not_replaced(tmp_path: Path) -> None:
+    parts = parts_without_thermometer()
+    parts[0].rows = [row.replace(",,0,,,,", ",20.0,0,,,,") for row in parts[0].rows]
+    recording = load_recording(write_run(tmp_path / "r", parts))
+    assert recording.sets.temp_c == pytest.approx([20.0])
+    assert [e.reason for e in recording.excluded] == ["it holds no gyro temperature"]
+
+
+def test_no_temperature_at_all_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="it holds no gyro temperature"):
+        load_recording(write_run(tmp_path / "r", parts_without_thermometer(aired=False)))
