@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 import traceback
+from types import FrameType, TracebackType
+from typing import Any, NoReturn
 
 import click
 
 import gyrocal
-from gyrocal.errors import GyrocalError, exit_code
+from gyrocal.errors import GyrocalError, InterruptedRunError, exit_code
 
 #: Command name -> (module of this package, one line for --help). In the order of the work.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -49,6 +52,13 @@ class LazyGroup(click.Group):
         command: click.Command = module.command
         return command
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; Ctrl-C (and SIGTERM, see `main`) unwinds it, so that temporary files are removed."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            raise InterruptedRunError("interrupted; nothing was left half-written. Run it again.") from error
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
         with formatter.section("Commands"):
@@ -64,15 +74,37 @@ def gyrocal_command(debug: bool) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every GyrocalError becomes one sentence on stderr and its own exit code."""
-    argv = sys.argv[1:] if arguments is None else arguments
+    given = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in given
+    if arguments is None:
+        _as_a_program(debug)
     # One thread for linear algebra: the matrices are small, threads cost more than they give, and sums taken in
     # another order on another number of cores would change the last digits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("MKL_NUM_THREADS", "1")
     try:
-        gyrocal_command(args=arguments, prog_name="gyrocal")
+        # --debug may stand anywhere, since it is added to a command that has just failed.
+        gyrocal_command(args=[word for word in given if word != "--debug"], prog_name="gyrocal")
     except GyrocalError as error:
-        if "--debug" in argv:
+        if debug:
             traceback.print_exc()
         click.echo(f"gyrocal: {error}", err=True)
         sys.exit(exit_code(error))
+
+
+def _as_a_program(debug: bool) -> None:
+    """What holds for the process, and not for a caller within Python: signals, and how a bug is said."""
+    signal.signal(signal.SIGTERM, _terminated)
+    if not debug:
+        sys.excepthook = _say_bug
+
+
+def _terminated(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _say_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    click.echo(
+        f"gyrocal: a bug, {kind.__name__}: {error}. Add --debug to see where, and report it.",
+        err=True,
+    )

@@ -145,7 +145,7 @@ def _digest(body: Mapping[str, Any]) -> str:
 def load_coefficients(path: str | Path) -> Coefficients:
     """Read a coefficient file; InputError where it cannot be read, CoefficientError where it is not sound."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise CoefficientError(f"{path}: is not a coefficient file (not UTF-8 text).") from error
     except OSError as error:
@@ -157,9 +157,9 @@ def parse_coefficients(text: str, name: str) -> Coefficients:
     """Check and decode the text of a coefficient file; `name` stands in the messages."""
     try:
         body = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise CoefficientError(
-            f"{name}, line {error.lineno}: is not JSON ({error.msg}); the file is truncated or damaged. Fit again."
+            f"{name}: is not JSON ({error}); the file is truncated or damaged. Fit again."
         ) from error
     _check_schema(body, name)
     stated = body.pop("sha256", None)
@@ -175,7 +175,7 @@ def parse_coefficients(text: str, name: str) -> Coefficients:
         )
     try:
         return _decode(body)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise CoefficientError(
             f"{name}: is malformed ({type(error).__name__}: {error}). Fit again."
         ) from error
@@ -184,7 +184,7 @@ def parse_coefficients(text: str, name: str) -> Coefficients:
 def _check_schema(body: Any, name: str) -> None:
     schema = str(body.get("schema", "")) if isinstance(body, dict) else ""
     family, _, version = schema.partition("/")
-    if family != SCHEMA_NAME or not version.isdigit():
+    if family != SCHEMA_NAME or not (version.isdecimal() and len(version) < 10):
         raise CoefficientError(
             f"{name}: is not a coefficient file (schema {schema!r}, wanted {SCHEMA_NAME}/{SCHEMA_VERSION})."
         )
@@ -206,14 +206,16 @@ def _decode(body: dict[str, Any]) -> Coefficients:
         float(raw["temperature"]["center_c"]),
         float(raw["temperature"]["scale_c"]),
     )
-    noise = body.get("noise") or {}
+    noise = dict(body.get("noise") or {})
     return Coefficients(
-        sensor=body["sensor"],
+        sensor=dict(body["sensor"]),
         surface=surface,
         covariance_dps2=np.array(raw["covariance_dps2"], dtype=np.float64).reshape(_TERMS, _TERMS),
         valid=Valid(_pair(body["valid"]["rate_dps"]), _pair(body["valid"]["temp_c"])),
         noise=Noise(**{f.name: _interval_from_json(noise.get(f.name)) for f in fields(Noise)}),
-        terms=tuple(Term(t["effect"], t["parameters"], bool(t["runtime"])) for t in body.get("terms", [])),
-        figures=body.get("figures") or {},
-        provenance=body.get("provenance") or {},
+        terms=tuple(
+            Term(t["effect"], dict(t["parameters"]), bool(t["runtime"])) for t in body.get("terms", [])
+        ),
+        figures=dict(body.get("figures") or {}),
+        provenance=dict(body.get("provenance") or {}),
     )

@@ -31,6 +31,9 @@ OUTCOMES = ("ok", "unsettled", "failed")
 
 _CHUNK_ROWS = 500_000
 
+#: No number of a run is larger; it also keeps infinity and integers that no float holds out.
+_LARGEST = 1e15
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -224,14 +227,14 @@ def read_run(path: Path) -> Run:
         text = source.read_text(encoding="utf-8")
     try:
         head = json.loads(text)
-    except json.JSONDecodeError as error:
-        msg = f"{source}, line {error.lineno}: is not JSON ({error.msg}). The file may be truncated."
-        raise InputError(msg) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{source}: is not JSON ({error}). The file may be truncated.") from error
     found = head.get("schema") if isinstance(head, dict) else None
     if found != SCHEMA:
         raise InputError(
             f"{source}: schema is {found!r}, and this program reads {SCHEMA!r}. Check the path or update gyrocal."
         )
+    _check_head(source, head)
     notes = [
         f"run.json does not say {key}"
         for key in ("created_utc", "power_on_t_s", "profile")
@@ -254,6 +257,24 @@ def read_run(path: Path) -> Run:
     )
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
+
+
+def _check_head(source: Path, head: Mapping[str, Any]) -> None:
+    """Refuse optional entries of the wrong kind; what is missing is only unknown."""
+    for key in ("bench", "profile"):
+        if not isinstance(head.get(key) or {}, dict):
+            raise InputError(
+                f"{source}: {key} is {head[key]!r}, and an object is wanted. Leave it out or repair it."
+            )
+    power_on_t_s = head.get("power_on_t_s")
+    if not (power_on_t_s is None or _is_number(power_on_t_s)):
+        raise InputError(
+            f"{source}: power_on_t_s is {power_on_t_s!r}, and a number of seconds is wanted. Leave it out or repair it."
+        )
+
+
 def _compensated(head: Mapping[str, Any]) -> Any:
     for place in (head, head.get("sensor"), head.get("software")):
         if isinstance(place, Mapping) and place.get("compensated"):
@@ -271,17 +292,25 @@ def _read_sensor(source: Path, head: dict[str, Any]) -> Sensor:
         if value is None:
             return None
         if not (
-            isinstance(value, list) and len(value) == 2 and all(isinstance(v, int | float) for v in value)
+            isinstance(value, list)
+            and len(value) == 2
+            and all(map(_is_number, value))
+            and value[0] < value[1]
         ):
-            raise InputError(f"{source}: sensor.{key} is {value!r}, and a list of two numbers is wanted.")
+            raise InputError(
+                f"{source}: sensor.{key} is {value!r}, and a list of two numbers, the smaller first, is wanted."
+            )
         return float(value[0]), float(value[1])
 
+    serial, rate_hz = raw.get("serial"), raw.get("sample_rate_hz")
+    if not (rate_hz is None or (_is_number(rate_hz) and rate_hz > 0)):
+        raise InputError(f"{source}: sensor.sample_rate_hz is {rate_hz!r}, and a positive number is wanted.")
     return Sensor(
         str(raw["model"]),
-        raw.get("serial"),
+        None if serial is None else str(serial),
         pair("rate_range_dps"),
         pair("temp_range_c"),
-        raw.get("sample_rate_hz"),
+        rate_hz,
     )
 
 
@@ -298,15 +327,17 @@ def _read_journal(
             continue
         try:
             event = json.loads(line)
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:
             if number == len(lines):
                 # A crash can tear the line that was being written; the segment it spoke of is redone by --resume.
                 notes.append(f"journal.jsonl, line {number} was cut off by a crash and is ignored")
                 break
-            msg = (
-                f"{source}, line {number}: is not JSON ({error.msg}). The journal is append-only: restore it."
-            )
+            msg = f"{source}, line {number}: is not JSON ({error}). The journal is append-only: restore it."
             raise InputError(msg) from error
+        if not isinstance(event, dict):
+            raise InputError(
+                f"{source}, line {number}: is not a JSON object. The journal is append-only: restore it."
+            )
         events.append(event)
         if event.get("event") == "segment":
             record = _segment_record(source, number, event)
@@ -326,19 +357,31 @@ def _segment_record(source: Path, number: int, event: dict[str, Any]) -> Segment
             raise InputError(
                 f"{source}, line {number}: {key} is {event[key]!r}; allowed: {', '.join(allowed)}."
             )
-    try:
-        return SegmentRecord(
-            id=int(event["id"]),
-            kind=str(event["kind"]),
-            rate_dps=float(event["rate_dps"]),
-            chamber_c=float(event["chamber_c"]),
-            t_start_s=float(event["t_start_s"]),
-            t_end_s=float(event["t_end_s"]),
-            n=int(event["n"]),
-            averaging_s=None if event.get("averaging_s") is None else float(event["averaging_s"]),
-            outcome=str(event["outcome"]),
-            file=str(event["file"]),
-            sha256=str(event["sha256"]),
+    wrong = [
+        key
+        for key in ("id", "rate_dps", "chamber_c", "t_start_s", "t_end_s", "n", "averaging_s")
+        if not (_is_number(event.get(key)) or (key == "averaging_s" and event.get(key) is None))
+    ]
+    if wrong:
+        raise InputError(
+            f"{source}, line {number}: the segment's {wrong[0]} is {event[wrong[0]]!r}, and a number is wanted. "
+            "The journal is damaged: restore it."
         )
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{source}, line {number}: a segment's number is not a number ({error}).") from error
+    if not isinstance(event["file"], str) or "\0" in event["file"]:
+        raise InputError(
+            f"{source}, line {number}: file is {event['file']!r}, and a path in the run is wanted. "
+            "The journal is damaged: restore it."
+        )
+    return SegmentRecord(
+        id=int(event["id"]),
+        kind=str(event["kind"]),
+        rate_dps=float(event["rate_dps"]),
+        chamber_c=float(event["chamber_c"]),
+        t_start_s=float(event["t_start_s"]),
+        t_end_s=float(event["t_end_s"]),
+        n=int(event["n"]),
+        averaging_s=None if event.get("averaging_s") is None else float(event["averaging_s"]),
+        outcome=str(event["outcome"]),
+        file=event["file"],
+        sha256=str(event["sha256"]),
+    )

@@ -1,0 +1,96 @@
+"""``run.json`` and the journal of other loggers: what is of the wrong kind is refused by name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gyrocal.errors import InputError
+from gyrocal.records.run import read_run
+
+HEAD: dict[str, Any] = {"schema": "gyrocal-run/1", "sensor": {"model": "m"}}
+SEGMENT: dict[str, Any] = {
+    "event": "segment",
+    "id": 1,
+    "kind": "rate",
+    "rate_dps": 10.0,
+    "chamber_c": 20.0,
+    "t_start_s": 0.0,
+    "t_end_s": 1.0,
+    "n": 10,
+    "outcome": "ok",
+    "file": "data/a.csv",
+    "sha256": "0",
+}
+
+
+def write(path: Path, head: str, journal: str) -> Path:
+    """A run directory of these texts."""
+    (path / "run.json").write_text(head)
+    (path / "journal.jsonl").write_text(journal)
+    return path
+
+
+def test_schema_and_sensor_are_enough(tmp_path: Path) -> None:
+    run = read_run(write(tmp_path, json.dumps(HEAD), json.dumps(SEGMENT) + "\n"))
+    assert run.segments[0].averaging_s is None
+    assert run.notes == tuple(
+        f"run.json does not say {k}" for k in ("created_utc", "power_on_t_s", "profile")
+    )
+
+
+def test_a_serial_number_that_is_a_number_is_text(tmp_path: Path) -> None:
+    head = HEAD | {"sensor": {"model": "m", "serial": 5}}
+    assert read_run(write(tmp_path, json.dumps(head), "")).sensor.serial == "5"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"power_on_t_s": "x"}, "power_on_t_s is 'x'"),
+        ({"power_on_t_s": float("nan")}, "power_on_t_s is nan"),
+        ({"bench": [1]}, r"bench is \[1\]"),
+        ({"profile": "x"}, "profile is 'x'"),
+        ({"sensor": {"model": "m", "sample_rate_hz": "ten"}}, "sample_rate_hz is 'ten'"),
+        ({"sensor": {"model": "m", "sample_rate_hz": 0}}, "sample_rate_hz is 0"),
+        ({"sensor": {"model": "m", "rate_range_dps": [100, -100]}}, "the smaller first"),
+        ({"sensor": {"model": "m", "temp_range_c": [float("nan"), 1]}}, "temp_range_c is"),
+    ],
+)
+def test_a_head_of_the_wrong_kind_is_refused(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_run(write(tmp_path, json.dumps(HEAD | change), ""))
+
+
+def test_a_head_nested_too_deep_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is not JSON"):
+        read_run(write(tmp_path, "[" * 100_000, ""))
+
+
+@pytest.mark.parametrize("line", ["5", "[1]", "null", '"text"'])
+def test_a_journal_line_that_is_no_object_is_refused(tmp_path: Path, line: str) -> None:
+    with pytest.raises(InputError, match=r"journal\.jsonl, line 1: is not a JSON object"):
+        read_run(write(tmp_path, json.dumps(HEAD), line + "\n"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("id", float("inf")),
+        ("id", "x"),
+        ("rate_dps", None),
+        ("rate_dps", float("nan")),
+        ("n", True),
+        ("averaging_s", "x"),
+        ("t_end_s", 10**400),
+        ("file", 5),
+        ("file", "a\0b"),
+    ],
+)
+def test_a_segment_with_a_bad_value_is_refused(tmp_path: Path, key: str, value: Any) -> None:
+    journal = json.dumps(SEGMENT | {key: value}) + "\n"
+    with pytest.raises(InputError, match=rf"journal\.jsonl, line 1: .*{key} is "):
+        read_run(write(tmp_path, json.dumps(HEAD), journal))
