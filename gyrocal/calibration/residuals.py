@@ -185,6 +185,7 @@ def structure_tests(sets: DataSets, scatter: Scatter) -> tuple[StructureTest, ..
     results = [
         (name, *_block_test(p_matrix, residual, indicators(groups), scatter.design.shape[1]))
         for name, groups in blocks.items()
+        if np.unique(groups).size > 1
     ]
     results = [r for r in results if r[2] > 0]
     results.append(("neighbours", *_neighbour_test(sets, scatter)))

@@ -27,7 +27,7 @@ Progress = Callable[[float, str], None]
 #: Seed of the permutation test: the same recording gives the same report.
 _SEED = 2100
 #: Long logs at one rate are averaged to this many data sets.
-_MOST_AT_ONE_RATE = 1500
+_MOST_AT_ONE_RATE = 600
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def gather(
     progress(0.1, "correcting")
     corrected, timeline, more = _corrected(recording, sets, coefficients)
     progress(0.2, "scatter and outliers")
-    fit = fit_surface(sets, "gls", BIAS_TERMS if one_rate else ALL_TERMS)
+    fit = fit_surface(sets, "gls", BIAS_TERMS if one_rate else ALL_TERMS, recording.rest)
     reasons = _reasons(sets, fit.scatter)
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True
