@@ -135,6 +135,11 @@ def _show_summary(out: Path, s: Summary) -> None:
         f"Bench time {_duration(s.bench_time_s)}, {s.samples} gyro rows; the table made {s.turns_ccw:.1f} turns "
         f"counter-clockwise and {s.turns_cw:.1f} clockwise, and stands."
     )
-    for title, steps in (("unsettled", s.unsettled), ("failed", s.failed), ("skipped", s.skipped)):
+    for title, steps in (
+        ("unsettled", s.unsettled),
+        ("failed", s.failed),
+        ("skipped", s.skipped),
+        ("done again", s.retried),
+    ):
         for text in steps:
             click.echo(f"  {title}: {text}")
