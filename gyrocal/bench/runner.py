@@ -376,6 +376,8 @@ class Runner:
                 self._lookout.gyro_temp_c
             )  # a gyro without a thermometer has only the chamber's word
             if soaked and (blind or abs(slope) <= spec.slope_c_per_min):
+                if blind:
+                    self._note("soaked_by_chamber", id=step.id, reason="the gyro sends no temperature")
                 return "ok"
             if self._clock.now_s() >= deadline_s:
                 why = (

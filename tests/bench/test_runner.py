@@ -252,6 +252,7 @@ def test_a_gyro_without_thermometer_soaks_by_the_chamber(tmp_path: Path) -> None
     stand = Stand(tmp_path / "r")
     with_gyro(stand, lambda s: replace(s, gyro_temp_c=np.full(s.t_s.size, np.nan)))
     assert stand.run().unsettled == []
+    assert [e["id"] for e in events(tmp_path / "r", "soaked_by_chamber")] == [2, 8]
 
 
 def test_a_thermometer_that_dies_is_not_taken_for_a_flat_one(tmp_path: Path) -> None:

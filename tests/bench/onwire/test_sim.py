@@ -181,9 +181,7 @@ def test_two_programs_measure_what_one_does(tmp_path: Path) -> None:
     profile = profile_from_dict(tiny(**{**SHORT, **WHOLE}), "whole.toml")
     virtual = profile_file(profile, tmp_path / "virtual.toml")
     with sim("--profile", str(virtual), "--chamber", "watlow-f4t-scpi") as lines:
-        own = {k: v for k, v in profile.raw.items() if k not in ("gyro", "table", "chamber")}
-        wired_path = tmp_path / "wired.toml"
-        wired_path.write_text(toml(json.loads(json.dumps(own))) + "\n" + "".join(lines))
+        wired_path = with_lines(profile, lines, tmp_path / "wired.toml")
         command = [
             sys.executable,
             "-m",
@@ -205,6 +203,39 @@ def test_two_programs_measure_what_one_does(tmp_path: Path) -> None:
     # and the surface itself is larger than that: the comparison says something
     surface = process.surface.error_dps(rates, temps)
     assert np.sqrt(np.mean(surface**2)) > 3.0 * np.sqrt(np.mean(sigma**2))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_program_that_was_killed_is_carried_on_against_the_same_bench(tmp_path: Path) -> None:
+    profile = profile_from_dict(tiny(**{**SHORT, "plan__rates_dps": [20.0, 40.0, 60.0]}), "killed.toml")
+    virtual = profile_file(profile, tmp_path / "virtual.toml")
+    out = tmp_path / "r"
+    with sim("--profile", str(virtual), "--gyro", "kvh-dsp3000") as lines:
+        wired_path = with_lines(profile, lines, tmp_path / "wired.toml")
+        command = [sys.executable, "-m", "gyrocal", "acquire", str(wired_path), "--out", str(out), "--resume"]
+        for kills in range(3):
+            with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+                deadline = time.monotonic() + 120.0
+                while len(list(out.glob("data/*dps*.csv"))) < 3 + 2 * kills and time.monotonic() < deadline:
+                    time.sleep(0.05)
+                process.kill()
+            assert read_status(out).state == "dead"
+        subprocess.run(command, check=True, timeout=600)
+    run = read_run(out)
+    plan = [record for record in run.segments if record.id <= 10]
+    assert sorted(record.id for record in plan) == list(range(1, 11))
+    for segment in run:  # verifies each sha256
+        if segment.record.kind == "rate":
+            assert np.mean(segment.gyro_dps) == pytest.approx(segment.record.rate_dps, abs=2.0)
+    assert read_status(out).state == "complete"
+
+
+def with_lines(profile: Profile, lines: list[str], path: Path) -> Path:
+    """The profile with the lines of `gyrocal sim` in the place of its own."""
+    own = {k: v for k, v in profile.raw.items() if k not in ("gyro", "table", "chamber")}
+    path.write_text(toml(json.loads(json.dumps(own))) + "\n" + "".join(lines))
+    return path
 
 
 def test_sim_prints_a_profile_that_works(tmp_path: Path) -> None:
