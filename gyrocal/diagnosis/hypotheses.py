@@ -114,6 +114,9 @@ def finer_shapes(h: Hypothesis, point: int, series: Series) -> list[dict[str, fl
     """Shapes between a point of a grid and its neighbours; for a jump, every instant around it."""
     best = dict(h.shapes[point])
     if "at_s" in best:
+        # A change of scale factor shows only where the table turns: the grid has those instants.
+        if h.id == "scale_step":
+            return []
         return [{"at_s": float(x)} for x in best["at_s"] + np.arange(-260.0, 261.0, 4.0)]
     for name in ("tau_s", "width_c", "phase_rad_per_dps", "knee_dps"):
         if best.get(name, 0.0) > 0.0 and "center_dps" not in best:
@@ -136,7 +139,7 @@ def shapes_of(effect: str, series: Series) -> list[dict[str, float]]:
         "thermal_hysteresis": [{"width_c": float(x)} for x in np.geomspace(0.012, 0.45, 11) * temp_span],
         "warm_up": [{"tau_s": float(x)} for x in np.geomspace(120.0, 7200.0, 12) if x < span_s],
         "bias_step": [{"at_s": float(x)} for x in _instants(series)],
-        "scale_step": [{"at_s": float(x)} for x in _set_starts(series)],
+        "scale_step": [{"at_s": float(x)} for x in _between_turns(series)],
         "sagnac_sine": [{"phase_rad_per_dps": float(x) / full} for x in (0.2, 0.5, 0.8, 1.2)] if full else [],
         "saturation": [
             {"knee_dps": float(x) * full, "softness_dps": soft * full}
@@ -191,6 +194,22 @@ def _set_starts(series: Series) -> Floats:
     if starts.size > 400:
         starts = starts[:: int(np.ceil(starts.size / 400))]
     return starts[1:] - 0.5
+
+
+def _between_turns(series: Series) -> Floats:
+    """Candidate instants of a change of scale factor: between the first and the last two turns of the table.
+
+    Outside of them it is a scale factor for the whole record, which the surface has already.
+    """
+    turning = np.flatnonzero(np.abs(series.rate_dps) > 0)
+    if turning.size == 0:
+        return np.empty(0)
+    starts = _set_starts(series)
+    sets = np.unique(series.set_index[turning])
+    edge = min(2, sets.size // 4)
+    first = series.t_s[np.flatnonzero(series.set_index == sets[edge])[0]]
+    last = series.t_s[np.flatnonzero(series.set_index == sets[-1 - edge])[-1]]
+    return np.asarray(starts[(starts > first - 1.0) & (starts < last)])
 
 
 def _instants(series: Series) -> Floats:
@@ -270,7 +289,7 @@ def _family_nuisance(effect: str, c: Conditions, series: Series, book: Book) -> 
     extra: list[Floats] = []
     if effect in ("bias_drift", "scale_drift"):
         gain = 1.0 if effect == "bias_drift" else w
-        extra = [gain * t**p for p in (0.35, 0.5, 0.7, 1.4, 2.0)]
+        extra = [gain * t**p for p in (0.7, 0.85, 1.2, 1.4)]
     elif effect == "temperature_order":
         extra = [v**5, np.sinh(2 * v), np.exp(2 * v), np.exp(-2 * v), v**3 * w, v**4 * w]
     elif effect == "scale_asymmetry":

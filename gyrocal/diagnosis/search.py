@@ -31,7 +31,7 @@ MOST_EFFECTS = 6
 #: A second effect of a named one's coordinate that gains less than this share of it is its misfit, not physics.
 _MISFIT_SHARE = 0.02
 #: Shapes of a family along which a named effect could hide more than this gain are free.
-_FREE_GAIN = 1.0
+_FREE_GAIN = 4.0
 #: Strangers nearer than this to a law of the catalogue cannot be told from it.
 _SAME_SHAPE = 0.95
 

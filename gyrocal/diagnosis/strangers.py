@@ -101,6 +101,7 @@ def _in_time(s: Series, enter: Enter) -> None:
     x = _scaled(s.t_s)[:, None]
     pulses = [np.exp(-0.5 * ((x - centres) / w) ** 2) for w in (0.02, 0.06)]
     enter("passing disturbance", where, np.concatenate(pulses, axis=1))
+    enter("bend in time", where, np.maximum(x - centres[2:-2:2], 0.0))
     decay = (x > centres) * np.exp(-np.maximum(x - centres, 0.0) / 0.08)
     enter("disturbance that decays", where, decay)
     if turning:
@@ -122,6 +123,8 @@ def _in_temperature(s: Series, enter: Enter) -> None:
         w = s.rate_dps[:, None]
         enter("scale factor bump in temperature", "temperature", bumps[1] * w)
         enter("scale factor of third order in temperature", "temperature", (x - 0.5) ** 3 * w)
+        uneven = np.column_stack([np.abs(s.rate_dps), 50.0 * np.sign(s.rate_dps)])
+        enter("asymmetry that changes with temperature", "rate", uneven * (x - 0.5))
 
 
 def _in_temperature_rate(s: Series, enter: Enter) -> None:
