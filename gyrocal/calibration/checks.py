@@ -18,6 +18,8 @@ _OTHER_SIGN = 0.2
 _WORST_CONDITION = 1e4
 #: Rounding of the temperature that may explain this share of the residual, and up to twice the residual, matters.
 _ROUNDING_SHARE = 0.5
+#: An output that follows the rate by more than this factor, or less than its inverse, is in another unit.
+_WORST_SCALE = 2.0
 #: More data sets than this make the covariance matrix too large.
 MOST_DATA_SETS = 3000
 _LISTED = 6
@@ -61,13 +63,19 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
         )
     _check_rates(source.as_posix(), sets, rates)
     _check_temperatures(recording, sets, "surface")
+    if float(np.ptp(sets.gyro_dps)) == 0:
+        raise DataError(
+            f"{source}: the gyro says {sets.gyro_dps[0]:.6g} at every rate: it is stuck. "
+            "Check its power and its cable, and record again."
+        )
+    notes = _check_unit(recording, sets, force)
     condition = np.linalg.cond(scaled_surface(sets).design(sets.gyro_dps, sets.temp_c))
     if not condition < _WORST_CONDITION:
         raise DataError(
             f"{source}: rates and temperatures do not vary independently (condition {condition:.2g} of the scaled "
             f"design; a full grid has 25). Record every rate at 3 temperatures at least."
         )
-    return _doubts(recording, sets, force)
+    return notes + _doubts(recording, sets, force)
 
 
 def _check_rates(source: str, sets: DataSets, rates: int) -> None:
@@ -111,11 +119,6 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
     at_rail = [row for row in range(len(sets)) if int(sets.segment[row]) in saturated]
     stuck_sets = (sets.gyro_std_dps == 0) & (sets.n > 1) & (sets.rate_dps != 0)
     stuck = [row for row in np.flatnonzero(stuck_sets).tolist() if row not in at_rail]
-    if float(np.ptp(sets.gyro_dps)) == 0:
-        raise DataError(
-            f"{recording.source}: the gyro says {sets.gyro_dps[0]:.6g} at every rate: it is stuck. "
-            "Check its power and its cable, and record again."
-        )
     doubts = [
         (at_rail, "saturated: samples stand at the recording's extreme value"),
         (stuck, "stuck: every sample has the same value"),
@@ -128,7 +131,7 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
             ", ..." if len(rows) > _LISTED else ""
         )
         if not force:
-            ids = ",".join(str(sets.segment[row]) for row in rows[:_LISTED])
+            ids = ",".join(str(sets.segment[row]) for row in rows)
             raise DataError(
                 f"{recording.source}: {len(rows)} data sets are {what} ({listed}). "
                 f"Leave them out with --exclude {ids}, or say --force."
@@ -140,6 +143,20 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
             f"at rest the output does not move in {int(zero.sum())} data sets (coarse steps or a dead zone)"
         )
     return tuple(notes)
+
+
+def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
+    """Refuse an output of another sign or unit than the rate: no gyro is that wrong."""
+    slope = float(sets.gyro_dps @ sets.rate_dps) / float(sets.rate_dps @ sets.rate_dps)
+    if 1.0 / _WORST_SCALE < slope < _WORST_SCALE:
+        return ()
+    text = f"the output is {slope:.3g} times the rate, which is another unit or sign"
+    if force:
+        return (f"{text}; used because of --force",)
+    raise DataError(
+        f"{recording.source}: {text}. Rates are deg/s, counter-clockwise positive; for counts the nominal scale and its "
+        "sign are given with --counts-per-dps. Convert the output, or say --force."
+    )
 
 
 def check_bias(recording: Recording, sets: DataSets) -> None:

@@ -67,7 +67,21 @@ def test_rates_and_temperatures_that_vary_together(tmp_path: Path) -> None:
 def test_stuck_gyro(tmp_path: Path) -> None:
     rate, temp = grid()
     error = refusal(table(tmp_path / "t.csv", rate, temp, np.full(rate.size, 0.5)))
-    assert "saturated" in str(error) or "stuck" in str(error)
+    assert "the gyro says 0.5 at every rate: it is stuck" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(-1.0, "-1 times"), (np.pi / 180.0, "0.0175 times"), (3600.0, "3.6e+03")]
+)
+def test_another_unit_or_sign_is_refused_and_forced(tmp_path: Path, factor: float, said: str) -> None:
+    rate, temp = grid()
+    path = table(tmp_path / "t.csv", rate, temp, factor * rate)
+    error = refusal(path)
+    assert f"the output is {said}" in str(error)
+    assert "--counts-per-dps" in str(error)
+    assert any(
+        "another unit or sign; used because" in n for n in calibrate(path, FitConfig(force=True)).notes
+    )
 
 
 def run_parts(**conditions: Any) -> list[Part]:
@@ -109,7 +123,8 @@ def test_saturated_data_sets_are_refused(tmp_path: Path) -> None:
     error = refusal(write_run(tmp_path / "run", parts))
     assert "4 data sets are saturated" in str(error)
     assert "+100 deg/s" in str(error)
-    assert "--exclude" in str(error)
+    at_rail = [k + 1 for k, part in enumerate(parts) if part.rate_dps == 100.0]
+    assert f"--exclude {','.join(map(str, at_rail))}," in str(error)
 
 
 def test_stuck_temperature(tmp_path: Path) -> None:
