@@ -203,5 +203,17 @@ def _provenance(m: Material) -> dict[str, str]:
         "Drawn by": f"gyrocal {gyrocal.__version__}",
     }
     for key, value in m.coefficients.provenance.items():
-        said[f"Coefficients: {key.replace('_', ' ')}"] = str(value)
+        if value not in (None, [], {}):
+            said[f"Coefficients: {key.replace('_', ' ')}"] = plain_text(value)
     return said
+
+
+def plain_text(value: Any) -> str:
+    """Say a JSON value without brackets and quotes."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')} {plain_text(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(plain_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)

@@ -47,6 +47,11 @@ def _cell(value: Any) -> Any:
     return value
 
 
+def _less(value: float) -> str:
+    """``− value``, without a double sign."""
+    return f"{'+' if value < 0 else '−'} {abs(value):.6g}"
+
+
 def coefficient_table(coefficients: Coefficients) -> Table:
     """The twelve coefficients with standard errors and 95 % intervals."""
     value = coefficients.surface.coefficients_dps.ravel()
@@ -59,8 +64,8 @@ def coefficient_table(coefficients: Coefficients) -> Table:
     ]
     surface = coefficients.surface
     note = (
-        f"error = Σ cᵢⱼ uⁱ vʲ, u = (gyro − {surface.rate_center_dps:.6g} deg/s) / {surface.rate_scale_dps:.6g} deg/s, "
-        f"v = (temperature − {surface.temp_center_c:.6g} °C) / {surface.temp_scale_c:.6g} °C; corrected = gyro − error."
+        f"error = Σ cᵢⱼ uⁱ vʲ, u = (gyro {_less(surface.rate_center_dps)} deg/s) / {surface.rate_scale_dps:.6g} deg/s, "
+        f"v = (temperature {_less(surface.temp_center_c)} °C) / {surface.temp_scale_c:.6g} °C; corrected = gyro − error."
     )
     text = csv_text(
         {"i": i, "j": j, "value_dps": value, "std_dps": sigma, "low_95_dps": low, "high_95_dps": high}

@@ -1,0 +1,32 @@
+"""Words of the page: no double signs, no Python in the provenance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.report.build import plain_text
+from gyrocal.report.tables import coefficient_table
+
+
+@pytest.mark.parametrize(("center", "said"), [(-0.5, "(gyro + 0.5 deg/s)"), (0.5, "(gyro − 0.5 deg/s)")])
+def test_the_formula_has_no_double_sign(center: float, said: str) -> None:
+    surface = Surface(np.zeros(SHAPE), center, 100.0, 20.0, 30.0)
+    made = Coefficients({"model": "m"}, surface, np.zeros((12, 12)), Valid((-100.0, 100.0), (0.0, 40.0)))
+    assert said in coefficient_table(made).note
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ({"bad_status": 2, "non_finite": 0}, "bad status 2, non finite 0"),
+        ([3, 7], "3, 7"),
+        (True, "yes"),
+        ("gls", "gls"),
+        (1.5, "1.5"),
+    ],
+)
+def test_provenance_reads_as_words(value: object, said: str) -> None:
+    assert plain_text(value) == said
