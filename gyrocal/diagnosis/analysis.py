@@ -206,8 +206,11 @@ def analyse(series: Series, level: float, seed: int) -> Analysis:
         return first
     fitted = _surface_beside(series, *hint)
     second = search_setup(prepare(series, simulate(series, fitted, carried_terms(series))), level, seed)
-    consistent = all(hint[0] in [m.hypothesis.id for m in a.members] for a in (first, second))
-    return second if _criterion(second) < _criterion(first) + _SELF_CONSISTENT * consistent else first
+    held = [hint[0] in [m.hypothesis.id for m in a.members] for a in (first, second)]
+    if not held[1]:
+        # A surface bent around a law that is not there is further from the truth, however well it fits.
+        return first
+    return second if _criterion(second) < _criterion(first) + _SELF_CONSISTENT * held[0] else first
 
 
 #: What a search gains (in twice the log-likelihood) by being linearised around the law that it finds.
