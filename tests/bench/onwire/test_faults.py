@@ -6,6 +6,8 @@ What is expected of each fault stands beside it in `FAULTS`.
 from __future__ import annotations
 
 import json
+import re
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +17,8 @@ import numpy as np
 import pytest
 
 from gyrocal.bench.devices import ChamberReading, TableReading
+from gyrocal.bench.gyros.stream import StreamLimits
+from gyrocal.bench.profile import RetrySpec, profile_from_dict
 from gyrocal.bench.virtual.faults import (
     ChangedLine,
     CutLine,
@@ -28,10 +32,12 @@ from gyrocal.bench.virtual.faults import (
     thermometer_shows,
 )
 from gyrocal.bench.virtual.server import Line
-from gyrocal.errors import DeviceError, GyrocalError, InterlockError, StopNotVerifiedError
+from gyrocal.bench.wiring import ROLES, read_wire
+from gyrocal.errors import DeviceError, GyrocalError, InterlockError, StopNotVerifiedError, exit_code
 from gyrocal.records.run import read_run
 from tests.bench.onwire.stand import WireStand
 from tests.bench.test_runner import events
+from tests.bench.tiny import tiny
 
 #: While the first data sets are recorded, s.
 MIDDLE = Span(28.0, 31.5)
@@ -402,3 +408,24 @@ def test_every_kind_carries_a_run(tmp_path: Path, gyro: str, table: str, chamber
     # a chamber without a ramp of its own was led along one
     ramp = run.segment(next(r for r in run.segments if r.kind == "ramp" and r.id > 1))
     assert np.max(np.diff(ramp.chamber_temp_c)) < 0.7
+
+
+def test_the_table_of_faults_says_what_is_tested() -> None:
+    readme = (Path(__file__).parents[3] / "bench_profiles" / "README.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", readme, flags=re.MULTILINE))
+    words = {"complete": "survived", "marked": "recorded and marked", "failed": "segments fail"}
+    for name, fault in FAULTS.items():
+        expected = (
+            words.get(fault.expect)
+            or f"ends safely; exit code {exit_code(fault.error('')) if fault.error else ''}"
+        )
+        assert rows[name].startswith(expected), name
+
+
+def test_the_profile_of_the_readme_is_one() -> None:
+    readme = (Path(__file__).parents[3] / "bench_profiles" / "README.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```toml\n(.*?)```", readme, flags=re.DOTALL)
+    devices = tomllib.loads(text)
+    profile = profile_from_dict({**tiny(), **devices}, "README")
+    assert [read_wire(profile, role).kind for role in ROLES] == ["kvh-frame-a", "zaber", "espec"]
+    assert (profile.retry, profile.stream) == (RetrySpec(), StreamLimits())

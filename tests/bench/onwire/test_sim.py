@@ -90,7 +90,7 @@ def profile_file(profile: Profile, path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("tcp", [False, True])
+@pytest.mark.parametrize("tcp", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_run_against_served_ports(tmp_path: Path, tcp: bool) -> None:
     profile = profile_from_dict(tiny(**SHORT), "short.toml")
     kinds: dict[str, str | None] = {"gyro": "kvh-dsp3000", "table": "zaber", "chamber": "espec"}
