@@ -67,13 +67,17 @@ def simulate(hidden: Hidden, seed: int, duration_s: float = 300.0, dt_s: float =
     gyro = np.interp(t - hidden.delay_s, t, turn)
     gyro_dps = each_row(gyro) + hidden.bias_dps + rng.normal(0, 0.013, rows)
     rough = 0.002 * (1 + each_row(np.abs(turn)) / 20)
-    wheels = [dt_s * each_row(w) for w in (left, right)]
-    wheels = [w + rng.normal(0, 1, rows) * np.sqrt(np.abs(w)) * rough for w in wheels]
+
+    def counted(speed_mps: Floats) -> Floats:
+        moved = dt_s * each_row(speed_mps)
+        return np.asarray(moved + rng.normal(0, 1, rows) * np.sqrt(np.abs(moved)) * rough)
+
+    left_m, right_m = counted(left), counted(right)
     heading = np.deg2rad(np.cumsum(turn) * h)
     nothing = np.full(rows, np.nan)
     x, y = nothing, nothing
     if hidden.gps_m:
         x = np.cumsum(speed * np.cos(heading))[::_FINE] * h + rng.normal(0, hidden.gps_m, rows)
         y = np.cumsum(speed * np.sin(heading))[::_FINE] * h + rng.normal(0, hidden.gps_m, rows)
-    times = np.arange(rows) * dt_s
-    return DriveBlock(2, times, *wheels, gyro_dps * hidden.gyro_factor, nothing, x, y, nothing)
+    times = np.asarray(np.arange(rows) * dt_s, dtype=np.float64)
+    return DriveBlock(2, times, left_m, right_m, gyro_dps * hidden.gyro_factor, nothing, x, y, nothing)
