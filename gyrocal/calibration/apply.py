@@ -109,8 +109,9 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     InputError, DataError, CoefficientError, OutputError
         Nothing is written then.
     """
-    if config.output.resolve() in (config.recording.resolve(), config.coefficients.resolve()):
-        raise OutputError(f"{config.output}: is an input of this command. Choose another -o.")
+    output, recording = config.output.resolve(), config.recording.resolve()
+    if output == config.coefficients.resolve() or output.is_relative_to(recording):
+        raise OutputError(f"{config.output}: is an input of this command, or lies in it. Choose another -o.")
     coefficients = load_coefficients(config.coefficients)
     compensator = Compensator(coefficients)
     names = tuple(term.effect.id for term in compensator.terms)

@@ -50,6 +50,7 @@ def command(
     """
     from gyrocal.calibration.export import export_c_header, write_header
     from gyrocal.cli.console import emit_json
+    from gyrocal.errors import OutputError
     from gyrocal.fusion.coefficients import load_coefficients
 
     if as_json and output is None:
@@ -58,6 +59,8 @@ def command(
     if output is None:
         click.echo(export.text, nl=False)
         return
+    if output.resolve() == coefficients.resolve():
+        raise OutputError(f"{output}: is the coefficient file itself. Choose another --output.")
     write_header(export, output)
     if as_json:
         emit_json(export.to_json() | {"output": str(output)})

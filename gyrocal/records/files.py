@@ -16,10 +16,17 @@ from gyrocal.errors import InputError, OutputError
 _NO_SPACE = {errno.ENOSPC, errno.EDQUOT}
 
 
-def raise_output_error(path: Path, error: OSError) -> NoReturn:
-    """Turn an ``OSError`` met while writing `path` into one sentence with a remedy."""
+#: What there is after an error, and what to do.
+_NOTHING_LEFT = "nothing was left half-written. Free some space and run it again"
+
+
+def raise_output_error(path: Path, error: OSError, when_full: str = _NOTHING_LEFT) -> NoReturn:
+    """Turn an ``OSError`` met while writing `path` into one sentence with a remedy.
+
+    `when_full` says what a full disk leaves behind, and how to go on.
+    """
     if error.errno in _NO_SPACE:
-        msg = f"{path}: the disk is full; nothing was left half-written. Free some space and run it again."
+        msg = f"{path}: the disk is full; {when_full}."
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         msg = f"{path}: cannot write here ({error.strerror}). Choose another place or change its permissions."
     else:

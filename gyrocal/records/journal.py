@@ -35,6 +35,8 @@ except ImportError:  # a system without POSIX locks: two writers are then not ke
 
 #: What this program writes under ``data``; anything else there is the user's and is left alone.
 _SEGMENT_NAME = re.compile(r"\d{4,}_.*\.csv(\.part)?")
+#: What a full disk leaves of a run.
+_RESUME = "what was sealed is kept. Free some space and carry on with --resume"
 
 
 def segment_file(number: int, kind: str, rate_dps: float, chamber_c: float) -> str:
@@ -62,7 +64,7 @@ class RunWriter:
         try:
             self._fd = os.open(path / "journal.jsonl", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         except OSError as error:
-            raise_output_error(path / "journal.jsonl", error)
+            raise_output_error(path / "journal.jsonl", error, _RESUME)
         try:
             if fcntl is not None:
                 fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -95,7 +97,7 @@ class RunWriter:
             if durable:
                 os.fsync(self._fd)
         except OSError as error:
-            raise_output_error(self.path / "journal.jsonl", error)
+            raise_output_error(self.path / "journal.jsonl", error, _RESUME)
 
     def begin_segment(self, number: int, kind: str, rate_dps: float, chamber_c: float) -> SegmentWriter:
         """Open the ``.part`` of a segment."""
@@ -107,7 +109,12 @@ class SegmentWriter:
 
     def __init__(self, run: RunWriter, number: int, kind: str, rate_dps: float, chamber_c: float) -> None:
         self._run = run
-        self._entry: dict[str, Any] = {"id": number, "kind": kind, "rate_dps": rate_dps, "chamber_c": chamber_c}
+        self._entry: dict[str, Any] = {
+            "id": number,
+            "kind": kind,
+            "rate_dps": rate_dps,
+            "chamber_c": chamber_c,
+        }
         self.file = segment_file(number, kind, rate_dps, chamber_c)
         self._final = run.path / self.file
         self._part = self._final.with_name(self._final.name + ".part")
@@ -115,7 +122,7 @@ class SegmentWriter:
         try:
             self._fd = os.open(self._part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
         except OSError as error:
-            raise_output_error(self._part, error)
+            raise_output_error(self._part, error, _RESUME)
         self.append(",".join(COLUMNS) + "\n")
 
     def append(self, text: str) -> None:
@@ -124,7 +131,7 @@ class SegmentWriter:
         try:
             write_all(self._fd, data)
         except OSError as error:
-            raise_output_error(self._part, error)
+            raise_output_error(self._part, error, _RESUME)
         self._digest.update(data)
 
     def seal(
@@ -149,7 +156,7 @@ class SegmentWriter:
             os.rename(self._part, self._final)
             fsync_directory(self._final.parent)
         except OSError as error:
-            raise_output_error(self._final, error)
+            raise_output_error(self._final, error, _RESUME)
         self._run.event("segment", t_end_s, **entry)
         return entry
 

@@ -188,6 +188,16 @@ def test_nothing_is_left_when_the_recording_turns_out_bad(tmp_path: Path) -> Non
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "out.csv", "run"]
 
 
+def test_the_recording_is_never_written_into(tmp_path: Path) -> None:
+    write_coefficients(tmp_path / "c.json")
+    run = write_run(tmp_path / "run")
+    before = (run / "run.json").read_bytes()
+    for inside in ("run.json", "corrected.csv"):
+        with pytest.raises(OutputError, match="is an input of this command, or lies in it"):
+            apply_recording(ApplyConfig(run, tmp_path / "c.json", run / inside), quiet)
+    assert (run / "run.json").read_bytes() == before
+
+
 def test_other_refusals(tmp_path: Path) -> None:
     write_coefficients(tmp_path / "c.json", LAG, model="unknown")
     table = tmp_path / "table.csv"

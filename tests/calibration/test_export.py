@@ -244,3 +244,6 @@ def test_the_command(tmp_path: Path) -> None:
     facts = run.invoke(gyrocal_command, ["export", str(source), "-o", str(header), "--json"]).stdout
     assert json.loads(facts)["coefficients_sha256"] == digest
     assert run.invoke(gyrocal_command, ["export", str(source), "--json"]).exit_code == 2
+    onto_itself = run.invoke(gyrocal_command, ["export", str(source), "-o", str(source)])
+    assert "is the coefficient file itself" in str(onto_itself.exception)
+    assert source.read_text(encoding="utf-8").startswith("{")
