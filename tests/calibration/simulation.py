@@ -23,20 +23,23 @@ SURFACE = Surface(
 )
 
 
-def flicker(rng: np.random.Generator, size: int, floor_dps: float, step_s: float = 1.0) -> Floats:
+def flicker(
+    rng: np.random.Generator, size: int, floor_dps: float, step_s: float = 1.0, finer: int = 4
+) -> Floats:
     """1/f noise on a grid by FFT; ``S(f) = B^2 / (2 pi f)``, so that its Allan floor is 0.664 B = `floor_dps`."""
-    # Made four times as fine and averaged: a gyro averages over its sample time, so nothing is cut at Nyquist.
-    fine, step_s = 4 * size, step_s / 4
+    # Made finer and averaged: a gyro averages over its sample time, so nothing is cut at Nyquist. What the finer grid
+    # folds back is 3 % of the Allan variance at one step for 4, and 0.3 % for 16.
+    fine, step_s = finer * size, step_s / finer
     b = floor_dps / 0.664
     padded = 1 << int(np.ceil(np.log2(2 * fine)))
     f = np.fft.rfftfreq(padded, step_s)
     f[0] = np.inf
     amplitude = np.sqrt(b**2 / (2 * np.pi * f) / (2 * step_s) * padded)
     spectrum = amplitude * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)) / np.sqrt(2)
-    wandering = np.fft.irfft(spectrum, padded)[:fine].reshape(-1, 4).mean(axis=1) * np.sqrt(2)
+    wandering = np.fft.irfft(spectrum, padded)[:fine].reshape(-1, finer).mean(axis=1) * np.sqrt(2)
     # 1/f goes on below the lowest frequency of the grid, down to 1 uHz: a constant for as long as this lasts.
     slow = b * np.sqrt(np.log(max(1e6 / (padded * step_s), 1.0)) / np.pi)
-    return np.asarray(wandering + slow * rng.standard_normal())
+    return np.asarray(wandering + slow * rng.spawn(1)[0].standard_normal())
 
 
 def schedule(rng: np.random.Generator, rates: Floats, temps: Floats, set_s: float, soak_s: float) -> Floats:

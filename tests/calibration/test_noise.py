@@ -22,9 +22,8 @@ FALSE_ALARM = 1e-3
 
 def at_rest(seed: list[int], samples: int, floor_dps: float, arw: float = ARW_DPS_RT_S) -> NoiseFigures:
     rng = np.random.default_rng(seed)
-    return allan_figures(
-        [Piece(0.1, rng.normal(0.0, arw * np.sqrt(10.0), samples) + flicker(rng, samples, floor_dps, 0.1))]
-    )
+    white = rng.normal(0.0, arw * np.sqrt(10.0), samples)
+    return allan_figures([Piece(0.1, white + flicker(rng, samples, floor_dps, 0.1, finer=16))])
 
 
 def test_figures_and_their_intervals() -> None:

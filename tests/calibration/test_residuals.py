@@ -86,7 +86,7 @@ def test_structure_is_found_where_it_is(what: str, coordinate: str) -> None:
 
 
 def test_nothing_is_found_where_there_is_nothing() -> None:
-    runs = 25
+    runs = 12
     alarms = [alarms_of(simulate(np.random.default_rng([4, k]))) for k in range(runs)]
     most = stats.binom.isf(FALSE_ALARM, runs, ALARM_RATE)
     assert sum(bool(found) for found, _ in alarms) <= most
