@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -22,6 +23,9 @@ _DEG_PER_TURN = 360.0
 #: Without a single sample for this long, or for this many sample intervals, the gyro is gone.
 _SILENCE_S = 10.0
 _SILENT_SAMPLES = 50.0
+#: An angle that differs by more, and by more than this share of the way, from what the rate leads to, has jumped.
+_JUMP_DEG = 5.0
+_JUMP_SHARE = 0.05
 #: A question is asked so often before its device counts as failed: one damaged answer is no reason to lose a segment.
 _ASKED = 3
 
@@ -37,16 +41,20 @@ class Lookout:
         self._rows: list[BenchRow] = []
         self._temps: deque[tuple[float, float]] = deque()
         self._last_sample_s = clock.now_s()
-        self._last_angle_deg = float("nan")
+        self._last: TableReading | None = None
+        self._wraps = 0
         self.gyro_temp_c = float("nan")
         self.chamber_c = float("nan")
         self.turns_ccw = self.turns_cw = 0.0
         self.asked_again = 0
+        #: How often, and by how much at last, the angle went where the rate does not lead.
+        self.jumps = 0
+        self.jumped_deg = 0.0
 
     def forget(self) -> None:
         """The gyro was started (again): its silence counts from now, and the angle may have been lost."""
         self._last_sample_s = self._clock.now_s()
-        self._last_angle_deg = float("nan")
+        self._last = None
 
     def look(self, period_s: float, *, abandon: bool = False) -> tuple[TableReading, ChamberReading]:
         """Let a period pass, read the bench, heed the operator, check the interlocks.
@@ -58,18 +66,34 @@ class Lookout:
         DeviceError, InterlockError, InterruptedRunError
         """
         self._clock.sleep(period_s)
-        table = self._ask(self._bench.table.read)
+        table = self._unwrapped(self._ask(self._bench.table.read))
         chamber = self._ask(self._bench.chamber.read)
         supply_v = self._bench.supply.read_v()
         self._rows.append(BenchRow(table.t_s, table.rate_dps, table.angle_deg, chamber.temp_c, supply_v))
         self.chamber_c = chamber.temp_c
-        turned = (table.angle_deg - self._last_angle_deg) / _DEG_PER_TURN
-        self.turns_ccw += max(turned, 0.0) if turned == turned else 0.0
-        self.turns_cw += max(-turned, 0.0) if turned == turned else 0.0
-        self._last_angle_deg = table.angle_deg
         self.heed(2 if not abandon else 1)
         self._interlocks.check(table, self._ask(self._bench.table.faults), chamber, self.gyro_temp_c)
         return table, chamber
+
+    def _unwrapped(self, table: TableReading) -> TableReading:
+        """The reading with its angle unwrapped; counts turns, and jumps of an encoder that lost its place."""
+        last = self._last
+        table = replace(table, angle_deg=table.angle_deg - _DEG_PER_TURN * self._wraps)
+        if last is not None and np.isfinite(table.angle_deg - last.angle_deg):
+            led_deg = 0.5 * (last.rate_dps + table.rate_dps) * (table.t_s - last.t_s)
+            slip_deg = table.angle_deg - last.angle_deg - led_deg
+            near_deg = _JUMP_DEG + _JUMP_SHARE * abs(led_deg)
+            turns = round(slip_deg / _DEG_PER_TURN) if np.isfinite(slip_deg) else 0
+            if turns and abs(slip_deg - _DEG_PER_TURN * turns) <= near_deg:
+                self._wraps += turns
+                table = replace(table, angle_deg=table.angle_deg - _DEG_PER_TURN * turns)
+            elif abs(slip_deg) > near_deg:
+                self.jumps, self.jumped_deg = self.jumps + 1, slip_deg
+            turned = (table.angle_deg - last.angle_deg) / _DEG_PER_TURN
+            self.turns_ccw += max(turned, 0.0)
+            self.turns_cw += max(-turned, 0.0)
+        self._last = table
+        return table
 
     def heed(self, level: int) -> None:
         """End when the operator or the system asked for it with at least this level; raises InterruptedRunError."""

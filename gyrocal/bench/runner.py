@@ -410,6 +410,7 @@ class Runner:
     def _record_dwell(self, step: Step, recorder: Recorder, length_s: float) -> str:
         """Record at one rate; a rate or a chamber that leaves its window makes the data set unsettled."""
         outcome = "ok" if self._soak_outcome == "ok" else "unsettled"
+        jumps = self._lookout.jumps
         end_s = self._clock.now_s() + length_s
         while end_s - self._clock.now_s() > 1e-9:
             until_s = min(end_s, self._clock.now_s() + self._slow_drain_s)
@@ -419,6 +420,11 @@ class Runner:
                 outcome = "unsettled"
                 why = f"while recording, the table was up to {off_dps:.3g} deg/s and the chamber {off_c:.3g} °C off"
                 self._warn(step, why)
+        if self._lookout.jumps != jumps:
+            outcome = "unsettled"
+            self._warn(
+                step, f"the table's angle jumped by {self._lookout.jumped_deg:.3g} deg: it lost its place"
+            )
         return outcome
 
     def _late(self, step: Step, why: str, policy: str) -> str:

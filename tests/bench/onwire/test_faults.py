@@ -107,6 +107,11 @@ def lost_place(reading: TableReading) -> TableReading:
     return replace(reading, angle_deg=reading.angle_deg + (90.0 if reading.t_s > 30.0 else 0.0))
 
 
+def wrapped(reading: TableReading) -> TableReading:
+    """A controller that counts from 0 to 360 deg."""
+    return replace(reading, angle_deg=(reading.angle_deg + 350.0) % 360.0)
+
+
 def frozen() -> Callable[[ChamberReading], ChamberReading]:
     """A chamber that shows the same for ever."""
     last: list[ChamberReading] = []
@@ -212,7 +217,10 @@ FAULTS: dict[str, Fault] = {
         says="deg/s",
         stand={"faulty_table": {"reading": lambda r: replace(r, rate_dps=r.rate_dps * (1 + 2e-5 * r.t_s))}},
     ),
-    "table loses its place": Fault("complete", stand={"faulty_table": {"reading": lost_place}}),
+    "table loses its place": Fault(
+        "marked", says="jumped by 90 deg: it lost its place", stand={"faulty_table": {"reading": lost_place}}
+    ),
+    "table's angle wraps at 360 deg": Fault("complete", stand={"faulty_table": {"reading": wrapped}}),
     "table reports a fault": Fault(
         "ended",
         error=InterlockError,
@@ -283,6 +291,8 @@ ALWAYS = (
     "table port vanishes and returns",
     "table port vanishes for good",
     "table drifts",
+    "table loses its place",
+    "table's angle wraps at 360 deg",
     "table runs away",
     "chamber port vanishes and returns",
     "chamber freezes",
