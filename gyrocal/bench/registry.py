@@ -34,7 +34,7 @@ class Encode(Protocol):
 
 @dataclass(frozen=True)
 class GyroKind:
-    """A gyro: options, codec, and what it sends."""
+    """A gyro: options, codec, and what it sends; `at_once`: after power-up already, without the commands."""
 
     options: type[Any]
     decoder: Callable[[Any], Decoder]
@@ -42,6 +42,7 @@ class GyroKind:
     baud: int
     has_temperature: bool
     commands: tuple[bytes, ...] = ()
+    at_once: bool = True
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,7 @@ GYROS: dict[str, GyroKind] = {
         115200,
         True,
         (vn100.command("VNWRG,06,19"),),
+        at_once=False,
     ),
     "ascii-line": GyroKind(ascii_line.Options, ascii_line.AsciiLineDecoder, _encode_ascii, 115200, True),
 }

@@ -94,14 +94,15 @@ class WireGyro:
         self._failure = self._first_byte_s = self._paused = None
         self._restarts = 0
         self._queue.clear()
-        self._stop.clear()
+        # A thread that hung in its port when it was closed keeps its own, set event.
+        stop = self._stop = threading.Event()
         transport = self._transport = self._open()
         self._last_byte_s = self._clock.now_s()
         for command in self._spec.commands:
             transport.write(command)
         if self._threaded:
             self._thread = threading.Thread(
-                target=self._read, args=(transport,), name=self._spec.name, daemon=True
+                target=self._read, args=(transport, stop), name=self._spec.name, daemon=True
             )
             self._thread.start()
         deadline_s = self._clock.now_s() + self._spec.silence_s
@@ -165,14 +166,15 @@ class WireGyro:
             # A port that hangs in close must not hold up the safety actions.
             self._thread.join(timeout=1.0)
 
-    def _read(self, transport: Transport) -> None:
+    def _read(self, transport: Transport, stop: threading.Event) -> None:
         try:
-            while not self._stop.is_set():
+            while not stop.is_set():
                 data = transport.read_available(0.05)
-                if data:
+                if data and not stop.is_set():
                     self.take(self._clock.now_s(), data)
         except DeviceError as error:
-            self._failure = error
+            if not stop.is_set():
+                self._failure = error
         finally:
             transport.close()
 

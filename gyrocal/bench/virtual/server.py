@@ -59,7 +59,7 @@ class Port:
 class GyroPort:
     """The gyro's end of a line: every sample of the world becomes a message.
 
-    A gyro that takes commands streams in its power-up mode, which is none that the driver reads, until they come.
+    One whose power-up mode the driver cannot read streams in that until its commands come.
     """
 
     endpoint: Endpoint
@@ -77,7 +77,8 @@ class GyroPort:
     def serve(self, now_s: float, samples: GyroSamples) -> None:
         """Send samples as messages."""
         self._heard = (self._heard + self.endpoint.read())[-256:]
-        self._in_mode = self._in_mode or all(command in self._heard for command in self.kind.commands)
+        told = all(command in self._heard for command in self.kind.commands)
+        self._in_mode = self._in_mode or self.kind.at_once or told
         messages = []
         columns = (samples.gyro_dps, samples.gyro_temp_c, samples.status)
         for rate_dps, temp_c, status in zip(*(column.tolist() for column in columns), strict=True):
