@@ -29,6 +29,7 @@ from gyrocal.calibration.calibrate import FitConfig, calibrate
 from gyrocal.errors import DeviceError
 from gyrocal.records.run import read_run
 from tests.bench.test_resume import toml
+from tests.bench.test_runner import events
 from tests.bench.tiny import Silent, tiny
 
 #: A second a data set; a gyro without thermometer soaks by the chamber alone. The stream's times depend on the load of
@@ -229,6 +230,30 @@ def test_a_program_that_was_killed_is_carried_on_against_the_same_bench(tmp_path
         if segment.record.kind == "rate":
             assert np.mean(segment.gyro_dps) == pytest.approx(segment.record.rate_dps, abs=2.0)
     assert read_status(out).state == "complete"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_table_on_the_wire(tmp_path: Path, number: signal.Signals) -> None:
+    profile = profile_from_dict(tiny(**{**SHORT, "plan__rates_dps": [60.0], "plan__dwell_s": 20.0}), "s.toml")
+    out = tmp_path / "r"
+    with serving(profile, {"gyro": "kvh-dsp3000", "table": "zaber"}, tmp_path) as served:
+        path = profile_file(wired(profile, served), tmp_path / "wired.toml")
+        command = [sys.executable, "-m", "gyrocal", "acquire", str(path), "--out", str(out)]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+            deadline = time.monotonic() + 240.0
+            while not list(out.glob("data/0004*.part")) and time.monotonic() < deadline:
+                time.sleep(0.05)
+            process.send_signal(number)
+            assert process.stderr is not None
+            said = process.stderr.read()
+            assert process.wait(120.0) == 130, said
+        assert f"Ended by {number.name}; what was sealed is kept" in said
+        (line,) = events(out, "make_safe")
+        assert line["table_stopped"] is True
+        assert abs(line["table_rate_dps"]) < 0.05
+    assert read_status(out).state == "stopped"
 
 
 def with_lines(profile: Profile, lines: list[str], path: Path) -> Path:
