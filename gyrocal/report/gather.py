@@ -16,6 +16,7 @@ from gyrocal.calibration.fit import ALL_TERMS, BIAS_TERMS, fit_surface
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
 from gyrocal.calibration.provenance import check_sensor, refuse_compensated
 from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
+from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.report.data import Examined, Floats, Timeline, read_course
@@ -84,7 +85,13 @@ def gather(
     progress(0.1, "correcting")
     corrected, timeline, more = _corrected(recording, sets, coefficients)
     progress(0.2, "scatter and outliers")
-    fit = fit_surface(sets, "gls", BIAS_TERMS if one_rate else ALL_TERMS, recording.rest)
+    terms = BIAS_TERMS if one_rate else ALL_TERMS
+    if len(sets) <= np.count_nonzero(terms):
+        raise DataError(
+            f"{source}: holds {len(sets)} data sets, too few to judge {np.count_nonzero(terms)} terms by. "
+            "Report the recording that the coefficients were fitted to, or record more rates and temperatures."
+        )
+    fit = fit_surface(sets, "gls", terms, recording.rest)
     reasons = _reasons(sets, fit.scatter)
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True

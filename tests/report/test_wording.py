@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.report.build import plain_text
+from gyrocal.report.gather import gather
 from gyrocal.report.tables import coefficient_table
 
 
@@ -30,3 +34,12 @@ def test_the_formula_has_no_double_sign(center: float, said: str) -> None:
 )
 def test_provenance_reads_as_words(value: object, said: str) -> None:
     assert plain_text(value) == said
+
+
+def test_too_few_data_sets_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    surface = Surface(np.zeros(SHAPE), 0.0, 100.0, 20.0, 30.0)
+    made = Coefficients({"model": "m"}, surface, np.zeros((12, 12)), Valid((-100.0, 100.0), (0.0, 40.0)))
+    (tmp_path / "c.json").write_text(made.to_text(), encoding="utf-8")
+    (tmp_path / "t.csv").write_text("rate_dps,gyro_dps,temp_c\n0,0.1,20\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"t\.csv: holds 1 data sets, too few to judge 3 terms by"):
+        gather(tmp_path / "t.csv", tmp_path / "c.json", None, False, lambda share, what: None)
