@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
+import signal
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,9 +185,10 @@ def monte_carlo(
     """
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(experiments, dtype=np.uint32)]
     rows = []
-    for row in _map(partial(experiment, world), seeds, workers or cores()):
-        rows.append(row)
-        report(len(rows))
+    with closing(_map(partial(experiment, world), seeds, workers or cores())) as found:
+        for row in found:
+            rows.append(row)
+            report(len(rows))
     errors = np.array(rows)
     return MonteCarlo(world, seed, errors[:, 0], errors[:, 1])
 
@@ -195,11 +200,24 @@ def cores() -> int:
 
 def _map(
     function: Callable[[int], tuple[list[float], list[float]]], seeds: Sequence[int], workers: int
-) -> Iterator[tuple[list[float], list[float]]]:
+) -> Generator[tuple[list[float], list[float]], None, None]:
     if workers == 1:
         yield from map(function, seeds)
         return
     # Fresh processes: a fork would copy the locks of numba's and BLAS's threads.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(seeds)), mp_context=context) as pool:
+    ended, alive = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(min(workers, len(seeds)), context, _end_with_parent, (ended,))
+    with pool, alive:
         yield from pool.map(function, seeds, chunksize=4)
+
+
+def _end_with_parent(ended: Connection) -> None:
+    """Let this process end when its parent closes the other end of the pipe or dies, whatever it was killed by."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends the others
+    Thread(target=_end_at, args=(ended,), daemon=True).start()
+
+
+def _end_at(ended: Connection) -> None:
+    ended.poll(None)
+    os._exit(1)

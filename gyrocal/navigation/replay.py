@@ -223,6 +223,11 @@ def _head(source: DriveSource, static_s: float, notes: list[str]) -> DriveBlock 
     return join(parts)
 
 
+def _held(values: Floats) -> Floats:
+    """The last finite value in the place of those that are not, as the navigator does with a missing temperature."""
+    return values[np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))]
+
+
 def _biases(
     source: DriveSource,
     robot: Robot,
@@ -241,7 +246,7 @@ def _biases(
         rate = head.gyro_dps
         if calibrated and coefficients is not None:
             since_s = None if power_on_t_s is None else head.t_s - power_on_t_s
-            rate = Compensator(coefficients).correct(head.t_s, rate, head.gyro_temp_c, since_s)
+            rate = Compensator(coefficients).correct(head.t_s, rate, _held(head.gyro_temp_c), since_s)
         try:
             biases[calibrated] = static_bias(head.t_s, head.left_m, head.right_m, rate, robot.static_s)
         except DataError as error:

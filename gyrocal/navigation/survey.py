@@ -33,6 +33,8 @@ _MAX_BAD_SHARE = 0.05
 #: A gyro with coarse bits repeats itself by chance: 5 equal rows at the extreme came up once in 4,000 sound logs.
 _SATURATED_ROWS = 10
 _STUCK_S = 2.0
+#: Wheels that roll less than this over a window stand.
+_STILL_M = 1e-3
 #: The usual time step is the median of this many; as many of the longest are looked at for gaps.
 _STEPS = 10_000
 
@@ -262,9 +264,22 @@ def _check_stuck(found: Survey, separation_m: float) -> None:
     if found.longest_same_s > _STUCK_S and found.longest_same_s > 0.25 * found.duration_s:
         msg = f"{name}: gyro_dps does not change for {found.longest_same_s:.0f} s of {found.duration_s:.0f} s; the gyro is stuck. Check its cable."
         raise DataError(msg)
+    _check_both_encoders(found)
     worst_dps = max(abs(v) for v in found.gyro_dps)
     if found.longest_extreme >= _SATURATED_ROWS and worst_dps > 10.0:
         msg = f"{name}: gyro_dps stays at its extreme ({found.gyro_dps[0]:g} or {found.gyro_dps[1]:g} deg/s) for {found.longest_extreme} rows in a row; it is saturated. Drive slower turns or use a gyro of a wider range."
+        raise DataError(msg)
+
+
+def _check_both_encoders(found: Survey) -> None:
+    """Encoders that both stop while the gyro still turns; each alone would show in the turns."""
+    moved_m = sliding(found, np.abs(found.left_m) + np.abs(found.right_m), WINDOW_S)
+    gyro = sliding(found, found.gyro_deg, WINDOW_S)
+    # Neither a bias (which the median has) nor a circle (which the median is) may look like a turn at rest.
+    turned = np.minimum(np.abs(gyro), np.abs(gyro - np.median(gyro)))[moved_m < _STILL_M]
+    worst_deg = float(turned.max(initial=0.0))
+    if worst_deg > MIN_TURN_DEG:
+        msg = f"{found.source}: the gyro turns {worst_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
         raise DataError(msg)
 
 

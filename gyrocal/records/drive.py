@@ -210,6 +210,8 @@ def _steps(
         return values
     known = np.flatnonzero(np.isfinite(values))
     steps = np.zeros(values.shape)
+    if np.isnan(counters[side]):  # never told: missing, not standing
+        steps[: known[0] if known.size else None] = np.nan
     if known.size:
         first = values[known[0]] if np.isnan(counters[side]) else counters[side]
         # A counter that misses a row tells the whole distance at the next one: nothing is lost.

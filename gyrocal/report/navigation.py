@@ -26,6 +26,7 @@ from gyrocal.records.drive import iterate_drive_log
 from gyrocal.records.files import make_output_directory, write_atomically
 from gyrocal.records.robot import Robot, read_robot
 from gyrocal.report.navigation_figures import (
+    bars_caption,
     draw_bars,
     draw_errors,
     draw_innovations,
@@ -191,6 +192,10 @@ def _remarks(
     found += [f"Alignment with truth by {METHODS[m]}." for m in sorted(methods)]
     if coefficients is None:
         found.append("No coefficient file was given: only the conditions without calibration.")
+    else:
+        found.append(
+            f"Calibration of {_sensor(coefficients)}; a log does not say which gyro it is of, so see that it is this one."
+        )
     if robot.defaulted:
         found.append(
             "The robot file does not give, and defaults stand for: " + ", ".join(robot.defaulted) + "."
@@ -209,6 +214,12 @@ def _remarks(
             f"{note} ({', '.join(names) if len(names) < len(replays) or len(names) == 1 else 'all logs'})."
         )
     return tuple(found)
+
+
+def _sensor(coefficients: Coefficients) -> str:
+    """Model and serial number of the calibrated gyro, as far as the file knows them."""
+    known = (str(coefficients.sensor.get(key) or f"unknown {key}") for key in ("model", "serial"))
+    return ", ".join(known)
 
 
 def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
@@ -292,9 +303,7 @@ def draw_figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Pictu
         )
     ]
     if table.measure != "none":
-        caption = (
-            f"{MEASURES[table.measure].capitalize()} of every run, logarithmic; dashed: mean of the block."
-        )
+        caption = f"{MEASURES[table.measure].capitalize()} of every run{bars_caption(table)}."
         result.append((Picture("table", "Errors of all runs", caption), draw_bars(table)))
     for replay in shown(replays):
         name = replay.name
@@ -353,7 +362,7 @@ def _page(
         "software": f"gyrocal {gyrocal.__version__}",
         "logs": ", ".join(r.name for r in replays),
         "robot file": robot.source.name,
-        "calibration": str(coefficients.sensor.get("model")) if coefficients else "none",
+        "calibration": _sensor(coefficients) if coefficients else "none",
     }
     return Page("Dead reckoning", verdict(table), key, remarks, pictures, tables, provenance)
 

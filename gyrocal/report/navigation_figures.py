@@ -7,16 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from gyrocal.fusion import STATES
-from gyrocal.navigation.replay import CONDITIONS, LogReplay, Track
-from gyrocal.navigation.table import DIRECTIONS, MEASURES, Table
+from gyrocal.navigation.replay import CONDITIONS, Condition, LogReplay, Track
+from gyrocal.navigation.table import DIRECTIONS, MEASURES, Row, Table
 from gyrocal.report.style import (
     BLUE,
     GREEN,
     GREY,
     INK,
+    MARKERS,
     ORANGE,
     SKY,
     TWO_COLUMNS_IN,
@@ -30,6 +32,8 @@ COLOURS = dict(zip((c.id for c in CONDITIONS), (ORANGE, GREEN, SKY, BLUE), stric
 _CW, _CCW = ORANGE, BLUE
 #: Points of a curve that a figure can show; more only make the SVG heavy.
 _POINTS = 700
+#: Errors that differ by more than this do not fit bars on one linear axis: the smallest would be thinner than a line.
+_BAR_RANGE = 50.0
 
 #: The constants among the nine states: index, label, factor to the label's unit.
 PARAMETERS = (
@@ -56,6 +60,7 @@ def draw_trajectories(replays: Sequence[LogReplay], table: Table) -> Figure:
     present = [c for c in CONDITIONS if any(r.track(c.id) for r in replays)]
     columns = min(len(present), 4)
     figure = new_figure(TWO_COLUMNS_IN, 3.2 if columns > 2 else 4.0)
+    figure.set_layout_engine("compressed")  # panels of equal scale would stand far apart
     panels = figure.subplots(1, columns, sharex=True, sharey=True, squeeze=False)[0]
     for axes, condition in zip(panels, present, strict=True):
         for replay in replays:
@@ -207,29 +212,58 @@ def draw_states(replay: LogReplay) -> Figure:
 
 @styled
 def draw_bars(table: Table) -> Figure:
-    """Table II as bars: every run, the mean of each block as a line."""
+    """Table II as bars from zero, or as dots on a logarithmic axis where bars would vanish; dashed: block means."""
     blocks = [m for m in table.means if m.direction != "all"]
     present = [c for c in CONDITIONS if any(np.isfinite(r.errors_m[c.id]) for r in table.rows)]
     figure = new_figure(TWO_COLUMNS_IN, 2.6)
-    panels = figure.subplots(1, len(blocks), sharey=True, squeeze=False)[0]
-    width = 0.8 / max(len(present), 1)
+    runs = {m.direction: [r for r in table.rows if r.direction == m.direction] for m in blocks}
+    shares = [max(len(runs[m.direction]), 2) for m in blocks]
+    panels = figure.subplots(1, len(blocks), sharey=True, squeeze=False, width_ratios=shares)[0]
+    logarithmic = bars_vanish(table)
     for axes, mean in zip(panels, blocks, strict=True):
-        runs = [r for r in table.rows if r.direction == mean.direction]
-        for k, condition in enumerate(present):
-            at = np.arange(len(runs)) + (k - 0.5 * (len(present) - 1)) * width
-            colour = COLOURS[condition.id]
-            axes.bar(
-                at, [100 * r.errors_m[condition.id] for r in runs], width, color=colour, label=condition.label
-            )
-            level = 100 * mean.errors_m[condition.id]
-            axes.axhline(level, color=colour, linewidth=0.8, linestyle="--")
-        axes.set_yscale("log")
-        axes.set_xticks(np.arange(len(runs)), [r.name for r in runs])
-        axes.set_title(DIRECTIONS[mean.direction])
-        axes.grid(visible=False, axis="x")
+        _draw_block(axes, runs[mean.direction], mean, present, logarithmic)
+    if logarithmic:
+        panels[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        panels[0].yaxis.set_minor_locator(NullLocator())
     panels[0].set_ylabel(f"{MEASURES[table.measure].split(',')[0]}, cm")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
+
+
+def bars_vanish(table: Table) -> bool:
+    """Whether the errors of a table span so much that the smallest would not be seen as bars from zero."""
+    errors = np.array([e for r in table.rows for e in r.errors_m.values() if np.isfinite(e) and e > 0.0])
+    return bool(errors.size and errors.max() > _BAR_RANGE * errors.min())
+
+
+def bars_caption(table: Table) -> str:
+    """What a caption must say of `draw_bars` of this table."""
+    directions = [r.direction for r in table.rows]
+    lines = "; dashed: mean of the block" if len(directions) > len(set(directions)) else ""
+    return (", on a logarithmic axis" if bars_vanish(table) else "") + lines
+
+
+def _draw_block(
+    axes: Axes, runs: Sequence[Row], mean: Row, present: Sequence[Condition], logarithmic: bool
+) -> None:
+    width = 0.8 / max(len(present), 1)
+    for k, condition in enumerate(present):
+        at = np.arange(len(runs)) + (k - 0.5 * (len(present) - 1)) * width
+        errors_cm = [100.0 * r.errors_m[condition.id] for r in runs]
+        colour = COLOURS[condition.id]
+        if logarithmic:
+            axes.plot(at, errors_cm, MARKERS[k], color=colour, markersize=4, label=condition.label)
+        else:
+            axes.bar(at, errors_cm, width, color=colour, label=condition.label)
+        if len(runs) > 1:
+            axes.axhline(100.0 * mean.errors_m[condition.id], color=colour, linewidth=0.8, linestyle="--")
+    if logarithmic:
+        axes.set_yscale("log")
+    axes.set_xticks(np.arange(len(runs)), [r.name for r in runs])
+    axes.set_xlim(-0.7, len(runs) - 0.3)
+    axes.set_title(DIRECTIONS[mean.direction])
+    axes.grid(visible=False, axis="x")
 
 
 def state_names() -> tuple[str, ...]:

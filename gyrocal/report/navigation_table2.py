@@ -35,7 +35,7 @@ from gyrocal.navigation.simulate import draw_day
 from gyrocal.navigation.table import HEADINGS, Table, make_table
 from gyrocal.records.files import make_output_directory, write_atomically
 from gyrocal.report.navigation import Report
-from gyrocal.report.navigation_figures import draw_bars
+from gyrocal.report.navigation_figures import bars_caption, draw_bars
 from gyrocal.report.page import Page, Picture, render_page
 from gyrocal.report.page import Table as PageTable
 from gyrocal.report.style import BLUE, GREY, ORANGE, TWO_COLUMNS_IN, new_figure, render, styled
@@ -257,7 +257,9 @@ def _what_if_table(runs: Mapping[str, MonteCarlo]) -> PageTable:
         factors = [_quantiles(v) for v in mc.factors().values()]
         rows.append((name, *(_span(q) for q in errors), *(_span(q) for q in factors)))
         csv.append(",".join([f'"{name}"', str(mc.all_m.shape[0]), *(f"{v:.4g}" for q in errors for v in q)]))
-    note = "Median of the mean over ten runs (5 % to 95 % of experiments). One physical input is changed at a time; nothing is tuned."
+    counts = [mc.all_m.shape[0] for mc in runs.values()]
+    others = f", each other row {counts[1]}" if len(counts) > 1 else ""
+    note = f"Median of the mean over ten runs (5 % to 95 % of experiments; the first simulated row has {counts[0]}{others}). Each row changes what it names; nothing is tuned."
     return PageTable(
         "what_if",
         "Which physical input would give the paper's factors",
@@ -319,7 +321,7 @@ def _figures(table: Table, main: MonteCarlo) -> list[tuple[Picture, Figure]]:
             Picture(
                 "table2",
                 "Table II of one experiment",
-                "Return position error of every run, logarithmic; dashed: mean of the block.",
+                f"Return position error of every run{bars_caption(table)}.",
             ),
             draw_bars(table),
         ),
@@ -332,7 +334,8 @@ def draw_factors(main: MonteCarlo) -> Figure:
     figure = new_figure(TWO_COLUMNS_IN, 2.4)
     panels = figure.subplots(1, 3)
     for axes, (name, values) in zip(panels, main.factors().items(), strict=True):
-        edges = np.geomspace(values.min() * 0.98, values.max() * 1.02, 32)
+        bins = max(6, round(2.0 * values.size ** (1 / 3)))  # Rice's rule
+        edges = np.geomspace(values.min() * 0.98, values.max() * 1.02, bins + 1)
         axes.hist(values, bins=edges, color=BLUE)
         axes.axvline(float(np.median(values)), color=GREY, linewidth=1.2, linestyle="--", label="median")
         axes.axvline(PAPER_FACTORS[name], color=ORANGE, linewidth=1.4, label="paper")

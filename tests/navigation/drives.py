@@ -73,6 +73,13 @@ BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         _with(left_m=lambda b: np.zeros(len(b)), right_m=lambda b: np.zeros(len(b))),
         "the encoders move 0 m in all: the robot stood, or both are stuck.",
     ),
+    "both encoders stick half-way": (
+        _with(
+            left_m=lambda b: np.where(b.t_s > 80, 0.0, b.left_m),
+            right_m=lambda b: np.where(b.t_s > 80, 0.0, b.right_m),
+        ),
+        "s in which neither encoder moves; both are stuck",
+    ),
     "left encoder stuck": (
         _with(left_m=lambda b: np.zeros(len(b))),
         "the left encoder moves 0 m while the other moves",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +33,32 @@ def test_the_processes_do_not_change_the_result() -> None:
     assert said == [1, 2, 3, 1, 2, 3]
     assert set(alone.factors()) == set(FACTORS)
     assert cores() >= 1
+
+
+#: Says when its two processes are at work on something long.
+LONG = """
+import multiprocessing, threading, time
+from gyrocal.navigation import montecarlo
+def say():
+    while len(multiprocessing.active_children()) < 2:
+        time.sleep(0.05)
+    print("at work", flush=True)
+threading.Thread(target=say, daemon=True).start()
+list(montecarlo._map(time.sleep, [600] * 8, 2))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_no_process_outlives_its_parent(number: signal.Signals) -> None:
+    parent = subprocess.Popen(
+        [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == "at work\n"
+    parent.send_signal(number)
+    # The processes share this pipe: it ends when the last of them has ended.
+    assert parent.communicate(timeout=60)[0] == ""
+    assert parent.returncode != 0
 
 
 def test_calibrated_units_are_right_to_their_standard_errors() -> None:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gyrocal.navigation.replay import LogReplay, replay_log
-from gyrocal.navigation.table import make_table
+from gyrocal.navigation.replay import CONDITIONS, LogReplay, replay_log
+from gyrocal.navigation.table import make_table, table_of
 from gyrocal.report import navigation as module
 from gyrocal.report.navigation import build, shown, verdict
-from gyrocal.report.navigation_figures import draw_errors, draw_innovations, draw_states, draw_trajectories
+from gyrocal.report.navigation_figures import (
+    bars_caption,
+    draw_bars,
+    draw_errors,
+    draw_innovations,
+    draw_states,
+    draw_trajectories,
+)
 from tests.navigation.drives import both_ways, calibration, drive, robot, source
 
 
@@ -45,6 +53,7 @@ def test_files_and_summary(replays: list[LogReplay], monkeypatch: pytest.MonkeyP
     end_m = np.hypot(last["calibrated_x_m"] - last["truth_x_m"], last["calibrated_y_m"] - last["truth_y_m"])
     assert end_m == pytest.approx(log["conditions"]["calibrated"]["position_error_m"]["end"], abs=2e-4)
     page = result.files["replay.html"].decode()
+    assert any(r.startswith("Calibration of KVH") for r in result.remarks)
     assert "Table II of these runs" in page
     assert "cw1, calibration, filter: The log sees" in page
 
@@ -54,6 +63,20 @@ def test_the_verdict_says_sizes_and_factors(replays: list[LogReplay]) -> None:
     assert text.startswith("Mean return position error of 2 logs: ")
     assert "cm (calibration, filter)" in text
     assert "by both." in text
+
+
+def test_bars_stand_on_zero_and_a_logarithmic_axis_has_dots(replays: list[LogReplay]) -> None:
+    table = make_table(replays)
+    spread = {c.id: 10.0 ** (-k) for k, c in enumerate(CONDITIONS)}
+    near = {c.id: 1.0 + 0.1 * k for k, c in enumerate(CONDITIONS)}
+    rows = [replace(r, errors_m=near) for r in table.rows]
+    bars = draw_bars(table_of(rows, "return")).axes
+    assert [(a.get_yscale(), len(a.patches), a.get_ylim()[0]) for a in bars] == [("linear", 4, 0.0)] * 2
+    assert bars_caption(table_of(rows, "return")) == ""
+    wide = table_of([replace(r, errors_m=spread) for r in [*rows, *rows]], "return")
+    dots = draw_bars(wide).axes
+    assert [(a.get_yscale(), len(a.patches), len(a.lines)) for a in dots] == [("log", 0, 8)] * 2
+    assert bars_caption(wide) == ", on a logarithmic axis; dashed: mean of the block"
 
 
 def test_figures_show_what_they_say(replays: list[LogReplay]) -> None:

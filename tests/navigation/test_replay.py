@@ -99,6 +99,22 @@ def test_without_temperature_the_calibration_is_not_used_and_it_is_said() -> Non
     )
 
 
+def test_a_temperature_at_every_tenth_row_serves_the_rows_between() -> None:
+    log = drive()
+    sparse = replace(log, gyro_temp_c=np.where(np.arange(len(log)) % 10 == 0, log.gyro_temp_c, np.nan))
+    every, tenth = (
+        replay_log(source(b), robot(), calibration()).track("calibrated_filter") for b in (log, sparse)
+    )
+    assert every is not None
+    assert tenth is not None
+    assert every.bias is not None
+    assert tenth.bias is not None
+    assert every.bias.n == tenth.bias.n
+    assert tenth.bias.bias_dps == pytest.approx(every.bias.bias_dps, abs=1e-4)
+    assert np.hypot(tenth.x_m[-1] - every.x_m[-1], tenth.y_m[-1] - every.y_m[-1]) < 0.02
+    assert tenth.counts.no_temperature == np.count_nonzero(np.isnan(sparse.gyro_temp_c))
+
+
 def test_without_rest_the_replay_goes_on_and_it_is_said() -> None:
     found = replay_log(source(drive()), replace(robot(), static_s=0.0), calibration())
     assert all(t.bias is None for t in found.tracks)

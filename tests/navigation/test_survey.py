@@ -109,3 +109,14 @@ def test_the_ratio_of_turns_is_that_of_the_separations() -> None:
     assert found.ratio == pytest.approx(0.75 / 0.6, rel=1e-6)
     assert found.effective_separation_m == pytest.approx(0.75, rel=1e-6)
     assert found.offset_dps == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_circling_robot_that_stops_is_not_one_whose_encoders_stick() -> None:
+    rows = 1800
+    t_s = 0.1 * np.arange(rows, dtype=np.float64)
+    turning = (t_s < 120.0) | (t_s > 140.0)
+    gyro = np.where(turning, 15.0, 0.0) + np.random.default_rng(1).normal(0.0, 0.1, rows) + 0.5
+    side, half = np.where(turning, 0.1, 0.0), np.where(turning, 0.5 * 0.6 * np.radians(1.5), 0.0)
+    nothing = np.full(rows, np.nan)
+    log = DriveBlock(2, t_s, side - half, side + half, gyro, nothing, nothing, nothing, nothing)
+    check(survey("log", [log]), 0.6)

@@ -144,3 +144,14 @@ def test_memory_is_bounded_by_the_block(tmp_path: Path) -> None:
     assert seen == rows
     # The eight columns whole would take 45 MB, and their parsing as much again.
     assert peak_bytes < 30e6
+
+
+def test_a_counter_that_has_not_begun_is_missing_not_standing(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = [f"{0.1 * k:.1f},{'' if k < 3 else 10 * k},," + "0.0,20.0\n" for k in range(6)]
+    path.write_text("t_s,left_ticks,right_ticks,gyro_dps,gyro_temp_c\n" + "".join(rows))
+    for chunk_rows in (2, 100):
+        blocks = list(iterate_drive_log(path, (0.01, 0.01), chunk_rows=chunk_rows))
+        left = np.concatenate([b.left_m for b in blocks])
+        np.testing.assert_allclose(left, [np.nan] * 3 + [0.0, 0.1, 0.1])
+        assert np.isnan(np.concatenate([b.right_m for b in blocks])).all()
