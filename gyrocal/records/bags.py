@@ -124,6 +124,9 @@ def _row(path: Path, purpose: str, msgtype: str, message: Any, stamp_ns: int) ->
     if purpose == "temperature":
         return t_s, message.temperature
     if msgtype.endswith("JointState"):
+        if len(message.position) != len(message.name):
+            msg = f"{path}: a JointState has {len(message.name)} joints and {len(message.position)} positions; wheel angles are needed."
+            raise InputError(msg)
         sides = [
             [p for name, p in zip(message.name, message.position, strict=True) if side in name.lower()]
             for side in ("left", "right")
@@ -139,6 +142,8 @@ def _row(path: Path, purpose: str, msgtype: str, message: Any, stamp_ns: int) ->
 
 
 def _in_order(path: Path, purpose: str, rows: list[tuple[float, ...]]) -> Floats:
+    if not rows:
+        raise InputError(f"{path}: the topic of {purpose} holds no message. Check what was recorded.")
     table = np.array(rows, dtype=np.float64)
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if back.size:

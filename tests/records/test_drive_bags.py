@@ -232,3 +232,27 @@ def test_replay_takes_a_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     radius, turned = SPEED_MPS / TURN_RADPS, TURN_RADPS * log["duration_s"]
     assert last["uncalibrated_x_m"] == pytest.approx(radius * np.sin(turned), abs=0.05)
     assert last["uncalibrated_y_m"] == pytest.approx(radius * (1 - np.cos(turned)), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "message"),
+    [
+        ("nav_msgs/msg/Odometry", "the topic of wheels holds no message. Check what was recorded."),
+        ("sensor_msgs/msg/JointState", "a JointState has 2 joints and 0 positions; wheel angles are needed."),
+    ],
+)
+def test_a_topic_that_tells_nothing_of_the_wheels_is_refused(
+    tmp_path: Path, wheels: str, message: str
+) -> None:
+    m = Messages(STORE1, True)
+    types = {"/imu": "sensor_msgs/msg/Imu", "/wheels": wheels}
+    with Writer1(tmp_path / "a.bag") as writer:
+        connections = {t: writer.add_connection(t, kind, typestore=STORE1) for t, kind in types.items()}
+        messages = {"/imu": m.imu(1.0)}
+        if "JointState" in wheels:
+            messages["/wheels"] = m.joints(1.0, ("left", "right"))
+            messages["/wheels"].position = np.array([])
+        for topic, value in messages.items():
+            writer.write(connections[topic], 10**9, STORE1.serialize_ros1(value, types[topic]))
+    with pytest.raises(InputError, match=message):
+        read_bag(tmp_path / "a.bag", WHEELS)
