@@ -308,7 +308,9 @@ def draw_figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Pictu
     for replay in shown(replays):
         name = replay.name
         if any(t.alignment for t in replay.tracks):
-            caption = "Error against truth. Grey: two standard deviations, as the filter itself states them."
+            caption = "Error against truth. Grey: two standard deviations, as the filter itself states them from its start."
+            if any(t.alignment and t.alignment.method == "positions" for t in replay.tracks):
+                caption += " The error is what the fit of rotation and shift to the truth leaves: not of the same frame."
             result.append((Picture(f"errors_{name}", f"Errors of {name}", caption), draw_errors(replay)))
         caption = (
             "Encoder heading minus gyro heading before each update (eq. 13); black: two standard deviations."

@@ -92,3 +92,11 @@ def test_figures_show_what_they_say(replays: list[LogReplay]) -> None:
     states = draw_states(replays[0])
     # Without calibration five constants, with it four: the gyro's scale is not estimated.
     assert [len(axes.lines) for axes in states.axes] == [2, 2, 2, 1, 2]
+
+
+def test_a_caption_says_that_fitted_errors_are_of_another_frame(replays: list[LogReplay]) -> None:
+    fitted = replay_log(source(drive(), name="fitted"), robot(), method="positions")
+    for replay, said in ((replays[0], False), (fitted, True)):
+        figures = module.draw_figures([replay], make_table([replay]))
+        (caption,) = [p.caption for p, _ in figures if p.name.startswith("errors_")]
+        assert ("not of the same frame" in caption) == said
