@@ -275,6 +275,7 @@ def _figures(c: Calibration) -> dict[str, Any]:
             "error_after_rms_dps_equal_weights": c.ols_dps,
             "sample_noise_floor_dps": c.sample_floor_dps,
             "condition": c.fit.condition,
+            "half_width_95_dps": c.fit.half_width_dps().tolist(),
             "left_out_rms_dps": {v.left_out: v.rms_dps for v in c.cross_validation},
             "left_out_rms_dps_equal_weights": {v.left_out: v.rms_dps for v in c.cross_validation_ols},
             "outliers": [o.segment for o in c.outliers],

@@ -24,6 +24,12 @@ from gyrocal.units import DPS_TO_DPH
 
 #: Half width of a 95 % interval in standard deviations of a normal distribution.
 _Z95 = 1.959964
+#: What the intervals of the coefficients are, by whether the file states none.
+_INTERVALS = {
+    False: "Intervals are those of the fit: Student's t with the degrees of freedom that each coefficient has.",
+    True: "The file states no intervals; these are ± 1.96 standard errors, too narrow where the scatter was estimated "
+    "from few data sets.",
+}
 
 _NOISE_NAMES = {
     "angle_random_walk_deg_per_rt_h": ("Angle random walk", "deg/√h"),
@@ -53,11 +59,13 @@ def _less(value: float) -> str:
 
 
 def coefficient_table(coefficients: Coefficients) -> Table:
-    """The twelve coefficients with standard errors and 95 % intervals."""
+    """The twelve coefficients with standard errors and 95 % intervals: those of `fit` where the file has them."""
     value = coefficients.surface.coefficients_dps.ravel()
     sigma = np.sqrt(np.maximum(np.diag(coefficients.covariance_dps2), 0.0))
     i, j = (index.ravel() for index in np.indices(SHAPE))
-    low, high = value - _Z95 * sigma, value + _Z95 * sigma
+    stated = coefficients.figures.get("fit", {}).get("half_width_95_dps")
+    half = _Z95 * sigma if stated is None else np.asarray(stated, dtype=np.float64).ravel()
+    low, high = value - half, value + half
     rows = [
         (f"c{a}{b}", f"{v:+.7f}", f"{s:.7f}", f"{lo:+.7f} to {hi:+.7f}")
         for a, b, v, s, lo, hi in zip(i, j, value, sigma, low, high, strict=True)
@@ -65,7 +73,7 @@ def coefficient_table(coefficients: Coefficients) -> Table:
     surface = coefficients.surface
     note = (
         f"error = Σ cᵢⱼ uⁱ vʲ, u = (gyro {_less(surface.rate_center_dps)} deg/s) / {surface.rate_scale_dps:.6g} deg/s, "
-        f"v = (temperature {_less(surface.temp_center_c)} °C) / {surface.temp_scale_c:.6g} °C; corrected = gyro − error."
+        f"v = (temperature {_less(surface.temp_center_c)} °C) / {surface.temp_scale_c:.6g} °C; corrected = gyro − error. {_INTERVALS[stated is None]}"
     )
     text = csv_text(
         {"i": i, "j": j, "value_dps": value, "std_dps": sigma, "low_95_dps": low, "high_95_dps": high}

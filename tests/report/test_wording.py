@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,3 +44,17 @@ def test_too_few_data_sets_are_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("rate_dps,gyro_dps,temp_c\n0,0.1,20\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"t\.csv: holds 1 data sets, too few to judge 3 terms by"):
         gather(tmp_path / "t.csv", tmp_path / "c.json", None, False, lambda share, what: None)
+
+
+def test_intervals_of_coefficients_are_those_of_the_fit(tmp_path: Path) -> None:
+    surface = Surface(np.full(SHAPE, 1.0), 0.0, 100.0, 20.0, 30.0)
+    made = Coefficients({"model": "m"}, surface, np.eye(12), Valid((-100.0, 100.0), (0.0, 40.0)))
+    half = np.arange(12.0).reshape(SHAPE) + 3.8
+    stated = replace(made, figures={"fit": {"half_width_95_dps": half.tolist()}})
+    for coefficients, wanted in ((stated, half.ravel()), (made, np.full(12, 1.959964))):
+        (tmp_path / "c.csv").write_text(coefficient_table(coefficients).csv)
+        table = np.genfromtxt(tmp_path / "c.csv", delimiter=",", names=True)
+        np.testing.assert_allclose(table["high_95_dps"] - 1.0, wanted)
+        np.testing.assert_allclose(1.0 - table["low_95_dps"], wanted)
+    assert "those of the fit" in coefficient_table(stated).note
+    assert "states no intervals" in coefficient_table(made).note
