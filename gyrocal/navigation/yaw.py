@@ -98,8 +98,8 @@ def compare_yaw(found: Survey, wheel_separation_m: float) -> YawComparison:
 
 def _moments(x: Floats, y: Floats) -> Floats:
     """Sums of 1, x, y, xx, yy, xy over consecutive blocks, shape (6, blocks)."""
-    rows = np.stack([np.ones_like(x), x, y, x * x, y * y, x * y])
-    return np.stack([part.sum(axis=1) for part in np.array_split(rows, _BLOCKS, axis=1)], axis=1)
+    parts = zip(np.array_split(x, _BLOCKS), np.array_split(y, _BLOCKS), strict=True)
+    return np.array([[p.size, p.sum(), q.sum(), p @ p, q @ q, p @ q] for p, q in parts]).T
 
 
 def _centred(moments: Floats) -> tuple[Floats, Floats, Floats]:
