@@ -236,6 +236,16 @@ class Profile:
         text = json.dumps(self.raw, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is allowed, and may still not be what was meant."""
+        if self.plan.rates_dps:
+            return ()
+        return (
+            f"{self.source}: plan.rates_dps is empty, so that no data set is at rate; such a run carries a bias and its "
+            "noise, and no scale factor",
+        )
+
     def with_seed(self, seed: int) -> Profile:
         """The same profile with another seed of the virtual bench's noise."""
         virtual = {**self.raw.get("virtual", {}), "seed": seed}

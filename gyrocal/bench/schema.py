@@ -48,7 +48,7 @@ def read_table(cls: type[T], table: Any, source: str, path: str = "") -> T:
     Raises
     ------
     ProfileError
-        An unknown or missing key, a wrong type, or a value out of its range.
+        An unknown or missing key, a wrong type, an empty text, or a value out of its range.
     """
     if not isinstance(table, Mapping):
         refuse(source, path, table, "a table of keys")
@@ -62,6 +62,8 @@ def read_table(cls: type[T], table: Any, source: str, path: str = "") -> T:
     for name, field in fields.items():
         if name in table:
             values[name] = _value(hints[name], table[name], field.metadata, source, prefix + name)
+            if values[name] == "" and field.default != "":
+                refuse(source, prefix + name, "", "a text that is not empty")
         elif field.default is _MISSING and field.default_factory is _MISSING:
             msg = f"{source}: {prefix}{name} is missing; it wants {_allowed(hints[name], field.metadata)}."
             raise ProfileError(msg)

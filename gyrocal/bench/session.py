@@ -126,6 +126,8 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
             profile, simulate=config.simulate, prompt=config.prompt, raw=config.raw
         )
         plan = plan_of(profile, bench)
+        for note in profile.notes:
+            watch.say(f"Note: {note}.")
         with create_run(config.out, _head(profile, bench)) as writer, _capturing(capture, config.out, watch):
             runner = Runner(bench, clock, profile, plan, writer, requests, watch)
             return runner.run("start", steps=len(plan.steps), expected_s=round(plan.expected_s, 3))

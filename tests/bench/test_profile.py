@@ -71,6 +71,9 @@ BAD: list[tuple[dict[str, Any], str]] = [
         {"plan__static_at_c": [20.0]},
         "p.toml: plan.static_s is 0.0, and allowed is more than 0 s where plan.static_at_c is given.",
     ),
+    ({"sensor__model": ""}, 'p.toml: sensor.model is "", and allowed is a text that is not empty.'),
+    ({"sensor__serial": ""}, 'p.toml: sensor.serial is "", and allowed is a text that is not empty.'),
+    ({"title": ""}, 'p.toml: title is "", and allowed is a text that is not empty.'),
     ({"plan__ramp_rates_dps": []}, "p.toml: plan.ramp_rates_dps is [], and allowed is at least one rate; [0] keeps the table at rest."),
     ({"soak__deadline_s": 20.0}, "p.toml: soak.deadline_s is 20.0, and allowed is more than soak.time_s (20 s)."),
     ({"soak__slope_over_s": 60.0}, "p.toml: soak.slope_over_s is 60.0, and allowed is at most soak.time_s (20 s)."),
@@ -154,6 +157,12 @@ def test_effects_get_their_usual_sizes_for_what_is_not_said() -> None:
     profile = tiny_profile(virtual__effects={"warm_up": {"amplitude": 7.0}, "shupe": {}})
     assert profile.virtual.effects["warm_up"] == {"amplitude": 7.0, "tau_s": 1200.0}
     assert profile.virtual.effects["shupe"] == {"amplitude": 3.0}
+
+
+def test_a_plan_without_rates_is_noted() -> None:
+    assert profile_from_dict(tiny(), "p.toml").notes == ()
+    (note,) = profile_from_dict(tiny(plan__rates_dps=[]), "p.toml").notes
+    assert note.startswith("p.toml: plan.rates_dps is empty, so that no data set is at rate")
 
 
 def test_digest_counts_values_not_comments_or_order() -> None:
