@@ -52,7 +52,10 @@ class Watch(Protocol):
 
 @dataclass
 class Summary:
-    """What came of a run, this start and those before it. Entries are the steps in words, with the reason where known."""
+    """What came of a run, this start and those before it. Entries are the steps in words, with the reason where known.
+
+    `seed` is that of the virtual bench's noise; None on a real bench.
+    """
 
     recorded: int = 0
     unsettled: list[str] = field(default_factory=list)
@@ -64,6 +67,7 @@ class Summary:
     bench_time_s: float = 0.0
     turns_ccw: float = 0.0
     turns_cw: float = 0.0
+    seed: int | None = None
 
     @property
     def complete(self) -> bool:
@@ -93,7 +97,7 @@ class Runner:
         self._next_extra_id = max(highest_id, len(plan.steps)) + 1
         self._interlocks = Interlocks(profile, plan.limits)
         self._lookout = Lookout(bench, clock, profile, self._interlocks, requests)
-        self.summary = Summary()
+        self.summary = Summary(seed=profile.virtual.seed if bench.describe == "virtual" else None)
         # where the bench is
         self._rate_dps = 0.0
         self._ramped_to_c: float | None = None

@@ -124,6 +124,8 @@ def _show_plan(profile: Profile, plan: Plan, as_json: bool) -> None:
         f"latest.\nTurns of the table: {ccw:.1f} counter-clockwise, {cw:.1f} clockwise, at most {plan.winding_turns:.1f} "
         "from where it began. Nothing has moved."
     )
+    for note in profile.notes:
+        click.echo(f"Note: {note}.")
 
 
 def _show_summary(out: Path, s: Summary) -> None:
@@ -134,6 +136,7 @@ def _show_summary(out: Path, s: Summary) -> None:
     click.echo(
         f"Bench time {_duration(s.bench_time_s)}, {s.samples} gyro rows; the table made {s.turns_ccw:.1f} turns "
         f"counter-clockwise and {s.turns_cw:.1f} clockwise, and stands."
+        + ("" if s.seed is None else f" Seed of the virtual bench: {s.seed}.")
     )
     for title, steps in (
         ("unsettled", s.unsettled),

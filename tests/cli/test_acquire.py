@@ -82,8 +82,9 @@ def test_a_run_and_its_summary(profile: str, tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr()
     assert f"{out}: 12 segments recorded, 0 unsettled, 0 failed, 0 skipped." in said.out
     assert re.search(
-        r"the table made 0\.\d turns counter-clockwise and 0\.\d clockwise, and stands\.", said.out
+        r"the table made 0\.\d turns counter-clockwise and 0\.\d clockwise, and stands\. ", said.out
     )
+    assert "and stands. Seed of the virtual bench: 1." in said.out
     assert "acquire: 0%, ramp 21 to 20 °C" in said.err
     assert "of bench time left" in said.err
     assert len(read_run(out).segments) == 12
@@ -92,9 +93,10 @@ def test_a_run_and_its_summary(profile: str, tmp_path: Path, capsys: pytest.Capt
 def test_a_run_as_json_is_nothing_but_json(
     profile: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("acquire", profile, "--out", str(tmp_path / "r"), "--json") == 0
+    assert run("acquire", profile, "--out", str(tmp_path / "r"), "--seed", "11", "--json") == 0
     said = capsys.readouterr()
     summary = json.loads(said.out)
+    assert summary["seed"] == 11
     assert summary["complete"] is True
     assert summary["recorded"] == 12
     assert said.err == ""
