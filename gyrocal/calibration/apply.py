@@ -15,7 +15,7 @@ from gyrocal.errors import CoefficientError, DataError, OutputError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, load_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable, read_data_sets
-from gyrocal.records.files import writing_atomically
+from gyrocal.records.files import check_output_file, writing_atomically
 from gyrocal.records.run import Run, read_run
 
 Floats = NDArray[np.float64]
@@ -46,6 +46,7 @@ class ApplyConfig:
     output: Path
     counts_per_dps: float | None = None
     force_sensor: bool = False
+    overwrite: bool = False
 
 
 @dataclass
@@ -112,6 +113,7 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     output, recording = config.output.resolve(), config.recording.resolve()
     if output == config.coefficients.resolve() or output.is_relative_to(recording):
         raise OutputError(f"{config.output}: is an input of this command, or lies in it. Choose another -o.")
+    check_output_file(config.output, overwrite=config.overwrite)
     coefficients = load_coefficients(config.coefficients)
     compensator = Compensator(coefficients)
     names = tuple(term.effect.id for term in compensator.terms)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from gyrocal.cli.console import overwrite_option
+
 
 @click.command("apply")
 @click.argument("recording", type=click.Path(path_type=Path))
@@ -21,6 +23,7 @@ import click
     "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
 )
 @click.option("--force-sensor", is_flag=True, help="Accept coefficients of another model or serial number.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
 def command(
     recording: Path,
@@ -28,6 +31,7 @@ def command(
     output: Path,
     counts_per_dps: float | None,
     force_sensor: bool,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Correct RECORDING (a run directory or a table of data sets) and write a CSV.
@@ -46,7 +50,7 @@ def command(
     from gyrocal.calibration.apply import FLAGS, ApplyConfig, apply_recording
     from gyrocal.cli.console import emit_json, progress
 
-    config = ApplyConfig(recording, coefficients, output, counts_per_dps, force_sensor)
+    config = ApplyConfig(recording, coefficients, output, counts_per_dps, force_sensor, overwrite)
     with progress("apply", quiet=as_json) as report:
         applied = apply_recording(config, report)
     if as_json:

@@ -16,6 +16,9 @@ Report = Callable[[float, str], None]
 #: ``--json``, the same in every command.
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 
+#: ``--overwrite``, the same in every command that writes one file.
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
 

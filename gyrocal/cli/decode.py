@@ -7,14 +7,24 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, json_option
+from gyrocal.cli.console import emit_json, json_option, overwrite_option
+from gyrocal.errors import OutputError
 
 
 @click.command()
 @click.argument("capture", type=click.Path(path_type=Path))
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="CSV file to write.")
+@click.option(
+    "-o",
+    "--output",
+    "--out",
+    "output",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="CSV file to write.",
+)
+@overwrite_option
 @json_option
-def command(capture: Path, out: Path, as_json: bool) -> None:
+def command(capture: Path, output: Path, overwrite: bool, as_json: bool) -> None:
     """Decode a raw CAPTURE (acquire --raw) through the codec that recorded it.
 
     \b
@@ -22,8 +32,12 @@ def command(capture: Path, out: Path, as_json: bool) -> None:
       gyrocal decode run/raw/gyro-1.raw -o samples.csv
     """
     from gyrocal.bench.capture import decode_capture
+    from gyrocal.records.files import check_output_file
 
-    decoded = decode_capture(capture, out)
+    if output.resolve() == capture.resolve():
+        raise OutputError(f"{output}: is the capture itself. Choose another --output.")
+    check_output_file(output, overwrite=overwrite)
+    decoded = decode_capture(capture, output)
     if as_json:
         emit_json(
             {"device": decoded.device, "duration_s": decoded.duration_s, "health": asdict(decoded.health)}
@@ -33,5 +47,5 @@ def command(capture: Path, out: Path, as_json: bool) -> None:
     click.echo(
         f"{decoded.device}: {h.frames_good} frames in {decoded.duration_s:.1f} s, {h.frames_bad} damaged, "
         f"{h.bytes_skipped} of {h.bytes_in} bytes skipped, {h.sequence_gaps} gaps in the counter, "
-        f"{h.status_bad} that the device calls bad. Written to {out}."
+        f"{h.status_bad} that the device calls bad. Written to {output}."
     )

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from gyrocal.cli.console import overwrite_option
+
 if TYPE_CHECKING:
     from gyrocal.calibration.export import CType
 
@@ -33,9 +35,16 @@ if TYPE_CHECKING:
 @click.option(
     "--prefix", default="gyrocal", show_default=True, help="First part of every name in the header."
 )
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was exported as JSON on stdout; needs -o.")
 def command(
-    coefficients: Path, form: str, output: Path | None, ctype: CType, prefix: str, as_json: bool
+    coefficients: Path,
+    form: str,
+    output: Path | None,
+    ctype: CType,
+    prefix: str,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Write COEFFICIENTS as a C99 header without dependencies.
 
@@ -52,6 +61,7 @@ def command(
     from gyrocal.cli.console import emit_json
     from gyrocal.errors import OutputError
     from gyrocal.fusion.coefficients import load_coefficients
+    from gyrocal.records.files import check_output_file
 
     if as_json and output is None:
         raise click.UsageError("--json prints what was exported; say with -o where the header itself goes.")
@@ -61,6 +71,7 @@ def command(
         return
     if output.resolve() == coefficients.resolve():
         raise OutputError(f"{output}: is the coefficient file itself. Choose another --output.")
+    check_output_file(output, overwrite=overwrite)
     write_header(export, output)
     if as_json:
         emit_json(export.to_json() | {"output": str(output)})

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from gyrocal.cli.console import overwrite_option
+
 if TYPE_CHECKING:
     from gyrocal.calibration.calibrate import Calibration
 
@@ -42,7 +44,7 @@ def _ids(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) 
     help="Leave out these data sets (segment or row number).",
 )
 @click.option("--force", is_flag=True, help="Fit data that are doubtful (saturated, stuck, whole degrees).")
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 def command(
     recording: Path,
@@ -65,15 +67,9 @@ def command(
     from gyrocal.calibration.calibrate import FitConfig, calibrate
     from gyrocal.calibration.summary import to_json
     from gyrocal.cli.console import emit_json
-    from gyrocal.errors import OutputError
-    from gyrocal.records.files import write_atomically
+    from gyrocal.records.files import check_output_file, write_atomically
 
-    if output.is_dir():
-        raise OutputError(f"{output}: is a directory, and a file is wanted here. Choose another --output.")
-    if output.exists() and not overwrite:
-        raise OutputError(
-            f"{output}: exists; nothing was overwritten. Choose another --output or say --overwrite."
-        )
+    check_output_file(output, overwrite=overwrite)
     result = calibrate(recording, FitConfig(counts_per_dps, weights, bias_only, exclude, force))
     write_atomically(output, result.coefficients.to_text())
     if as_json:

@@ -80,6 +80,15 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         f.write(data.encode() if isinstance(data, str) else data)
 
 
+def check_output_file(path: Path, *, overwrite: bool) -> None:
+    """Refuse, before the work, an output that is a directory, or that exists and may not be overwritten."""
+    if path.is_dir():
+        raise OutputError(f"{path}: is a directory, and a file is wanted here. Choose another --output.")
+    if path.exists() and not overwrite:
+        msg = f"{path}: exists; nothing was overwritten. Choose another --output or say --overwrite."
+        raise OutputError(msg)
+
+
 def make_output_directory(path: Path, *, may_hold_files: bool = False) -> None:
     """Create the directory `path`; refuse one that already holds files unless `may_hold_files`."""
     try:

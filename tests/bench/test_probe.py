@@ -93,6 +93,16 @@ def test_a_capture_is_decoded_by_the_codec_that_recorded_it(tmp_path: Path) -> N
     assert lines[0] == "t_s,gyro_dps,gyro_temp_c,status,sequence"
     assert lines[1:3] == ["0.000000,0.0000000,20.000,0,0", "0.500000,0.5000000,20.000,0,1"]
     assert len(lines) == 21
+    captured = path.read_bytes()
+    for target, more, said in (
+        (out, [], "exists; nothing was overwritten"),
+        (path, ["--overwrite"], "is the capture itself"),
+    ):
+        refused = CliRunner().invoke(gyrocal_command, ["decode", str(path), "-o", str(target), *more])
+        assert said in str(refused.exception)
+    assert path.read_bytes() == captured
+    again = CliRunner().invoke(gyrocal_command, ["decode", str(path), "-o", str(out), "--overwrite"])
+    assert again.output == result.output
 
 
 def test_a_capture_of_no_gyro_is_refused(tmp_path: Path) -> None:

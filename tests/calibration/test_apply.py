@@ -81,7 +81,7 @@ def write_run(path: Path, **head: Any) -> Path:
 
 
 def config(tmp_path: Path, recording: Path, **more: Any) -> ApplyConfig:
-    return ApplyConfig(recording, tmp_path / "c.json", tmp_path / "out.csv", **more)
+    return ApplyConfig(recording, tmp_path / "c.json", tmp_path / "out.csv", **{"overwrite": True, **more})
 
 
 def test_every_sample_of_a_run(tmp_path: Path) -> None:
@@ -139,7 +139,14 @@ def test_the_command(tmp_path: Path) -> None:
     result = CliRunner().invoke(gyrocal_command, arguments, catch_exceptions=False)
     assert "6 rows of 2 segments corrected; 5 flagged (1 rate outside the valid range" in result.stdout
     assert "Terms of the bench, not applied: table_eccentricity." in result.stdout
+    written = (tmp_path / "o.csv").read_bytes()
+    (tmp_path / "o.csv").write_bytes(b"mine")
+    refused = CliRunner().invoke(gyrocal_command, [*arguments, "--json"])
+    assert "exists; nothing was overwritten" in str(refused.exception)
+    assert (tmp_path / "o.csv").read_bytes() == b"mine"
+    arguments.append("--overwrite")
     result = CliRunner().invoke(gyrocal_command, [*arguments, "--json"], catch_exceptions=False)
+    assert (tmp_path / "o.csv").read_bytes() == written
     summary = json.loads(result.stdout)
     assert summary["rows"] == 6
     assert summary["flagged"]["bad status of the gyro"] == 1

@@ -241,9 +241,14 @@ def test_the_command(tmp_path: Path) -> None:
     assert digest in text
     assert "@" not in text
     assert '"model": "RD2100 * / "' in text
-    facts = run.invoke(gyrocal_command, ["export", str(source), "-o", str(header), "--json"]).stdout
+    again = ["export", str(source), "-o", str(header), "--json"]
+    header.write_text("mine", encoding="utf-8")
+    assert "exists; nothing was overwritten" in str(run.invoke(gyrocal_command, again).exception)
+    assert header.read_text(encoding="utf-8") == "mine"
+    facts = run.invoke(gyrocal_command, [*again, "--overwrite"]).stdout
+    assert header.read_text(encoding="utf-8") == text
     assert json.loads(facts)["coefficients_sha256"] == digest
     assert run.invoke(gyrocal_command, ["export", str(source), "--json"]).exit_code == 2
-    onto_itself = run.invoke(gyrocal_command, ["export", str(source), "-o", str(source)])
+    onto_itself = run.invoke(gyrocal_command, ["export", str(source), "-o", str(source), "--overwrite"])
     assert "is the coefficient file itself" in str(onto_itself.exception)
     assert source.read_text(encoding="utf-8").startswith("{")
