@@ -50,7 +50,7 @@ def allan_deviation(noise: NoiseFigures) -> Figure:
         _part(axes, tau, slope, noise.angle_random_walk_deg_per_rt_h, style.ORANGE, name)
     if noise.bias_instability_deg_per_h is not None:
         flat = np.full(tau.shape, _FLAT)
-        name = "bias instability {:.3g} ({:.3g} to {:.3g}) deg/h"
+        name = f"bias instability B = {{:.3g}} ({{:.3g}} to {{:.3g}}) deg/h; line at {_FLAT:.3f} B"
         _part(axes, tau, flat, noise.bias_instability_deg_per_h, style.GREEN, name)
     axes.set_xlabel("Averaging time τ, s")
     axes.set_ylabel("Allan deviation, deg/h")
