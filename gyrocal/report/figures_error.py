@@ -120,7 +120,6 @@ def error_before(data: Examined, surface: Surface) -> Figure:
 def error_after(data: Examined, surface: Surface) -> Figure:
     """Figure 3b: the error left over rate and temperature, on the height scale of 3a and on its own."""
     gyro, temp = _grid(data)
-    colour_limit = style.symmetric_limit(data.residual_dps)
     highest = float(np.abs(data.residual_dps).max())
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.1)
     scales = (
@@ -130,31 +129,19 @@ def error_after(data: Examined, surface: Surface) -> Figure:
     for position, (title, factor, unit, limits) in enumerate(scales, start=1):
         axes: Any = figure.add_subplot(1, 2, position, projection="3d")
         axes.plot_surface(gyro, temp, np.zeros(gyro.shape), color="#BBBBBB", alpha=0.35, linewidth=0)
-        _stems(axes, data, factor, colour_limit)
+        _stems(axes, data, factor)
         _dress_3d(axes, f"Error left, {unit}", (limits[0] * factor, limits[1] * factor))
         axes.set_title(title, fontsize=7.5, fontweight="normal", y=1.0)
     return figure
 
 
-def _stems(axes: Any, data: Examined, factor: float, colour_limit: float) -> None:
+def _stems(axes: Any, data: Examined, factor: float) -> None:
     """Each residual as a head on a thin stem from zero."""
     x, y, z = data.sets.gyro_dps, data.sets.temp_c, data.residual_dps * factor
     feet = np.stack([x, y, np.zeros_like(z)], axis=1)
     heads = np.stack([x, y, z], axis=1)
     axes.add_collection3d(Line3DCollection(np.stack([feet, heads], axis=1), colors="#999999", linewidths=0.3))
-    axes.scatter(
-        x,
-        y,
-        z,
-        c=z,
-        cmap=style.DIVERGING,
-        vmin=-colour_limit * factor,
-        vmax=colour_limit * factor,
-        s=6,
-        edgecolors="#555555",
-        linewidths=0.25,
-        depthshade=False,
-    )
+    axes.scatter(x, y, z, s=5, color=style.BLUE, linewidths=0, depthshade=False)
 
 
 def _grid(data: Examined) -> tuple[Floats, Floats]:
