@@ -16,6 +16,9 @@ from gyrocal.units import S_PER_H
 
 _FILLS = {"unsettled": (style.ORANGE, 0.25, "///"), "failed": ("#444444", 0.35, "xxx")}
 
+#: Kinds of segment that give data sets.
+_DATA_SETS = ("rate", "static")
+
 
 @style.styled
 def run_timeline(timeline: Timeline) -> Figure:
@@ -38,6 +41,10 @@ def run_timeline(timeline: Timeline) -> Figure:
     warm.set_ylabel("Temperature, °C")
     x, y = _rate_steps(timeline)
     rate.plot(x, y, color=style.BLUE, linewidth=1.5, solid_capstyle="butt")
+    # A data set lasts seconds of a run of hours: its line alone is a dot that nobody sees.
+    sets = [s for s in timeline.spans if s.kind in _DATA_SETS]
+    middle_h = [0.5 * (s.start_s + s.end_s) / S_PER_H for s in sets]
+    rate.plot(middle_h, [s.rate_dps for s in sets], "o", color=style.BLUE, markersize=2.5)
     rate.set_ylabel("Table rate, deg/s")
     if with_supply:
         panels[2].plot(timeline.supply_t_s / S_PER_H, timeline.supply_v, color=style.GREEN, linewidth=0.6)
@@ -98,6 +105,7 @@ def coefficient_figure(coefficients: Coefficients) -> Figure:
     axes.set_yticks(range(SHAPE[0]), [f"$u^{i}$" for i in range(SHAPE[0])])
     axes.set_xlabel("Power of scaled temperature v")
     axes.set_ylabel("Power of scaled output u")
+    axes.set_title("Value ± standard error, deg/s", fontsize=7.5, fontweight="normal")
     axes.grid(visible=False)
     axes.tick_params(length=0)
     figure.colorbar(image, ax=axes, label="|value| / standard error", pad=0.02)

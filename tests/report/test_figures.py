@@ -9,9 +9,11 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Path3DCollection
 
+from gyrocal.calibration.noise import AllanPoints, NoiseFigures
 from gyrocal.fusion.coefficients import Coefficients, Valid
-from gyrocal.report import figures_error, figures_residual, figures_run, style
+from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, style
 from gyrocal.report.data import Span, Timeline
 from gyrocal.report.scatter import signed_scatter
 from tests.report.examples import SURFACE, examined, grid
@@ -135,3 +137,32 @@ def test_coefficient_cells_hold_value_and_error() -> None:
     texts = [t.get_text() for t in axes.texts]
     assert len(texts) == 12
     assert texts[0] == "+0.050000\n± 0.000100"
+
+
+def test_readings_at_rate_are_marked_in_the_timeline() -> None:
+    rate = figures_run.run_timeline(timeline()).axes[1]
+    (dots,) = [line for line in rate.lines if line.get_marker() == "o"]
+    np.testing.assert_allclose(np.asarray(dots.get_xdata(), dtype=float), np.array([355.0, 505.0]) / 3600.0)
+    np.testing.assert_allclose(np.asarray(dots.get_ydata(), dtype=float), [50.0, -50.0])
+    assert dots.get_markersize() >= 2.5
+
+
+def test_the_coefficient_figure_alone_says_its_unit() -> None:
+    axes = figures_run.coefficient_figure(COEFFICIENTS).axes[0]
+    assert axes.get_title(loc="left") == "Value ± standard error, deg/s"
+
+
+def test_stems_of_figure_3b_have_one_colour() -> None:
+    for axes in figures_error.error_after(grid(), SURFACE).axes:
+        (heads,) = [c for c in axes.collections if isinstance(c, Path3DCollection)]
+        assert len(np.unique(np.asarray(heads.get_facecolor())[:, :3], axis=0)) == 1
+
+
+def test_the_line_of_the_bias_instability_says_where_it_lies() -> None:
+    tau = np.array([1.0, 10.0, 100.0])
+    points = AllanPoints(0.1, tau, 1e-3 / tau, 0.9e-3 / tau, 1.1e-3 / tau, np.full(3, 9.0))
+    noise = NoiseFigures(None, (1.5, 1.0, 2.0), "seen", (points,), None, 1000.0)
+    axes = figures_noise.allan_deviation(noise).axes[0]
+    (line,) = [found for found in axes.lines if "bias instability" in str(found.get_label())]
+    assert line.get_label() == "bias instability B = 1.5 (1 to 2) deg/h; line at 0.664 B"
+    np.testing.assert_allclose(np.asarray(line.get_ydata(), dtype=float), 1.5 * 0.664, rtol=1e-3)
