@@ -12,7 +12,7 @@ from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.report import style
 from gyrocal.report.data import Examined
 from gyrocal.report.levels import Floats, Level, cell_edges, levels
-from gyrocal.report.scatter import SignedScatter, odd_rates
+from gyrocal.report.scatter import TREND_RATES, SignedScatter, odd_rates, usual_trend
 from gyrocal.units import DPS_TO_DPH, S_PER_H
 
 _MOST_RATES = 64
@@ -198,8 +198,14 @@ def scatter_figure(signed: SignedScatter, tested: ScatterByRate | None) -> Figur
             label="expected from the noise inside the data sets",
         )
     if tested is not None:
-        trend = np.interp(np.abs(rate), tested.rate_dps, tested.trend_dps * DPS_TO_DPH)
-        axes.plot(rate, trend, color=style.GREY, linestyle="--", label="trend with |rate|")
+        trend = np.interp(np.abs(rate), tested.rate_dps, usual_trend(tested) * DPS_TO_DPH)
+        axes.plot(
+            rate,
+            trend,
+            color=style.GREY,
+            linestyle="--",
+            label=f"running median of {TREND_RATES} |rates|, ringed ones left out",
+        )
         sizes = tested.rate_dps[odd_rates(tested)]
         odd = np.isclose(np.abs(rate)[:, None], sizes, rtol=1e-3, atol=1e-3).any(axis=1)
         _ring(axes, rate[odd], between[odd])
@@ -214,7 +220,7 @@ def _ring(axes: Any, x: Floats, y: Floats) -> None:
     """Ring the rates that stand out, with their values."""
     if x.size:
         ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgecolor": style.ORANGE}
-        axes.plot(x, y, "o", label="more than the trend", **ring)
+        axes.plot(x, y, "o", label="more than rates like it", **ring)
     for at, height in zip(x, y, strict=True):
         axes.annotate(
             f"{at:+.1f}",

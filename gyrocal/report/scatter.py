@@ -14,6 +14,8 @@ from gyrocal.report.levels import levels
 
 #: Data sets at one rate below which its scatter is not estimated.
 _FEWEST = 4
+#: Rates in the running median that is drawn as the trend.
+TREND_RATES = 5
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,28 @@ def odd_rates(scatter: ScatterByRate) -> NDArray[np.int64]:
     return np.flatnonzero((scatter.p_value < ALARM_RATE) & (scatter.std_dps > scatter.trend_dps))
 
 
+def usual_trend(scatter: ScatterByRate) -> Floats:
+    """Running median of the scatter over |rate| without the rates that `odd_rates` names, deg/s; shape (groups,).
+
+    The straight line of the tests has all rates in it, as their permutations must: odd rates pull it up, and
+    scatter that levels off leaves it. The window shrinks towards both ends.
+    """
+    usual = np.ones(scatter.n.size, dtype=bool)
+    usual[odd_rates(scatter)] = False
+    if not usual.any():
+        return scatter.trend_dps
+    rate, std = scatter.rate_dps[usual], scatter.std_dps[usual]
+    reach = [min(i, std.size - 1 - i, TREND_RATES // 2) for i in range(std.size)]
+    median = [np.median(std[i - k : i + k + 1]) for i, k in enumerate(reach)]
+    return np.interp(scatter.rate_dps, rate, median)
+
+
 def scatter_statements(scatter: ScatterByRate) -> list[str]:
     """Plain sentences on what is odd in the scatter; empty when nothing is."""
     said = []
     if scatter.growth_p_value < ALARM_RATE:
-        low, high = scatter.trend_dps[0], scatter.trend_dps[-1]
+        trend = usual_trend(scatter)
+        low, high = trend[0], trend[-1]
         said.append(
             f"Scatter between data sets grows with |rate|, from {low * 3600:.3g} deg/h at {scatter.rate_dps[0]:.1f} deg/s "
             f"to {high * 3600:.3g} deg/h at {scatter.rate_dps[-1]:.1f} deg/s (p = {scatter.growth_p_value:.1g})."

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from gyrocal.calibration.residuals import scatter_by_rate
-from gyrocal.report.scatter import odd_rates, scatter_statements, signed_scatter
+from gyrocal.calibration.residuals import ScatterByRate, scatter_by_rate
+from gyrocal.report.scatter import odd_rates, scatter_statements, signed_scatter, usual_trend
 from tests.report.examples import examined
 
 RATES = np.tile(np.linspace(-100, 100, 41), 12)
@@ -50,3 +50,13 @@ def test_even_scatter_is_not_commented_on() -> None:
 def test_too_few_data_sets_give_none() -> None:
     rate = np.array([-10.0, 0.0, 10.0] * 2)
     assert signed_scatter(examined(rate_dps=rate, residual_dps=rate)) is None
+
+
+def test_the_trend_is_not_pulled_by_the_rates_that_it_shows_as_odd() -> None:
+    rate = np.arange(0.0, 11.0)
+    std = np.minimum(1.0 + rate, 7.0)
+    p_value = np.ones(rate.size)
+    std[[4, 9]], p_value[[4, 9]] = 50.0, 1e-4
+    tested = ScatterByRate(rate, np.full(rate.size, 12), std, np.full(rate.size, 9.0), std, p_value, 1e-4)
+    np.testing.assert_allclose(usual_trend(tested), np.minimum(1.0 + rate, 7.0))
+    assert "from 3.6e+03 deg/h at 0.0 deg/s to 2.52e+04 deg/h at 10.0 deg/s" in scatter_statements(tested)[0]
