@@ -26,16 +26,21 @@ class Examined:
     ----------
     residual_dps : ndarray
         Corrected output minus reference rate.
-    sigma_dps : ndarray
-        Standard deviation expected of the residual; NaN is unknown.
+    covariance_dps2 : ndarray, shape (n, n)
+        Covariance expected of the residuals: estimated scatter with its drift in time, and the coefficients.
     marked : ndarray of bool
         Outliers and unsettled data sets: drawn hollow, never dropped.
     """
 
     sets: DataSets
     residual_dps: Floats
-    sigma_dps: Floats
+    covariance_dps2: Floats
     marked: NDArray[np.bool_]
+
+    @property
+    def sigma_dps(self) -> Floats:
+        """Standard deviation expected of each residual."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance_dps2), 0.0)))
 
 
 @dataclass(frozen=True)

@@ -82,10 +82,9 @@ DRAWINGS = (
     Drawing(
         "residual_map",
         "Residual over rate and temperature",
-        "Mean residual in each cell; the margins show the means by rate and by temperature, with intervals from the scatter "
-        "at that rate or temperature alone. Margins that wander along the rate are structure that twelve terms do not "
-        "follow. A temperature is often measured in one stretch of time, so that slow drift of the bias moves its mean as "
-        "a whole: the test of structure above knows that, these intervals do not.",
+        "Mean residual in each cell; the margins show the means by rate and by temperature. Their intervals come from "
+        "the covariance of the fit: scatter, drift that data sets near in time share, and coefficients. Margins that "
+        "leave zero by more than that are structure that twelve terms do not follow.",
         _over_rate(lambda m: figures_residual.residual_map(m.data)),
     ),
     Drawing(

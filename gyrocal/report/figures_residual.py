@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy import stats
 
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.report import style
@@ -22,6 +21,8 @@ _RUNNING = 15
 _MANY = 300
 #: A step in time this many times the usual one is a gap, over which no line is drawn.
 _GAP = 5.0
+#: Half width of a 95 % interval in standard deviations.
+_Z95 = 1.96
 _MEANS: dict[str, Any] = {
     "fmt": "o",
     "markersize": 2.5,
@@ -79,11 +80,11 @@ def residual_map(data: Examined) -> Figure:
     )
     rates, _ = levels(data.sets.rate_dps, most=_MOST_RATES, bins=24)
     temps, _ = levels(data.sets.temp_c, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
-    above.errorbar(*_level_means(data, rates), **_MEANS)
+    above.errorbar(*level_means(data, rates), **_MEANS)
     above.axhline(0.0, color=style.GREY, linewidth=0.6)
     above.set_ylabel("deg/h")
     above.set_title("Mean residual by rate, 95 % interval", fontsize=7.5, fontweight="normal")
-    value, mean_dph, half = _level_means(data, temps)
+    value, mean_dph, half = level_means(data, temps)
     right.errorbar(mean_dph, value, xerr=half, **_MEANS)
     right.axvline(0.0, color=style.GREY, linewidth=0.6)
     right.set_title("by temperature, deg/h", fontsize=7.5, fontweight="normal")
@@ -96,15 +97,15 @@ def residual_map(data: Examined) -> Figure:
     return figure
 
 
-def _level_means(data: Examined, found: list[Level]) -> tuple[Floats, Floats, Floats]:
-    """Value of each level, mean residual there, and half its 95 % interval (Student's t), deg/h."""
+def level_means(data: Examined, found: list[Level]) -> tuple[Floats, Floats, Floats]:
+    """Value of each level, mean residual there, and half its 95 % interval, deg/h.
+
+    Not from the scatter about that mean: data sets at one temperature share the drift of the time that they were taken in.
+    """
     value = np.array([level.value for level in found])
-    groups = [data.residual_dps[level.rows] * DPS_TO_DPH for level in found]
-    half = [
-        stats.t.ppf(0.975, g.size - 1) * g.std(ddof=1) / np.sqrt(g.size) if g.size > 1 else np.nan
-        for g in groups
-    ]
-    return value, np.array([g.mean() for g in groups]), np.array(half)
+    mean = np.array([data.residual_dps[level.rows].mean() for level in found])
+    variance = np.array([data.covariance_dps2[np.ix_(level.rows, level.rows)].mean() for level in found])
+    return value, mean * DPS_TO_DPH, _Z95 * np.sqrt(np.maximum(variance, 0.0)) * DPS_TO_DPH
 
 
 @style.styled
@@ -116,7 +117,7 @@ def residual_over_time(data: Examined) -> Figure:
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.axhline(0.0, color=style.GREY, linewidth=0.6)
-    _expected(upper, x, residual, 1.96 * data.sigma_dps * DPS_TO_DPH)
+    _expected(upper, x, residual, _Z95 * data.sigma_dps * DPS_TO_DPH)
     points = _by_temperature(upper, x, residual, data)
     figure.colorbar(points, ax=upper, label="Gyro temp., °C", pad=0.01)
     window = min(_RUNNING, max(3, len(sets) // 8))
@@ -149,8 +150,6 @@ def residual_over_time(data: Examined) -> Figure:
 
 def _expected(axes: Any, x: Floats, residual: Floats, half: Floats) -> None:
     """What scatter leads one to expect: a bar for each data set, or a band about zero where they are many."""
-    if not np.isfinite(half).any():
-        return
     if x.size > _MANY:
         axes.fill_between(x, -half, half, color="#E4E4E4", linewidth=0, label="expected, 95 %")
     else:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy import linalg
 
 from gyrocal.calibration.checks import MOST_DATA_SETS
 from gyrocal.calibration.coarsen import coarsen
@@ -96,7 +97,8 @@ def gather(
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True
     residual = corrected - sets.rate_dps
-    data = Examined(sets, residual, _expected_sigma(sets, fit.scatter, coefficients), marked)
+    own = coefficients.provenance.get("source_sha256") == recording.sha256
+    data = Examined(sets, residual, residual_covariance(sets, fit.scatter, coefficients, own=own), marked)
     tested = scatter_by_rate(sets, residual, np.random.default_rng(_SEED))
     progress(0.25, "Allan deviation")
     return Material(
@@ -110,7 +112,7 @@ def gather(
         noise=noise_figures(recording, coefficients.surface),
         before_dps=_rms_about_line(sets, 0 if one_rate else 1),
         after_dps=float(np.sqrt(np.mean(residual**2))),
-        own=coefficients.provenance.get("source_sha256") == recording.sha256,
+        own=own,
         one_rate=one_rate,
         notes=notes + more,
     )
@@ -144,10 +146,19 @@ def _reasons(sets: DataSets, scatter: Scatter) -> dict[int, str]:
     return reasons
 
 
-def _expected_sigma(sets: DataSets, scatter: Scatter, coefficients: Coefficients) -> Floats:
-    """Standard deviation of each residual: scatter as estimated, and the uncertainty of the coefficients."""
-    coefficient_sigma = coefficients.sigma_dps(sets.gyro_dps, sets.temp_c)
-    return np.asarray(np.sqrt(np.diag(scatter.matrix) + coefficient_sigma**2))
+def residual_covariance(sets: DataSets, scatter: Scatter, coefficients: Coefficients, *, own: bool) -> Floats:
+    """Covariance of the residuals, shape (n, n), (deg/s)^2.
+
+    A fit has taken from its own data what looks like its terms, drift common to all included: the scatter loses the
+    part that generalised least squares follows. To other data the uncertainty of the coefficients is added.
+    """
+    if not own:
+        design = coefficients.surface.design(sets.gyro_dps, sets.temp_c)
+        return np.asarray(scatter.matrix + design @ coefficients.covariance_dps2 @ design.T)
+    lower = linalg.cholesky(scatter.matrix, lower=True)
+    q = linalg.qr(linalg.solve_triangular(lower, scatter.design, lower=True), mode="economic")[0]
+    followed = lower @ q
+    return np.asarray(scatter.matrix - followed @ followed.T)
 
 
 def _rms_about_line(sets: DataSets, order: int) -> float:

@@ -12,6 +12,8 @@ from gyrocal.report.data import Examined
 Floats = NDArray[np.float64]
 
 #: A surface of the size of the paper's figure 1.
+#: Scatter that the examples expect of a data set.
+SIGMA_DPS = 1e-3
 SURFACE = Surface(
     np.array([[0.05, 0.02, -0.01], [0.4, -0.3, 0.02], [-0.05, 0.01, 0.0], [-0.6, 0.2, 0.01]]),
     0.0,
@@ -53,7 +55,7 @@ def examined(
         kind=np.full(size, "rate"),
         reference=np.full(size, "given"),
     )
-    return Examined(sets, residual_dps, full(np.nan), np.zeros(size, dtype=bool))
+    return Examined(sets, residual_dps, np.diag(full(SIGMA_DPS**2)), np.zeros(size, dtype=bool))
 
 
 def grid(noise_dps: float = 1e-3, seed: int = 1) -> Examined:
