@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
 from gyrocal.errors import CoefficientError, DataError, OutputError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, load_coefficients
 from gyrocal.fusion.compensation import Compensator
@@ -115,7 +115,8 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
         raise OutputError(f"{config.output}: is an input of this command, or lies in it. Choose another -o.")
     check_output_file(config.output, overwrite=config.overwrite)
     coefficients = load_coefficients(config.coefficients)
-    compensator = Compensator(coefficients)
+    with naming(config.coefficients):
+        compensator = Compensator(coefficients)
     names = tuple(term.effect.id for term in compensator.terms)
     applied = Applied(config.output, terms=names, not_applied=compensator.not_applied)
     if config.recording.is_dir():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,15 @@ from gyrocal.records.run import Run
 
 #: What a table of data sets, which does not name its sensor, is filed under.
 UNKNOWN = "unknown"
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the coefficient file's name before what is wrong with the coefficients read from it."""
+    try:
+        yield
+    except CoefficientError as error:
+        raise CoefficientError(f"{path}: {error}") from error
 
 
 def refuse_compensated(run: Run) -> None:

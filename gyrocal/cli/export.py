@@ -58,6 +58,7 @@ def command(
     Example: gyrocal export fog.json --format c-header -o fog.h
     """
     from gyrocal.calibration.export import export_c_header, write_header
+    from gyrocal.calibration.provenance import naming
     from gyrocal.cli.console import emit_json
     from gyrocal.errors import OutputError
     from gyrocal.fusion.coefficients import load_coefficients
@@ -65,7 +66,9 @@ def command(
 
     if as_json and output is None:
         raise click.UsageError("--json prints what was exported; say with -o where the header itself goes.")
-    export = export_c_header(load_coefficients(coefficients), ctype, prefix)
+    loaded = load_coefficients(coefficients)
+    with naming(coefficients):
+        export = export_c_header(loaded, ctype, prefix)
     if output is None:
         click.echo(export.text, nl=False)
         return

@@ -15,7 +15,7 @@ from gyrocal.calibration.covariance import Scatter
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
 from gyrocal.calibration.fit import ALL_TERMS, BIAS_TERMS, fit_surface
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
-from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
 from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
@@ -84,7 +84,9 @@ def gather(
     if block > 1:
         notes += (f"{len(recording.sets)} rows were averaged in blocks of {block} neighbours",)
     progress(0.1, "correcting")
-    corrected, timeline, more = _corrected(recording, sets, coefficients)
+    with naming(coefficient_file):
+        compensator = Compensator(coefficients)
+    corrected, timeline, more = _corrected(recording, sets, compensator)
     progress(0.2, "scatter and outliers")
     terms = BIAS_TERMS if one_rate else ALL_TERMS
     if len(sets) <= np.count_nonzero(terms):
@@ -119,11 +121,11 @@ def gather(
 
 
 def _corrected(
-    recording: Recording, sets: DataSets, coefficients: Coefficients
+    recording: Recording, sets: DataSets, compensator: Compensator
 ) -> tuple[Floats, Timeline | None, tuple[str, ...]]:
     """Corrected mean of each data set, the course of the run, and notes on terms that were not applied."""
-    compensator = Compensator(coefficients)
-    corrected = coefficients.correct(sets.gyro_dps, sets.temp_c)
+    surface = compensator.coefficients.surface
+    corrected = sets.gyro_dps - surface.error_dps(sets.gyro_dps, sets.temp_c)
     notes = tuple(
         f"the term {effect} belongs to the bench and is not taken away from the gyro"
         for effect in compensator.not_applied
@@ -132,8 +134,19 @@ def _corrected(
         timeline, means = read_course(recording.run, compensator if compensator.terms else None)
         corrected = np.array([means.get(int(s), c) for s, c in zip(sets.segment, corrected, strict=True)])
         return corrected, timeline, notes
-    if compensator.terms:
-        notes += ("the terms beside the surface need a run; for this table the surface alone is applied",)
+    short = [
+        term.effect.id
+        for term in compensator.terms
+        if "since_power_on_s" in term.effect.needs or (term.effect.has_memory and not sets.timed)
+    ]
+    if short:
+        notes += (
+            f"{', '.join(short)} of the coefficients cannot be evaluated on this table, which lacks times; "
+            "the surface alone is applied",
+        )
+    elif compensator.terms:
+        t_s = sets.t_s if sets.timed else np.zeros(len(sets))
+        corrected = np.asarray(compensator.correct(t_s, sets.gyro_dps, sets.temp_c))
     return corrected, None, notes
 
 
