@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from gyrocal.errors import OutputError
 from gyrocal.records.files import fsync_directory, make_output_directory, raise_output_error, write_atomically
 
 
@@ -47,3 +48,8 @@ def write_directory(path: Path, files: Mapping[str, bytes | str]) -> None:
         fsync_directory(path.parent)
     except OSError as error:
         raise_output_error(path, error)
+    except OutputError as error:
+        # It names a file in the staging directory, which is gone by now.
+        if isinstance(error.__cause__, OSError):
+            raise_output_error(path, error.__cause__)
+        raise

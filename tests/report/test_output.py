@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gyrocal.errors import OutputError
-from gyrocal.records.files import write_atomically
+from gyrocal.records.files import raise_output_error, write_atomically
 from gyrocal.report.output import check_output, write_directory
 
 
@@ -46,10 +46,11 @@ def test_check_leaves_nothing_behind(tmp_path: Path) -> None:
 def test_a_failure_in_the_middle_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full_disk(path: Path, data: bytes | str) -> None:
         if path.name == "b.txt":
-            raise OSError(28, "No space left on device")
+            raise_output_error(path, OSError(28, "No space left on device"))
         write_atomically(path, data)
 
     monkeypatch.setattr("gyrocal.report.output.write_atomically", full_disk)
-    with pytest.raises(OutputError, match="the disk is full; nothing was left half-written"):
+    with pytest.raises(OutputError, match="the disk is full; nothing was left half-written") as caught:
         write_directory(tmp_path / "report", {"a.txt": "a", "b.txt": "b"})
+    assert str(caught.value).startswith(f"{tmp_path / 'report'}: ")
     assert list(tmp_path.iterdir()) == []
