@@ -14,7 +14,7 @@ _SEEN = {
     "running": "is running",
     "complete": "is complete",
     "incomplete": "has ended, and some segments failed or were skipped; --resume carries on",
-    "stopped": "was ended early, and the bench was made safe; --resume carries on",
+    "stopped": "was ended early; --resume carries on",
     "dead": "died without a word; make sure that the table stands, then carry on with --resume",
 }
 
