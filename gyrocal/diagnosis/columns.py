@@ -68,12 +68,15 @@ class Book:
 
     def add(self, columns: Floats) -> Ints:
         """Add columns, shape (n,) or (n, k); returns their numbers, shape (k,)."""
-        block = columns[:, None] if columns.ndim == 1 else columns
-        block = block - self._q @ (self._q.T @ block)
+        block = self.beyond(columns[:, None] if columns.ndim == 1 else columns)
         self._parts.append(block)
         first = self._count
         self._count += block.shape[1]
         return np.arange(first, self._count)
+
+    def beyond(self, columns: Floats) -> Floats:
+        """What columns, shape (n, k), say beyond the base columns."""
+        return np.asarray(columns - self._q @ (self._q.T @ columns))
 
     def matrix(self) -> Floats:
         """Record and all columns, shape (n, 1 + p)."""

@@ -28,6 +28,8 @@ _PRIOR = {"rate_order": -1.0, "fit_direction": -1.0, "mechanical_resonance": -1.
 WRONG_SIGN = -2.5
 #: Effects whose amplitude is positive by their nature.
 _POSITIVE = ("sagnac_sine", "saturation", "truncation", "thermal_lag")
+#: Patterns of the reference of which less than this share (of the largest) is left beyond the surface are its own.
+_BEYOND_SURFACE = 1e-3
 #: Same law, other cause: (the same columns explain the data exactly as well).
 TWINS = {"earth_rate_tilt": ("magnetic", "g_sensitivity")}
 
@@ -242,7 +244,7 @@ def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
                 both = {**shapes[0], "order": 5.0, "order_2": 4.0}
                 pair = book.add(two_orders(c, both))[None, :]
                 found.append(_hypothesis(effect.id, [both], pair, nuisance))
-    reference = _reference_columns(series)
+    reference = _reference_columns(series, book)
     if reference is not None:
         each = _hypothesis("reference_rate_error", [{}], book.add(reference)[None, :])
         found.append(replace(each, random=True))
@@ -311,15 +313,24 @@ def _soft_knee(w: Floats, knee: float, width: float) -> Floats:
     return np.asarray(np.sign(w) * width * np.logaddexp(0.0, (np.abs(w) - knee) / width))
 
 
-def _reference_columns(series: Series) -> Floats | None:
-    """One odd column for each size of rate: a fixed relative error, repeated at every temperature."""
+def _reference_columns(series: Series, book: Book) -> Floats | None:
+    """Errors of the reference, fixed for each size of rate, as the odd patterns that the surface leaves.
+
+    The patterns are orthonormal mixtures of the sizes, so that independent errors stay independent. A pattern
+    that is all but linear or cubic is left out: what remains of it beyond the surface is not odd any more, and
+    an enormous error of the reference would follow other laws along it.
+    """
     sizes = np.unique(np.round(np.abs(series.rate_dps), 3))
     sizes = sizes[sizes > 0]
     if not 4 <= sizes.size <= 60:
         return None
-    return np.column_stack(
+    each = np.column_stack(
         [np.where(np.abs(np.abs(series.rate_dps) - s) < 1e-3, series.rate_dps * 1e-6, 0.0) for s in sizes]
     )
+    beyond = book.beyond(each)
+    values, vectors = np.linalg.eigh(beyond.T @ beyond)
+    kept = values > _BEYOND_SURFACE * values[-1]
+    return np.asarray(each @ vectors[:, kept])
 
 
 def _why_not(effect: str, series: Series) -> str | None:

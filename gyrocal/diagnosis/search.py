@@ -32,6 +32,8 @@ MOST_EFFECTS = 6
 _MISFIT_SHARE = 0.02
 #: Shapes of a family along which a named effect could hide more than this gain are free.
 _FREE_GAIN = 4.0
+#: Laws from which a search for two laws in one excess starts.
+_STARTS = 6
 #: Strangers nearer than this to a law of the catalogue cannot be told from it.
 _SAME_SHAPE = 0.95
 
@@ -178,8 +180,32 @@ class Search:
         physics = self.forward(self.forward(list(start), strangers=False), strangers=True)
         if not physics:
             return physics
-        equal = self.forward([], strangers=True)
-        return physics if self.criterion(physics) <= self.criterion(equal) else equal
+        best = min((physics, self.forward([], strangers=True)), key=self.criterion)
+        # Whoever may choose among pairs has more to choose from: each further law pays for the choice of it.
+        choice = 2.0 * float(np.log(1 + sum(h.in_catalogue for h in self.hypotheses)))
+        return min(
+            (best, *self.from_pairs(best)), key=lambda found: self.criterion(found) + choice * len(found)
+        )
+
+    def from_pairs(self, members: Sequence[Member]) -> list[list[Member]]:
+        """Searches in which the strongest member starts as two laws at once.
+
+        One law can stand for the sum of two others, which no exchange of one law for one other undoes.
+        """
+        if not members:
+            return []
+        others = [m for m in members if m is not members[0]]
+        projection = self.given(others)
+        taken = [m.hypothesis.id for m in others]
+        found = []
+        for score in self.significant(self.scores(projection, taken, strangers=False))[:_STARTS]:
+            first = self._member(score, projection)
+            beside = self.given([*others, first])
+            second = self.significant(self.scores(beside, [*taken, score.hypothesis.id], strangers=False))
+            begun = [*others, first]
+            if second and second[0].evidence > 0 and not self._is_misfit(second[0], begun):
+                found.append(self.forward([*begun, self._member(second[0], beside)], strangers=True))
+        return found
 
     def criterion(self, members: Sequence[Member]) -> float:
         """Residual sum of squares plus what each member pays for its freedom, in twice nats."""
