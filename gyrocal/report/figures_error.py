@@ -28,7 +28,7 @@ _MANY = 300
 
 
 def _temperature_name(level: Level, tight: bool) -> str:
-    return f"{round(level.value):+d} °C" if tight else f"{level.low:g} to {level.high:g} °C"
+    return style.minus(f"{round(level.value):+d} °C" if tight else f"{level.low:g} to {level.high:g} °C")
 
 
 def _curve(axes: Any, x: Floats, y: Floats, colour: Any, marker: str, marked: NDArray[np.bool_]) -> None:
@@ -77,10 +77,11 @@ def error_against_temperature(data: Examined, surface: Surface) -> Figure:
         error = surface.output_dps(level.value, line) - level.value
         ink = style.ORANGE if rows.size > _MANY else colour
         axes.plot(line, error, color=ink, linewidth=0.9, zorder=3)
-        axes.plot([], [], color=colour, marker=marker, label=f"{level.value:+.1f} deg/s")
+        axes.plot([], [], color=colour, marker=marker, label=style.minus(f"{level.value:+.1f} deg/s"))
     axes.set_xlabel(TEMPERATURE_LABEL)
     axes.set_ylabel(ERROR_LABEL)
-    figure.legend(title="Table rate", loc="outside right upper", reverse=True)
+    shown = "Table rate" if len(chosen) == len(found) else f"{len(chosen)} of {len(found)} table rates"
+    figure.legend(title=shown, loc="outside right upper", reverse=True)
     return figure
 
 

@@ -222,7 +222,7 @@ def _ring(axes: Any, x: Floats, y: Floats) -> None:
         axes.plot(x, y, "o", label="more than rates like it", **ring)
     for at, height in zip(x, y, strict=True):
         axes.annotate(
-            f"{at:+.1f}",
+            style.minus(f"{at:+.1f}"),
             (at, height),
             textcoords="offset points",
             xytext=(6, 4),

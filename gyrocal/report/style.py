@@ -121,6 +121,11 @@ def symmetric_limit(values: NDArray[np.float64], share: float = 0.99) -> float:
     return float(np.quantile(finite, share)) if finite.size and finite.any() else 1.0
 
 
+def minus(text: str) -> str:
+    """`text` with the minus sign that the axes have."""
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
 def say_in_figure(axes: Axes, text: str) -> None:
     """A short remark in the upper left corner, on white so that data behind it do not disturb."""
     axes.text(

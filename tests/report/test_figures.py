@@ -78,7 +78,7 @@ def test_figure_1_has_a_curve_for_each_temperature() -> None:
     figure = figures_error.error_against_rate(grid(), SURFACE)
     (legend,) = figure.legends
     names = [text.get_text() for text in legend.get_texts()]
-    assert names == ["+50 °C", "+40 °C", "+30 °C", "+20 °C", "+10 °C", "+0 °C", "-10 °C"]
+    assert names == ["+50 °C", "+40 °C", "+30 °C", "+20 °C", "+10 °C", "+0 °C", "\N{MINUS SIGN}10 °C"]
 
 
 def test_figure_1_bins_continuous_temperatures() -> None:
@@ -166,3 +166,11 @@ def test_the_line_of_the_bias_instability_says_where_it_lies() -> None:
     (line,) = [found for found in axes.lines if "bias instability" in str(found.get_label())]
     assert line.get_label() == "bias instability B = 1.5 (1 to 2) deg/h; line at 0.664 B"
     np.testing.assert_allclose(np.asarray(line.get_ydata(), dtype=float), 1.5 * 0.664, rtol=1e-3)
+
+
+def test_figure_2_says_what_it_leaves_out_and_has_the_minus_of_the_axes() -> None:
+    (legend,) = figures_error.error_against_temperature(grid(), SURFACE).legends
+    assert legend.get_title().get_text() == "9 of 21 table rates"
+    names = [text.get_text() for text in legend.get_texts()]
+    assert "\N{MINUS SIGN}100.0 deg/s" in names
+    assert not any("-" in name for name in names)
