@@ -12,7 +12,7 @@ RATE_DPS = 50.0
 RECORD = SegmentRecord(1, "rate", RATE_DPS, 20.0, 0.0, 20.0, 200, 0.1, "ok", "data/x.csv", "")
 
 
-def segment(reported_dps: np.ndarray, angle_deg: np.ndarray, t_s: np.ndarray) -> Segment:  # type: ignore[type-arg]
+def segment(reported_dps: np.ndarray, angle_deg: np.ndarray, t_s: np.ndarray) -> Segment:
     nothing = np.full(t_s.size, np.nan)
     empty = np.empty(0)
     return Segment(RECORD, empty, empty, empty, empty, t_s, reported_dps, angle_deg, nothing, nothing)
