@@ -191,6 +191,14 @@ class Conversation:
         self._timeout_s = timeout_s
         self._buffer = b""
 
+    def number(self, text: str, command: str) -> float:
+        """The number that `text` is, the answer to `command`; DeviceError where it is none."""
+        try:
+            return float(text)
+        except ValueError as error:
+            msg = f"{self._name}: answered {text!r} to {command!r}, and a number is wanted."
+            raise DeviceError(msg) from error
+
     def send(self, data: bytes) -> None:
         """Send without waiting for an answer."""
         self.transport.write(data)

@@ -125,13 +125,7 @@ class AcutrolTable:
         return data
 
     def _number(self, command: str) -> float:
-        text = self._command(command)
-        try:
-            return float(text)
-        except ValueError as error:
-            raise DeviceError(
-                f"ACUTROL table: answered {text!r} to {command!r}, and a number is wanted."
-            ) from error
+        return self._talk.number(self._command(command), command)
 
 
 class AcutrolResponder(LineResponder):

@@ -137,13 +137,7 @@ class ZaberTable:
         return match[6].strip()
 
     def _number(self, command: str) -> float:
-        text = self._ask(command)
-        try:
-            return float(text)
-        except ValueError as error:
-            raise DeviceError(
-                f"Zaber table: answered {text!r} to {command!r}, and a number is wanted."
-            ) from error
+        return self._talk.number(self._ask(command), command)
 
 
 class ZaberResponder(LineResponder):
