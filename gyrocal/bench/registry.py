@@ -20,7 +20,7 @@ class Responder(Protocol):
     """The device's side of a request-and-answer wire."""
 
     def feed(self, data: bytes) -> bytes:
-        """Answers to the requests completed by `data`."""
+        """Answers to the requests completed by `data`; called without data as time passes."""
         ...
 
 
@@ -74,7 +74,11 @@ def _encode_ecore(
     rate_dps: float, temp_c: float, count: int, options: ecore2000.Options, good: bool = True
 ) -> bytes:
     sign = 1.0 if options.counter_clockwise_positive else -1.0
-    return ecore2000.encode(round(sign * rate_dps / options.lsb_dps))
+    other = bytearray(ecore2000.OTHER)
+    if options.temperature_byte:
+        counts = round((temp_c - options.temperature_zero_c) / options.temperature_lsb_c)
+        other[options.temperature_byte - 1] = min(max(counts, 0), 255)
+    return ecore2000.encode(round(sign * rate_dps / options.lsb_dps), bytes(other))
 
 
 def _encode_ascii(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, NoReturn
@@ -36,6 +37,8 @@ VIRTUAL, MANUAL = "virtual", "manual"
 #: Without a sample for so long, or for so many sample intervals, a gyro is silent.
 _SILENCE_S, _SILENT_SAMPLES = 3.0, 20.0
 _BITS_PER_BYTE = 10
+#: Longest pause between two questions to a table with a watchdog, of its time.
+_WATCHDOG_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -131,12 +134,37 @@ def _options(profile: Profile, role: str, options_class: type[Any]) -> Any:
 
 
 def _check_line(profile: Profile, wire: Wire, kind: GyroKind) -> None:
-    kind.decoder(wire.options)  # refuses what no single option can show
+    try:
+        kind.decoder(wire.options)  # refuses what no single option can show
+    except ProfileError as error:
+        raise ProfileError(f"{profile.source}: {error}") from error
     needed = len(kind.encode(0.0, 20.0, 0, wire.options)) * _BITS_PER_BYTE * profile.sensor.sample_rate_hz
     if "://" not in wire.url and needed > wire.baud:
         msg = (
             f"{profile.source}: {wire.kind} at {profile.sensor.sample_rate_hz:g} Hz needs {needed:.0f} baud, and gyro.baud is "
             f"{wire.baud}. Raise the baud rate on both sides, or lower the data rate."
+        )
+        raise ProfileError(msg)
+
+
+def _check_together(profile: Profile, wires: Mapping[str, Wire]) -> None:
+    """Refuse what no device by itself can show: a port named twice, a table that nobody asks for too long."""
+    ports = [(role, wire.url) for role, wire in wires.items() if wire.url]
+    for i, (role, url) in enumerate(ports):
+        for other, its_url in ports[:i]:
+            if url == its_url:
+                refuse(
+                    profile.source,
+                    f"{role}.device",
+                    f"{wires[role].kind}:{url}",
+                    f"a port other than that of {other}",
+                )
+    watchdog_s = getattr(wires["table"].options, "watchdog_s", math.inf)
+    period_s = profile.record.bench_period_s
+    if period_s > _WATCHDOG_SHARE * watchdog_s:
+        msg = (
+            f"{profile.source}: record.bench_period_s is {period_s:g} s, and the table stops by itself when it is not "
+            f"asked for {watchdog_s:g} s. Give at most {_WATCHDOG_SHARE * watchdog_s:g} s, or raise watchdog_s in [table.options]."
         )
         raise ProfileError(msg)
 
@@ -165,6 +193,7 @@ def open_bench(
         A device that does not exist or a bad option.
     """
     wires = {role: read_wire(profile, role) for role in ROLES}
+    _check_together(profile, wires)
     taps = {
         role: capture.tap(role, w.kind, w.plain_options) for role, w in wires.items() if capture and w.url
     }

@@ -23,8 +23,9 @@ from gyrocal.bench.registry import (
     GyroKind,
     TableKind,
 )
-from gyrocal.bench.virtual.serving import served_kinds
-from gyrocal.errors import DeviceError
+from gyrocal.bench.virtual.serving import served_kinds, snippet_of
+from gyrocal.bench.wiring import ROLES, read_wire
+from gyrocal.errors import DeviceError, ProfileError
 from tests.bench.tiny import tiny
 from tests.bench.wire import IdealChamber, IdealTable, LoopTransport
 
@@ -32,9 +33,9 @@ ROOM = Path(__file__).parent
 KINDS: dict[str, GyroKind | TableKind | ChamberKind] = {**GYROS, **TABLES, **CHAMBERS}
 #: Numbers that are plain counts or addresses, and need no unit in their name.
 COUNTS = {
-    "address", "axis", "condition_event", "control_variables", "decimals", "device", "fault_bit", "loop",
+    "address", "axis", "code_characters", "condition_event", "control_variables", "decimals", "device", "fault_bit", "loop",
     "microsteps_per_rev", "output", "prefix_characters", "rate_scale", "sequence_modulus", "set_values", "start_bit",
-    "status_good", "trip_margin",
+    "status_good", "temperature_byte", "trip_margin",
 }  # fmt: skip
 UNITS = re.compile(r"_(dps|dps2|c|c_per_min|s|hz|deg)$")
 
@@ -57,6 +58,29 @@ def test_options_are_described_with_their_units(kind: str) -> None:
         )
         if option.default is MISSING:
             assert option.name in text, f"{kind}: {option.name} has no default and is not described"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_option_is_held_to_its_range(kind: str) -> None:
+    role = "gyro" if kind in GYROS else "table" if kind in TABLES else "chamber"
+    usual = snippet_of(
+        profile := profile_from_dict(tiny(), "tiny.toml"),
+        served_kinds(profile, {role: kind}),
+        dict.fromkeys(ROLES, "x"),
+    )
+    for option in fields(KINDS[kind].options):
+        if "str" in str(option.type):
+            values: tuple[Any, ...] = ("?",) if "choices" in option.metadata else ()
+        elif "bool" in str(option.type) or option.name in ("rate_scale", "status_good"):
+            values = ()
+        else:
+            values = (-(10**12), 10**15)
+        for value in values:
+            section = usual[role] | {"options": usual[role].get("options", {}) | {option.name: value}}
+            with pytest.raises(
+                ProfileError, match=rf"tiny.toml: {role}.options.{option.name} is .*, and allowed is "
+            ):
+                read_wire(profile_from_dict({**tiny(), **usual, role: section}, "tiny.toml"), role)
 
 
 @pytest.mark.parametrize("kind", KINDS)

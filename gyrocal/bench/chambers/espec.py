@@ -12,6 +12,7 @@ from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -34,11 +35,11 @@ class Options:
         Longest wait for an answer.
     """
 
-    address: int | None = None
-    min_temp_c: float = -40.0
-    max_temp_c: float = 85.0
-    max_ramp_c_per_min: float = 2.0
-    timeout_s: float = 3.0
+    address: int | None = number(0, 99, "", None)
+    min_temp_c: float = number(-200.0, 300.0, "deg C", -40.0)
+    max_temp_c: float = number(-200.0, 300.0, "deg C", 85.0)
+    max_ramp_c_per_min: float = number(0.01, 100.0, "deg C/min", 2.0)
+    timeout_s: float = number(0.01, 60.0, "s", 3.0)
 
 
 class EspecChamber:

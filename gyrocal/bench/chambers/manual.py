@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from gyrocal.bench.chambers.setpoint import check_setpoint
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import ChamberLimits, ChamberReading
+from gyrocal.bench.schema import number
 from gyrocal.errors import InterruptedRunError
 
 NAME = "manual chamber"
@@ -20,9 +21,9 @@ Prompt = Callable[[str], str]
 class Options:
     """The chamber's own limits, deg C and deg C/min."""
 
-    min_temp_c: float = -20.0
-    max_temp_c: float = 60.0
-    max_ramp_c_per_min: float = 1.0
+    min_temp_c: float = number(-200.0, 300.0, "deg C", -20.0)
+    max_temp_c: float = number(-200.0, 300.0, "deg C", 60.0)
+    max_ramp_c_per_min: float = number(0.01, 100.0, "deg C/min", 1.0)
 
 
 class ManualChamber:

@@ -8,6 +8,7 @@ from gyrocal.bench.chambers.modbus import ModbusMaster, ModbusSlave, RegisterMap
 from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -45,13 +46,13 @@ class Options:
         Longest wait for an answer.
     """
 
-    address: int = 1
-    condition_event: int = 0
+    address: int = number(1, 247, "", 1)
+    condition_event: int = number(0, 8, "", 0)
     alarm_registers: bool = False
-    min_temp_c: float = -40.0
-    max_temp_c: float = 85.0
-    max_ramp_c_per_min: float = 2.0
-    timeout_s: float = 1.0
+    min_temp_c: float = number(-200.0, 300.0, "deg C", -40.0)
+    max_temp_c: float = number(-200.0, 300.0, "deg C", 85.0)
+    max_ramp_c_per_min: float = number(0.01, 100.0, "deg C/min", 2.0)
+    timeout_s: float = number(0.01, 60.0, "s", 1.0)
 
 
 class WatlowF4Chamber:

@@ -10,6 +10,7 @@ from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -42,14 +43,14 @@ class Options:
         Longest wait for an answer.
     """
 
-    address: int = 1
+    address: int = number(1, 247, "", 1)
     low_word_first: bool = True
-    loop: int = 1
-    output: int = 1
-    min_temp_c: float = -40.0
-    max_temp_c: float = 85.0
-    max_ramp_c_per_min: float = 2.0
-    timeout_s: float = 2.0
+    loop: int = number(1, 9, "", 1)
+    output: int = number(0, 99, "", 1)
+    min_temp_c: float = number(-200.0, 300.0, "deg C", -40.0)
+    max_temp_c: float = number(-200.0, 300.0, "deg C", 85.0)
+    max_ramp_c_per_min: float = number(0.01, 100.0, "deg C/min", 2.0)
+    timeout_s: float = number(0.01, 60.0, "s", 2.0)
 
 
 def _limits(o: Options) -> ChamberLimits:

@@ -13,6 +13,7 @@ from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -38,6 +39,8 @@ class Options:
         Digital output (1..32) that starts the chamber; the second on the documented one.
     fault_bit : int
         Digital digit that tells of a fault; 0: none known.
+    answers_e : bool
+        Whether ``E`` is answered by a line (empty or ``0``); not verified, and the read-back counts either way.
     blanks_between_digits : bool
         Old firmware separates the 32 digits by blanks.
     min_temp_c, max_temp_c, max_ramp_c_per_min : float
@@ -46,17 +49,18 @@ class Options:
         Longest wait for an answer.
     """
 
-    address: int = 1
-    control_variables: int = 2
-    set_values: int = 0
+    address: int = number(0, 99, "", 1)
+    control_variables: int = number(1, 99, "", 2)
+    set_values: int = number(0, 99, "", 0)
     nominal_first: bool = True
-    start_bit: int = 2
-    fault_bit: int = 0
+    start_bit: int = number(1, _DIGITS, "", 2)
+    fault_bit: int = number(0, _DIGITS, "", 0)
+    answers_e: bool = False
     blanks_between_digits: bool = False
-    min_temp_c: float = -40.0
-    max_temp_c: float = 85.0
-    max_ramp_c_per_min: float = 2.0
-    timeout_s: float = 2.0
+    min_temp_c: float = number(-200.0, 300.0, "deg C", -40.0)
+    max_temp_c: float = number(-200.0, 300.0, "deg C", 85.0)
+    max_ramp_c_per_min: float = number(0.01, 100.0, "deg C/min", 2.0)
+    timeout_s: float = number(0.01, 60.0, "s", 2.0)
 
 
 @dataclass(frozen=True)
@@ -149,8 +153,12 @@ class WeissChamber:
     def _write(self, nominal: tuple[float, ...], set_values: tuple[float, ...], digits: str) -> None:
         numbers = " ".join(format_number(value) for value in (*nominal, *set_values))
         joined = " ".join(digits) if self._options.blanks_between_digits else digits
-        # What E answers is not verified, so nothing is expected; the caller reads back.
-        self._talk.send(f"{self._prefix}E {numbers} {joined}\r".encode())
+        request = f"{self._prefix}E {numbers} {joined}\r".encode()
+        # What E answers does not count: the caller reads back.
+        if self._options.answers_e:
+            self._talk.ask(request)
+        else:
+            self._talk.send(request)
 
 
 def _with_bit(digits: str, bit: int) -> str:
@@ -169,7 +177,7 @@ class WeissResponder(LineResponder):
         self._digits = "0" * _DIGITS
 
     def answer(self, line: str) -> bytes:
-        """Answer of the chamber; silent to other addresses and to ``E``."""
+        """Answer of the chamber; silent to other addresses, and to ``E`` unless it answers that."""
         prefix = f"${self._options.address:02d}"
         if not line.startswith(prefix):
             return b""
@@ -178,6 +186,7 @@ class WeissResponder(LineResponder):
             return self._state()
         if command.startswith("E "):
             self._write(command[2:].split())
+            return b"0\r" if self._options.answers_e else b""
         return b""
 
     def _state(self) -> bytes:

@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 
 from gyrocal.bench.gyros.codec import GOOD, Frame, LineDecoder
+from gyrocal.bench.schema import choice, number
 from gyrocal.errors import ProfileError
 from gyrocal.units import RAD_TO_DEG
 
@@ -31,7 +32,7 @@ class Options:
     rate_unit : str
         One of `RATE_UNITS`.
     rate_scale : float
-        Multiplies the number before the unit (counts: deg/s a count; a negative scale turns the sign).
+        Multiplies the number before the unit (counts: deg/s a count; a negative scale turns the sign); not 0.
     status_good : float
         Value of ``status`` that means good.
     sequence_modulus : int or None
@@ -41,10 +42,10 @@ class Options:
     columns: tuple[str, ...] = ("rate",)
     separator: str = ","
     pattern: str = ""
-    rate_unit: str = "deg/s"
+    rate_unit: str = choice(*RATE_UNITS, default="deg/s")
     rate_scale: float = 1.0
     status_good: float = 0.0
-    sequence_modulus: int | None = None
+    sequence_modulus: int | None = number(2, 2**32, "", None)
 
 
 class AsciiLineDecoder(LineDecoder):
@@ -52,9 +53,13 @@ class AsciiLineDecoder(LineDecoder):
 
     def __init__(self, options: Options) -> None:
         super().__init__()
+        if options.rate_scale == 0.0:
+            raise ProfileError(
+                "gyro.options.rate_scale is 0, and every rate would be. Give deg/s, or the unit, a count."
+            )
         self._options = options
         self.sequence_modulus = options.sequence_modulus
-        self._scale = options.rate_scale * RATE_UNITS[_known_unit(options.rate_unit)]
+        self._scale = options.rate_scale * RATE_UNITS[options.rate_unit]
         self._pattern = _compile(options)
 
     def _parse(self, line: bytes) -> Frame | None:
@@ -82,23 +87,23 @@ class AsciiLineDecoder(LineDecoder):
         )
 
 
-def _known_unit(unit: str) -> str:
-    if unit not in RATE_UNITS:
-        raise ProfileError(f"gyro.rate_unit is {unit!r}; allowed: {', '.join(RATE_UNITS)}.")
-    return unit
-
-
 def _compile(options: Options) -> re.Pattern[str]:
     if options.pattern:
         try:
             pattern = re.compile(options.pattern)
         except re.error as error:
-            raise ProfileError(f"gyro.pattern is not a regular expression ({error}). Repair it.") from error
+            raise ProfileError(
+                f"gyro.options.pattern is not a regular expression ({error}). Repair it."
+            ) from error
         if "rate" not in pattern.groupindex:
-            raise ProfileError("gyro.pattern has no group named rate; write (?P<rate>...) around the number.")
+            raise ProfileError(
+                "gyro.options.pattern has no group named rate; write (?P<rate>...) around the number."
+            )
         return pattern
-    if options.columns.count("rate") != 1:
-        raise ProfileError("gyro.columns must name the column rate once.")
+    if options.columns.count("rate") != 1 or any(options.columns.count(name) > 1 for name in GROUPS):
+        raise ProfileError(
+            f"gyro.options.columns must name rate once, and of {', '.join(GROUPS)} none twice."
+        )
     separator = r"\s+" if not options.separator.strip() else rf"\s*{re.escape(options.separator.strip())}\s*"
     cell = r"[^\s,;]*" if not options.separator.strip() else rf"[^{re.escape(options.separator.strip())}\s]*"
     cells = [f"(?P<{name}>{cell})" if name in GROUPS else cell for name in options.columns]

@@ -2,17 +2,22 @@
 
 Only the first byte of a frame has bit 7 set. The eight 7-bit groups make 56 bits, that is seven bytes m0..m6:
 m0 closes the sum of all seven to 0 modulo 256, m5 m6 are the rate as a signed 16-bit number (protocols.md 1.1).
-m1..m4 (status, self test, temperature) are not decoded by any public source: they are kept in ``Frame.raw``.
+m1..m4 (status, self test, temperature) are not decoded by any public source: they are kept in ``Frame.raw``, and options
+say which of them is the temperature once a capture has shown it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from gyrocal.bench.gyros.codec import Decoder, Frame, Step
+from gyrocal.bench.schema import number
 
 FRAME_BYTES = 8
 _GROUP_BITS = 7
+#: m1..m4 of the test vectors; what a real unit has there is not known.
+OTHER = bytes.fromhex("12345678")
 
 
 @dataclass(frozen=True)
@@ -26,10 +31,17 @@ class Options:
         guessed scale is a wrong calibration.
     counter_clockwise_positive : bool
         Sign of the unit; not stated by the maker.
+    temperature_byte : int
+        Which of m1..m4 is the temperature; 0: not known, and the frames carry none.
+    temperature_lsb_c, temperature_zero_c : float
+        Temperature of one count, and at zero counts (the byte is unsigned).
     """
 
-    lsb_dps: float
+    lsb_dps: float = number(1e-9, 10.0, "deg/s")
     counter_clockwise_positive: bool = True
+    temperature_byte: int = number(0, 4, "", 0)
+    temperature_lsb_c: float = number(1e-6, 100.0, "deg C", 1.0)
+    temperature_zero_c: float = number(-1000.0, 1000.0, "deg C", 0.0)
 
 
 class ECore2000Decoder(Decoder):
@@ -37,6 +49,7 @@ class ECore2000Decoder(Decoder):
 
     def __init__(self, options: Options) -> None:
         super().__init__()
+        self._options = options
         self._lsb_dps = options.lsb_dps if options.counter_clockwise_positive else -options.lsb_dps
 
     def _look(self, buffer: bytearray) -> Step | None:
@@ -52,7 +65,13 @@ class ECore2000Decoder(Decoder):
         if sum(message) % 256:
             return Step(FRAME_BYTES, bad=True)
         counts = int.from_bytes(message[5:7], "big", signed=True)
-        return Step(FRAME_BYTES, Frame(counts * self._lsb_dps, raw=raw))
+        return Step(FRAME_BYTES, Frame(counts * self._lsb_dps, self._temperature_c(message), raw=raw))
+
+    def _temperature_c(self, message: bytes) -> float:
+        o = self._options
+        if o.temperature_byte == 0:
+            return math.nan
+        return o.temperature_zero_c + o.temperature_lsb_c * message[o.temperature_byte]
 
 
 def _first_start(buffer: bytearray, begin: int) -> int:
@@ -68,7 +87,7 @@ def _join(raw: bytes) -> bytes:
     return bits.to_bytes(7, "big")
 
 
-def encode(counts: int, other: bytes = bytes.fromhex("12345678")) -> bytes:
+def encode(counts: int, other: bytes = OTHER) -> bytes:
     """Frame of a rate in counts; `other` is m1..m4.
 
     Raises

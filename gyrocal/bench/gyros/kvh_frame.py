@@ -12,6 +12,7 @@ import struct
 from dataclasses import dataclass
 
 from gyrocal.bench.gyros.codec import GOOD, Decoder, Frame, Step
+from gyrocal.bench.schema import choice, number
 from gyrocal.units import RAD_TO_DEG
 
 HEADER_A = bytes.fromhex("FE81FF55")
@@ -62,11 +63,11 @@ class Options:
         Sign of the axis as mounted.
     """
 
-    axis: str = "z"
-    data_rate_hz: float = 1000.0
+    axis: str = choice(*_AXES, default="z")
+    data_rate_hz: float = number(0.1, 10000.0, "Hz", 1000.0)
     rotation_is_delta: bool = True
     rotation_in_radians: bool = True
-    temperature_lsb_c: float = 0.01
+    temperature_lsb_c: float = number(1e-6, 10.0, "deg C", 0.01)
     counter_clockwise_positive: bool = True
 
     @property

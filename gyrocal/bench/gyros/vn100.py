@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import reduce
 
 from gyrocal.bench.gyros.codec import Frame, LineDecoder
+from gyrocal.bench.schema import choice
 from gyrocal.units import RAD_TO_DEG
 
 _AXES = {"x": 6, "y": 7, "z": 8}
@@ -21,13 +22,6 @@ _MESSAGE = re.compile(rb"\$(VNIMU,([^*$]*))\*([0-9A-Fa-f]{4}|[0-9A-Fa-f]{2})")
 _CONTENT = re.compile(
     rb"([+-]\d{2}\.\d{4},){3}([+-]\d{2}\.\d{3},){3}([+-]\d{2}\.\d{6},){3}[+-]\d{2}\.\d,[+-]\d{3}\.\d{3}"
 )
-
-#: Texts of ``$VNERR`` codes.
-ERRORS = {
-    1: "hard fault", 2: "serial buffer overflow", 3: "bad checksum", 4: "bad command", 5: "too few parameters",
-    6: "too many parameters", 7: "bad parameter", 8: "bad register", 9: "unauthorised", 10: "watchdog reset",
-    11: "output buffer overflow", 12: "baud too low",
-}  # fmt: skip
 
 
 def xor8(data: bytes) -> int:
@@ -50,7 +44,7 @@ def crc16(data: bytes) -> int:
 class Options:
     """Axis on the table and its sign as mounted."""
 
-    axis: str = "z"
+    axis: str = choice(*_AXES, default="z")
     counter_clockwise_positive: bool = True
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -24,7 +25,9 @@ class Options:
     axis : int
         Axis of the table.
     prefix_characters : int
-        Length of the answer's prefix on TCP; its split is not documented, 8 by one public driver.
+        Length of the answer's prefix on TCP, 8 by one public driver.
+    code_characters : int
+        How many of them, from the first, are the error code; the split is not documented.
     max_rate_dps, max_acceleration_dps2 : float
         The table's own limits.
     trip_margin : float
@@ -35,13 +38,14 @@ class Options:
         Longest wait for an answer.
     """
 
-    axis: int = 1
-    prefix_characters: int = 8
-    max_rate_dps: float = 400.0
-    max_acceleration_dps2: float = 200.0
-    trip_margin: float = 1.1
+    axis: int = number(1, 9, "", 1)
+    prefix_characters: int = number(1, 64, "", 8)
+    code_characters: int = number(1, 64, "", 4)
+    max_rate_dps: float = number(0.001, 20000.0, "deg/s", 400.0)
+    max_acceleration_dps2: float = number(0.001, 1e6, "deg/s^2", 200.0)
+    trip_margin: float = number(1.0, 10.0, "", 1.1)
     counter_clockwise_positive: bool = True
-    timeout_s: float = 2.0
+    timeout_s: float = number(0.01, 60.0, "s", 2.0)
 
 
 class AcutrolTable:
@@ -113,10 +117,10 @@ class AcutrolTable:
             answer[: self._options.prefix_characters],
             answer[self._options.prefix_characters :].strip(),
         )
-        code = prefix[: self._options.prefix_characters // 2].strip()
+        code = prefix[: self._options.code_characters].strip()
         if len(prefix) < self._options.prefix_characters or not code.lstrip("-").isdigit():
             raise DeviceError(
-                f"ACUTROL table: answered {answer!r} to {command!r}. Check table.prefix_characters."
+                f"ACUTROL table: answered {answer!r} to {command!r}. Check prefix_characters and code_characters in [table.options]."
             )
         if int(code) != 0:
             raise DeviceError(
@@ -144,8 +148,9 @@ class AcutrolResponder(LineResponder):
     def answer(self, line: str) -> bytes:
         """Answer of the controller: code and length in the prefix, then data."""
         code, data = self._perform(line)
-        half = self._options.prefix_characters // 2
-        return f"{code:0{half}d}{len(data):0{self._options.prefix_characters - half}d}{data}\r\n".encode()
+        rest = self._options.prefix_characters - self._options.code_characters
+        length = f"{len(data):0{rest}d}" if rest > 0 else ""
+        return f"{code:0{self._options.code_characters}d}{length}{data}\r\n".encode()
 
     def _perform(self, line: str) -> tuple[int, str]:
         word, _, argument = line.lower().partition(" ")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -35,11 +36,11 @@ class Options:
         Longest wait for an answer.
     """
 
-    max_rate_dps: float = 360.0
-    max_acceleration_dps2: float = 100.0
-    decimals: int = 0
+    max_rate_dps: float = number(0.001, 20000.0, "deg/s", 360.0)
+    max_acceleration_dps2: float = number(0.001, 1e6, "deg/s^2", 100.0)
+    decimals: int = number(0, 9, "", 0)
     counter_clockwise_positive: bool = False
-    timeout_s: float = 2.0
+    timeout_s: float = number(0.01, 60.0, "s", 2.0)
 
 
 class AerosmithTable:

@@ -7,7 +7,8 @@ Requests                                      Answers
 ``{"command": "stop"}``                       ``{"ok": true}``; must also be obeyed when nobody reads the answer
 
 Counter-clockwise from above is positive; the angle is unwrapped. A refusal is ``{"ok": false, "error": "..."}``. The
-table should stop by itself when no line comes for ``watchdog_s`` seconds (``hello`` sets it).
+table has to stop by itself when no line comes for ``watchdog_s`` seconds (``hello`` sets it): nobody else does when the
+program or its computer dies.
 """
 
 from __future__ import annotations
@@ -20,16 +21,25 @@ from typing import Any
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
 
 @dataclass(frozen=True)
 class Options:
-    """Time-outs of the link, s."""
+    """Times of the link.
 
-    timeout_s: float = 1.0
-    watchdog_s: float = 10.0
+    Attributes
+    ----------
+    timeout_s : float
+        Longest wait for an answer.
+    watchdog_s : float
+        The table stops by itself when no line has come for so long.
+    """
+
+    timeout_s: float = number(0.01, 60.0, "s", 1.0)
+    watchdog_s: float = number(0.1, 3600.0, "s", 10.0)
 
 
 class JsonLinesTable:
@@ -44,15 +54,12 @@ class JsonLinesTable:
     def limits(self) -> TableLimits:
         """Limits that the table states in ``hello``."""
         if self._limits is None:
-            answer = self._ask({"command": "hello", "watchdog_s": self._options.watchdog_s})
-            self._limits = TableLimits(
-                _number(answer, "max_rate_dps"), _number(answer, "max_acceleration_dps2")
-            )
+            self._limits = self._greet()
         return self._limits
 
     def start(self) -> None:
-        """Greet the table, which arms its watchdog; does not move."""
-        self.limits()
+        """Greet the table, which arms its watchdog, also after it was switched off and on; does not move."""
+        self._limits = self._greet()
 
     def set_rate(self, rate_dps: float) -> float:
         """Command a rate; returns the one that the table says it makes."""
@@ -80,6 +87,10 @@ class JsonLinesTable:
     def close(self) -> None:
         """Close the port."""
         self._talk.transport.close()
+
+    def _greet(self) -> TableLimits:
+        answer = self._ask({"command": "hello", "watchdog_s": self._options.watchdog_s})
+        return TableLimits(_number(answer, "max_rate_dps"), _number(answer, "max_acceleration_dps2"))
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         text = self._talk.ask(_line(request))
@@ -113,7 +124,18 @@ class JsonLinesResponder(LineResponder):
     def __init__(self, table: RateTable, options: Options = Options()) -> None:
         super().__init__()
         self._table = table
-        self._options = options
+        self._heard_s = 0.0
+        self._watchdog_s = math.inf
+
+    def feed(self, data: bytes) -> bytes:
+        """Answers; without `data` the watchdog looks whether anybody is still there."""
+        now_s = self._table.read().t_s
+        if data:
+            self._heard_s = now_s
+        elif now_s - self._heard_s > self._watchdog_s:
+            self._heard_s = now_s
+            self._table.set_rate(0.0)
+        return super().feed(data)
 
     def answer(self, line: str) -> bytes:
         """Answer of the table."""
@@ -124,6 +146,9 @@ class JsonLinesResponder(LineResponder):
             return _line({"ok": False, "error": "not a JSON object with a command"})
         if command == "hello":
             limits = self._table.limits()
+            watchdog_s = request.get("watchdog_s")
+            if isinstance(watchdog_s, int | float):
+                self._watchdog_s = watchdog_s
             known = {
                 "max_rate_dps": limits.max_rate_dps,
                 "max_acceleration_dps2": limits.max_acceleration_dps2,

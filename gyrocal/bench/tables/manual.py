@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import TableLimits, TableReading
+from gyrocal.bench.schema import number
 from gyrocal.errors import DeviceError, InterruptedRunError
 
 #: Asks the operator a question and returns the answer; the command line supplies it.
@@ -17,8 +18,8 @@ Prompt = Callable[[str], str]
 class Options:
     """The table's own limits, deg/s and deg/s^2."""
 
-    max_rate_dps: float = 100.0
-    max_acceleration_dps2: float = 20.0
+    max_rate_dps: float = number(0.001, 20000.0, "deg/s", 100.0)
+    max_acceleration_dps2: float = number(0.001, 1e6, "deg/s^2", 20.0)
 
 
 class ManualTable:

@@ -6,12 +6,14 @@ an LRC checksum behind a colon, which this driver asks for by sending one.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
+from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Conversation, Transport
 from gyrocal.errors import DeviceError
 
@@ -34,19 +36,23 @@ class Options:
         384000 for the X-RSW60C.
     max_rate_dps, max_acceleration_dps2 : float
         The stage's own limits.
+    reads_velocity : bool
+        Whether the firmware knows ``get vel``, which is not verified; without it the rate is the way from one
+        reading of the position to the next, and `settle.tolerance_dps` has to bear the unrest of its times.
     counter_clockwise_positive : bool
         Sign of a positive velocity, seen from above.
     timeout_s : float
         Longest wait for an answer.
     """
 
-    device: int = 1
-    axis: int = 1
-    microsteps_per_rev: int = 384_000
-    max_rate_dps: float = 150.0
-    max_acceleration_dps2: float = 100.0
+    device: int = number(1, 99, "", 1)
+    axis: int = number(0, 9, "", 1)
+    microsteps_per_rev: int = number(1, 10**9, "", 384_000)
+    max_rate_dps: float = number(0.001, 20000.0, "deg/s", 150.0)
+    max_acceleration_dps2: float = number(0.001, 1e6, "deg/s^2", 100.0)
+    reads_velocity: bool = True
     counter_clockwise_positive: bool = True
-    timeout_s: float = 1.0
+    timeout_s: float = number(0.01, 60.0, "s", 1.0)
 
     @property
     def data_per_dps(self) -> float:
@@ -73,6 +79,7 @@ class ZaberTable:
         self._clock = clock
         self._options = options
         self._warning = "--"
+        self._last: TableReading | None = None
 
     def limits(self) -> TableLimits:
         """Limits of the stage, from the options."""
@@ -80,6 +87,7 @@ class ZaberTable:
 
     def start(self) -> None:
         """Ask for the status; does not move."""
+        self._last = None
         self._ask("")
 
     def set_rate(self, rate_dps: float) -> float:
@@ -93,11 +101,20 @@ class ZaberTable:
         return data / self._options.data_per_dps
 
     def read(self) -> TableReading:
-        """``get vel`` and ``get pos``: measured rate and angle; its time is the middle of question and answer of the angle."""
-        rate_dps = self._number("get vel") / self._options.data_per_dps
+        """``get vel`` and ``get pos``: measured rate and angle; its time is the middle of question and answer of the angle.
+
+        Without ``get vel`` the first reading has no rate (NaN).
+        """
+        known = self._options.reads_velocity
+        rate_dps = self._number("get vel") / self._options.data_per_dps if known else math.nan
         asked_s = self._clock.now_s()
         angle_deg = self._number("get pos") / self._options.data_per_deg
-        return TableReading(0.5 * (asked_s + self._clock.now_s()), rate_dps, angle_deg)
+        t_s = 0.5 * (asked_s + self._clock.now_s())
+        last = self._last
+        if not known and last is not None and t_s > last.t_s:
+            rate_dps = (angle_deg - last.angle_deg) / (t_s - last.t_s)
+        self._last = TableReading(t_s, rate_dps, angle_deg)
+        return self._last
 
     def faults(self) -> tuple[str, ...]:
         """The warning flag, when it is a fault or would spoil a data set."""

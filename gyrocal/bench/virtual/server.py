@@ -37,7 +37,7 @@ class SoundLine:
 
 @dataclass
 class Port:
-    """A device's end of a line: where it is reached, what answers, and the line."""
+    """A device's end of a line: where it is reached, what answers (and looks at its watchdog), and the line."""
 
     endpoint: Endpoint
     responder: Responder
@@ -47,9 +47,8 @@ class Port:
         """Answer what has come; a device keeps silent to what it refuses."""
         request = self.endpoint.read()
         answer = b""
-        if request:
-            with contextlib.suppress(DeviceError):
-                answer = self.responder.feed(request)
+        with contextlib.suppress(DeviceError):
+            answer = self.responder.feed(request)
         data = self.line.carry(now_s, [answer] if answer else [], request)
         if data:
             self.endpoint.write(data)

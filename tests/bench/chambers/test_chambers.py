@@ -260,6 +260,21 @@ def test_weiss_writes_back_what_was_there(blanks: bool, nominal_first: bool) -> 
     port.finish()
 
 
+def test_weiss_steps_over_an_answer_to_e_by_option() -> None:
+    options = weiss.Options(answers_e=True, timeout_s=0.004)
+    chamber = IdealChamber()
+    driver = weiss.WeissChamber(LoopTransport(weiss.WeissResponder(chamber, options)), CLOCK, options)
+    driver.start()
+    driver.set_setpoint(31.5)
+    assert chamber.setpoint_c == 31.5
+    state = b"0023.0 0023.1 0000.0 0000.0 01" + b"0" * 30 + b"\r"
+    port = ScriptedTransport(
+        (b"$01I\r", state), (b"$01E 0023.0 0000.0 01" + b"0" * 30 + b"\r", b"0\r"), (b"$01I\r", state)
+    )
+    weiss.WeissChamber(port, CLOCK, options).set_setpoint(23.0)
+    port.finish()
+
+
 def test_weiss_names_fields_that_do_not_fit() -> None:
     with pytest.raises(DeviceError, match=r"does not fit the options .* Compare with \$01\?"):
         weiss.parse_state("0023.0 0022.5", weiss.Options())

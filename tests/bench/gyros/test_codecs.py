@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gyrocal.bench.gyros import ascii_line, dsp3000, ecore2000, kvh_frame, vn100
 from gyrocal.bench.gyros.codec import Decoder, Frame
+from gyrocal.bench.registry import GYROS
 from gyrocal.errors import ProfileError
 
 KVH = kvh_frame.Options()
@@ -76,6 +77,15 @@ def test_ecore_sign_is_an_option() -> None:
     options = ecore2000.Options(0.00183, counter_clockwise_positive=False)
     (frame,) = ecore2000.ECore2000Decoder(options).feed(ecore2000.encode(100))
     assert frame.rate_dps == pytest.approx(-0.183)
+
+
+def test_ecore_temperature_byte_is_an_option() -> None:
+    options = ecore2000.Options(0.00183, temperature_byte=2, temperature_lsb_c=0.5, temperature_zero_c=-40.0)
+    (frame,) = ecore2000.ECore2000Decoder(options).feed(GYROS["kvh-ecore2000"].encode(9.15, 21.5, 0, options))
+    assert frame.temp_c == 21.5
+    assert frame.rate_dps == pytest.approx(9.15)
+    (frame,) = ecore2000.ECore2000Decoder(ecore2000.Options(0.00183)).feed(frame.raw)
+    assert math.isnan(frame.temp_c)
 
 
 def test_ecore_refuses_what_does_not_fit() -> None:
@@ -155,10 +165,11 @@ def test_ascii_line_by_pattern_with_units() -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (ascii_line.Options(columns=("temp",)), "gyro.columns must name the column rate once"),
-        (ascii_line.Options(rate_unit="rpm"), "gyro.rate_unit is 'rpm'; allowed: deg/s, rad/s"),
-        (ascii_line.Options(pattern="("), "gyro.pattern is not a regular expression"),
-        (ascii_line.Options(pattern="(.*)"), "gyro.pattern has no group named rate"),
+        (ascii_line.Options(columns=("temp",)), "gyro.options.columns must name rate once"),
+        (ascii_line.Options(columns=("rate", "temp", "temp")), "temp, status, sequence none twice"),
+        (ascii_line.Options(rate_scale=0.0), "gyro.options.rate_scale is 0"),
+        (ascii_line.Options(pattern="("), "gyro.options.pattern is not a regular expression"),
+        (ascii_line.Options(pattern="(.*)"), "gyro.options.pattern has no group named rate"),
     ],
 )
 def test_ascii_line_refuses_a_bad_description(options: ascii_line.Options, text: str) -> None:

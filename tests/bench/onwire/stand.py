@@ -164,7 +164,7 @@ class WireStand:
             chamber=self.chamber,
             gyro=faulty_gyro,
         )
-        snippet = snippet_of(profile, kinds, dict.fromkeys(self.ports, "memory://"))
+        snippet = snippet_of(profile, kinds, {role: f"memory://{role}" for role in self.ports})
         self.profile = profile_from_dict({**profile.raw, **snippet}, "tiny.toml")
         opened = open_bench(self.profile, self.clock, lambda question: "", open_port=self._open)
         self.bench = replace(opened, describe="wire")

@@ -89,7 +89,7 @@ def test_a_profile_names_kinds_ports_and_options() -> None:
         ),
         (
             {"gyro": {"device": "kvh-ecore2000:/dev/x"}},
-            "p.toml: gyro.options.lsb_dps is missing; it wants a number.",
+            "p.toml: gyro.options.lsb_dps is missing; it wants a number from 1e-09 to 10 deg/s.",
         ),
         (
             {"gyro": {"device": "ascii-line:/dev/x", "options": {"columns": ["a", 1]}}},
@@ -97,7 +97,24 @@ def test_a_profile_names_kinds_ports_and_options() -> None:
         ),
         (
             {"gyro": {"device": "ascii-line:/dev/x", "options": {"columns": ["a"]}}},
-            "gyro.columns must name the column rate once.",
+            "p.toml: gyro.options.columns must name rate once",
+        ),
+        (
+            {"gyro": {"device": "ascii-line:/dev/x", "options": {"rate_unit": "rpm"}}},
+            'p.toml: gyro.options.rate_unit is "rpm", and allowed is one of "deg/s", "rad/s"',
+        ),
+        (
+            {"gyro": {"device": "kvh-frame-a:/dev/x", "options": {"axis": "w"}}},
+            'p.toml: gyro.options.axis is "w", and allowed is one of "x", "y", "z".',
+        ),
+        (
+            {"gyro": {"device": "kvh-dsp3000:/dev/x"}, "table": {"device": "zaber:/dev/x"}},
+            'p.toml: table.device is "zaber:/dev/x", and allowed is a port other than that of gyro.',
+        ),
+        (
+            {"table": {"device": "json-lines:/dev/y"}, "record": {"bench_period_s": 8.0}},
+            "p.toml: record.bench_period_s is 8 s, and the table stops by itself when it is not asked for 10 s. Give at "
+            "most 5 s, or raise watchdog_s in [table.options].",
         ),
         (
             {"gyro": {"device": "kvh-frame-a:/dev/x", "baud": 7}},

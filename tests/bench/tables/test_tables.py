@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gyrocal.bench.clock import VirtualClock
-from gyrocal.bench.devices import RateTable
+from gyrocal.bench.devices import RateTable, TableReading
 from gyrocal.bench.tables import acutrol, aerosmith, json_lines, manual, zaber
 from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError, InterruptedRunError
@@ -191,7 +192,7 @@ def test_acutrol_conversation_and_latched_fault() -> None:
     ("answer", "text"),
     [
         (b"0113000bnot recognised\r\n", "error 113 to"),
-        (b"OK\r\n", "Check table.prefix_characters"),
+        (b"OK\r\n", r"Check prefix_characters and code_characters in \[table.options\]"),
         (b"00000002OK\r\n", "a number is wanted"),
     ],
 )
@@ -199,6 +200,54 @@ def test_acutrol_refuses(answer: bytes, text: str) -> None:
     port = ScriptedTransport((b":Read:Rate? 1\r\n", answer))
     with pytest.raises(DeviceError, match=text):
         acutrol.AcutrolTable(port, CLOCK, acutrol.Options(timeout_s=0.004)).read()
+
+
+def test_acutrol_split_of_the_prefix_is_an_option() -> None:
+    options = acutrol.Options(prefix_characters=5, code_characters=2, timeout_s=0.004)
+    port = ScriptedTransport(
+        (b":Read:Rate? 1\r\n", b"000039.5\r\n"), (b":Read:Position? 1\r\n", b"000011\r\n")
+    )
+    assert acutrol.AcutrolTable(port, CLOCK, options).read().rate_dps == 9.5
+    port.finish()
+
+
+def test_zaber_without_get_vel_takes_the_rate_from_the_way() -> None:
+    clock, table = VirtualClock(), IdealTable()
+    line = LoopTransport(zaber.ZaberResponder(table))
+    driver = zaber.ZaberTable(line, clock, zaber.Options(reads_velocity=False, timeout_s=0.004))
+    driver.start()
+    assert math.isnan(driver.read().rate_dps)
+    clock.sleep(0.5)
+    table.angle_deg += 6.25
+    assert driver.read().rate_dps == pytest.approx(12.5, abs=1e-2)
+    assert not any(b"get vel" in sent for sent in line.sent)
+
+
+def test_json_lines_watchdog_stops_a_table_that_nobody_asks() -> None:
+    clock, table = VirtualClock(), IdealTable()
+    table.read = lambda: TableReading(clock.now_s(), table.rate_dps, table.angle_deg)  # type: ignore[method-assign]
+    responder = json_lines.JsonLinesResponder(table)
+    driver = json_lines.JsonLinesTable(LoopTransport(responder), clock, json_lines.Options(watchdog_s=2.0))
+    driver.start()
+    driver.set_rate(30.0)
+    for _ in range(5):
+        clock.sleep(1.0)
+        driver.read()
+        responder.feed(b"")
+    assert table.rate_dps == 30.0
+    clock.sleep(2.1)
+    responder.feed(b"")
+    assert table.rate_dps == 0.0
+    # it stays armed, and a table that was switched off and on is armed again by the next start
+    driver.set_rate(30.0)
+    clock.sleep(2.1)
+    responder.feed(b"")
+    assert table.rate_dps == 0.0
+    fresh = LoopTransport(json_lines.JsonLinesResponder(table))
+    driver = json_lines.JsonLinesTable(fresh, clock)
+    driver.limits()
+    driver.start()
+    assert [b"hello" in sent for sent in fresh.sent] == [True, True]
 
 
 def test_json_lines_conversation() -> None:
