@@ -13,8 +13,9 @@ from gyrocal.diagnosis.gate import Gate, gate
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.heldout import improvements
 from gyrocal.diagnosis.hypotheses import TWINS, untestable
-from gyrocal.diagnosis.improve import Refined, coefficients_of, refine, surface_coefficients
+from gyrocal.diagnosis.improve import Refined, refine
 from gyrocal.diagnosis.locate import lack_of_fit, locate
+from gyrocal.diagnosis.model_file import coefficients_of, surface_coefficients
 from gyrocal.diagnosis.result import (
     Alternative,
     Diagnosis,
@@ -102,7 +103,7 @@ def diagnose(
     series = whole.take(~np.isin(whole.set_index, numbers)) if numbers.size else whole
     analysis = analyse(series, options.false_alarm_rate, options.seed)
     remaining = lack_of_fit(analysis, options.false_alarm_rate)
-    decided = gate(analysis.members, remaining)
+    decided = gate(analysis.members, remaining, analysis.search)
     located = locate(analysis, remaining, options.false_alarm_rate)
     findings += outlier_findings(series)
     if "truncation" not in [m.hypothesis.id for m in decided.named]:
@@ -110,7 +111,7 @@ def diagnose(
     findings += clock_findings(series)
     scatter = variance_places(analysis, options.false_alarm_rate)
     refined = refine(analysis, decided)
-    gains, total = improvements(analysis, refined, decided, options.seed) if options.heldout else ({}, None)
+    gains, total = improvements(analysis, refined, options.seed) if options.heldout else ({}, None)
     effects = (
         *(_named(m, refined, gains.get(m.hypothesis.id)) for m in decided.named),
         *map(_found, findings),
@@ -128,7 +129,7 @@ def diagnose(
         sentences=(),
         noise=_noise_figures(series, analysis),
         improvement=total,
-        surface=coefficients or surface_coefficients(series, analysis),
+        surface=coefficients or surface_coefficients(series, analysis, refined),
         improved=coefficients_of(series, analysis, refined, decided) if decided.named else None,
         rows=_rows(series, analysis, refined),
         notes=(*series.notes, *temperature_alone(analysis), *decided.reasons),
@@ -142,10 +143,11 @@ def _against_given(
     """The residual that the given model leaves, and whether its surface is still the gyro's."""
     if coefficients is None:
         return refined, []
-    floor = float(np.sqrt(np.mean(set_means(series, refined.after_dps)[1] ** 2)))
+    floor = float(np.sqrt(np.mean(set_means(series, refined.whole.left_dps)[1] ** 2)))
     change = surface_change(series, analysis, refined, coefficients, floor)
     residual = simulated_residual(series, coefficients)
-    return replace(refined, before_dps=residual), [] if change is None else [change]
+    before = replace(refined.plain, left_dps=residual)
+    return replace(refined, plain=before), [] if change is None else [change]
 
 
 def _sample_white(series: Series, analysis: Analysis) -> float:
@@ -174,10 +176,12 @@ def _explained_scatter(scatter: list[Located], decided: Gate, findings: list[Fin
 
 def _named(member: Member, refined: Refined, improvement: Improvement | None) -> NamedEffect:
     effect = CATALOGUE[member.hypothesis.id]
+    nearest: dict[str, float] = {}
+    for e, loss in member.rivals:
+        if e in CATALOGUE and loss < CLASS_NATS:
+            nearest.setdefault(e, loss)
     rivals = [
-        Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement)
-        for e, loss in member.rivals
-        if e in CATALOGUE and loss < CLASS_NATS
+        Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement) for e, loss in nearest.items()
     ]
     twins = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in TWINS.get(effect.id, ())]
     return NamedEffect(
@@ -205,8 +209,9 @@ def _noise_figures(series: Series, analysis: Analysis) -> NoiseFigures:
     walk = None
     if np.all(series.averaging_s > 0):
         walk = 60.0 * levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
-    # The processes are a decade apart, so that one takes the share of B^2/(2 pi f) over a decade (IEEE 952).
-    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / (2.0 * np.pi)) * 3600.0
+    # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
+    # IEEE 952 gives for both signs of the frequency, over a decade.
+    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
     return NoiseFigures(white, walk, float(flicker), 1e6 * levels.jitter)
 
 
@@ -221,8 +226,8 @@ def _rows(series: Series, analysis: Analysis, refined: Refined) -> Rows:
         temp_rate_c_per_min=series.temp_rate_c_per_min,
         set_index=series.set_index,
         is_set=series.is_set,
-        before_dps=refined.before_dps,
-        after_dps=refined.after_dps,
+        before_dps=refined.plain.left_dps,
+        after_dps=refined.named.left_dps,
         white_std_dps=analysis.levels.white * series.white_std_dps,
         angle_deg=known(series.angle_deg),
         supply_v=known(series.supply_v),

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gyrocal.diagnosis.locate import Place
-from gyrocal.diagnosis.search import Member, related
+from gyrocal.diagnosis.search import Member, Search, related
 
 #: What a named effect leaves on its own coordinate may be this share of what it explains; more, and the shape is not its own.
 _LEFT_SHARE = 0.05
+#: A name whose size changes by a larger share when the patterns without a name are taken out leans on them.
+_LEANS = 0.5
 #: So many laws of the catalogue for one coordinate are a patchwork, not physics.
 _PATCHWORK = 3
 #: Coordinates that all change slowly in one recording, so that a pattern in one is half a pattern in another.
@@ -40,8 +45,8 @@ class Gate:
     reasons: tuple[str, ...]
 
 
-def gate(members: Sequence[Member], remaining: Sequence[Place]) -> Gate:
-    """Give or withhold the names of a model, given the lack of fit that it leaves."""
+def gate(members: Sequence[Member], remaining: Sequence[Place], search: Search) -> Gate:
+    """Give or withhold the names of a model, given the lack of fit that it leaves in `search`."""
     named: list[Member] = []
     withheld: list[Member] = []
     reasons: list[str] = []
@@ -53,7 +58,7 @@ def gate(members: Sequence[Member], remaining: Sequence[Place]) -> Gate:
                 f"A pattern that is not in the catalogue lives in {_words(h.coordinate)}: {h.id.strip('()')}."
             )
             continue
-        reason = _why_withheld(member, members, remaining)
+        reason = _why_withheld(member, members, remaining, search)
         if reason is None:
             named.append(member)
         else:
@@ -62,18 +67,24 @@ def gate(members: Sequence[Member], remaining: Sequence[Place]) -> Gate:
     return Gate(tuple(named), tuple(withheld), tuple(reasons))
 
 
-def _why_withheld(member: Member, members: Sequence[Member], remaining: Sequence[Place]) -> str | None:
+def _why_withheld(
+    member: Member, members: Sequence[Member], remaining: Sequence[Place], search: Search
+) -> str | None:
     h = member.hypothesis
     near = [m for m in members if related(m.hypothesis.coordinate, h.coordinate)]
     if sum(m.hypothesis.in_catalogue for m in near) >= _PATCHWORK:
         return f"{h.id} is not named: it takes {len(near)} laws to follow what is in {_words(h.coordinate)}."
-    for m in members:
-        alike = m in near or {m.hypothesis.coordinate, h.coordinate} <= _SLOW
-        if alike and not m.hypothesis.in_catalogue and m.gain > member.gain:
+    strangers = [m for m in members if not m.hypothesis.in_catalogue and _alike(m, member)]
+    if strangers:
+        strongest = max(strangers, key=lambda m: m.gain)
+        place = _words(strongest.hypothesis.coordinate)
+        if strongest.gain > member.gain:
             return (
-                f"{h.id} is not named: a stronger pattern that is not in the catalogue lives in "
-                f"{_words(m.hypothesis.coordinate)}, and may be what it follows."
+                f"{h.id} is not named: a stronger pattern that is not in the catalogue lives in {place}, "
+                "and may be what it follows."
             )
+        if _leans(member, members, strangers, search):
+            return f"{h.id} is not named: its size hangs on a pattern that is not in the catalogue and lives in {place}."
     left = max((p.excess for p in remaining if related(p.coordinate, h.coordinate)), default=0.0)
     if left > _LEFT_SHARE * member.gain:
         return (
@@ -81,6 +92,27 @@ def _why_withheld(member: Member, members: Sequence[Member], remaining: Sequence
             f"({left / (left + member.gain):.0%} of what is there)."
         )
     return None
+
+
+def _alike(a: Member, b: Member) -> bool:
+    """Whether two members may stand for one another."""
+    places = {a.hypothesis.coordinate, b.hypothesis.coordinate}
+    return related(a.hypothesis.coordinate, b.hypothesis.coordinate) or places <= _SLOW
+
+
+def _leans(member: Member, members: Sequence[Member], strangers: Sequence[Member], search: Search) -> bool:
+    """Whether a member is another size without the strangers around it."""
+    others = [m for m in members if m is not member]
+    beside = _amplitudes(member, search, others)
+    alone = _amplitudes(member, search, [m for m in others if m not in strangers])
+    size = max(float(np.linalg.norm(alone)), float(np.linalg.norm(beside)))
+    return float(np.linalg.norm(beside - alone)) > _LEANS * size
+
+
+def _amplitudes(member: Member, search: Search, others: Sequence[Member]) -> NDArray[np.float64]:
+    given = search.given(others)
+    inner = given.gram[np.ix_(member.columns, member.columns)]
+    return np.asarray(np.linalg.lstsq(inner, given.score[member.columns], rcond=1e-9)[0])
 
 
 def _words(coordinate: str) -> str:

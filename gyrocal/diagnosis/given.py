@@ -55,8 +55,8 @@ def surface_change(
     # Both are the same polynomials in differently scaled variables.
     to_here = np.linalg.lstsq(here, given, rcond=None)[0]
     change = to_here @ coefficients.surface.coefficients_dps.ravel()
-    change = change - refined.surface.coefficients_dps.ravel()[base.terms]
-    own = refined.covariance_dps2[np.ix_(base.terms, base.terms)]
+    change = change - refined.whole.surface.coefficients_dps.ravel()[base.terms]
+    own = refined.whole.covariance_dps2[np.ix_(base.terms, base.terms)]
     covariance = own + to_here @ coefficients.covariance_dps2 @ to_here.T
     rms = float(np.sqrt(np.mean((here @ change)[series.is_set] ** 2))) if series.is_set.any() else 0.0
     inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis
-from gyrocal.diagnosis.gate import Gate
 from gyrocal.diagnosis.improve import Piece, Refined
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.series import Series
@@ -40,16 +39,15 @@ class _Heldout:
 
 
 def improvements(
-    analysis: Analysis, refined: Refined, decided: Gate, seed: int
+    analysis: Analysis, refined: Refined, seed: int
 ) -> tuple[dict[str, Improvement], Improvement | None]:
-    """Improvement by each named effect, and by all members together; empty where nothing was found."""
+    """Improvement by each named effect, and by all of them together; empty where nothing was named."""
     if not refined.pieces:
         return {}, None
     series = analysis.setup.series
-    pieces = list(refined.pieces)
-    named = [p for p in pieces if p.member in decided.named]
-    # Models: surface alone, everything, and everything but one named effect each.
-    models: list[list[Piece]] = [[], pieces, *([q for q in pieces if q is not p] for p in named)]
+    named = list(refined.pieces)
+    # Models: surface alone, all that is named, and all but one of it each.
+    models: list[list[Piece]] = [[], named, *([q for q in named if q is not p] for p in named)]
     rng = np.random.default_rng([seed, 7])
     noise = analysis.setup.model.simulate(analysis.levels, rng, _SIMULATIONS)
     folds = _fold_numbers(series)

@@ -16,8 +16,6 @@ from gyrocal.diagnosis.hypotheses import columns_at
 from gyrocal.diagnosis.intervals import Profile, descend, profile_interval
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.search import Member
-from gyrocal.diagnosis.series import Series
-from gyrocal.fusion.coefficients import Coefficients, Noise, Term, Valid
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Conditions
 from gyrocal.physics.surface import Surface
@@ -38,8 +36,9 @@ _REFINED = {
     "mechanical_resonance": ("center_dps", "width_dps"),
     "step_response": ("tau_s", "frequency_hz"),
 }
-#: Shape parameters that help the search and are not in the catalogue's law.
-_SEARCH_ONLY = ("softness_dps", "of_output")
+#: Shape parameters that help the search and are not in the catalogue's law. (``of_output`` is: the runtime has
+#: the output that is cut.)
+_SEARCH_ONLY = ("softness_dps",)
 _NORMAL_95 = 1.959964
 
 
@@ -59,34 +58,54 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Refined:
-    """The joint fit.
+class Solved:
+    """A surface fitted beside some pieces.
 
     Attributes
     ----------
+    surface : Surface
+    covariance_dps2 : ndarray, shape (12, 12)
+    left_dps : ndarray, shape (n,)
+        What surface and pieces leave of the record.
+    """
+
+    surface: Surface
+    covariance_dps2: Floats
+    left_dps: Floats
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The surface alone, with the named physics, and with all that was found.
+
+    Patterns without a name take part in the estimates of what is named, so that these are not bent by them, but
+    in nothing that is to be used: a surface that was fitted beside a pattern is wrong without it.
+
+    Attributes
+    ----------
+    plain, named, whole : Solved
+        Surface alone; with named pieces; with all members.
     pieces : tuple of Piece
-        All members, in the order of the analysis.
+        Named.
     parameters : mapping
-        Effect id to its parameters.
-    before_dps, after_dps : ndarray, shape (n,)
-        Residual of surface alone, and of surface with all members.
+        Effect id to its parameters, estimated beside all members.
+    file_parameters : mapping
+        The same as they stand beside the surface of `named`, for use with it.
     effects_dps : mapping
-        What each named effect adds.
+        What each named effect adds, in `named`.
     joint : mapping
         Effect and parameter that a robot evaluates to its covariance with the twelve coefficients of the surface
         and with all parameters of this mapping, in its order.
     """
 
+    plain: Solved
+    named: Solved
+    whole: Solved
     pieces: tuple[Piece, ...]
     parameters: Mapping[str, Mapping[str, Estimate]]
-    before_dps: Floats
-    after_dps: Floats
+    file_parameters: Mapping[str, Mapping[str, Estimate]]
     effects_dps: Mapping[str, Floats]
-    surface: Surface
-    covariance_dps2: Floats
-    plain_surface: Surface
-    plain_covariance_dps2: Floats
-    joint: Mapping[tuple[str, str], Sequence[float]] = field(default_factory=dict)
+    joint: Mapping[tuple[str, str], Sequence[float]]
 
 
 @dataclass
@@ -139,51 +158,65 @@ def member_columns(
 
 
 def refine(analysis: Analysis, decided: Gate) -> Refined:
-    """Joint fit of the surface and all members, shapes included."""
-    setup, series = analysis.setup, analysis.setup.series
-    c = conditions_of(series)
-    plain = _Fit(analysis, setup.base)
-    alone, alone_covariance = plain.solve(np.empty((len(series), 0)))
+    """Fit surface and members together, shapes included."""
+    c = conditions_of(analysis.setup.series)
     members = [*decided.named, *decided.withheld]
-    pieces, profiles = _refine_shapes(analysis, members, c, plain)
-    columns = [p.columns for p in pieces]
-    fit, base, solution, covariance = plain, setup.base, alone, alone_covariance
-    for _ in range(3):
-        stacked = np.concatenate(columns, axis=1) if columns else np.empty((len(series), 0))
-        solution, covariance = fit.solve(stacked)
-        surface = _moved(base, solution)
-        base = simulate(series, surface, setup.base.terms)
-        fit = _Fit(analysis, base)
-        if not columns:
-            break
-    stacked = np.concatenate(columns, axis=1) if columns else np.empty((len(series), 0))
-    solution, _ = fit.solve(stacked)
-    p = base.design.shape[1]
-    covariance, tangents = _with_shapes(fit, pieces, profiles, stacked, solution, c)
-    parameters, effects, first = {}, {}, p
-    for piece in pieces:
-        rows = np.arange(first, first + piece.columns.shape[1])
-        first += rows.size
-        if piece.member in decided.named:
-            key = piece.member.hypothesis.id
-            effects[key] = piece.columns @ solution[rows]
-            parameters[key] = _estimates(
-                analysis, piece, solution[rows], covariance[np.ix_(rows, rows)], profiles
-            )
+    pieces, profiles = _refine_shapes(analysis, members, c, _Fit(analysis, analysis.setup.base))
+    named = pieces[: len(decided.named)]
+    plain = _beside(analysis, [], profiles, c)
+    own = _beside(analysis, named, profiles, c)
+    whole = _beside(analysis, pieces, profiles, c) if decided.withheld else own
     return Refined(
-        tuple(pieces),
-        parameters,
-        setup.base.residual_dps - setup.base.design @ alone,
-        base.residual_dps - base.design @ solution[:p] - stacked @ solution[p:],
-        effects,
-        _moved(base, solution),
-        _full(covariance[:p, :p], base.terms),
-        _moved(setup.base, alone),
-        _full(alone_covariance, setup.base.terms),
-        _joint(
-            [piece for piece in pieces if piece.member in decided.named], covariance, tangents, base.terms
-        ),
+        plain.solved,
+        own.solved,
+        whole.solved,
+        tuple(named),
+        {p.member.hypothesis.id: _estimates(analysis, p, *whole.of(p), profiles) for p in named},
+        {p.member.hypothesis.id: _estimates(analysis, p, *own.of(p), profiles) for p in named},
+        {p.member.hypothesis.id: p.columns @ own.of(p)[0] for p in named},
+        _joint(named, own.covariance, own.steps, analysis.setup.base.terms),
     )
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """A joint fit: what is left, and all linear coefficients with those of the shapes' tangents last."""
+
+    solved: Solved
+    solution: Floats
+    covariance: Floats
+    rows: Mapping[int, Ints]
+    steps: Mapping[tuple[str, str], float]
+
+    def of(self, piece: Piece) -> tuple[Floats, Floats]:
+        """Amplitudes of a piece and their covariance."""
+        rows = self.rows[id(piece)]
+        return self.solution[rows], self.covariance[np.ix_(rows, rows)]
+
+
+def _beside(
+    analysis: Analysis,
+    pieces: Sequence[Piece],
+    profiles: Mapping[tuple[str, str], Profile],
+    c: Conditions,
+) -> _Beside:
+    series, base = analysis.setup.series, analysis.setup.base
+    stacked = np.concatenate([np.empty((len(series), 0)), *(p.columns for p in pieces)], axis=1)
+    fit = _Fit(analysis, base)
+    for _ in range(3 if pieces else 1):
+        # The surface is a function of the output itself: it is linearised anew around its own fit.
+        base = simulate(series, _moved(base, fit.solve(stacked)[0]), base.terms)
+        fit = _Fit(analysis, base)
+    solution, _ = fit.solve(stacked)
+    covariance, steps = _with_shapes(fit, pieces, profiles, stacked, solution, c)
+    p = base.design.shape[1]
+    rows, first = {}, p
+    for piece in pieces:
+        rows[id(piece)] = np.arange(first, first + piece.columns.shape[1])
+        first += piece.columns.shape[1]
+    left = base.residual_dps - base.design @ solution[:p] - stacked @ solution[p:]
+    solved = Solved(_moved(base, solution), _full(covariance[:p, :p], base.terms), left)
+    return _Beside(solved, solution, covariance, rows, steps)
 
 
 def _moved(base: Base, solution: Floats) -> Surface:
@@ -387,65 +420,3 @@ def _draw_size(analysis: Analysis, columns: Ints, unit: str) -> Estimate:
     inside = size[logl > logl[best] - 1.92]
     std = float(size[best] / np.sqrt(2.0 * max(lam.size, 1)))
     return Estimate(float(size[best]), std, unit, (float(inside[0]), float(inside[-1])))
-
-
-def _valid(series: Series) -> Valid:
-    return Valid(
-        (float(series.gyro_dps.min()), float(series.gyro_dps.max())),
-        (float(series.temp_c.min()), float(series.temp_c.max())),
-    )
-
-
-def _noise(series: Series, analysis: Analysis) -> Noise:
-    if not np.all(series.averaging_s > 0):
-        return Noise()
-    walk = analysis.levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
-    spread = _NORMAL_95 / np.sqrt(2.0 * len(series))
-    return Noise(
-        angle_random_walk_deg_per_rt_h=(60 * walk, 60 * walk * (1 - spread), 60 * walk * (1 + spread))
-    )
-
-
-def surface_coefficients(series: Series, analysis: Analysis) -> Coefficients:
-    """The surface alone, fitted by generalised least squares, as a coefficient file."""
-    fit = _Fit(analysis, analysis.setup.base)
-    solution, covariance = fit.solve(np.empty((len(series), 0)))
-    return Coefficients(
-        sensor={"model": series.sensor_model},
-        surface=_moved(analysis.setup.base, solution),
-        covariance_dps2=_full(covariance, analysis.setup.base.terms),
-        valid=_valid(series),
-        noise=_noise(series, analysis),
-        provenance={"recording": series.name, "by": "diagnose"},
-    )
-
-
-def _covariance(refined: Refined, effect: str, name: str) -> dict[str, Sequence[float]]:
-    row = refined.joint.get((effect, name))
-    return {} if row is None else {"covariance": row}
-
-
-def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decided: Gate) -> Coefficients:
-    """Surface refitted with the named physics, which stands in its terms."""
-    terms = []
-    for member in decided.named:
-        effect = CATALOGUE[member.hypothesis.id]
-        parameters = {
-            name: {"value": e.value, "std": e.std, "unit": e.unit} | _covariance(refined, effect.id, name)
-            for name, e in refined.parameters[effect.id].items()
-        }
-        second = {
-            name: parameters.pop(f"{name}_2") for name in ("amplitude", "order") if f"{name}_2" in parameters
-        }
-        terms.append(Term(effect.id, parameters, effect.runtime))
-        if second:
-            terms.append(Term(effect.id, {**parameters, **second}, effect.runtime))
-    return Coefficients(
-        sensor={"model": series.sensor_model},
-        surface=refined.surface,
-        covariance_dps2=refined.covariance_dps2,
-        valid=_valid(series),
-        noise=_noise(series, analysis),
-        terms=tuple(terms),
-        provenance={"recording": series.name, "by": "diagnose"},
-    )

@@ -145,6 +145,9 @@ def series_of_run(run: Run) -> Series:
         raise DataError(f"{run.path}: no segment has usable samples. Check the run with `gyrocal report`.")
     if failed:
         notes.append(f"{failed} segments are marked failed in the journal and are left out")
+    aside = sum(raw["set_aside"] for raw in raws)
+    if aside:
+        notes.append(f"{aside} samples that stand out within {_HEAD_S:g} s of a step of rate are left out")
     if unusable:
         notes.append(f"{unusable} gyro samples are empty or of bad status and are left out")
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
@@ -160,6 +163,8 @@ def _segment_rows(
     step_s = float(np.median(np.diff(t)))
     averaging_s = segment.record.averaging_s or step_s
     outlier = _outliers(gyro)
+    # Right after a step, ringing that samples are too few to follow stands out like a burst and is none.
+    settling = (t - segment.record.t_start_s < _HEAD_S) & (rate != previous_rate)
     bins = _bin_numbers(t, rate, step_s, float(segment.record.t_end_s - segment.record.t_start_s))
     keep = ~outlier
     count = np.bincount(bins[keep], minlength=bins[-1] + 1).astype(np.float64)
@@ -190,8 +195,9 @@ def _segment_rows(
         "averaging_s": averaging_s,
         "gyro": gyro[keep],
         "temp": segment.gyro_temp_c[good],
-        "outliers_t_s": t[outlier],
-        "outliers_dps": gyro[outlier] - np.median(gyro),
+        "outliers_t_s": t[outlier & ~settling],
+        "outliers_dps": gyro[outlier & ~settling] - np.median(gyro),
+        "set_aside": int((outlier & settling).sum()),
         "step_s": step_s,
         "span_s": float(t[-1] - t[0]),
         "n": t.size,
@@ -232,6 +238,11 @@ def _outliers(gyro: Floats) -> Bools:
     padded = np.pad(gyro, 2, mode="reflect")
     local = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     deviation = gyro - local
+    # At either end there are neighbours on one side only: a straight line through them, whose noise is sqrt(6)
+    # times a sample's where the median's is about 1.25 times, so that a decay after a step is no outlier.
+    ends = np.array([0, -1])
+    inner, second = gyro[[1, -2]], gyro[[2, -3]]
+    deviation[ends] = (gyro[ends] - 2.0 * inner + second) * 1.25 / np.sqrt(6.0)
     # The median of five takes part of the noise with it; the robust spread of what is left sets the scale.
     spread = 1.4826 * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
     return (

@@ -102,6 +102,7 @@ def _in_time(s: Series, enter: Enter) -> None:
     pulses = [np.exp(-0.5 * ((x - centres) / w) ** 2) for w in (0.02, 0.06)]
     enter("passing disturbance", where, np.concatenate(pulses, axis=1))
     enter("bend in time", where, np.maximum(x - centres[2:-2:2], 0.0))
+    enter("drift as the square root of time", where, np.sqrt(x[:, 0]))
     decay = (x > centres) * np.exp(-np.maximum(x - centres, 0.0) / 0.08)
     enter("disturbance that decays", where, decay)
     if turning:

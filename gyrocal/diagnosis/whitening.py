@@ -1,9 +1,10 @@
-"""Noise of a recording and its whitening: white noise, 1/f bias noise, and a rate error of each data set.
+"""Noise of a recording and its whitening: white noise, 1/f bias noise, rate random walk, a rate error of each data set.
 
 The covariance is that of a state-space model (physics.md; physics-report.md, B.0): angle random walk over each
 row's averaging time, a sum of Ornstein-Uhlenbeck processes of common amplitude (their spectrum adds up to 1/f),
-and an offset that is drawn anew for each data set, proportional to the rate. A Kalman filter whitens the record
-and every regression column in one pass; the restricted likelihood of its innovations gives the three levels.
+an offset that is drawn anew for each data set, proportional to the rate, and, where the record insists on it, a
+random walk of the bias (IEEE 952: N, B and K). A Kalman filter whitens the record and every regression column in
+one pass; the restricted likelihood of its innovations gives the levels.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
+from scipy.stats import chi2
 
 from gyrocal.diagnosis.series import Series
 
@@ -34,12 +36,16 @@ except ImportError:  # the same functions run as plain Python, on blocks of colu
 
 #: Correlation times of the bias noise, s.
 TAUS_S = (2.0, 20.0, 200.0, 2000.0, 20000.0)
-_STATES = len(TAUS_S) + 1
+#: Levels below these (flicker and walk in units of the white noise, jitter relative) are none.
+_LOWEST = np.log([1e-5, 1e-8, 1e-7])
+_HIGHEST = np.log([1e4, 1.0, 1e2])
+#: A walk whose likeliest guess is so much (nats) worse than none is not looked for any further.
+_HOPELESS = 3.0
 
 
 @dataclass(frozen=True)
 class NoiseLevels:
-    """The three levels of the noise model.
+    """The levels of the noise model.
 
     Attributes
     ----------
@@ -49,25 +55,26 @@ class NoiseLevels:
         Standard deviation of each Ornstein-Uhlenbeck process, deg/s.
     jitter : float
         Standard deviation of the relative rate error of a data set.
+    walk : float
+        Rate random walk of the bias, deg/s in the square root of a second.
     """
 
     white: float
     flicker_dps: float
     jitter: float
+    walk: float = 0.0
 
 
 @njit(cache=True)
 def _gains(  # type: ignore[no-untyped-def]
-    decay, read, fresh, white_var, offset_var, flicker_var
+    decay, read, drive, fresh, white_var, offset_var
 ):  # pragma: no cover - compiled
-    """Kalman gains (n, states) and innovation standard deviations (n,) of the noise model."""
+    """Kalman gains (n, states) and innovation standard deviations (n,); `drive` is the variance of each step."""
     n, k = decay.shape
     m = k + 1
     gains = np.zeros((n, m))
     std = np.zeros(n)
     P = np.zeros((m, m))
-    for j in range(k):
-        P[j, j] = flicker_var
     ph = np.zeros(m)
     for i in range(n):
         for a in range(k):
@@ -75,7 +82,7 @@ def _gains(  # type: ignore[no-untyped-def]
                 P[a, b] *= decay[i, a] * decay[i, b]
             P[a, k] *= decay[i, a]
             P[k, a] = P[a, k]
-            P[a, a] += (1.0 - decay[i, a] * decay[i, a]) * flicker_var
+            P[a, a] += drive[i, a]
         if fresh[i]:
             for a in range(m):
                 P[a, k] = 0.0
@@ -130,6 +137,30 @@ def _whiten_loops(decay, read, fresh, gains, std, X):  # type: ignore[no-untyped
     return out
 
 
+@njit(cache=True, fastmath=True)
+def _adjoint_loops(decay, read, fresh, gains, std, V):  # type: ignore[no-untyped-def]  # pragma: no cover
+    n, m = V.shape
+    k = decay.shape[1]
+    behind = np.zeros((k + 1, m))
+    out = np.empty((n, m))
+    for i in range(n - 1, -1, -1):
+        inverse = 1.0 / std[i]
+        for c in range(m):
+            out[i, c] = V[i, c] * inverse
+        for a in range(k + 1):
+            g = gains[i, a]
+            for c in range(m):
+                out[i, c] += g * behind[a, c]
+        for a in range(k):
+            f = decay[i, a]
+            h = read[i, a]
+            for c in range(m):
+                behind[a, c] = f * (behind[a, c] - h * out[i, c])
+        for c in range(m):
+            behind[k, c] = 0.0 if fresh[i] else behind[k, c] - out[i, c]
+    return out
+
+
 @njit(cache=True)
 def _colour_loops(decay, read, drive, flicker):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Sum of Ornstein-Uhlenbeck processes from standard normal draws, shape (k, n, m) in, (n, m) out."""
@@ -166,6 +197,20 @@ def _whiten_numpy(
     return out
 
 
+def _adjoint_numpy(
+    decay: Floats, read: Floats, fresh: NDArray[np.bool_], gains: Floats, std: Floats, V: Floats
+) -> Floats:
+    """The same recursion with all columns at once, for where numba is not installed."""
+    k = decay.shape[1]
+    behind = np.zeros((k + 1, V.shape[1]))
+    out = np.empty_like(V)
+    for i in range(V.shape[0] - 1, -1, -1):
+        out[i] = V[i] / std[i] + gains[i] @ behind
+        behind[:k] = decay[i][:, None] * (behind[:k] - read[i][:, None] * out[i])
+        behind[k] = 0.0 if fresh[i] else behind[k] - out[i]
+    return out
+
+
 class NoiseModel:
     """Covariance of the rows of a series, but for its levels.
 
@@ -177,8 +222,8 @@ class NoiseModel:
 
     def __init__(self, series: Series) -> None:
         taus = np.array(TAUS_S)
-        gap = np.diff(series.t_s, prepend=series.t_s[0])
-        self.decay = np.exp(-gap[:, None] / taus)
+        self.gap_s = np.diff(series.t_s, prepend=series.t_s[0])
+        self.decay = np.exp(-self.gap_s[:, None] / taus)
         # A mean over T of an OU process scatters less than its points do; T = 0 reads the process itself.
         x = np.maximum(series.averaging_s[:, None] / taus, 1e-6)
         self.read = np.sqrt(np.where(x < 1e-3, 1.0, 2.0 / x**2 * (x - 1.0 + np.exp(-x))))
@@ -190,16 +235,31 @@ class NoiseModel:
 
     def whiten(self, levels: NoiseLevels, X: Floats) -> tuple[Floats, Floats]:
         """Whitened columns, shape (n, m), and the standard deviations of the innovations, shape (n,)."""
-        gains, std = _gains(
-            self.decay,
-            self.read,
-            self.fresh,
-            levels.white**2 * self.white_var,
-            levels.jitter**2 * self.rate_var,
-            levels.flicker_dps**2,
-        )
+        decay, read, gains, std = self._filter(levels)
         run = _whiten_loops if HAVE_NUMBA else _whiten_numpy
-        return run(self.decay, self.read, self.fresh, gains, std, np.ascontiguousarray(X)), std
+        return run(decay, read, self.fresh, gains, std, np.ascontiguousarray(X)), std
+
+    def adjoint(self, levels: NoiseLevels, V: Floats) -> Floats:
+        """Transpose of the whitening, shape (n, m): twice in a row they are the inverse of the covariance."""
+        decay, read, gains, std = self._filter(levels)
+        run = _adjoint_loops if HAVE_NUMBA else _adjoint_numpy
+        return np.asarray(run(decay, read, self.fresh, gains, std, np.ascontiguousarray(V)))
+
+    def _filter(self, levels: NoiseLevels) -> tuple[Floats, Floats, Floats, Floats]:
+        decay, read, drive = self.states(levels)
+        white_var, offset_var = levels.white**2 * self.white_var, levels.jitter**2 * self.rate_var
+        return decay, read, *_gains(decay, read, drive, self.fresh, white_var, offset_var)
+
+    def states(self, levels: NoiseLevels) -> tuple[Floats, Floats, Floats]:
+        """Decay, reading and variance of each step of the slow states, shape (n, states); the walk's is the last."""
+        before = np.concatenate([np.zeros((1, self.decay.shape[1])), self.decay[1:]])
+        drive = (1.0 - before**2) * levels.flicker_dps**2
+        if not levels.walk:
+            return self.decay, self.read, drive
+        ones = np.ones(self.gap_s.size)
+        step = levels.walk**2 * self.gap_s
+        decay, read = np.column_stack([self.decay, ones]), np.column_stack([self.read, ones])
+        return decay, read, np.column_stack([drive, step])
 
     def simulate(self, levels: NoiseLevels, rng: np.random.Generator, count: int) -> Floats:
         """Draws of the noise at the rows, deg/s, shape (n, count)."""
@@ -209,7 +269,11 @@ class NoiseModel:
         first = np.flatnonzero(self.fresh)
         size = levels.jitter * np.sqrt(self.rate_var[first])[:, None]
         offset = size * rng.standard_normal((first.size, count))
-        return np.asarray(flicker + white + offset[np.cumsum(self.fresh) - 1])
+        noise = flicker + white + offset[np.cumsum(self.fresh) - 1]
+        if levels.walk:
+            steps = np.sqrt(self.gap_s)[:, None] * rng.standard_normal(noise.shape)
+            noise += levels.walk * np.cumsum(steps, axis=0)
+        return np.asarray(noise)
 
 
 @dataclass(frozen=True)
@@ -228,9 +292,18 @@ class Likelihood:
     ml: float
 
 
+def _ratios(levels: NoiseLevels, model: NoiseModel) -> Floats:
+    """Logarithms of flicker, jitter and walk in units of the white noise, shape (3,)."""
+    unit = levels.white * model.typical_white
+    raw = np.array([levels.flicker_dps / unit, levels.jitter / levels.white, levels.walk / unit])
+    return np.asarray(np.log(np.maximum(raw, np.exp(_LOWEST))))
+
+
 def _evaluate(model: NoiseModel, ratios: Floats, yX: Floats) -> Likelihood:
-    """Likelihood with the white level profiled out; `ratios` are log(flicker/white), log(jitter)."""
-    base = NoiseLevels(1.0, float(np.exp(ratios[0])) * model.typical_white, float(np.exp(ratios[1])))
+    """Likelihood at `_ratios`, with the white level profiled out; two ratios are without a walk."""
+    size = np.exp(ratios)
+    walk = size[2] * model.typical_white if ratios.size > 2 and ratios[2] > _LOWEST[2] else 0.0
+    base = NoiseLevels(1.0, float(size[0]) * model.typical_white, float(size[1]), float(walk))
     white, std = model.whiten(base, yX)
     n, p = white.shape[0], white.shape[1] - 1
     gram = white.T @ white
@@ -251,7 +324,37 @@ def _evaluate(model: NoiseModel, ratios: Floats, yX: Floats) -> Likelihood:
     reml = -0.5 * ((n - p) * (np.log(variance) + 1.0) + 2.0 * log_std + log_gram)
     ml = -0.5 * (n * (np.log(rss / n) + 1.0) + 2.0 * log_std)
     q = float(np.sqrt(variance))
-    return Likelihood(NoiseLevels(q, q * base.flicker_dps, q * base.jitter), reml, ml)
+    return Likelihood(NoiseLevels(q, q * base.flicker_dps, q * base.jitter, q * base.walk), reml, ml)
+
+
+def _climb(model: NoiseModel, yX: Floats, first: Floats, step: float) -> Likelihood:
+    """The most likely levels near `first`; jitter stays where it is in a record at rest."""
+    free = np.ones(first.size, dtype=bool) if model.turns else np.arange(first.size) != 1
+    low, high = _LOWEST[: first.size], _HIGHEST[: first.size]
+
+    def at(x: Floats) -> Floats:
+        ratios = first.copy()
+        ratios[free] = x
+        return ratios
+
+    def loss(x: Floats) -> float:
+        inside = np.clip(at(x), low, high)
+        value = _evaluate(model, inside, yX).reml
+        return -value + float(np.sum((at(x) - inside) ** 2)) if np.isfinite(value) else 1e12
+
+    start = first[free]
+    best = minimize(
+        loss,
+        start,
+        method="Nelder-Mead",
+        options={
+            "xatol": 0.02,
+            "fatol": 0.02,
+            "maxfev": 30 * start.size,
+            "initial_simplex": start + step * np.vstack([np.zeros(start.size), np.eye(start.size)]),
+        },
+    )
+    return _evaluate(model, np.clip(at(best.x), low, high), yX)
 
 
 def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels | None = None) -> Likelihood:
@@ -263,41 +366,43 @@ def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels 
     X : ndarray, shape (n, p)
         May be nearly collinear; a small ridge takes care of it.
     start : NoiseLevels, optional
-        Where to begin; a few evaluations suffice from a good start.
+        Where to begin; a few evaluations suffice from a good start. A walk is only estimated where it has one.
     """
     yX = np.column_stack([y, X])
-    jitters = np.log([3e-6, 1e-4]) if model.turns else [np.log(1e-9)]
     if start is not None:
-        first = np.array(
-            [
-                np.log(max(start.flicker_dps / start.white / model.typical_white, 1e-4)),
-                np.log(max(start.jitter / start.white, 1e-7)),
-            ]
-        )
-    else:
-        trials = [np.array([a, b]) for a in np.log([0.05, 0.3, 2.0]) for b in jitters]
-        first = max(trials, key=lambda r: _evaluate(model, r, yX).reml)
+        first = _ratios(start, model)
+        return _climb(model, yX, first if start.walk else first[:2], 0.3)
+    jitters = np.log([3e-6, 1e-4]) if model.turns else [np.log(1e-9)]
+    trials = [np.array([a, b]) for a in np.log([0.05, 0.3, 2.0]) for b in jitters]
+    return _climb(model, yX, max(trials, key=lambda r: _evaluate(model, r, yX).reml), 0.7)
 
-    def loss(r: Floats) -> float:
-        inside = np.clip(r, [np.log(1e-5), np.log(1e-8)], [np.log(1e4), np.log(1.0)])
-        value = _evaluate(model, inside, yX).reml
-        return -value + float(np.sum((r - inside) ** 2)) if np.isfinite(value) else 1e12
 
-    if not model.turns:
-        ratio = float(first[0])
-        flat = minimize_scalar(
-            lambda a: loss(np.array([a, first[1]])),
-            bounds=(ratio - 4.0, ratio + 4.0),
-            method="bounded",
-            options={"xatol": 0.01, "maxiter": 40},
-        )
-        return _evaluate(model, np.array([flat.x, first[1]]), yX)
-    step = 0.3 if start is not None else 0.7
-    simplex = first + step * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    best = minimize(
-        loss,
-        first,
-        method="Nelder-Mead",
-        options={"xatol": 0.02, "fatol": 0.02, "maxfev": 60, "initial_simplex": simplex},
-    )
-    return _evaluate(model, best.x, yX)
+def look_for_walk(
+    model: NoiseModel, y: Floats, X: Floats, without: Likelihood, level: float
+) -> tuple[NoiseLevels, float]:
+    """Levels with a rate random walk where the likelihood ratio insists on one, and the p-value of the walk.
+
+    A walk from nothing is a variance at the edge of what it can be: half a chi-square of one degree of freedom.
+
+    Parameters
+    ----------
+    without : Likelihood
+        The best without a walk.
+    level : float
+        False-alarm rate at which a walk is taken in.
+    """
+    yX = np.column_stack([y, X])
+    first = _ratios(without.levels, model)
+    span_s = max(float(model.gap_s.sum()), 1.0)
+    # Walks that end one to eight times as far off as the flicker is large, with less flicker beside them.
+    trials = [
+        np.array([first[0] + np.log(less), first[1], first[0] + np.log(far) - 0.5 * np.log(span_s)])
+        for far in (1.0, 3.0, 8.0)
+        for less in (1.0, 0.4)
+    ]
+    likelihoods = [_evaluate(model, r, yX).reml for r in trials]
+    if max(likelihoods) < without.reml - _HOPELESS:
+        return without.levels, 1.0
+    found = _climb(model, yX, trials[int(np.argmax(likelihoods))], 0.3)
+    p_value = 0.5 * float(chi2.sf(max(2.0 * (found.reml - without.reml), 0.0), 1))
+    return (found.levels, p_value) if p_value < level else (without.levels, p_value)

@@ -223,7 +223,7 @@ def make_recording(
     columns = np.column_stack([w.rows(c) for c in _surface_columns(clean, w.case_c).T])
     measured = [(e, s) for e, s in effects if e not in OF_OUTPUT]
     yardstick = Yardstick(w, noise, columns) if measured else None
-    hidden, rows, total = [], [], np.zeros(w.t_s.size)
+    hidden, rows, total, lost = [], [], np.zeros(w.t_s.size), np.zeros(w.t_s.size)
     scatter = np.ones(w.t_s.size)
     for name, d_prime in measured:
         unit, drawn = _unit_effect(name, w, surface, clean, rng)
@@ -237,6 +237,7 @@ def make_recording(
             else rng.choice([-1.0, 1.0])
         )
         total += sign * size * unit
+        lost += sign * size * unit if name == "truncation" else 0.0
         rows.append(sign * size * in_rows)
         if name == "mechanical_resonance":
             scatter += 2.0 * np.abs(unit) / np.abs(unit).max()
@@ -247,8 +248,8 @@ def make_recording(
     output = clean + total + jitter * w.rate_dps + white + flicker
     lattice = sum(h.amplitude * 1e-3 for h in hidden if h.effect == "truncation")
     if lattice:
-        # The loss is in `total` as its mean; the lattice itself is toward zero, so the mean is put back first.
-        output = np.trunc((output - total) / lattice) * lattice
+        # The loss is in `output` as its mean; the lattice itself is toward zero, so the mean is put back first.
+        output = np.trunc((output - lost) / lattice) * lattice
     for name, level in effects:
         if name == "bursts":
             output = output + _burst(w, level, rng)

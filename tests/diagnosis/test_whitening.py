@@ -11,9 +11,10 @@ from scipy.stats import kstest
 from gyrocal.diagnosis import whitening
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.series import Raw, Series
-from gyrocal.diagnosis.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels
+from gyrocal.diagnosis.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 
 LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
+WALKING = replace(LEVELS, walk=4e-4)
 
 
 def make_series(n_sets: int = 30, per_set: int = 12) -> Series:
@@ -48,23 +49,27 @@ def dense_covariance(series: Series, model: NoiseModel, levels: NoiseLevels) -> 
         read = model.read[:, k]
         total = total + levels.flicker_dps**2 * np.exp(-gap / tau) * np.outer(read, read)
     same = series.set_index[:, None] == series.set_index[None, :]
+    since = series.t_s - series.t_s[0]
+    total = total + levels.walk**2 * np.minimum(since[:, None], since[None, :])
     return np.asarray(total + same * (levels.jitter * series.rate_dps[:, None]) ** 2)
 
 
-def test_filter_equals_the_dense_covariance() -> None:
+@pytest.mark.parametrize("levels", [LEVELS, WALKING])
+def test_filter_equals_the_dense_covariance(levels: NoiseLevels) -> None:
     series = make_series()
     model = NoiseModel(series)
     X = np.random.default_rng(0).standard_normal((len(series), 4))
-    white, std = model.whiten(LEVELS, X)
-    covariance = dense_covariance(series, model, LEVELS)
+    white, std = model.whiten(levels, X)
+    covariance = dense_covariance(series, model, levels)
     np.testing.assert_allclose(white.T @ white, X.T @ np.linalg.solve(covariance, X), rtol=1e-9)
     assert 2.0 * np.log(std).sum() == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
 
 
-def test_simulated_noise_is_whitened_to_standard_normal() -> None:
+@pytest.mark.parametrize("levels", [LEVELS, WALKING])
+def test_simulated_noise_is_whitened_to_standard_normal(levels: NoiseLevels) -> None:
     model = NoiseModel(make_series(60))
-    noise = model.simulate(LEVELS, np.random.default_rng(1), 4)
-    white, _ = model.whiten(LEVELS, noise)
+    noise = model.simulate(levels, np.random.default_rng(1), 4)
+    white, _ = model.whiten(levels, noise)
     # Kolmogorov-Smirnov at a false-alarm rate of one in a thousand.
     assert kstest(white.ravel(), "norm").pvalue > 1e-3
     lagged = np.mean(white[1:] * white[:-1])
@@ -75,15 +80,10 @@ def test_fallback_without_numba_is_the_same() -> None:
     model = NoiseModel(make_series(10))
     X = np.random.default_rng(2).standard_normal((model.fresh.size, 3))
     fast, std = model.whiten(LEVELS, X)
-    gains, _ = whitening._gains(
-        model.decay,
-        model.read,
-        model.fresh,
-        LEVELS.white**2 * model.white_var,
-        LEVELS.jitter**2 * model.rate_var,
-        LEVELS.flicker_dps**2,
-    )
-    slow = whitening._whiten_numpy(model.decay, model.read, model.fresh, gains, std, X)
+    decay, read, drive = model.states(LEVELS)
+    white_var, offset_var = LEVELS.white**2 * model.white_var, LEVELS.jitter**2 * model.rate_var
+    gains, _ = whitening._gains(decay, read, drive, model.fresh, white_var, offset_var)
+    slow = whitening._whiten_numpy(decay, read, model.fresh, gains, std, X)
     np.testing.assert_allclose(slow, fast, rtol=1e-10, atol=1e-12)
 
 
@@ -106,3 +106,32 @@ def test_record_at_rest_needs_no_jitter() -> None:
     found = estimate_levels(model, noise, np.ones((480, 1))).levels
     assert found.white == pytest.approx(1.0, rel=0.2)
     assert found.jitter < 1e-6
+
+
+def test_a_random_walk_is_taken_in_where_there_is_one_and_nowhere_else() -> None:
+    series = make_series(150)
+    model = NoiseModel(series)
+    X = np.column_stack([np.ones(len(series)), series.rate_dps])
+    rng = np.random.default_rng(7)
+    for levels in (LEVELS, WALKING):
+        noise = model.simulate(levels, rng, 6)
+        taken = []
+        for y in noise.T:
+            found, p_value = look_for_walk(model, y, X, estimate_levels(model, y, X), 0.01)
+            assert (found.walk > 0) == (p_value < 0.01)
+            taken.append(found.walk)
+        if levels.walk:
+            # 60 minutes of a walk: its level to a factor of two.
+            assert np.median(taken) == pytest.approx(levels.walk, rel=0.5)
+        else:
+            assert np.count_nonzero(taken) <= 1
+
+
+@pytest.mark.parametrize("numba", [True, False])
+def test_adjoint_is_the_transpose_of_the_whitening(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(whitening, "HAVE_NUMBA", whitening.HAVE_NUMBA and numba)
+    model = NoiseModel(make_series(10))
+    rng = np.random.default_rng(8)
+    x, v = rng.standard_normal((2, model.fresh.size, 3))
+    forward = model.whiten(WALKING, x)[0]
+    np.testing.assert_allclose(v.T @ forward, model.adjoint(WALKING, v).T @ x, rtol=1e-9, atol=1e-9)
