@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Protocol
 
 import numpy as np
@@ -36,6 +36,10 @@ class StreamHealth:
     sequence_gaps: int = 0
     status_bad: int = 0
     restarts: int = 0
+
+    def since(self, before: StreamHealth) -> StreamHealth:
+        """What was counted since `before`."""
+        return StreamHealth(*(getattr(self, f.name) - getattr(before, f.name) for f in fields(self)))
 
 
 @dataclass(frozen=True)

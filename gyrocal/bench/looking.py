@@ -43,6 +43,8 @@ class Lookout:
         self._last_sample_s = clock.now_s()
         self._last: TableReading | None = None
         self._wraps = 0
+        # the chamber at the beginning of the ramp, and the gyro's extremes since then
+        self._ramp_from_c = self._low_c = self._high_c = float("nan")
         self.gyro_temp_c = float("nan")
         self.chamber_c = float("nan")
         self.turns_ccw = self.turns_cw = 0.0
@@ -117,6 +119,8 @@ class Lookout:
             if good.any():
                 self.gyro_temp_c = float(np.mean(samples.gyro_temp_c[good]))
                 self._temps.append((float(np.mean(samples.t_s[good])), self.gyro_temp_c))
+                self._low_c = float(np.fmin(self._low_c, self.gyro_temp_c))
+                self._high_c = float(np.fmax(self._high_c, self.gyro_temp_c))
         silence_s = max(_SILENCE_S, _SILENT_SAMPLES / self._profile.sensor.sample_rate_hz)
         if now_s - self._last_sample_s > silence_s:
             msg = f"The gyro has sent no sample for {silence_s:.0f} s (at {now_s:.0f} s). Check its supply and its cable, then --resume."
@@ -134,6 +138,16 @@ class Lookout:
             return float("nan")
         centred = t_s - t_s.mean()
         return float(centred @ temp_c / (centred @ centred)) * S_PER_MIN
+
+    def begin_ramp(self, chamber_c: float) -> None:
+        """The chamber leaves `chamber_c`: from here on the gyro's thermometer is to move too."""
+        self._ramp_from_c = chamber_c
+        self._low_c = self._high_c = self.gyro_temp_c
+
+    def check_thermometer(self) -> None:
+        """The gyro is soaked: its thermometer has to have seen the chamber's ramp; raises InterlockError."""
+        moved_c = self.chamber_c - self._ramp_from_c
+        self._interlocks.check_thermometer(self._clock.now_s(), moved_c, self._high_c - self._low_c)
 
     def take_rows(self) -> list[BenchRow]:
         """Bench readings since the last call."""

@@ -139,13 +139,17 @@ class RetrySpec:
 
 @dataclass(frozen=True)
 class SafeSpec:
-    """Where the bench goes at the end, and on every other way out; and what trips the interlocks on the way."""
+    """Where the bench goes at the end, and on every other way out; and what trips the interlocks on the way.
+
+    A gyro that was soaked after the chamber moved has to have moved by `frozen_share` of that; 0: not asked.
+    """
 
     chamber_c: float = number(-100.0, 200.0, "deg C", 25.0)
     standing_dps: float = number(1e-5, 1.0, "deg/s", 0.05)
     stop_deadline_s: float = number(1.0, 3600.0, "s", 30.0)
     over_rate_dps: float | None = number(0.001, 20000.0, "deg/s", None)
     gyro_margin_c: float = number(0.0, 50.0, "deg C", 5.0)
+    frozen_share: float = number(0.0, 1.0, "", 0.02)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A device was lost in the middle of a run: table stopped, devices started again within a limit, or the run ends."""
+"""Devices started at the beginning of a run, and again when one was lost in the middle of it: within a limit, or it ends."""
 
 from __future__ import annotations
 
@@ -12,6 +12,17 @@ from gyrocal.errors import DeviceError
 
 #: Between two tries to reach the devices, s.
 _TRY_PERIOD_S = 1.0
+
+
+def start_devices(bench: Bench, interlocks: Interlocks) -> None:
+    """Start all devices, and set the chamber's own alarms; nothing moves. Raises DeviceError."""
+    for start in (bench.table.start, bench.chamber.start):
+        try:
+            start()
+        except DeviceError:
+            start()  # a program that died may have left half a command before the first one
+    bench.gyro.start()
+    bench.chamber.set_alarm_limits(*interlocks.gyro_range_c)
 
 
 def bring_back(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import contextlib
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +15,7 @@ from gyrocal.bench.looking import Lookout
 from gyrocal.bench.plan import Plan, Step, ramp_time_s
 from gyrocal.bench.profile import Profile
 from gyrocal.bench.recorder import Recorder
-from gyrocal.bench.recovery import bring_back
+from gyrocal.bench.recovery import bring_back, start_devices
 from gyrocal.bench.safety import Interlocks, StopRequests, kept_safe
 from gyrocal.errors import DeviceError, GyrocalError, IncompleteError, OutputError
 from gyrocal.records.journal import RunWriter, SegmentWriter
@@ -97,6 +98,7 @@ class Runner:
         self._next_extra_id = max(highest_id, len(plan.steps)) + 1
         self._interlocks = Interlocks(profile, plan.limits)
         self._lookout = Lookout(bench, clock, profile, self._interlocks, requests)
+        self._tally = StreamTally(profile.sensor.sample_rate_hz)
         self.summary = Summary(seed=profile.virtual.seed if bench.describe == "virtual" else None)
         # where the bench is
         self._rate_dps = 0.0
@@ -106,9 +108,11 @@ class Runner:
         self._failed_at_c: float | None = None
         # The slope of the gyro's temperature wants a handful of points.
         self._slow_drain_s = min(_SLOW_DRAIN_S, profile.soak.slope_over_s / 10.0)
+        self._not_kept = 0
         self._done_s = 0.0
         self._step_began_s = 0.0
         self._told_s = -np.inf
+        self._acknowledged = False
 
     # the run
 
@@ -130,6 +134,11 @@ class Runner:
                     self._done_s += step.expected_s
         except GyrocalError as error:
             self._note_if_possible("aborted", reason=str(error), error=type(error).__name__)
+            s = self.summary
+            self._watch.say(
+                f"Until then {s.recorded} segments were recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
+                f"{len(s.skipped)} skipped, and {len(s.retried)} attempts done again."
+            )
             raise
         finally:
             s, seen = self.summary, self._lookout
@@ -147,12 +156,12 @@ class Runner:
         return s
 
     def _start_devices(self) -> None:
-        self._bench.table.start()
-        self._bench.chamber.start()
-        self._bench.gyro.start()
-        self._bench.chamber.set_alarm_limits(*self._interlocks.gyro_range_c)
+        start_devices(self._bench, self._interlocks)
         self._lookout.forget()
-        self._lookout.look(_SETTLE_PERIOD_S)
+        table, chamber = self._lookout.look(_SETTLE_PERIOD_S)
+        # Before anything moves the interlocks know the gyro's temperature too.
+        self._not_kept = self._lookout.drain().t_s.size
+        self._interlocks.check(table, (), chamber, self._lookout.gyro_temp_c)
 
     def _visit(self, step: Step) -> None:
         """Do one step of the plan, after what has to come before it; again by the profile's policy when it fails."""
@@ -190,8 +199,11 @@ class Runner:
         return step.kind == "ramp" or self._failed_at_c != step.chamber_c
 
     def _failed(self, step: Step, reason: str, left: int) -> None:
-        """Say that an attempt failed; what it had recorded is not kept."""
-        self._note("attempt_failed", id=step.id, reason=reason, attempts_left=left)
+        """Say that an attempt failed, and how many samples are not kept with it."""
+        with contextlib.suppress(DeviceError):  # the gyro may be what failed
+            self._not_kept += self._lookout.drain().t_s.size
+        lost, self._not_kept = self._not_kept + self._tally.n, 0
+        self._note("attempt_failed", id=step.id, reason=reason, attempts_left=left, samples_not_kept=lost)
         self._watch.say(f"failed: {step.describe()}: {reason}" + (f" ({left} attempts left)" if left else ""))
         if left:
             self.summary.retried.append(f"{step.describe()}: {reason}")
@@ -231,10 +243,10 @@ class Runner:
         """Do a step and seal its segment; False when its stream was too bad and it is to be done again."""
         self._step_began_s = self._clock.now_s()
         self._tell(step, now=True)
+        self._tally = StreamTally(self._profile.sensor.sample_rate_hz)
         settled = self._bring_to_rate(step)
         segment = self._writer.begin_segment(step.id, step.kind, step.rate_dps, step.chamber_c)
         recorder = Recorder(segment, self._profile.record.averaging_s if self._slow(step) else None)
-        self._tally = StreamTally(self._profile.sensor.sample_rate_hz)
         before = self._bench.gyro.health()
         try:
             policy_fails = not settled and self._profile.settle.on_deadline == "fail"
@@ -243,6 +255,7 @@ class Runner:
                 self._lookout.look(_SETTLE_PERIOD_S)
                 self._take(recorder)
             recorder.finish()
+            self._note_stream(step, before)
             outcome = "unsettled" if outcome == "ok" and not settled else outcome
             verdict = None if outcome == "failed" else self._verdict(before)
             if verdict is not None and left and not self._slow(step):
@@ -263,6 +276,12 @@ class Runner:
     def _verdict(self, before: StreamHealth) -> str | None:
         rate_hz, limits = self._profile.sensor.sample_rate_hz, self._profile.stream
         return judge_stream(self._tally, before, self._bench.gyro.health(), rate_hz, limits)
+
+    def _note_stream(self, step: Step, before: StreamHealth) -> None:
+        """Say what of a segment's stream was damaged, lost or called bad, also where it is too little to fail it."""
+        seen = self._bench.gyro.health().since(before)
+        if seen.frames_bad or seen.sequence_gaps or seen.status_bad or seen.restarts:
+            self._writer.event("stream", self._clock.now_s(), durable=False, id=step.id, **asdict(seen))
 
     def _seal(self, step: Step, segment: SegmentWriter, recorder: Recorder, outcome: str) -> None:
         entry = segment.seal(
@@ -311,10 +330,9 @@ class Runner:
         spin_s = change_dps / self._plan.limits.max_acceleration_dps2.value
         deadline_s = began_s + spin_s + spec.deadline_s
         since_s: float | None = None
-        lost = 0
         while True:
             table, _ = self._lookout.look(_SETTLE_PERIOD_S)
-            lost += self._lookout.drain().t_s.size
+            self._not_kept += self._lookout.drain().t_s.size
             if not abs(table.rate_dps - rate_dps) <= spec.tolerance_dps:
                 since_s = None
             elif since_s is None:
@@ -331,8 +349,9 @@ class Runner:
             rate_dps=rate_dps,
             measured_dps=round(table.rate_dps, 6),
             t_start_s=round(began_s, 6),
-            samples_not_kept=lost,
+            samples_not_kept=self._not_kept,
         )
+        self._not_kept = 0
         if not held:
             self._warn(step, f"the table reached {table.rate_dps:.4g} deg/s within {spec.deadline_s:g} s")
         return held
@@ -349,6 +368,7 @@ class Runner:
     def _record_ramp(self, step: Step, recorder: Recorder) -> str:
         spec = self._profile.ramp
         from_c = self._bench.chamber.read().temp_c
+        self._lookout.begin_ramp(from_c)
         self._bench.chamber.set_setpoint(step.chamber_c, spec.rate_c_per_min)
         latest_s = ramp_time_s(self._profile, step.chamber_c - from_c) + spec.deadline_s
         deadline_s = self._clock.now_s() + latest_s
@@ -382,6 +402,7 @@ class Runner:
             if soaked and (blind or abs(slope) <= spec.slope_c_per_min):
                 if blind:
                     self._note("soaked_by_chamber", id=step.id, reason="the gyro sends no temperature")
+                self._lookout.check_thermometer()
                 return "ok"
             if self._clock.now_s() >= deadline_s:
                 why = (
@@ -403,6 +424,7 @@ class Runner:
         while worst is None or until_s - self._clock.now_s() > 1e-9:
             period_s = min(self._profile.record.bench_period_s, max(until_s - self._clock.now_s(), 1e-3))
             table, chamber = self._lookout.look(period_s, abandon=step.kind != "rate")
+            self._acknowledge(step)
             worst_dps = max(worst_dps, _finite_or_far(table.rate_dps - self._rate_dps))
             off_c = _finite_or_far(chamber.temp_c - step.chamber_c)
             if off_c >= worst_c:
@@ -436,6 +458,14 @@ class Runner:
         return "failed" if policy == "fail" else "unsettled"
 
     # telling
+
+    def _acknowledge(self, step: Step) -> None:
+        """Answer the first Ctrl-C at once: what it asks for may take a while."""
+        if self._requests.level == 1 and not self._acknowledged:
+            self._acknowledged = True
+            self._watch.say(
+                f"{self._requests.reason}: the run ends after {step.describe()}; once more ends it now."
+            )
 
     def _warn(self, step: Step, why: str) -> None:
         self._note("unsettled", id=step.id, reason=why)

@@ -24,6 +24,8 @@ _STOP_PERIOD_S = 0.5
 _CHAMBER_TOLD = 3
 #: An encoder's own unrest between two readings at rest, deg.
 _ENCODER_UNREST_DEG = 1e-3
+#: A move of the chamber after which a soaked gyro's thermometer must have moved too, deg C.
+_TELLING_C = 5.0
 
 
 class Note(Protocol):
@@ -78,6 +80,7 @@ class Interlocks:
         self.gyro_range_c = (low - margin, high + margin)
         top = max(limits.max_rate_dps.value, -limits.min_rate_dps.value)
         self.over_rate_dps = profile.safe.over_rate_dps or 1.1 * top
+        self._frozen_share = profile.safe.frozen_share
         self.tripped: str | None = None
 
     def check(
@@ -92,8 +95,23 @@ class Interlocks:
         if self.tripped is None:
             self.tripped = self._reason(table, faults, chamber, gyro_temp_c)
         if self.tripped is not None:
-            msg = f"Interlock at {table.t_s:.1f} s: {self.tripped}. The bench was made safe; find the cause, then --resume."
-            raise InterlockError(msg)
+            raise InterlockError(_trip_text(table.t_s, self.tripped))
+
+    def check_thermometer(self, t_s: float, chamber_moved_c: float, gyro_moved_c: float) -> None:
+        """A soaked gyro went where the chamber went; raise when its thermometer has not seen it, or has tripped before.
+
+        Raises
+        ------
+        InterlockError
+        """
+        share = self._frozen_share
+        if abs(chamber_moved_c) >= _TELLING_C and gyro_moved_c < share * abs(chamber_moved_c):
+            self.tripped = self.tripped or (
+                f"the chamber went by {chamber_moved_c:.1f} °C and was soaked, and the gyro's thermometer moved by "
+                f"{gyro_moved_c:.2f} °C: it is frozen, or its unit is wrong (safe.frozen_share = 0 for a gyro with an oven)"
+            )
+        if self.tripped is not None:
+            raise InterlockError(_trip_text(t_s, self.tripped))
 
     def _reason(
         self, table: TableReading, faults: tuple[str, ...], chamber: ChamberReading, gyro_temp_c: float
@@ -112,6 +130,10 @@ class Interlocks:
         return None
 
 
+def _trip_text(t_s: float, reason: str) -> str:
+    return f"Interlock at {t_s:.1f} s: {reason}. The bench was made safe; find the cause, then --resume."
+
+
 @contextlib.contextmanager
 def kept_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> Iterator[None]:
     """Make safe on every way out of the block.
@@ -121,14 +143,23 @@ def kept_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> Itera
     StopNotVerifiedError
         The table's read-back does not confirm that it stands; whatever else went wrong is its context.
     """
+    cause: BaseException | None = None
     try:
         yield
+    except BaseException as error:
+        cause = error
+        raise
     finally:
-        make_safe(bench, clock, profile, note)
+        make_safe(bench, clock, profile, note, cause)
 
 
-def make_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> None:
-    """Stop the table and verify it, then chamber to the safe set point, then close all; each whatever the others do."""
+def make_safe(
+    bench: Bench, clock: Clock, profile: Profile, note: Note, cause: BaseException | None = None
+) -> None:
+    """Stop the table and verify it, then chamber to the safe set point, then close all; each whatever the others do.
+
+    `cause` is what went wrong before; it stands in the error when the table is not seen to stand.
+    """
     standing, rate_dps = stop_table(bench.table, clock, profile)
     told_s = profile.safe.stop_deadline_s + braking_time_s(bench.table)
     chamber_error = _chamber_to_safe(bench, clock, profile)
@@ -148,6 +179,7 @@ def make_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> None:
         msg = (
             f"THE TABLE MAY STILL BE TURNING: it was told to stop for {told_s:.0f} s, and "
             f"its last read-back was {last}. Use its emergency stop now."
+            + (f" What went wrong before: {cause}" if cause else "")
         )
         raise StopNotVerifiedError(msg)
     if journal_error:

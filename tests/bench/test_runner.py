@@ -317,6 +317,10 @@ def test_one_ctrl_c_finishes_the_data_set_at_hand(tmp_path: Path) -> None:
     with pytest.raises(InterruptedRunError) as caught:
         stand.run()
     assert str(caught.value) == "Ended by Ctrl-C; what was sealed is kept, and --resume carries on."
+    assert stand.watch.said == [
+        "Ctrl-C: the run ends after rate at -30 deg/s, 20 °C; once more ends it now.",
+        "Until then 4 segments were recorded, 0 unsettled, 0 failed, 0 skipped, and 0 attempts done again.",
+    ]
     run = read_run(tmp_path / "r")
     assert [r.id for r in run.segments] == [1, 2, 3, 4]
     assert run.segments[-1].n == 30

@@ -156,8 +156,11 @@ def test_a_table_that_cannot_be_read_is_stopped_all_the_same(tmp_path: Path) -> 
             raise DeviceError("no answer")
 
     stand.table.before = dead
-    with pytest.raises(StopNotVerifiedError, match="its last read-back was nothing") as caught:
+    with pytest.raises(
+        StopNotVerifiedError, match=r"its last read-back was nothing.* before: no answer$"
+    ) as caught:
         stand.run()
+    assert events(tmp_path / "r", "aborted")[0]["reason"] == str(caught.value)
     assert isinstance(caught.value.__context__, DeviceError)
     assert stand.world.read_table()[0] == 0.0
 

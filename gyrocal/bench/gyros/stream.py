@@ -18,6 +18,8 @@ from gyrocal.errors import DeviceError
 
 #: Bits of a UART character: start, eight data, stop.
 _BITS_PER_BYTE = 10
+#: Samples closer than this share of a period came in a clump; a longer pause than so many periods kept some back.
+_CLOSE, _PAUSE = 0.2, 6.0
 _LATENCY_REMEDY = "On an FTDI adapter set its latency timer to 1 ms: echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
 
 
@@ -233,8 +235,11 @@ class StreamLimits:
         Gaps in the device's counter, of all frames.
     missing_share : float
         Samples that did not come. Free-running gyros send up to 3 % slower than nominal, so only more is loss.
+    surplus_share : float
+        Samples beyond those that were due: the device's data rate is not ``sensor.sample_rate_hz``.
     clump_share : float
-        Samples that arrived less than a fifth of a period after the one before.
+        Samples that arrived less than a fifth of a period after the one before, or that pauses of more than six
+        periods kept back.
     stuck_samples : int
         So many equal samples in a row are a stuck output; 0: never.
     """
@@ -242,6 +247,7 @@ class StreamLimits:
     bad_share: float = number(0.0, 1.0, "", 0.02)
     gap_share: float = number(0.0, 1.0, "", 0.01)
     missing_share: float = number(0.0, 1.0, "", 0.05)
+    surplus_share: float = number(0.0, 1000.0, "", 0.25)
     clump_share: float = number(0.0, 1.0, "", 0.2)
     stuck_samples: int = number(0, 10**9, "", 100)
 
@@ -250,11 +256,18 @@ class StreamTally:
     """What a segment's samples say about the stream, counted as they come."""
 
     def __init__(self, sample_rate_hz: float) -> None:
-        self._near_s = 0.2 / sample_rate_hz
-        self.n = self.clumped = self.longest_run = 0
+        self._period_s = 1.0 / sample_rate_hz
+        self.n = self.longest_run = 0
+        self._close = 0
+        self._kept_back = 0.0
         self.first_t_s = self.last_t_s = np.nan
         self._last_dps = np.nan
         self._run = 0
+
+    @property
+    def clumped(self) -> float:
+        """Samples that came in clumps: seen by what is too close, or, on a slow line, by the pauses between the clumps."""
+        return max(float(self._close), self._kept_back)
 
     def add(self, samples: GyroSamples) -> None:
         """Count samples, in order of time."""
@@ -262,7 +275,9 @@ class StreamTally:
         if n == 0:
             return
         steps_s = np.diff(samples.t_s, prepend=self.last_t_s)
-        self.clumped += int(np.count_nonzero(steps_s < self._near_s))
+        self._close += int(np.count_nonzero(steps_s < _CLOSE * self._period_s))
+        pauses_s = steps_s[steps_s > _PAUSE * self._period_s]
+        self._kept_back += float(np.sum(pauses_s / self._period_s - 1.0))
         self.first_t_s = samples.t_s[0] if self.n == 0 else self.first_t_s
         self.n += n
         # Runs of equal values: the first may go on from before, the last may go on behind.
@@ -287,13 +302,10 @@ def judge_stream(
     """
     if tally.n < 2:
         return f"only {tally.n} samples came; check the gyro's data rate"
-    good = after.frames_good - before.frames_good
-    bad = after.frames_bad - before.frames_bad
-    called_bad = after.status_bad - before.status_bad
-    gaps = after.sequence_gaps - before.sequence_gaps
-    restarts = after.restarts - before.restarts
-    if restarts:
-        return f"the gyro paused and started again {restarts} times, and its mode was sent again; check its supply"
+    seen = after.since(before)
+    good, bad, called_bad, gaps = seen.frames_good, seen.frames_bad, seen.status_bad, seen.sequence_gaps
+    if seen.restarts:
+        return f"the gyro paused and started again {seen.restarts} times, and its mode was sent again; check its supply"
     if bad > limits.bad_share * max(1, good + bad):
         return f"{bad} of {good + bad} frames were damaged ({bad / (good + bad):.1%}); check cable, grounding and baud rate"
     if called_bad > limits.bad_share * max(1, good):
@@ -308,8 +320,13 @@ def judge_stream(
             f"{tally.n} samples came where {expected:.0f} were due, with {gaps} gaps in the device's counter; "
             "check the data rate against the line speed, and other load on this computer"
         )
+    if tally.n > (1.0 + limits.surplus_share) * expected:
+        return (
+            f"{tally.n} samples came where {expected:.0f} were due at {sample_rate_hz:g} Hz; set sensor.sample_rate_hz to the "
+            "data rate of the device, on which the scale of its rate may hang"
+        )
     if tally.clumped > limits.clump_share * (tally.n - 1):
-        share = tally.clumped / (tally.n - 1)
+        share = min(tally.clumped / (tally.n - 1), 1.0)
         return (
             f"{share:.0%} of the samples arrived in clumps, so their times are not known. {_LATENCY_REMEDY}"
         )

@@ -127,6 +127,12 @@ NONE = StreamHealth()
         ),
         (STEADY, StreamHealth(frames_good=1000, sequence_gaps=20), "20 gaps in the device's counter"),
         (STEADY, StreamHealth(frames_good=1000, status_bad=50), "the gyro calls 50 of 1000 samples bad"),
+        (STEADY * 0.85, StreamHealth(frames_good=1000), None),
+        (
+            STEADY * 0.5,
+            StreamHealth(frames_good=1000),
+            "1000 samples came where 500 were due at 100 Hz; set sensor",
+        ),
         (STEADY, StreamHealth(frames_good=1000, restarts=1), "paused and started again 1 times"),
     ],
 )
@@ -138,6 +144,24 @@ def test_a_segment_is_judged(
         tally.add(GyroSamples(part, np.random.default_rng(1).normal(size=part.size), part, part))
     verdict = judge_stream(tally, NONE, after, 100.0, StreamLimits())
     assert (verdict is None) if text is None else (verdict is not None and text in verdict)
+
+
+@pytest.mark.parametrize(("latency_s", "clumped"), [(0.001, False), (0.016, True)])
+@pytest.mark.parametrize("baud", [576000, 921600])
+def test_the_latency_timer_is_seen_at_a_kilohertz(latency_s: float, clumped: bool, baud: int) -> None:
+    """An FTDI adapter hands its bytes over every 16 ms; on a fast line its frames then lie 0.4 ms apart."""
+    clock = Hand()
+    spec = StreamSpec("kvh-frame-a on /dev/ttyX", 1000.0, baud)
+    device = WireGyro(
+        spec, lambda: ChunkTransport([]), lambda: kvh_frame.KvhFrameDecoder(OPTIONS), clock, threaded=False
+    )
+    for n in range(1, round(1.0 / latency_s)):
+        device.take(n * latency_s, frames(round(1000 * latency_s)))
+    tally = StreamTally(1000.0)
+    tally.add(device.drain())
+    after = StreamHealth(frames_good=tally.n)
+    verdict = judge_stream(tally, NONE, after, 1000.0, StreamLimits(stuck_samples=0))
+    assert (verdict is not None and "latency_timer" in verdict) == clumped
 
 
 @pytest.mark.parametrize("pieces", [1, 3, 50])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gyrocal.bench.devices import ChamberReading, TableReading
+from gyrocal.bench.devices import ChamberReading, GyroSamples, TableReading
 from gyrocal.bench.gyros.stream import StreamLimits
 from gyrocal.bench.profile import RetrySpec, profile_from_dict
 from gyrocal.bench.virtual.faults import (
@@ -124,6 +124,11 @@ def frozen() -> Callable[[ChamberReading], ChamberReading]:
     return reading
 
 
+def in_hundredths(samples: GyroSamples) -> GyroSamples:
+    """A thermometer set to whole degrees, read as hundredths."""
+    return replace(samples, gyro_temp_c=0.01 * samples.gyro_temp_c)
+
+
 NAK = b'{"ok": false, "error": "busy"}\n'
 
 #: ``expect``: complete (all recorded, perhaps at a later attempt), marked (recorded, not all settled), failed (the
@@ -176,6 +181,24 @@ FAULTS: dict[str, Fault] = {
         error=InterlockError,
         says="outside -45 to 80 °C",
         stand={"faulty_gyro": thermometer_shows(FOR_GOOD, -300.0)},
+    ),
+    "gyro too hot from the start": Fault(
+        "ended",
+        error=InterlockError,
+        says="the gyro is at 90.0 °C",
+        stand={"faulty_gyro": thermometer_shows(Span(), 90.0)},
+    ),
+    "gyro thermometer frozen": Fault(
+        "ended",
+        error=InterlockError,
+        says="thermometer moved by 0.00 °C: it is frozen",
+        stand={"faulty_gyro": thermometer_shows(Span(10.0), 20.3), "plan__temperatures_c": [20.0, 26.0]},
+    ),
+    "gyro thermometer in another unit": Fault(
+        "ended",
+        error=InterlockError,
+        says="or its unit is wrong",
+        stand={"faulty_gyro": in_hundredths, "plan__temperatures_c": [20.0, 26.0]},
     ),
     # the table's line
     "table answers late": Fault("complete", {"table": lambda: LateLine(0.4)}),
@@ -286,6 +309,7 @@ ALWAYS = (
     "gyro port vanishes and returns",
     "gyro restarts, mode lost",
     "gyro stuck for a while",
+    "gyro thermometer frozen",
     "table gives half an answer for a while",
     "table line echoes for a while",
     "table port vanishes and returns",
@@ -344,13 +368,46 @@ def check_run(stand: WireStand) -> None:
 
 
 def test_what_is_survived_is_told(tmp_path: Path) -> None:
-    stand = WireStand(tmp_path / "r", at=vanishing("gyro", MIDDLE))
+    stand = WireStand(tmp_path / "r", at=vanishing("gyro", Span(27.5, 31.0)))
     summary = stand.run()
     assert len(summary.retried) == 1
     (line,) = events(stand.out, "attempt_failed")
     assert line["attempts_left"] == 1 + 1
     assert "samples came" in line["reason"] or "silent" in line["reason"]
+    assert line["samples_not_kept"] > 0
     assert events(stand.out, "end")[0]["retried"] == summary.retried
+
+
+def test_what_is_too_little_to_fail_a_segment_is_told(tmp_path: Path) -> None:
+    stand = WireStand(tmp_path / "r").line("gyro", NoisyLine(rng(), flipped=0.01 / 36))
+    summary = stand.run()
+    assert summary.complete
+    told = events(stand.out, "stream")
+    assert sum(line["frames_bad"] for line in told) >= 3
+    assert all(line["frames_good"] > 0 for line in told)
+
+
+def test_nothing_moves_when_the_gyro_is_too_hot_from_the_start(tmp_path: Path) -> None:
+    stand = WireStand(tmp_path / "r", faulty_gyro=thermometer_shows(Span(), 90.0))
+    with pytest.raises(InterlockError, match="the gyro is at 90"):
+        stand.run()
+    assert "set_rate" not in [c["command"] for c in commands(stand)]
+
+
+def test_half_a_command_of_a_program_that_died_is_survived(tmp_path: Path) -> None:
+    stand = WireStand(tmp_path / "r", chamber="espec")
+    stand.server.chamber.responder.feed(b"TEMP, S2")
+    assert stand.run().complete
+
+
+def test_a_table_that_nobody_asks_any_more_stops_by_itself(tmp_path: Path) -> None:
+    stand = WireStand(tmp_path / "r")
+    stand.bench.table.start()
+    stand.bench.table.set_rate(30.0)
+    stand.clock.sleep(9.0)
+    assert stand.world.read_table()[0] == pytest.approx(30.0, abs=0.1)
+    stand.clock.sleep(3.0)
+    assert stand.world.read_table()[0] == 0.0
 
 
 def test_attempts_are_limited_and_then_skipped(tmp_path: Path) -> None:
