@@ -247,7 +247,7 @@ class Runner:
         settled = self._bring_to_rate(step)
         segment = self._writer.begin_segment(step.id, step.kind, step.rate_dps, step.chamber_c)
         recorder = Recorder(segment, self._profile.record.averaging_s if self._slow(step) else None)
-        before = self._bench.gyro.health()
+        before, began_s = self._bench.gyro.health(), self._clock.now_s()
         try:
             policy_fails = not settled and self._profile.settle.on_deadline == "fail"
             outcome = "failed" if policy_fails else self._record(step, recorder)
@@ -257,7 +257,7 @@ class Runner:
             recorder.finish()
             self._note_stream(step, before)
             outcome = "unsettled" if outcome == "ok" and not settled else outcome
-            verdict = None if outcome == "failed" else self._verdict(before)
+            verdict = None if outcome == "failed" else self._verdict(before, self._clock.now_s() - began_s)
             if verdict is not None and left and not self._slow(step):
                 self._failed(step, verdict, left)
                 return False
@@ -273,9 +273,10 @@ class Runner:
                 raise IncompleteError(f"{step.describe()}: {verdict}. The run was ended by retry.then.")
         return True
 
-    def _verdict(self, before: StreamHealth) -> str | None:
+    def _verdict(self, before: StreamHealth, duration_s: float) -> str | None:
         rate_hz, limits = self._profile.sensor.sample_rate_hz, self._profile.stream
-        return judge_stream(self._tally, before, self._bench.gyro.health(), rate_hz, limits)
+        after = self._bench.gyro.health()
+        return judge_stream(self._tally, before, after, rate_hz, limits, duration_s=duration_s)
 
     def _note_stream(self, step: Step, before: StreamHealth) -> None:
         """Say what of a segment's stream was damaged, lost or called bad, also where it is too little to fail it."""

@@ -20,6 +20,8 @@ from gyrocal.errors import DeviceError
 _BITS_PER_BYTE = 10
 #: Samples closer than this share of a period came in a clump; a longer pause than so many periods kept some back.
 _CLOSE, _PAUSE = 0.2, 6.0
+#: At a segment's end so much may still be on its way, s.
+_TAIL_S = 0.5
 _LATENCY_REMEDY = "On an FTDI adapter set its latency timer to 1 ms: echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
 
 
@@ -289,7 +291,13 @@ class StreamTally:
 
 
 def judge_stream(
-    tally: StreamTally, before: StreamHealth, after: StreamHealth, sample_rate_hz: float, limits: StreamLimits
+    tally: StreamTally,
+    before: StreamHealth,
+    after: StreamHealth,
+    sample_rate_hz: float,
+    limits: StreamLimits,
+    *,
+    duration_s: float,
 ) -> str | None:
     """Why the stream of a segment is not good enough, with the remedy; None when it is.
 
@@ -299,6 +307,8 @@ def judge_stream(
         Counters at the segment's two ends.
     sample_rate_hz : float
         Nominal samples a second.
+    duration_s : float
+        Length of the segment: a stream that ended in it lacks samples too.
     """
     if tally.n < 2:
         return f"only {tally.n} samples came; check the gyro's data rate"
@@ -312,17 +322,18 @@ def judge_stream(
         return f"the gyro calls {called_bad} of {good} samples bad; see its status bits, and let it warm up or replace it"
     if limits.stuck_samples and tally.longest_run >= limits.stuck_samples:
         return f"the gyro gave the same value {tally.longest_run} times in a row; it is stuck, or stream.stuck_samples is too low for its resolution"
-    expected = (tally.last_t_s - tally.first_t_s) * sample_rate_hz + 1
+    came_in_s = tally.last_t_s - tally.first_t_s
+    expected = max(came_in_s, duration_s - _TAIL_S) * sample_rate_hz + 1
     lost = max(0.0, 1.0 - tally.n / expected)
     # A damaged frame leaves a gap too, and was judged above.
     if lost > limits.missing_share or gaps - bad > limits.gap_share * max(1, good):
         return (
             f"{tally.n} samples came where {expected:.0f} were due, with {gaps} gaps in the device's counter; "
-            "check the data rate against the line speed, and other load on this computer"
+            "check the cable, the data rate against the line speed, and other load on this computer"
         )
-    if tally.n > (1.0 + limits.surplus_share) * expected:
+    if tally.n > (1.0 + limits.surplus_share) * (came_in_s * sample_rate_hz + 1):
         return (
-            f"{tally.n} samples came where {expected:.0f} were due at {sample_rate_hz:g} Hz; set sensor.sample_rate_hz to the "
+            f"{tally.n} samples came in {came_in_s:.3g} s, more than there are at {sample_rate_hz:g} Hz; set sensor.sample_rate_hz to the "
             "data rate of the device, on which the scale of its rate may hang"
         )
     if tally.clumped > limits.clump_share * (tally.n - 1):

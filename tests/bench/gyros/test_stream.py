@@ -131,7 +131,7 @@ NONE = StreamHealth()
         (
             STEADY * 0.5,
             StreamHealth(frames_good=1000),
-            "1000 samples came where 500 were due at 100 Hz; set sensor",
+            "1000 samples came in 5 s, more than there are at 100 Hz; set sensor",
         ),
         (STEADY, StreamHealth(frames_good=1000, restarts=1), "paused and started again 1 times"),
     ],
@@ -142,8 +142,19 @@ def test_a_segment_is_judged(
     tally = StreamTally(100.0)
     for part in np.array_split(t_s, 7):
         tally.add(GyroSamples(part, np.random.default_rng(1).normal(size=part.size), part, part))
-    verdict = judge_stream(tally, NONE, after, 100.0, StreamLimits())
+    verdict = judge_stream(tally, NONE, after, 100.0, StreamLimits(), duration_s=float(np.ptp(t_s)))
     assert (verdict is None) if text is None else (verdict is not None and text in verdict)
+
+
+def test_a_stream_that_ends_in_a_segment_lacks_samples() -> None:
+    tally = StreamTally(100.0)
+    part = STEADY[:700]
+    tally.add(GyroSamples(part, np.random.default_rng(1).normal(size=part.size), part, part))
+    after = StreamHealth(frames_good=700)
+    assert judge_stream(tally, NONE, after, 100.0, StreamLimits(), duration_s=7.4) is None
+    verdict = judge_stream(tally, NONE, after, 100.0, StreamLimits(), duration_s=10.0)
+    assert verdict is not None
+    assert "700 samples came where 951 were due" in verdict
 
 
 @pytest.mark.parametrize(("latency_s", "clumped"), [(0.001, False), (0.016, True)])
@@ -160,7 +171,7 @@ def test_the_latency_timer_is_seen_at_a_kilohertz(latency_s: float, clumped: boo
     tally = StreamTally(1000.0)
     tally.add(device.drain())
     after = StreamHealth(frames_good=tally.n)
-    verdict = judge_stream(tally, NONE, after, 1000.0, StreamLimits(stuck_samples=0))
+    verdict = judge_stream(tally, NONE, after, 1000.0, StreamLimits(stuck_samples=0), duration_s=1.0)
     assert (verdict is not None and "latency_timer" in verdict) == clumped
 
 
@@ -173,7 +184,9 @@ def test_a_stuck_output_is_seen_across_drains(pieces: int, equal: int, stuck: bo
     for t_s, gyro_dps in zip(np.array_split(STEADY, pieces), np.array_split(values, pieces), strict=True):
         tally.add(GyroSamples(t_s, gyro_dps, t_s, t_s))
     assert tally.longest_run == equal
-    verdict = judge_stream(tally, NONE, StreamHealth(frames_good=1000), 100.0, StreamLimits())
+    verdict = judge_stream(
+        tally, NONE, StreamHealth(frames_good=1000), 100.0, StreamLimits(), duration_s=10.0
+    )
     assert (verdict is not None and "stuck" in verdict) == stuck
 
 

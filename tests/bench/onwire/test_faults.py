@@ -368,13 +368,15 @@ def check_run(stand: WireStand) -> None:
 
 
 def test_what_is_survived_is_told(tmp_path: Path) -> None:
-    stand = WireStand(tmp_path / "r", at=vanishing("gyro", Span(27.5, 31.0)))
+    stand = WireStand(tmp_path / "r", at=vanishing("gyro", Span(29.0, 32.5)))
     summary = stand.run()
-    assert len(summary.retried) == 1
-    (line,) = events(stand.out, "attempt_failed")
-    assert line["attempts_left"] == 1 + 1
-    assert "samples came" in line["reason"] or "silent" in line["reason"]
-    assert line["samples_not_kept"] > 0
+    short, silent = events(stand.out, "attempt_failed")
+    assert short["reason"].startswith("6 samples came where 29 were due")
+    assert short["samples_not_kept"] == 6
+    assert "has been silent" in silent["reason"]
+    assert (short["attempts_left"], silent["attempts_left"]) == (2, 1)
+    assert summary.complete
+    assert len(summary.retried) == 2
     assert events(stand.out, "end")[0]["retried"] == summary.retried
 
 
