@@ -182,12 +182,23 @@ class Rows:
 
 @dataclass(frozen=True)
 class NoiseFigures:
-    """Levels of the noise under the final model."""
+    """Levels of the noise under the final model; None: this record does not tell."""
 
     white_std_dps: float
     angle_random_walk_deg_per_rt_h: float | None
     bias_instability_deg_per_h: float
     rate_jitter_ppm: float
+    rate_random_walk_deg_per_h_per_rt_h: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry ``noise``."""
+        return {
+            "white_std_dps": _finite(self.white_std_dps),
+            "angle_random_walk_deg_per_rt_h": _finite(self.angle_random_walk_deg_per_rt_h),
+            "bias_instability_deg_per_h": _finite(self.bias_instability_deg_per_h),
+            "rate_random_walk_deg_per_h_per_rt_h": _finite(self.rate_random_walk_deg_per_h_per_rt_h),
+            "rate_jitter_ppm": _finite(self.rate_jitter_ppm),
+        }
 
 
 @dataclass(frozen=True)
@@ -234,14 +245,7 @@ class Diagnosis:
             "effects": [effect.to_json() for effect in self.effects],
             "improvement": None if self.improvement is None else self.improvement.to_json(),
             "not_testable": dict(self.not_testable),
-            "noise": None
-            if self.noise is None
-            else {
-                "white_std_dps": _finite(self.noise.white_std_dps),
-                "angle_random_walk_deg_per_rt_h": _finite(self.noise.angle_random_walk_deg_per_rt_h),
-                "bias_instability_deg_per_h": _finite(self.noise.bias_instability_deg_per_h),
-                "rate_jitter_ppm": _finite(self.noise.rate_jitter_ppm),
-            },
+            "noise": None if self.noise is None else self.noise.to_json(),
             "statements": list(self.sentences),
             "notes": list(self.notes),
             "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive import BLOCK_S
 from gyrocal.diagnosis.drive_result import DriveDiagnosis
+from gyrocal.diagnosis.folds import clustered_error
 from gyrocal.report import style
-from gyrocal.report.diagnosis_folds import clustered_error
 from gyrocal.report.page import Picture
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.folds import Floats, Fold, bin_rows, fold
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.report import style
-from gyrocal.report.diagnosis_folds import Floats, Fold, bin_rows, fold
 from gyrocal.report.levels import cell_edges, levels
 from gyrocal.units import S_PER_H
 

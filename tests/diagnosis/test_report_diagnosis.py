@@ -21,7 +21,7 @@ from gyrocal.report.diagnosis import (
     tables,
 )
 from gyrocal.report.diagnosis_build import DiagnoseConfig, diagnosis_files, write_diagnosis
-from gyrocal.report.diagnosis_folds import bin_rows, coordinate_of, fold
+from gyrocal.diagnosis.folds import bin_rows, coordinate_of, fold
 from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 

@@ -6,7 +6,7 @@ The rms of data sets barely moves for thermal, angle and ringing effects; on the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ _MDPS = 1e3
 _BINS = 24
 #: More distinct values than this are a continuous coordinate.
 _MOST_LEVELS = 41
+#: Pieces of a record without segments that count as independent of each other, at the most.
+_STRETCHES = 120
+#: Fewer clusters than this in a bin say nothing of the scatter between clusters.
+_FEW = 3
 _TURN_DEG = 360.0
 
 
@@ -56,6 +60,13 @@ class Fold:
     std_error: Floats
     law: Floats
 
+    def rms(self) -> tuple[float, float, float]:
+        """Rms over the bins, weighted by what is known of each: before, after, and of their noise alone."""
+        weight = 1.0 / self.std_error**2
+        total = float(weight.sum())
+        before, after = (float(np.sqrt(weight @ y**2 / total)) for y in (self.before, self.after))
+        return before, after, float(np.sqrt(self.x.size / total))
+
 
 def _plain(label: str, x: Floats, *, within_set: bool = False) -> Coordinate:
     return Coordinate(label, x, np.full(x.size, 1.0 / _MDPS), "mdeg/s", within_set)
@@ -73,11 +84,16 @@ def _turn_with_rate(rows: Rows, effect: NamedEffect) -> Coordinate:
     return Coordinate(plain.label, plain.x, rows.rate_dps / 100.0 / _MDPS, "mdeg/s at 100 deg/s", True)
 
 
+_TIME = "Time, h"
+
+
+def _over_time(rows: Rows, effect: NamedEffect) -> Coordinate:
+    return _plain(_TIME, (rows.t_s - rows.t_s[0]) / S_PER_H)
+
+
 def _scale_over_time(rows: Rows, effect: NamedEffect) -> Coordinate:
     hours = (rows.t_s - rows.t_s[0]) / S_PER_H
-    return Coordinate(
-        "Time, h", np.where(rows.rate_dps != 0, hours, np.nan), rows.rate_dps / 1e6, "ppm of rate"
-    )
+    return Coordinate(_TIME, np.where(rows.rate_dps != 0, hours, np.nan), rows.rate_dps / 1e6, "ppm of rate")
 
 
 def _since_step(rows: Rows, effect: NamedEffect) -> Coordinate:
@@ -106,8 +122,8 @@ _COORDINATES: dict[str, Callable[[Rows, NamedEffect], Coordinate]] = {
         "Error by the lag, as modelled, mdeg/s", rows.effect_dps[effect.effect] * _MDPS
     ),
     "warm_up": lambda rows, effect: _plain("Time since power-on, min", rows.since_power_on_s / S_PER_MIN),
-    "bias_drift": lambda rows, effect: _plain("Time, h", (rows.t_s - rows.t_s[0]) / S_PER_H),
-    "bias_step": lambda rows, effect: _plain("Time, h", (rows.t_s - rows.t_s[0]) / S_PER_H),
+    "bias_drift": _over_time,
+    "bias_step": _over_time,
     "scale_drift": _scale_over_time,
     "scale_step": _scale_over_time,
     "temperature_order": lambda rows, effect: _plain("Gyro temperature, °C", rows.temp_c),
@@ -121,25 +137,35 @@ _COORDINATES: dict[str, Callable[[Rows, NamedEffect], Coordinate]] = {
 }
 
 
-def coordinate_of(rows: Rows, effect: NamedEffect) -> Coordinate:
-    """The coordinate on which an effect is shown; the rate where the effect has none of its own."""
+def coordinate_of(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Coordinate:
+    """The coordinate on which an effect is shown; the rate where the effect has none of its own.
+
+    Without `has_time` the rows are in time order and no more is known of their times: their number is shown.
+    """
     make = _COORDINATES.get(effect.effect)
-    return _plain("Table rate, deg/s", rows.rate_dps) if make is None else make(rows, effect)
+    c = _plain("Table rate, deg/s", rows.rate_dps) if make is None else make(rows, effect)
+    if c.label == _TIME and not has_time:
+        number = np.where(np.isfinite(c.x), np.arange(1.0, rows.t_s.size + 1), np.nan)
+        c = replace(c, label="Data set, in the order recorded", x=number)
+    return c
 
 
-def fold(rows: Rows, effect: NamedEffect) -> Fold | None:
+def fold(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Fold | None:
     """The residual before and after `effect`, binned on its coordinate; None where the rows do not carry it.
 
     Each bin is a least-squares mean of residual over gain with the white noise of its rows as weights. Its standard
-    error comes from the scatter between data sets, which holds whatever the correlation inside a set is.
+    error comes from the scatter between data sets, which holds whatever the correlation inside a set is; a record
+    without segments is cut into stretches of time.
     """
-    c = coordinate_of(rows, effect)
-    law = rows.effect_dps.get(effect.effect, np.zeros(rows.t_s.size))
+    if effect.effect not in rows.effect_dps:
+        return None
+    c = coordinate_of(rows, effect, has_time)
+    law = rows.effect_dps[effect.effect]
     use = np.isfinite(c.x) & np.isfinite(rows.after_dps) & (c.gain != 0)
     if use.sum() < 3 or np.ptp(c.x[use]) == 0:
         return None
     after, law = rows.after_dps[use], law[use]
-    sets = np.unique(rows.set_index[use], return_inverse=True)[1]
+    sets = np.unique(clusters(rows)[use], return_inverse=True)[1]
     weight = 1.0 / rows.white_std_dps[use] ** 2
     if c.within_set:
         after = after - _set_means(after, weight, sets)
@@ -151,7 +177,9 @@ def fold(rows: Rows, effect: NamedEffect) -> Fold | None:
             np.bincount(bins, values * gain * weight) / np.bincount(bins, gain**2 * weight), dtype=np.float64
         )
 
-    error = clustered_error(after, gain, weight, bins, sets)
+    # The white noise of the rows is known: no error is less than it.
+    white = 1.0 / np.sqrt(np.bincount(bins, gain**2 * weight))
+    error = np.maximum(clustered_error(after, gain, weight, bins, sets), white)
     return Fold(c, x, mean(after + law), mean(after), error, mean(law))
 
 
@@ -172,19 +200,36 @@ def bin_rows(x: Floats) -> tuple[NDArray[np.int64], Floats]:
     return bins, np.asarray(np.bincount(bins, x) / count)
 
 
+def clusters(rows: Rows) -> NDArray[np.int64]:
+    """Number of the piece of the record that each row belongs to: its segment, or a stretch of a log without any."""
+    alone = np.ptp(rows.rate_dps) == 0 and np.unique(rows.set_index).size == rows.t_s.size > _STRETCHES
+    if not alone:
+        return np.unique(rows.set_index, return_inverse=True)[1]
+    return np.arange(rows.t_s.size) * _STRETCHES // rows.t_s.size
+
+
 def clustered_error(
     values: Floats, gain: Floats, weight: Floats, bins: NDArray[np.int64], sets: NDArray[np.int64]
 ) -> Floats:
-    """Cluster-robust standard error of each bin's mean, data sets as clusters; NaN with fewer than three."""
+    """Cluster-robust standard error of each bin's mean, with `sets` as clusters.
+
+    A bin with fewer than three clusters takes the scatter of a cluster's mean from all bins together.
+    """
     size = int(bins.max()) + 1
     information = np.bincount(bins, gain**2 * weight, minlength=size)
     mean = np.bincount(bins, values * gain * weight, minlength=size) / information
     score = (values - mean[bins] * gain) * gain * weight
     cells, cell = np.unique(bins * (sets.max() + 1) + sets, return_inverse=True)
     total = np.bincount(cell, score)
+    part = np.bincount(cell, gain**2 * weight)
     owner = cells // (sets.max() + 1)
-    clusters = np.bincount(owner, minlength=size).astype(np.float64)
-    variance = np.bincount(owner, total**2, minlength=size) / information**2
-    few = clusters < 3
-    correction = np.where(few, np.nan, clusters / np.maximum(clusters - 1.0, 1.0))
-    return np.asarray(np.sqrt(variance * correction))
+    count = np.bincount(owner, minlength=size).astype(np.float64)
+    own = np.bincount(owner, total**2, minlength=size) / information**2 * count / np.maximum(count - 1.0, 1.0)
+    # The scatter of a cluster's mean about its bin's; where no bin has two clusters, about zero.
+    free = part * (1.0 - part / information[owner])
+    if np.any(count > 1):
+        pooled = float(np.sum(total**2 / part) / np.sum(free))
+    else:
+        pooled = float(np.sum(np.bincount(cell, values * gain * weight) ** 2 / part) / np.sum(part))
+    shared = pooled * np.bincount(owner, part**2, minlength=size) / information**2
+    return np.asarray(np.sqrt(np.where(count < _FEW, shared, own)))

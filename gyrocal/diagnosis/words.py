@@ -1,0 +1,105 @@
+"""Numbers and places in words: rounded to what is known of them, never "nan", no ids where a reader needs a phrase."""
+
+from __future__ import annotations
+
+import math
+
+from gyrocal.diagnosis.result import Estimate
+from gyrocal.physics.catalogue import CATALOGUE
+
+#: Below this a p-value is a matter of the tail that was assumed, not of the data.
+LEAST_P = 1e-12
+#: More decimals than this are read as a power of ten.
+_MOST_DECIMALS = 6
+#: Generic curves of the search, as a reader would call what they follow; empty where the place says it all.
+_CURVES = {
+    "bias": "",
+    "mean": "",
+    "instant": "",
+    "lagged": "with a lag",
+    "constant": "alike at all rates",
+    "scale factor": "in proportion to the rate",
+    "by temperature": "changing with temperature",
+    "with temperature": "changing with temperature",
+    "growing with rate": "growing with the rate",
+    "per step": "in proportion to the step of the rate",
+    "memory of past rates": "after-effect of earlier rates",
+}
+
+
+def decimals(half_width: float) -> int:
+    """Decimals that show two digits of a half width; negative: tens, hundreds."""
+    return 1 - math.floor(math.log10(half_width)) if half_width > 0 and math.isfinite(half_width) else 3
+
+
+def fixed(value: float, places: int) -> str:
+    """`value` at so many decimals (negative: tens, hundreds); "not known" where it is not finite."""
+    if not math.isfinite(value):
+        return "not known"
+    value = round(value, places) + 0.0
+    if value != 0 and places > _MOST_DECIMALS:
+        return f"{value:.{max(places + math.floor(math.log10(abs(value))), 0)}e}"
+    return f"{value:.{max(places, 0)}f}"
+
+
+def value_text(e: Estimate) -> str:
+    """A parameter to the digits that its interval has, with its unit; a plain number has none."""
+    low, high = e.interval_95
+    text = fixed(e.value, decimals(0.5 * (high - low))) if low < high else f"{e.value:.4g}"
+    if not math.isfinite(e.value):
+        return "not known"
+    return text if e.unit == "1" else f"{text} {e.unit}"
+
+
+def interval_text(e: Estimate) -> str:
+    """A parameter's 95 % interval, to the digits of the value."""
+    low, high = e.interval_95
+    if not low < high:
+        return "chosen, not estimated"
+    places = decimals(0.5 * (high - low))
+    return f"{fixed(low, places)} to {fixed(high, places)}"
+
+
+def estimate_text(e: Estimate) -> str:
+    """Value with unit and, where it was estimated, its interval."""
+    low, high = e.interval_95
+    return f"{value_text(e)} (95 %: {interval_text(e)})" if low < high else value_text(e)
+
+
+def range_text(low: float, high: float, scale: float = 1.0) -> str:
+    """An interval whose ends have the digits of its half width."""
+    places = decimals(0.5 * scale * (high - low))
+    return f"{fixed(scale * low, places)} to {fixed(scale * high, places)}"
+
+
+def p_text(p: float) -> str:
+    """``< 1e-12`` or the number: a p-value as people read it."""
+    return f"< {LEAST_P:.0e}" if p < LEAST_P else f"{p:.2g}" if math.isfinite(p) else "not known"
+
+
+def p_equals(p: float) -> str:
+    """The same in a sentence: ``p < 1e-12`` or ``p = 0.0054``."""
+    return f"p {p_text(p)}" if p < LEAST_P else f"p = {p_text(p)}"
+
+
+def span_text(low: float, high: float) -> str:
+    """A stretch of a coordinate, its ends to two digits of its length; a beginning that is nearly zero is 0."""
+    places = decimals(high - low)
+    ends = (fixed(end, places) for end in (low, high))
+    return " to ".join("0" if float(end) == 0 else end for end in ends)
+
+
+def curve_words(item: str) -> str:
+    """What a located excess follows, in words; empty for an effect of the catalogue, which only a verdict may name."""
+    item = item.strip("()")
+    return "" if item in CATALOGUE else _CURVES.get(item, item)
+
+
+def coordinate_words(coordinate: str) -> str:
+    """A coordinate of the formats as it is read."""
+    return coordinate.replace("_", " ").replace("power on", "power-on")
+
+
+def listed(things: list[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}" if things else ""
