@@ -7,6 +7,7 @@ import numpy as np
 from gyrocal.calibration.datasets import DataSets, Recording
 from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
 from gyrocal.calibration.groups import distinct
+from gyrocal.calibration.scale import gross_row, odd_output
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER
 
@@ -18,8 +19,6 @@ _OTHER_SIGN = 0.2
 _WORST_CONDITION = 1e4
 #: Rounding of the temperature that may explain this share of the residual, and up to twice the residual, matters.
 _ROUNDING_SHARE = 0.5
-#: An output that follows the rate by more than this factor, or less than its inverse, is in another unit.
-_WORST_SCALE = 2.0
 #: More data sets than this make the covariance matrix too large.
 MOST_DATA_SETS = 3000
 _LISTED = 6
@@ -146,17 +145,19 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
 
 
 def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
-    """Refuse an output of another sign or unit than the rate: no gyro is that wrong."""
-    slope = float(sets.gyro_dps @ sets.rate_dps) / float(sets.rate_dps @ sets.rate_dps)
-    if 1.0 / _WORST_SCALE < slope < _WORST_SCALE:
+    """Refuse a value that nothing measured, and an output of another sign or unit than the rate."""
+    row = gross_row(sets.rate_dps, sets.gyro_dps)
+    if row is not None and not force:
+        raise DataError(
+            f"{recording.source}: {sets.describe(row)} says {sets.gyro_dps[row]:.6g} deg/s, which no gyro does. "
+            f"Repair the row, leave it out with --exclude {sets.segment[row]}, or say --force."
+        )
+    odd = odd_output(sets.rate_dps, sets.gyro_dps)
+    if odd is None:
         return ()
-    text = f"the output is {slope:.3g} times the rate, which is another unit or sign"
     if force:
-        return (f"{text}; used because of --force",)
-    raise DataError(
-        f"{recording.source}: {text}. Rates are deg/s, counter-clockwise positive; for counts the nominal scale and its "
-        "sign are given with --counts-per-dps. Convert the output, or say --force."
-    )
+        return (f"{odd.what}; used because of --force",)
+    raise DataError(f"{recording.source}: {odd.what}. {odd.remedy}, or say --force.")
 
 
 def check_bias(recording: Recording, sets: DataSets) -> None:

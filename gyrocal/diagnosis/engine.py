@@ -14,6 +14,7 @@ from gyrocal.diagnosis.given import simulated_residual, surface_change, temperat
 from gyrocal.diagnosis.heldout import improvements
 from gyrocal.diagnosis.hypotheses import TWINS, untestable
 from gyrocal.diagnosis.improve import Refined, refine
+from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.locate import lack_of_fit, locate
 from gyrocal.diagnosis.model_file import coefficients_of, surface_coefficients
 from gyrocal.diagnosis.result import (
@@ -36,7 +37,9 @@ from gyrocal.diagnosis.scatter import (
 )
 from gyrocal.diagnosis.search import Member
 from gyrocal.diagnosis.sentences import sentences
-from gyrocal.diagnosis.series import Series, series_of_run, series_of_table, set_means
+from gyrocal.diagnosis.series import Series, series_of_run, set_means
+from gyrocal.diagnosis.table_series import FEWEST_ROWS, series_of_table
+from gyrocal.diagnosis.untimed import by_data_set, where
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import CATALOGUE
@@ -95,9 +98,13 @@ def diagnose(
         The recording cannot be read, or is too short to be examined.
     """
     options = options or Options()
-    whole = without_terms(series_of(recording), coefficients)
-    if len(whole) < 30:
-        raise DataError(f"{whole.name}: has {len(whole)} rows; a diagnosis needs at least 30. Record longer.")
+    recorded = series_of(recording)
+    if len(recorded) < FEWEST_ROWS:
+        raise DataError(
+            f"{recorded.name}: has {len(recorded)} rows; a diagnosis needs at least {FEWEST_ROWS}. Record longer."
+        )
+    notes = check_inputs(recorded, coefficients)
+    whole = without_terms(recorded, coefficients)
     numbers, off_dps = bad_sets(whole)
     findings = bad_set_findings(whole, numbers, off_dps)
     series = whole.take(~np.isin(whole.set_index, numbers)) if numbers.size else whole
@@ -107,19 +114,20 @@ def diagnose(
     located = locate(analysis, remaining, options.false_alarm_rate)
     findings += outlier_findings(series)
     if "truncation" not in [m.hypothesis.id for m in decided.named]:
-        findings += step_findings(series, _sample_white(series, analysis))
+        findings += step_findings(series)
     findings += clock_findings(series)
     scatter = variance_places(analysis, options.false_alarm_rate)
     refined = refine(analysis, decided)
     gains, total = improvements(analysis, refined, options.seed) if options.heldout else ({}, None)
     effects = (
-        *(_named(m, refined, gains.get(m.hypothesis.id)) for m in decided.named),
+        *(_named(m, series, refined, gains.get(m.hypothesis.id)) for m in decided.named),
         *map(_found, findings),
     )
     scatter = _explained_scatter(scatter, decided, findings)
     refined, change = _against_given(series, analysis, refined, coefficients)
-    everywhere = change + located + [f.place for f in findings] + scatter
-    verdict = _verdict(effects, decided, bool(remaining or change), bool(scatter))
+    walk = _walk_place(analysis)
+    everywhere = change + walk + located + [f.place for f in findings] + scatter
+    verdict = _verdict(effects, decided, bool(remaining or change or walk), bool(scatter))
     diagnosis = Diagnosis(
         recording=whole.name,
         verdict=verdict,
@@ -132,7 +140,7 @@ def diagnose(
         surface=coefficients or surface_coefficients(series, analysis, refined),
         improved=coefficients_of(series, analysis, refined, decided) if decided.named else None,
         rows=_rows(series, analysis, refined),
-        notes=(*series.notes, *temperature_alone(analysis), *decided.reasons),
+        notes=(*notes, *series.notes, *temperature_alone(analysis), *decided.reasons),
     )
     return replace(diagnosis, sentences=sentences(diagnosis))
 
@@ -150,9 +158,15 @@ def _against_given(
     return replace(refined, plain=before), [] if change is None else [change]
 
 
-def _sample_white(series: Series, analysis: Analysis) -> float:
-    """White noise of one sample of a data set, deg/s."""
-    return float(analysis.levels.white * np.max(series.white_std_dps[series.is_set], initial=0.0))
+def _walk_place(analysis: Analysis) -> list[Located]:
+    """A bias that wanders farther than 1/f noise does is a departure too, though no law."""
+    if not analysis.levels.walk:
+        return []
+    series = analysis.setup.series
+    wandered = 1e3 * analysis.levels.walk * float(np.sqrt(np.ptp(series.t_s)))
+    where = "time" if series.has_time else "data_set_index"
+    region = f"everywhere (the bias walks at random, by {wandered:.2g} mdeg/s over the record)"
+    return [Located(where, "variance", region, analysis.walk_p, 1.0, True)]
 
 
 def _verdict(effects: tuple[NamedEffect, ...], decided: Gate, remaining: bool, scatter: bool) -> str:
@@ -174,7 +188,7 @@ def _explained_scatter(scatter: list[Located], decided: Gate, findings: list[Fin
     return scatter
 
 
-def _named(member: Member, refined: Refined, improvement: Improvement | None) -> NamedEffect:
+def _named(member: Member, series: Series, refined: Refined, improvement: Improvement | None) -> NamedEffect:
     effect = CATALOGUE[member.hypothesis.id]
     nearest: dict[str, float] = {}
     for e, loss in member.rivals:
@@ -183,12 +197,13 @@ def _named(member: Member, refined: Refined, improvement: Improvement | None) ->
     rivals = [
         Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement) for e, loss in nearest.items()
     ]
+    parameters = by_data_set(series, refined.parameters[effect.id])
     twins = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in TWINS.get(effect.id, ())]
     return NamedEffect(
         effect.id,
         effect.family,
-        effect.statement,
-        refined.parameters[effect.id],
+        where(effect.statement, parameters),
+        parameters,
         member.p_value,
         (*twins, *rivals),
         improvement,
@@ -212,7 +227,8 @@ def _noise_figures(series: Series, analysis: Analysis) -> NoiseFigures:
     # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
     # IEEE 952 gives for both signs of the frequency, over a decade.
     flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
-    return NoiseFigures(white, walk, float(flicker), 1e6 * levels.jitter)
+    wander = levels.walk * 3600.0 * 60.0 if levels.walk and series.has_time else None
+    return NoiseFigures(white, walk, float(flicker), 1e6 * levels.jitter, wander)
 
 
 def _rows(series: Series, analysis: Analysis, refined: Refined) -> Rows:

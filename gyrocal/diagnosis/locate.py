@@ -18,6 +18,7 @@ from gyrocal.diagnosis.gram import Projection, benjamini_hochberg, holm
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.search import Search
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.words import curve_words, span_text
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -141,7 +142,11 @@ def coordinate_values(series: Series, coordinate: str) -> Floats | None:
 
 def region(analysis: Analysis, place: Place) -> str:
     """Where on its coordinate the excess is largest: the range with half the fitted curve's power."""
-    values = coordinate_values(analysis.setup.series, place.coordinate)
+    series = analysis.setup.series
+    # Where time is the order of the data sets a temperature has a branch and no rate.
+    made_up = place.coordinate == "temperature_branch" and not series.has_time
+    coordinate = "data_set_index" if made_up else place.coordinate
+    values = coordinate_values(series, coordinate)
     if values is None:
         return "everywhere"
     bare = analysis.bare
@@ -161,12 +166,15 @@ def region(analysis: Analysis, place: Place) -> str:
         first -= 1
     while last < power.size - 1 and power[last + 1] > 0.5 * power[peak]:
         last += 1
-    name, unit, scale = _UNITS[place.coordinate]
+    name, unit, scale = _UNITS[coordinate]
     low, high = edges[first] * scale, edges[last + 1] * scale
-    where = f"{name} {low:.4g} to {high:.4g} {unit}".rstrip()
+    where = f"{name} {span_text(low, high)} {unit}".rstrip()
+    if coordinate == "data_set_index":
+        where = f"data sets {int(np.ceil(low)) + 1} to {int(high) + 1}"
     if first == 0 and last == power.size - 1:
         where = f"all along {name}"
-    return f"{where} ({place.item.strip('()')}; {1e3 * rms:.2g} mdeg/s rms)"
+    follows = [words] if (words := curve_words(place.item)) else []
+    return f"{where} ({'; '.join([*follows, f'{1e3 * rms:.2g} mdeg/s rms'])})"
 
 
 def still_free(search: Search, coordinate: str) -> bool:

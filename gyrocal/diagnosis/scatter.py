@@ -14,7 +14,7 @@ from gyrocal.diagnosis.analysis import Analysis, model_columns
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.gram import holm
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.diagnosis.series import FEWEST_OUTLIERS, Series, set_means
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -23,9 +23,7 @@ Bools = NDArray[np.bool_]
 #: A data set this many times farther off than 95 % of all others is not of this recording.
 _GROSS = 8.0
 _MOST_BAD_SHARE = 0.03
-#: Fewest isolated outliers (each beyond six standard deviations) that count as bursts.
-_FEWEST_OUTLIERS = 3
-#: Output steps that add less variance than this share of the white noise are no effect.
+#: Output steps that make less than this share of the variance of a sample are no effect.
 _STEP_VARIANCE = 0.05
 #: Sample clocks nearer to nominal than this are as good as any.
 _CLOCK_PPM = 20.0
@@ -93,18 +91,18 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
 def outlier_findings(series: Series) -> list[Finding]:
     """Isolated samples that no Gaussian noise makes."""
     count = series.raw.outliers_t_s.size
-    if count < _FEWEST_OUTLIERS:
+    if count < FEWEST_OUTLIERS:
         return []
     expected = series.raw.samples * 2.0 * float(norm.sf(5.5))
     p = float(chi2.sf(2.0 * count, 2)) if expected < 1 else 0.5
     size = 1e3 * float(np.sqrt(np.mean(series.raw.outliers_dps**2)))
     share = count / series.raw.samples
-    times = series.raw.outliers_t_s / 3600.0
+    times = series.raw.outliers_t_s
     statement = f"{count} of {series.raw.samples} samples stand out of the noise by more than six standard deviations (bursts, slip ring)."
     place = Located(
         "data_set_index",
         "variance",
-        f"single samples between {times.min():.2f} and {times.max():.2f} h",
+        f"single samples, {series.when(float(times.min()), float(times.max()))}",
         p,
         0.0,
     )
@@ -125,10 +123,10 @@ def outlier_findings(series: Series) -> list[Finding]:
     ]
 
 
-def step_findings(series: Series, white_dps: float) -> list[Finding]:
-    """Output in steps coarse enough to add noise; `white_dps` is the white noise of a sample."""
-    step = series.raw.lattice_dps
-    if step is None or series.is_table or step**2 / 12.0 < _STEP_VARIANCE * white_dps**2:
+def step_findings(series: Series) -> list[Finding]:
+    """Output in steps coarse enough to add noise to a sample."""
+    step, noise = series.raw.lattice_dps, series.raw.sample_std_dps
+    if step is None or noise is None or step**2 / 12.0 < _STEP_VARIANCE * noise**2:
         return []
     size = 1e3 * step
     statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
@@ -209,7 +207,7 @@ def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[str]]]:
         (
             where,
             by_time,
-            [f"{a / 3600:.2f} to {b / 3600:.2f} h" for a, b in pairwise(hours)],
+            [series.when(float(a), float(b)) for a, b in pairwise(hours)],
         )
     )
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:

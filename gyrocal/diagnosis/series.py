@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.history import TemperatureHistory, fill_gaps, temperature_history
 from gyrocal.errors import DataError
-from gyrocal.records.datasets import DataSetTable
 from gyrocal.records.run import Run, Segment
 
 Floats = NDArray[np.float64]
@@ -25,24 +24,31 @@ Bools = NDArray[np.bool_]
 
 _BIN_TURN_DEG = 20.0
 _BIN_SET_S = 1.0
-_BIN_LONG_S = 8.0
+BIN_LONG_S = 8.0
 _BINS_PER_SEGMENT = 1500
 _LONG_SEGMENT_S = 120.0
 _HEAD_S = 2.5
 #: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
 #: a Gaussian gives one in 5e8.
 OUTLIER_SIGMAS = 6.0
+#: Fewest isolated outliers that are bursts; fewer are left out with a note.
+FEWEST_OUTLIERS = 3
 #: Stand-in for the time between data sets where a table has no time stamps.
 SURROGATE_PERIOD_S = 20.0
+_WHOLE_DEGREES = (
+    "temperatures are whole degrees (nominal, or of a coarse sensor): an error of 0.29 degC rms, which blurs "
+    "what lives in temperature and hides what lives in its rate"
+)
 
 
 @dataclass(frozen=True)
 class Raw:
-    """Facts about single samples that bins cannot carry."""
+    """Facts about single samples that bins cannot carry; `sample_std_dps`: their white noise, as logged."""
 
     outliers_t_s: Floats
     outliers_dps: Floats
     samples: int
+    sample_std_dps: float | None = None
     lattice_dps: float | None = None
     lattice_temp_c: float | None = None
     interval_ratio: float | None = None
@@ -108,6 +114,13 @@ class Series:
             return int(sets)
         return max(10, int(np.ptp(self.t_s) / 60.0))
 
+    def when(self, from_s: float, to_s: float) -> str:
+        """A stretch of the record in words: hours, or numbers of data sets where there is no time."""
+        if self.has_time:
+            return f"{from_s / 3600.0:.2f} to {to_s / 3600.0:.2f} h"
+        first, last = (round((t - self.t_s[0]) / SURROGATE_PERIOD_S) + 1 for t in (from_s, to_s))
+        return f"data sets {first} to {last}"
+
     def take(self, rows: Bools | Ints) -> Series:
         """The same, for some of the rows; the temperature history stays whole."""
         arrays: dict[str, Any] = {
@@ -150,8 +163,25 @@ def series_of_run(run: Run) -> Series:
         notes.append(f"{aside} samples that stand out within {_HEAD_S:g} s of a step of rate are left out")
     if unusable:
         notes.append(f"{unusable} gyro samples are empty or of bad status and are left out")
+    notes += sample_notes(
+        sum(raw["outliers_t_s"].size for raw in raws), np.concatenate([raw["temp"] for raw in raws])
+    )
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
     return _assemble_run(run, columns, raws, notes)
+
+
+def sample_notes(outliers: int, temp_c: Floats) -> list[str]:
+    """What single samples and temperatures give cause to say."""
+    notes = []
+    if 0 < outliers < FEWEST_OUTLIERS:
+        notes.append(
+            f"{outliers} {'sample stands' if outliers == 1 else 'samples stand'} out of the noise by more than six "
+            "standard deviations; left out"
+        )
+    known = temp_c[np.isfinite(temp_c)]
+    if known.size and np.ptp(known) > 0 and np.array_equal(known, np.round(known)):
+        notes.append(_WHOLE_DEGREES)
+    return notes
 
 
 def _segment_rows(
@@ -162,7 +192,7 @@ def _segment_rows(
     rate = _reference_rate(segment)
     step_s = float(np.median(np.diff(t)))
     averaging_s = segment.record.averaging_s or step_s
-    outlier = _outliers(gyro)
+    outlier = outliers(gyro)
     # Right after a step, ringing that samples are too few to follow stands out like a burst and is none.
     settling = (t - segment.record.t_start_s < _HEAD_S) & (rate != previous_rate)
     bins = _bin_numbers(t, rate, step_s, float(segment.record.t_end_s - segment.record.t_start_s))
@@ -231,7 +261,7 @@ def _reference_rate(segment: Segment) -> float:
     return slope if agrees and slope_error < error else mean
 
 
-def _outliers(gyro: Floats) -> Bools:
+def outliers(gyro: Floats) -> Bools:
     """Samples that stand out from the median of their five neighbours, shape (n,)."""
     if gyro.size < 7:
         return np.zeros(gyro.size, dtype=bool)
@@ -255,7 +285,7 @@ def _outliers(gyro: Floats) -> Bools:
 def _bin_numbers(t: Floats, rate: float, step_s: float, duration_s: float) -> Ints:
     longest = _BIN_SET_S
     if duration_s > _LONG_SEGMENT_S:
-        longest = max(_BIN_LONG_S, duration_s / _BINS_PER_SEGMENT)
+        longest = max(BIN_LONG_S, duration_s / _BINS_PER_SEGMENT)
     length = min(longest, _BIN_TURN_DEG / max(abs(rate), 1e-9))
     per_bin = max(1, int(length / step_s + 1e-6))
     if per_bin == 1:
@@ -390,6 +420,7 @@ def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
         outliers_t_s=np.concatenate([r["outliers_t_s"] for r in raws]),
         outliers_dps=np.concatenate([r["outliers_dps"] for r in raws]),
         samples=int(sum(r["n"] for r in raws)),
+        sample_std_dps=float(np.median([r["difference_std"] for r in sets])),
         lattice_dps=lattice(values),
         lattice_temp_c=lattice(temps[np.isfinite(temps)]),
         interval_ratio=ratio,
@@ -416,59 +447,6 @@ def lattice(values: Floats) -> float | None:
     if np.mean(off < 0.02 + 2e-6 / small) < 0.98 or small < 5e-6:
         return None
     return float(np.sum(gaps) / np.sum(np.round(multiples)))
-
-
-def series_of_table(table: DataSetTable) -> Series:
-    """Rows of a table of data sets; without time stamps the row number stands for time."""
-    n = table.rate_dps.size
-    untestable = {
-        "table_angle": "a table of data sets carries no table angle",
-        "supply": "a table of data sets carries no supply voltage",
-        "time_since_power_on": "a table of data sets does not say when the gyro was powered on",
-        "time_since_step": "a table of data sets carries no samples",
-    }
-    t_s: Floats = SURROGATE_PERIOD_S * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s
-    one_rate = np.ptp(table.rate_dps) == 0
-    groups = np.arange(n)
-    if one_rate and table.t_s is not None and n > 1000:
-        groups = ((t_s - t_s[0]) // _BIN_LONG_S).astype(np.int64)
-        groups = np.unique(groups, return_inverse=True)[1]
-    count = np.bincount(groups).astype(np.float64)
-
-    def mean(values: Floats) -> Floats:
-        return np.asarray(np.bincount(groups, weights=values) / count)
-
-    times = mean(t_s)
-    history = temperature_history(times, mean(table.temp_c), smooth=one_rate)
-    white = np.ones(n)
-    if table.gyro_std_dps is not None and table.n is not None:
-        white = np.maximum(table.gyro_std_dps / np.sqrt(np.maximum(table.n, 1.0)), 1e-7)
-    if table.t_s is None:
-        untestable["time"] = "the table has no t_s; the order of the data sets stands for time"
-        untestable["temperature_rate"] = "the table has no t_s, so temperature rates are per data set only"
-    temp = history.temp_at(times) if one_rate else mean(table.temp_c)
-    temp_rate = history.rate_at(times)
-    if table.temp_rate_c_per_min is not None:
-        temp_rate = mean(table.temp_rate_c_per_min)
-    step = np.diff(table.rate_dps, prepend=table.rate_dps[0])
-    return Series(
-        name=table.source.name,
-        t_s=times,
-        gyro_dps=mean(table.gyro_dps),
-        rate_dps=mean(table.rate_dps),
-        temp_c=temp,
-        white_std_dps=np.sqrt(mean(white**2) / count),
-        averaging_s=np.zeros(times.size),
-        set_index=np.arange(times.size),
-        is_set=np.ones(times.size, dtype=bool),
-        temp_rate_c_per_min=temp_rate,
-        history=history,
-        raw=Raw(np.empty(0), np.empty(0), n, lattice(table.gyro_dps), lattice(table.temp_c)),
-        step_dps=mean(step) if not one_rate else None,
-        untestable=untestable,
-        has_time=table.t_s is not None,
-        is_table=True,
-    )
 
 
 def set_means(series: Series, values: Floats) -> tuple[Ints, Floats]:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gyrocal.errors import DataError
+
 Floats = NDArray[np.float64]
 
 #: Orders of the surface in gyro output and in temperature (paper eqs. 2 and 3).
@@ -75,18 +77,34 @@ class Surface:
 
         Raises
         ------
-        ValueError
+        DataError
             The surface is not invertible there (an error slope near 1): no physical gyro is like that.
         """
         rate = np.asarray(rate_dps, dtype=np.float64)
-        gyro = rate + self.error_dps(rate, temp_c)
-        for _ in range(30):
-            miss = gyro - self.error_dps(gyro, temp_c) - rate
-            gyro = gyro - miss / (1.0 - self.slope_per_dps(gyro, temp_c))
-            if np.max(np.abs(miss), initial=0.0) < 1e-12 * max(1.0, self.rate_scale_dps):
-                return np.asarray(gyro)
-        msg = "the surface cannot be inverted: its slope is too near to 1 deg/s per deg/s"
-        raise ValueError(msg)
+        # Where it runs off it says so below, in a sentence.
+        with np.errstate(all="ignore"):
+            gyro = rate + self.error_dps(rate, temp_c)
+            for _ in range(30):
+                miss = gyro - self.error_dps(gyro, temp_c) - rate
+                slope = self.slope_per_dps(gyro, temp_c)
+                gyro = gyro - miss / (1.0 - slope)
+                if np.max(np.abs(miss), initial=0.0) < 1e-12 * max(1.0, self.rate_scale_dps):
+                    # Beyond a turning point of the cubic there may be a root, and it is no output.
+                    if np.all(slope < 1.0):
+                        return np.asarray(gyro)
+                    miss = np.where(slope < 1.0, miss, np.inf)
+                    break
+        every = np.broadcast_arrays(rate, np.asarray(temp_c, dtype=np.float64))
+        raise self._refusal(every[0], every[1], miss)
+
+    def _refusal(self, rate_dps: Floats, temp_c: Floats, miss_dps: Floats) -> DataError:
+        size = np.where(np.isfinite(miss_dps), np.abs(miss_dps), np.inf).ravel()
+        worst = int(np.argmax(size))
+        return DataError(
+            f"The error surface has no output for {rate_dps.ravel()[worst]:.4g} deg/s at {temp_c.ravel()[worst]:.4g} °C, "
+            f"as no gyro's has (it was fitted within {self.rate_scale_dps:.4g} deg/s of {self.rate_center_dps:.4g}). Its "
+            "coefficients are another gyro's, or come from an output of another sign or unit: fit again to sound data."
+        )
 
     def to_json(self) -> dict[str, Any]:
         """The ``surface`` entry of the coefficient file, without its covariance."""

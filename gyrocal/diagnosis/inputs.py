@@ -1,0 +1,79 @@
+"""What a recording must be before it is examined: an output that follows the rate, in deg/s."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrocal.calibration.scale import Odd, gross_row, odd_output, output_scale
+from gyrocal.diagnosis.series import Series
+from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients
+
+#: A scale error beyond this is said: data sheets are within a few per cent.
+_SAID = 0.1
+
+
+def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str, ...]:
+    """Refuse an output of another unit or sign, a stuck gyro, a wild value, and another gyro's coefficients.
+
+    A surface that is fitted first would swallow all of them.
+
+    Returns
+    -------
+    notes : tuple of str
+        What is doubtful and goes on.
+
+    Raises
+    ------
+    DataError
+        With what is wrong, where, and what to do.
+    """
+    row = gross_row(series.rate_dps, series.gyro_dps)
+    if row is not None:
+        raise DataError(
+            f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
+            f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
+        )
+    odd = odd_output(series.rate_dps, series.gyro_dps)
+    if odd is not None and (coefficients is None or np.ptp(series.gyro_dps) == 0):
+        raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
+    if coefficients is not None:
+        _check_coefficients(series, coefficients, odd)
+        return ()
+    off = output_scale(series.rate_dps, series.gyro_dps) - 1.0
+    if abs(off) > _SAID:
+        return (
+            f"the output is {1.0 + off:.3g} times the rate: far more than a gyro's scale error, and the fitted surface takes "
+            "it up; check scale and units",
+        )
+    return ()
+
+
+def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:
+    """Whether the surface given can be this gyro's: it has an output at every rate, and corrects to the rate."""
+    try:
+        coefficients.surface.output_dps(series.rate_dps, series.temp_c)
+    except DataError as error:
+        if odd is None:
+            raise DataError(
+                f"{_not_of(series, coefficients)}: it has no output at all for some of the rates. {_OTHER}"
+            ) from error
+        raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.") from error
+    corrected = series.gyro_dps - coefficients.surface.error_dps(series.gyro_dps, series.temp_c)
+    still = odd_output(series.rate_dps, corrected)
+    if still is None:
+        return
+    if odd is not None:
+        raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
+    raise DataError(f"{_not_of(series, coefficients)}: corrected with it, {still.what}. {_OTHER}")
+
+
+_OTHER = "Give the coefficients of this gyro, or leave them out to fit a surface first."
+
+
+def _not_of(series: Series, coefficients: Coefficients) -> str:
+    valid = coefficients.valid
+    return (
+        f"{series.name}: the surface given, calibrated for {valid.rate_dps[0]:.4g} to {valid.rate_dps[1]:.4g} deg/s and "
+        f"{valid.temp_c[0]:.3g} to {valid.temp_c[1]:.3g} °C, cannot be this gyro's"
+    )

@@ -1,0 +1,139 @@
+"""A table of data sets as rows with coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.series import (
+    BIN_LONG_S,
+    SURROGATE_PERIOD_S,
+    Raw,
+    Series,
+    lattice,
+    outliers,
+    sample_notes,
+)
+from gyrocal.errors import DataError
+from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+#: A diagnosis of fewer rows says nothing.
+FEWEST_ROWS = 30
+#: Longer static logs are binned.
+_LONG_LOG = 1000
+_LEAST_STD_DPS = 1e-7
+
+
+def series_of_table(table: DataSetTable) -> Series:
+    """Rows of a table of data sets; without time stamps the row number stands for time.
+
+    A table at one rate is a static log: its rows are samples, so isolated ones that no noise makes are set aside
+    before anything is averaged, by the rule for the samples of a run.
+
+    Raises
+    ------
+    DataError
+        Too few rows.
+    """
+    n = table.rate_dps.size
+    if n < FEWEST_ROWS:
+        raise DataError(
+            f"{table.source.name}: has {n} {'row' if n == 1 else 'rows'}; a diagnosis needs at least {FEWEST_ROWS}. "
+            "Record longer."
+        )
+    t_s: Floats = SURROGATE_PERIOD_S * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s
+    one_rate = bool(np.ptp(table.rate_dps) == 0)
+    wild = outliers(table.gyro_dps) if one_rate else np.zeros(n, dtype=bool)
+    groups = _groups(t_s, binned=one_rate and table.t_s is not None and n > _LONG_LOG)
+    count = np.bincount(groups[~wild], minlength=groups[-1] + 1).astype(np.float64)
+    filled = count > 0
+
+    def mean(values: Floats) -> Floats:
+        total = np.bincount(groups[~wild], weights=values[~wild], minlength=count.size)
+        return np.asarray(total[filled] / count[filled])
+
+    white, notes = _white(table)
+    times = mean(t_s)
+    history = temperature_history(times, mean(table.temp_c), smooth=one_rate)
+    given = table.temp_rate_c_per_min
+    return Series(
+        name=table.source.name,
+        t_s=times,
+        gyro_dps=mean(table.gyro_dps),
+        rate_dps=mean(table.rate_dps),
+        temp_c=history.temp_at(times) if one_rate else mean(table.temp_c),
+        white_std_dps=np.sqrt(mean(white**2) / count[filled]),
+        averaging_s=np.zeros(times.size),
+        set_index=np.flatnonzero(filled) if groups[-1] + 1 == n else np.arange(times.size),
+        is_set=np.ones(times.size, dtype=bool),
+        temp_rate_c_per_min=history.rate_at(times) if given is None else mean(given),
+        history=history,
+        raw=_raw(table, t_s, wild, one_rate),
+        untestable=_untestable(table),
+        notes=(*notes, *sample_notes(int(wild.sum()), table.temp_c)),
+        has_time=table.t_s is not None,
+        is_table=True,
+    )
+
+
+def _groups(t_s: Floats, binned: bool) -> Ints:
+    """Row to bin, shape (n,)."""
+    if not binned:
+        return np.arange(t_s.size)
+    return np.unique((t_s - t_s[0]) // BIN_LONG_S, return_inverse=True)[1].astype(np.int64)
+
+
+def _white(table: DataSetTable) -> tuple[Floats, list[str]]:
+    """Relative white noise of each row, and what is odd about what the table says of it."""
+    notes = []
+    if table.t_s is not None:
+        same = int(np.count_nonzero(np.diff(table.t_s) == 0))
+        if same:
+            notes.append(f"{same} rows have the time of the row before them: are their times sound?")
+    if table.gyro_std_dps is None or table.n is None:
+        return np.ones(table.rate_dps.size), notes
+    several = table.n > 1
+    none = several & (table.gyro_std_dps == 0)
+    if none.all() or not several.any():
+        return np.ones(table.rate_dps.size), notes
+    if none.any():
+        notes.append(
+            f"gyro_std_dps is 0 in {int(none.sum())} rows of several samples: an output that is stuck or does not resolve "
+            "its noise; they count as noisy as the others"
+        )
+    std = np.where(none | ~several, np.median(table.gyro_std_dps[several & ~none]), table.gyro_std_dps)
+    return np.maximum(std / np.sqrt(np.maximum(table.n, 1.0)), _LEAST_STD_DPS), notes
+
+
+def _raw(table: DataSetTable, t_s: Floats, wild: Bools, one_rate: bool) -> Raw:
+    kept = table.gyro_dps[~wild]
+    if not one_rate:
+        # Means of data sets at many rates lie on no lattice that says anything of a sample.
+        return Raw(np.empty(0), np.empty(0), t_s.size, lattice_temp_c=lattice(table.temp_c))
+    neighbours = np.interp(t_s[wild], t_s[~wild], kept)
+    return Raw(
+        outliers_t_s=t_s[wild],
+        outliers_dps=table.gyro_dps[wild] - neighbours,
+        samples=t_s.size,
+        sample_std_dps=float(np.std(np.diff(kept)) / np.sqrt(2.0)),
+        lattice_dps=lattice(kept),
+        lattice_temp_c=lattice(table.temp_c),
+    )
+
+
+def _untestable(table: DataSetTable) -> dict[str, str]:
+    found = {
+        "table_angle": "a table of data sets carries no table angle",
+        "supply": "a table of data sets carries no supply voltage",
+        "time_since_power_on": "a table of data sets does not say when the gyro was powered on",
+        "time_since_step": "a table of data sets carries no samples",
+    }
+    if table.t_s is None:
+        found["time"] = "the table has no t_s; the order of the data sets stands for time"
+        found["temperature_rate"] = "the table has no t_s, so temperature rates are per data set only"
+    return found

@@ -1,0 +1,57 @@
+"""A table without time stamps: what is stated by the number of the data set where time would be made up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.units import S_PER_H
+
+_EACH = " a data set"
+
+
+def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Parameters of an effect as the record can state them: times and rates of change in data sets if it has no time."""
+    if series.has_time:
+        return dict(parameters)
+    found: dict[str, Estimate] = {}
+    for name, e in parameters.items():
+        if name == "at_s":
+            found["at_data_set"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 1.0, "1")
+        elif name == "tau_s":
+            found["tau_data_sets"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 0.0, "data sets")
+        elif e.unit.endswith("/h"):
+            found[name] = _scaled(e, SURROGATE_PERIOD_S / S_PER_H, 0.0, e.unit.removesuffix("/h") + _EACH)
+        else:
+            found[name] = e
+    return found
+
+
+def by_time(parameters: Mapping[str, Estimate]) -> dict[str, float]:
+    """Values of `by_data_set` in the catalogue's units again, for its laws."""
+    found = {}
+    for name, e in parameters.items():
+        if name == "at_data_set":
+            found["at_s"] = (e.value - 1.0) * SURROGATE_PERIOD_S
+        elif name == "tau_data_sets":
+            found["tau_s"] = e.value * SURROGATE_PERIOD_S
+        else:
+            found[name] = e.value * S_PER_H / SURROGATE_PERIOD_S if e.unit.endswith(_EACH) else e.value
+    return found
+
+
+def where(statement: str, parameters: Mapping[str, Estimate]) -> str:
+    """The statement of an effect with the data sets that a jump lies between."""
+    at = parameters.get("at_data_set")
+    if at is None:
+        return statement
+    before = int(np.floor(at.value))
+    return f"{statement} Between data sets {before} and {before + 1}."
+
+
+def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:
+    low, high = (x * factor + offset for x in e.interval_95)
+    return Estimate(e.value * factor + offset, e.std * factor, unit, (low, high))

@@ -1,0 +1,122 @@
+"""What a diagnosis refuses, and says, before it looks for physics."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.inputs import check_inputs
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.physics.surface import Surface
+from gyrocal.records.datasets import DataSetTable
+
+
+def make_table(scale: float = 1.0, full_dps: float = 240.0) -> DataSetTable:
+    """A table of 55 data sets without time stamps."""
+    rng = np.random.default_rng(1)
+    rate = np.tile(np.linspace(-full_dps, full_dps, 11), 5)
+    temp = np.repeat(np.linspace(-20.0, 60.0, 5), 11) + rng.normal(0, 0.1, rate.size)
+    gyro = scale * (1.002 * rate + 0.3) + 0.003 * rng.standard_normal(rate.size)
+    return DataSetTable(Path("made.csv"), rate, gyro, temp)
+
+
+def model(cubic_dps: float, linear_dps: float = 0.0) -> Coefficients:
+    c = np.zeros((4, 3))
+    c[1, 0], c[3, 0] = linear_dps, cubic_dps
+    surface = Surface(c, 0.0, 100.0, 20.0, 30.0)
+    return Coefficients({"model": "x"}, surface, np.eye(12) * 1e-8, Valid((-100.0, 100.0), (-10.0, 50.0)))
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [(np.pi / 180, "rad/s"), (-1.0, "inverted"), (0.5, "half of the rate"), (1e-5, "does not follow")],
+)
+def test_another_unit_or_sign_is_refused_before_a_surface_swallows_it(scale: float, said: str) -> None:
+    with pytest.raises(DataError, match=said) as caught:
+        check_inputs(series_of_table(make_table(scale)), None)
+    assert str(caught.value).startswith("made.csv: ")
+
+
+def test_a_stuck_gyro_is_refused_at_any_rate() -> None:
+    table = make_table()
+    for rate in (table.rate_dps, np.zeros(table.rate_dps.size)):
+        stuck = replace(table, rate_dps=rate, gyro_dps=np.ones(rate.size))
+        with pytest.raises(DataError, match="stuck"):
+            check_inputs(series_of_table(stuck), None)
+
+
+def test_a_slip_of_the_pen_is_named_by_its_data_set() -> None:
+    table = make_table()
+    table.gyro_dps[5] = 1e30
+    with pytest.raises(DataError, match=r"data set 6 .* says 1e\+30"):
+        check_inputs(series_of_table(table), None)
+
+
+def test_a_scale_far_off_is_said_and_a_sound_one_is_not() -> None:
+    assert check_inputs(series_of_table(make_table()), None) == ()
+    assert "0.802 times the rate" in check_inputs(series_of_table(make_table(0.8)), None)[0]
+
+
+def test_coefficients_of_another_gyro_are_refused() -> None:
+    series = series_of_table(make_table())
+    assert check_inputs(series, model(0.1)) == ()
+    with pytest.raises(DataError, match="cannot be this gyro's: it has no output"):
+        check_inputs(series, model(40.0))
+    with pytest.raises(DataError, match="cannot be this gyro's: corrected with it"):
+        check_inputs(series, model(0.0, linear_dps=60.0))
+
+
+def test_coefficients_may_take_up_another_unit() -> None:
+    """Who has forced a fit in counts per hour may diagnose with it."""
+    series = series_of_table(make_table(2.0))
+    assert check_inputs(series, model(0.0, linear_dps=50.0)) == ()
+    with pytest.raises(DataError, match="twice the rate"):
+        check_inputs(series, model(0.1))
+
+
+def test_a_surface_without_an_output_says_what_to_do() -> None:
+    with pytest.raises(DataError, match="fit again"):
+        model(40.0).surface.output_dps(np.array([0.0, 200.0]), 20.0)
+
+
+def test_one_row_is_refused_without_a_murmur_of_numpy() -> None:
+    table = make_table()
+    one = DataSetTable(table.source, table.rate_dps[:1], table.gyro_dps[:1], table.temp_c[:1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(DataError, match="has 1 row; a diagnosis needs at least 30"):
+            series_of_table(one)
+
+
+def test_no_scatter_and_shared_times_are_said() -> None:
+    table = make_table()
+    n = table.rate_dps.size
+    std = np.full(n, 0.1)
+    std[:8] = 0.0
+    t_s = np.repeat(np.arange(n // 5) * 100.0, 5)
+    series = series_of_table(replace(table, gyro_std_dps=std, n=np.full(n, 100.0), t_s=t_s))
+    assert "gyro_std_dps is 0 in 8 rows" in " ".join(series.notes)
+    assert f"{n - n // 5} rows have the time of the row before" in " ".join(series.notes)
+    assert np.ptp(series.white_std_dps) == 0
+
+
+def test_a_table_without_time_states_nothing_in_time() -> None:
+    """A jump between data sets 27 and 28, and no hours, seconds or rates of temperature anywhere."""
+    table = make_table()
+    table.gyro_dps[27:] += 0.15
+    found = diagnose(table, options=Options(heldout=False))
+    (effect,) = found.effects
+    assert effect.effect == "bias_step"
+    assert "Between data sets 27 and 28." in effect.statement
+    low, high = effect.parameters["at_data_set"].interval_95
+    assert 27.0 <= low < high <= 28.0
+    assert {e.unit for e in effect.parameters.values()} <= {"mdeg/s", "1"}
+    assert not {p.coordinate for p in found.located} & set(found.not_testable)
+    assert not any(unit in p.region for p in found.located for unit in (" h ", " s ", "degC/min"))

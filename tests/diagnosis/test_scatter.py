@@ -1,0 +1,100 @@
+"""Bursts, steps of the output and of the thermometer in static logs, where rows are samples; and what there is no time in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.scatter import outlier_findings, step_findings
+from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.untimed import by_data_set, by_time, where
+from gyrocal.records.datasets import DataSetTable
+
+NOISE_DPS = 0.01
+
+
+def make_log(seed: int = 1, n: int = 3000, timed: bool = True) -> DataSetTable:
+    """A static log of one sample a second, of a slowly warming gyro."""
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(float(n))
+    temp = 20.0 + 10.0 * np.sin(2 * np.pi * t_s / n)
+    gyro = 0.03 + 0.002 * temp + NOISE_DPS * rng.standard_normal(n)
+    return DataSetTable(Path("log.csv"), np.zeros(n), gyro, temp, t_s=t_s if timed else None)
+
+
+SPIKES = np.array([100, 700, 701, 1500, 2900])
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_bursts_of_a_static_log_are_found_before_rows_are_averaged(timed: bool) -> None:
+    table = make_log(timed=timed)
+    clean = series_of_table(make_log(timed=timed))
+    table.gyro_dps[SPIKES] += 25 * NOISE_DPS
+    series = series_of_table(table)
+    (found,) = outlier_findings(series)
+    assert found.effect == "bursts"
+    assert found.statement.startswith("5 of 3000 samples")
+    assert found.parameters["amplitude"].value == pytest.approx(250.0, rel=0.15)
+    assert ("data sets 101 to 2901" if not timed else "0.03 to 0.81 h") in found.place.region
+    left = np.interp(clean.t_s, series.t_s, series.gyro_dps) - clean.gyro_dps
+    assert np.max(np.abs(left)) < 5 * NOISE_DPS
+
+
+def test_noise_alone_has_no_bursts() -> None:
+    for seed in range(20):
+        assert outlier_findings(series_of_table(make_log(seed))) == []
+
+
+def test_a_single_wild_row_is_left_out_and_said() -> None:
+    table = make_log()
+    table.gyro_dps[1234] = 1e30
+    series = series_of_table(table)
+    assert outlier_findings(series) == []
+    assert "1 sample stands out of the noise" in " ".join(series.notes)
+    assert np.max(np.abs(series.gyro_dps)) < 1.0
+
+
+@pytest.mark.parametrize(("step_sigmas", "said"), [(2.0, True), (0.1, False)])
+def test_output_steps_are_said_where_they_add_noise(step_sigmas: float, said: bool) -> None:
+    table, step = make_log(), step_sigmas * NOISE_DPS
+    coarse = replace(table, gyro_dps=np.round(table.gyro_dps / step) * step)
+    found = step_findings(series_of_table(coarse))
+    assert bool(found) == said
+    if found:
+        assert found[0].effect == "quantisation"
+        assert found[0].parameters["amplitude"].value == pytest.approx(1e3 * step, rel=1e-3)
+
+
+def test_whole_degrees_are_said() -> None:
+    table = make_log()
+    assert not any("whole degrees" in note for note in series_of_table(table).notes)
+    coarse = series_of_table(replace(table, temp_c=np.round(table.temp_c)))
+    assert any("whole degrees" in note for note in coarse.notes)
+
+
+def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None:
+    timed, untimed = series_of_table(make_log()), series_of_table(make_log(timed=False))
+    jump = {"at_s": Estimate(33.5 * SURROGATE_PERIOD_S, 2.0, "s", (650.0, 690.0))}
+    assert by_data_set(timed, jump) == jump
+    stated = by_data_set(untimed, jump)
+    assert stated["at_data_set"].value == 34.5
+    assert where("Jump.", stated) == "Jump. Between data sets 34 and 35."
+    assert where("Jump.", jump) == "Jump."
+    drift = {
+        "amplitude": Estimate(180.0, 18.0, "mdeg/s/h", (150.0, 210.0)),
+        "tau_s": Estimate(60.0, 1.0, "s", (50.0, 70.0)),
+    }
+    stated = by_data_set(untimed, drift)
+    assert stated["amplitude"].value == pytest.approx(1.0)
+    assert stated["amplitude"].unit == "mdeg/s a data set"
+    assert stated["tau_data_sets"].interval_95 == (2.5, 3.5)
+    for parameters in (jump, drift):
+        assert by_time(by_data_set(untimed, parameters)) == pytest.approx(
+            {name: e.value for name, e in parameters.items()}
+        )
+    assert untimed.when(0.0, 5 * SURROGATE_PERIOD_S) == "data sets 1 to 6"
