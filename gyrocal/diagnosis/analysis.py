@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +12,13 @@ from gyrocal.diagnosis import hypotheses, strangers
 from gyrocal.diagnosis.base import Base, carried_terms, fit_surface, simulate
 from gyrocal.diagnosis.columns import Book, conditions_of
 from gyrocal.diagnosis.gram import Projection, project
-from gyrocal.diagnosis.hypotheses import Hypothesis
-from gyrocal.diagnosis.search import Member, Search, related
+from gyrocal.diagnosis.hypotheses import Hypothesis, Shape
+from gyrocal.diagnosis.jumps import scan
+from gyrocal.diagnosis.search import Member, Search
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.strangers import Block
 from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
+from gyrocal.errors import DataError
 from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -29,6 +31,11 @@ _ROWS_A_COLUMN = 3
 #: Levels that differ by less are the same.
 _SAME_LEVELS = 0.03
 _ROUNDS = 3
+#: Rivals that have lost less evidence (nats) get a finer grid before the loss counts.
+_NEAR_NATS = 6.0
+#: Peaks of the scan for jumps that go on the grid, and instants on either side of each.
+_JUMPS = 5
+_AROUND_JUMP = 3
 
 
 @dataclass(frozen=True)
@@ -124,13 +131,14 @@ def _search_from(setup: Setup, levels: NoiseLevels, level: float, seed: int) -> 
     y = setup.base.residual_dps
     members: list[Member] = []
     for attempt in range(_ROUNDS):
+        setup = _with_jumps(setup, levels, members, seed)
         white = setup.model.whiten(levels, setup.matrix)[0]
         gram = np.asarray(white.T @ white)
         search = Search(gram, setup.surface_columns, setup.hypotheses, setup.series.n_sets, level, seed)
         members = search.run(_carried(members, search))
         under = estimate_levels(setup.model, y, model_columns(setup, members), levels).levels
         finer = _finer(setup, search, members) if attempt == 0 else None
-        if finer is None and _same(levels, under, setup.model):
+        if finer is None and _same(levels, under, setup.model) and (attempt or not members):
             break
         setup, levels = finer or setup, under
     return Analysis(setup, levels, gram, tuple(members), search)
@@ -158,52 +166,76 @@ def _carried(members: Sequence[Member], search: Search) -> list[Member]:
 
 
 def _finer(setup: Setup, search: Search, members: Sequence[Member]) -> Setup | None:
-    """The setup with finer grids where the search has come near something; None where it has not.
+    """The setup with finer grids for the laws in the model and their rivals; None where nothing can be finer.
 
-    A jump must be timed to seconds before its strength can be compared with that of a drift, so jumps are
-    refined wherever there is anything in their coordinate, named or not.
+    A rival whose best shape lies between two points of its grid must not lose by that.
     """
-    wanted = {(m.hypothesis.id, m.hypothesis.df): m.point for m in members if m.hypothesis.in_catalogue}
-    timely = [m for m in members if related(m.hypothesis.coordinate, "time") or not m.hypothesis.in_catalogue]
-    for member in timely:
+    wanted = {}
+    for member in members:
         rest = search.given([m for m in members if m is not member])
+        near = {member.hypothesis.id, *(e for e, loss in member.rivals if loss < _NEAR_NATS)}
         for score in search.scores(rest):
             h = score.hypothesis
-            if (
-                h.id in ("bias_step", "scale_step")
-                and score.gain > 0.1 * member.gain
-                and score.p_value < 1e-3
-            ):
-                wanted.setdefault((h.id, h.df), score.point)
+            shapes = hypotheses.finer_shapes(h, score.point) if h.in_catalogue and h.id in near else []
+            if shapes:
+                wanted[h.id, h.df] = shapes
+    return _with_shapes(setup, wanted) if wanted else None
+
+
+def _with_jumps(setup: Setup, levels: NoiseLevels, members: Sequence[Member], seed: int) -> Setup:
+    """The setup with the instants at which a scan of the whole record, given the members, sees a jump."""
+    key = ("bias_step", 1)
+    known = next((h for h in setup.hypotheses if (h.id, h.df) == key), None)
+    if known is None:
+        return setup
+    columns = model_columns(setup, members)
+    rng = np.random.default_rng([seed, 3])
+    found = scan(setup.series, setup.model, levels, setup.base.residual_dps, columns, rng)
+    there = {shape["at_s"] for shape in known.shapes}
+    new = [{"at_s": float(t)} for t in found.candidates(_JUMPS, _AROUND_JUMP) if t not in there]
+    trials = max(found.trials, known.trials or 1.0)
+    setup = _with_shapes(setup, {key: new}) if new else setup
+    return replace(
+        setup,
+        hypotheses=tuple(
+            replace(h, trials=trials) if "bias_step" in (h.id, h.repeats) else h for h in setup.hypotheses
+        ),
+    )
+
+
+def _with_shapes(setup: Setup, wanted: Mapping[tuple[str, int], Sequence[Shape]]) -> Setup:
+    """The setup with more points on the grids of some hypotheses, and of those that repeat them."""
     q = setup.columns[:, setup.surface_columns] / np.sqrt(len(setup.series))
     c = conditions_of(setup.series)
-    parts, known, count = [setup.matrix], [], setup.matrix.shape[1] - 1
-    current = {(h.id, h.df): h for h in search.hypotheses}
+    parts, count = [setup.matrix], setup.matrix.shape[1] - 1
+    numbers: dict[tuple[str, int], Ints] = {}
     for h in setup.hypotheses:
-        point = wanted.get((h.id, h.df))
-        seen = current.get((h.id, h.df))
-        if point is None or seen is None or not h.in_catalogue:
-            known.append(h)
-            continue
-        shapes = hypotheses.finer_shapes(seen, point, setup.series)
-        if not shapes:
-            known.append(h)
-            continue
-        blocks = [hypotheses.columns_at(h, c, s, setup.base.surface) for s in shapes]
-        new = np.concatenate(blocks, axis=1)
-        parts.append(new - q @ (q.T @ new))
-        numbers = np.arange(count, count + new.shape[1]).reshape(-1, h.df)
-        count += new.shape[1]
-        known.append(replace(h, shapes=(*h.shapes, *shapes), points=np.concatenate([h.points, numbers])))
-    if len(parts) == 1:
-        return None
-    return replace(setup, matrix=np.concatenate(parts, axis=1), hypotheses=tuple(known))
+        shapes = wanted.get((h.id, h.df), ())
+        if shapes:
+            columns = [hypotheses.columns_at(h, c, s, setup.base.surface) for s in shapes]
+            new = np.concatenate(columns, axis=1)
+            parts.append(new - q @ (q.T @ new))
+            numbers[h.id, h.df] = np.arange(count, count + new.shape[1]).reshape(-1, h.df)
+            count += new.shape[1]
+
+    def grown(h: Hypothesis) -> Hypothesis:
+        key = (h.repeats or h.id, h.df)
+        if key not in numbers:
+            return h
+        points = np.concatenate([h.points, numbers[key]])
+        return replace(h, shapes=(*h.shapes, *wanted[key]), points=points)
+
+    return replace(
+        setup,
+        matrix=np.concatenate(parts, axis=1),
+        hypotheses=tuple(grown(h) for h in setup.hypotheses),
+    )
 
 
 def model_columns(setup: Setup, members: Sequence[Member]) -> Floats:
     """Surface, effects and the freedom of their shapes as columns, shape (n, p)."""
     chosen = np.concatenate([setup.surface_columns, *(m.columns for m in members)])
-    free = [setup.columns @ m.free for m in members if m.free.size]
+    free = [setup.columns[:, : m.free.shape[0]] @ m.free for m in members if m.free.size]
     return np.concatenate([setup.columns[:, chosen], *free], axis=1)
 
 
@@ -276,13 +308,15 @@ def _surface_beside(series: Series, effect: str, start: dict[str, float]) -> Sur
     for factor in np.geomspace(0.35, 2.0, 12):
         curve = hypotheses.law(effect, c, {key: value * factor}, None)
         added, rss, base = np.zeros(first.size), np.inf, fit_surface(means)
-        for _ in range(7):
-            solution = np.linalg.lstsq(np.column_stack([base.design, curve]), base.residual_dps, rcond=None)[
-                0
-            ]
-            added = solution[-1] * curve
-            base = fit_surface(means, added)
-            rss = float(np.sum((base.residual_dps - added) ** 2))
+        try:
+            for _ in range(7):
+                both = np.column_stack([base.design, curve])
+                added = np.linalg.lstsq(both, base.residual_dps, rcond=None)[0][-1] * curve
+                base = fit_surface(means, added)
+                rss = float(np.sum((base.residual_dps - added) ** 2))
+        except DataError:
+            # Law and surface are so nearly the same here that the fit runs off: no point to linearise around.
+            continue
         if rss < best[0]:
             best = (rss, base.surface)
     return best[1]

@@ -168,16 +168,17 @@ def tail(gain: float, df: int, trials: float = 1.0) -> float:
     return float(min(1.0, trials * chi2.sf(gain, df)))
 
 
-def log_evidence(gains: Floats, df: int, n: int) -> float:
+def log_evidence(gains: Floats, df: int, n: int, weights: Floats) -> float:
     """Evidence of a block against nothing, nats: mean likelihood over its grid, BIC for its amplitudes.
 
-    The mean over the grid, not its maximum, is what makes a law with a free shape pay for that freedom.
+    The mean over the grid, not its maximum, is what makes a law with a free shape pay for that freedom; `weights`,
+    which add up to one, say how much of the shapes that could have been each point stands for.
     """
     if gains.size == 0:
         return -np.inf
     half = 0.5 * gains
     top = float(half.max())
-    return top + float(np.log(np.mean(np.exp(half - top)))) - 0.5 * df * float(np.log(n))
+    return top + float(np.log(weights @ np.exp(half - top))) - 0.5 * df * float(np.log(n))
 
 
 def random_evidence(projection: Projection, columns: Ints) -> float:

@@ -26,10 +26,14 @@ Shape = Mapping[str, float]
 #: has to be bought; what two hypotheses share is then given to the law.
 _PRIOR = {"rate_order": -1.0, "fit_direction": -1.0, "mechanical_resonance": -1.0}
 WRONG_SIGN = -2.5
+#: What is not in the catalogue starts with this.
+STRANGE = -3.0
 #: Effects whose amplitude is positive by their nature.
 _POSITIVE = ("sagnac_sine", "saturation", "truncation", "thermal_lag")
 #: Patterns of the reference of which less than this share (of the largest) is left beyond the surface are its own.
 _BEYOND_SURFACE = 1e-3
+#: Instants of a jump that are on the grid from the first.
+_JUMP_NET = 48
 #: Same law, other cause: (the same columns explain the data exactly as well).
 TWINS = {"earth_rate_tilt": ("magnetic", "g_sensitivity")}
 
@@ -49,6 +53,8 @@ class Hypothesis:
         Further columns of the effect's whole family of shapes.
     prior : float
         Evidence it starts with, nats.
+    trials : float, optional
+        Independent trials that its grid is worth, where whoever chose the points knows.
     """
 
     id: str
@@ -62,6 +68,28 @@ class Hypothesis:
     in_catalogue: bool = True
     #: Amplitudes are independent draws of one size, not parameters each.
     random: bool = False
+    trials: float | None = None
+    #: The law of another hypothesis once more, for a second effect of the kind.
+    repeats: str = ""
+
+    @property
+    def weights(self) -> Floats:
+        """Share of each grid point in the shapes that could be, shape (g,).
+
+        A grid that is finer here than there must not make its law likelier: along one parameter a point stands
+        for half the way to its neighbours, in time itself or in the logarithm of a scale.
+        """
+        names = {name for shape in self.shapes for name in shape}
+        varied = [name for name in names if len({shape.get(name) for shape in self.shapes}) > 1]
+        if len(varied) != 1 or len(self.shapes) < 3:
+            return np.full(len(self.shapes), 1.0 / len(self.shapes))
+        x = np.array([shape[varied[0]] for shape in self.shapes])
+        if varied[0] != "at_s" and x.min() > 0:
+            x = np.log(x)
+        order = np.argsort(x)
+        width = np.empty(x.size)
+        width[order] = np.gradient(x[order])
+        return np.asarray(width / width.sum())
 
     @property
     def df(self) -> int:
@@ -112,14 +140,9 @@ def two_orders(c: Conditions, shape: Shape) -> Floats:
     return np.column_stack([law("rate_order", c, shape, None), law("rate_order", c, other, None)])
 
 
-def finer_shapes(h: Hypothesis, point: int, series: Series) -> list[dict[str, float]]:
-    """Shapes between a point of a grid and its neighbours; for a jump, every instant around it."""
+def finer_shapes(h: Hypothesis, point: int) -> list[dict[str, float]]:
+    """Shapes between a point of a grid and its neighbours; where a jump may be is scanned for (`jumps`)."""
     best = dict(h.shapes[point])
-    if "at_s" in best:
-        # A change of scale factor shows only where the table turns: the grid has those instants.
-        if h.id == "scale_step":
-            return []
-        return [{"at_s": float(x)} for x in best["at_s"] + np.arange(-260.0, 261.0, 4.0)]
     for name in ("tau_s", "width_c", "phase_rad_per_dps", "knee_dps"):
         if best.get(name, 0.0) > 0.0 and "center_dps" not in best:
             grid = np.unique([s[name] for s in h.shapes])
@@ -215,10 +238,8 @@ def _between_turns(series: Series) -> Floats:
 
 
 def _instants(series: Series) -> Floats:
-    """Candidate instants of a jump: starts of data sets, and a net over long segments."""
-    span = float(np.ptp(series.t_s))
-    net = np.arange(series.t_s[0], series.t_s[-1], max(240.0, span / 120))[1:]
-    return np.unique(np.concatenate([_set_starts(series), net]))
+    """A coarse net of instants of a jump; a scan of all of them adds the likely ones (`jumps`)."""
+    return np.linspace(series.t_s[0], series.t_s[-1], _JUMP_NET + 2)[1:-1]
 
 
 def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
@@ -240,6 +261,8 @@ def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
             points = np.array([book.add(law(effect.id, c, s, surface)) for s in shapes])
             nuisance = _family_nuisance(effect.id, c, series, book)
             found.append(_hypothesis(effect.id, shapes, points, nuisance, series.has_time))
+            if effect.id == "bias_step":
+                found.append(_another(found[-1], "(another jump)"))
             if effect.id == "rate_order":
                 both = {**shapes[0], "order": 5.0, "order_2": 4.0}
                 pair = book.add(two_orders(c, both))[None, :]
@@ -249,6 +272,11 @@ def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
         each = _hypothesis("reference_rate_error", [{}], book.add(reference)[None, :])
         found.append(replace(each, random=True))
     return found
+
+
+def _another(h: Hypothesis, name: str) -> Hypothesis:
+    """A second effect of a kind: it is located, and what there is two of has no name of its own."""
+    return replace(h, id=name, prior=STRANGE, in_catalogue=False, repeats=h.id)
 
 
 #: Found by other means (`sampling.py`), twins of others, or of another build.

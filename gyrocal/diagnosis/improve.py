@@ -40,6 +40,8 @@ _REFINED = {
 #: the output that is cut.)
 _SEARCH_ONLY = ("softness_dps",)
 _NORMAL_95 = 1.959964
+#: Ends of turns on either side of a change of scale factor at which it may have been.
+_TURNS_AROUND = 8
 
 
 @dataclass(frozen=True)
@@ -261,7 +263,9 @@ def _refine_shapes(
                 lambda value, k=k, name=name: loss(k, name, value),  # type: ignore[misc]
                 shapes[k][name],
                 reach,
-                candidates=_instants_near(analysis, shapes[k][name]) if name == "at_s" else None,
+                candidates=_instants_near(analysis, members[k].hypothesis.id, shapes[k][name])
+                if name == "at_s"
+                else None,
             )
             columns[k] = columns_of(k)
         if sweep and len(handles) <= 1:
@@ -273,7 +277,9 @@ def _refine_shapes(
             shapes[k][name],
             reach,
             limits,
-            candidates=_instants_near(analysis, shapes[k][name]) if name == "at_s" else None,
+            candidates=_instants_near(analysis, members[k].hypothesis.id, shapes[k][name])
+            if name == "at_s"
+            else None,
         )
     pieces = [Piece(m, s, x) for m, s, x in zip(members, shapes, columns, strict=True)]
     return pieces, profiles
@@ -298,12 +304,32 @@ def _limits(effect: str, name: str) -> tuple[float, float]:
     return found.low, found.high
 
 
-def _instants_near(analysis: Analysis, at_s: float) -> Floats:
-    """Instants around a candidate: whole seconds near by, and the gaps between data sets."""
-    t = analysis.setup.series.t_s
-    near = at_s + np.concatenate([np.arange(-12.0, 12.1, 0.5), np.arange(-60.0, 61.0, 8.0)])
-    starts = t[np.flatnonzero(np.diff(analysis.setup.series.set_index, prepend=-1))]
-    return np.unique(np.concatenate([near, starts[np.abs(starts - at_s) < 120.0] - 0.5]))
+def _instants_near(analysis: Analysis, effect: str, at_s: float) -> Floats:
+    """Instants around a candidate: whole seconds near by, wider steps farther off.
+
+    A change of scale factor shows only while the table turns: before and after the turns on either side as well.
+    """
+    series = analysis.setup.series
+    near = np.concatenate(
+        [np.arange(0.0, 12.1, 0.5), np.arange(16.0, 61.0, 8.0), np.arange(90.0, 601.0, 60.0)]
+    )
+    found = [at_s - near, at_s + near]
+    if effect == "scale_step":
+        turning = np.flatnonzero(series.rate_dps != 0)
+        last = np.flatnonzero(np.diff(series.set_index[turning]))
+        ends, starts = turning[last], turning[last + 1]
+        edges = np.sort(
+            np.concatenate(
+                [
+                    series.t_s[ends] + 0.5 * series.averaging_s[ends],
+                    series.t_s[starts] - 0.5 * series.averaging_s[starts],
+                ]
+            )
+        )
+        place = int(np.searchsorted(edges, at_s))
+        found.append(edges[max(place - _TURNS_AROUND, 0) : place + _TURNS_AROUND])
+    found_s = np.unique(np.concatenate(found))
+    return np.asarray(found_s[(found_s > series.t_s[0]) & (found_s < series.t_s[-1])])
 
 
 def _with_shapes(

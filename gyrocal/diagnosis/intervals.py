@@ -13,6 +13,11 @@ Floats = NDArray[np.float64]
 
 #: Rise of the residual sum of squares at the ends of a 95 % interval: the quantile of chi-square, 1 df.
 _RISE_95 = 3.841
+#: The same for the instant of a jump, at which the likelihood has a corner: -2 log(1 - sqrt(0.95))
+#: (B. E. Hansen, Econometrica 68, 2000, p. 575).
+_RISE_INSTANT_95 = 7.352
+#: Losses that differ by less are the same to the last digits.
+_TIE = 1e-3
 _RATIO_95 = 2.0 * 1.959964
 
 
@@ -29,9 +34,16 @@ def descend(
 ) -> float:
     """Least loss within a ratio `reach` of a positive start, or among candidates."""
     if candidates is not None:
-        values = [loss(float(x)) for x in candidates]
+        values = np.array([loss(float(x)) for x in candidates])
         best = int(np.argmin(values))
-        return float(candidates[best]) if values[best] < loss(start) else start
+        # Instants that the record cannot tell apart are one: its middle stands for it.
+        first = last = best
+        while first > 0 and values[first - 1] < values[best] + _TIE:
+            first -= 1
+        while last < values.size - 1 and values[last + 1] < values[best] + _TIE:
+            last += 1
+        middle = 0.5 * float(candidates[first] + candidates[last])
+        return middle if values[best] < loss(start) + _TIE else start
     low, high = np.log(start / reach), np.log(start * reach)
     found = minimize_scalar(
         lambda x: loss(float(np.exp(x))),
@@ -52,9 +64,13 @@ def profile_interval(
     """Where the loss rises by 3.84 on either side of its minimum."""
     floor = loss(best)
     if candidates is not None:
-        inside = [float(x) for x in candidates if loss(float(x)) - floor < _RISE_95] or [best]
-        gap = float(np.median(np.diff(candidates))) if candidates.size > 1 else 1.0
-        interval = (min(*inside, best) - gap / 2, max(*inside, best) + gap / 2)
+        inside = np.array([loss(float(x)) - floor < _RISE_INSTANT_95 for x in candidates])
+        inside[np.argmin(np.abs(candidates - best))] = True
+        first, last = np.flatnonzero(inside)[[0, -1]]
+        # The rise lies somewhere between the last instant inside and the next one outside.
+        low = 0.5 * (candidates[max(first - 1, 0)] + candidates[first])
+        high = 0.5 * (candidates[last] + candidates[min(last + 1, candidates.size - 1)])
+        interval = (min(float(low), best), max(float(high), best))
         return Profile(interval, (interval[1] - interval[0]) / _RATIO_95)
     low = _crossing(loss, floor, best, 1.0 / np.sqrt(reach), limits[0])
     high = _crossing(loss, floor, best, np.sqrt(reach), limits[1])

@@ -130,7 +130,7 @@ class Search:
         bare = project(gram, base)
         self.hypotheses = _without_doubles(hypotheses, bare)
         rng = np.random.default_rng(seed)
-        self.trials = [effective_trials(bare, h.points, rng) for h in self.hypotheses]
+        self.trials = [h.trials or effective_trials(bare, h.points, rng) for h in self.hypotheses]
 
     def given(self, members: Sequence[Member]) -> Projection:
         """Everything with the model of `members`, and the freedom of their shapes, projected out."""
@@ -156,7 +156,7 @@ class Search:
             if h.random:
                 evidence = random_evidence(projection, h.points[0]) + h.prior
             else:
-                evidence = log_evidence(weighed, h.df, self.n_sets) + h.prior
+                evidence = log_evidence(weighed, h.df, self.n_sets, h.weights) + h.prior
             found.append(Score(h, point, gain, tail(gain, h.df, trials), evidence))
         return sorted(found, key=lambda s: -s.evidence)
 
@@ -313,7 +313,7 @@ def _without_doubles(hypotheses: Sequence[Hypothesis], bare: Projection) -> list
     for h in hypotheses:
         norm = bare.gram[h.points[:, 0], h.points[:, 0]]
         keep = norm > 1e-7 * bare.norm[h.points[:, 0]]
-        if not h.in_catalogue and h.df == 1 and laws.size and keep.any():
+        if not h.in_catalogue and not h.repeats and h.df == 1 and laws.size and keep.any():
             own = h.points[:, 0]
             inner = bare.gram[np.ix_(own, laws)] ** 2
             inner /= np.maximum(norm[:, None], 1e-300) * bare.gram[laws, laws][None, :]

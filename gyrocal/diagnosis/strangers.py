@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.columns import Book, hats, quantile_knots
-from gyrocal.diagnosis.hypotheses import Hypothesis
+from gyrocal.diagnosis.hypotheses import STRANGE, Hypothesis
 from gyrocal.diagnosis.series import Series
 
 Floats = NDArray[np.float64]
@@ -70,7 +70,7 @@ def strangers(series: Series, book: Book) -> list[Hypothesis]:
                 "",
                 tuple({} for _ in numbers),
                 numbers,
-                prior=-3.0,
+                prior=STRANGE,
                 in_catalogue=False,
             )
         )
@@ -155,7 +155,9 @@ def _in_rate(s: Series, enter: Enter) -> None:
     x = s.rate_dps / full
     enter("ripple in rate", "rate", _waves(x - x.min(), 2.0 / np.arange(2.0, sizes.size / 2.5, 0.5)), 2)
     warm = [s.rate_dps * 0 + _low_passed(s, np.abs(x), tau) for tau in (60.0, 300.0, 1200.0)]
-    enter("memory of past rates", "time_since_step", np.column_stack(warm))
+    # A table has no samples after a step: what remembers past rates shows in the order of its data sets.
+    where = "data_set_index" if "time_since_step" in s.untestable else "time_since_step"
+    enter("memory of past rates", where, np.column_stack(warm))
 
 
 def _low_passed(s: Series, values: Floats, tau_s: float) -> Floats:

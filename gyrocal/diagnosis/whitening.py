@@ -41,6 +41,8 @@ _LOWEST = np.log([1e-5, 1e-8, 1e-7])
 _HIGHEST = np.log([1e4, 1.0, 1e2])
 #: A walk whose likeliest guess is so much (nats) worse than none is not looked for any further.
 _HOPELESS = 3.0
+#: A jitter that offsets a set at the largest rate by so many standard errors of its mean is known well enough.
+_SURE_JITTER = 3.0
 
 
 @dataclass(frozen=True)
@@ -354,7 +356,25 @@ def _climb(model: NoiseModel, yX: Floats, first: Floats, step: float) -> Likelih
             "initial_simplex": start + step * np.vstack([np.zeros(start.size), np.eye(start.size)]),
         },
     )
-    return _evaluate(model, np.clip(at(best.x), low, high), yX)
+    peak = np.clip(at(best.x), low, high)
+    return _evaluate(model, _expected_jitter(model, yX, peak) if model.turns else peak, yX)
+
+
+def _expected_jitter(model: NoiseModel, yX: Floats, peak: Floats) -> Floats:
+    """The ratios with the expected jitter for the likeliest, where the record hardly tells it from none.
+
+    The likelihood of a small variance is often highest at zero and no less likely far above it; at zero, tests of
+    what grows with rate would be too sure. The mean of a posterior with a flat prior is neither.
+    """
+    rows_a_set = np.bincount(np.cumsum(model.fresh) - 1)
+    unit = model.typical_white / np.sqrt(np.median(rows_a_set)) / np.sqrt(np.max(model.rate_var))
+    if np.exp(peak[1]) > _SURE_JITTER * unit:
+        return peak
+    grid = unit * np.linspace(0.0, 2.0 * _SURE_JITTER, 13)[1:]
+    trials = [np.concatenate([peak[:1], [np.log(jitter)], peak[2:]]) for jitter in grid]
+    logl = np.array([_evaluate(model, r, yX).reml for r in trials])
+    share = np.exp(logl - logl.max())
+    return np.concatenate([peak[:1], [np.log(share @ grid / share.sum())], peak[2:]])
 
 
 def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels | None = None) -> Likelihood:
