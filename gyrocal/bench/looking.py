@@ -14,7 +14,7 @@ from gyrocal.bench.devices import Bench, ChamberReading, GyroSamples, TableReadi
 from gyrocal.bench.profile import Profile
 from gyrocal.bench.recorder import BenchRow
 from gyrocal.bench.safety import Interlocks, StopRequests
-from gyrocal.errors import DeviceError, InterruptedRunError
+from gyrocal.errors import DeviceError
 from gyrocal.units import S_PER_MIN
 
 T = TypeVar("T")
@@ -99,9 +99,7 @@ class Lookout:
 
     def heed(self, level: int) -> None:
         """End when the operator or the system asked for it with at least this level; raises InterruptedRunError."""
-        if self._requests.level >= level:
-            msg = f"Ended by {self._requests.reason}; what was sealed is kept, and --resume carries on."
-            raise InterruptedRunError(msg)
+        self._requests.heed(level)
 
     def drain(self) -> GyroSamples:
         """Samples since the last drain; keeps the history of the gyro's temperature.

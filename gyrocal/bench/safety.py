@@ -14,7 +14,7 @@ from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Bench, ChamberReading, RateTable, TableReading
 from gyrocal.bench.plan import Limits
 from gyrocal.bench.profile import Profile
-from gyrocal.errors import InterlockError, StopNotVerifiedError
+from gyrocal.errors import InterlockError, InterruptedRunError, StopNotVerifiedError
 
 T = TypeVar("T")
 
@@ -36,20 +36,42 @@ class Note(Protocol):
 
 @dataclass
 class StopRequests:
-    """What the operator or the system asked for: 0 nothing, 1 end after the data set at hand, 2 end now."""
+    """What the operator or the system asked for: 0 nothing, 1 end after the data set at hand, 2 end now.
+
+    `prompting`: the program waits for the operator's answer, and a request ends that wait.
+    """
 
     level: int = 0
     reason: str = ""
+    prompting: bool = False
 
     def ask(self, level: int, reason: str) -> None:
         """Ask; a request is never taken back."""
         if level > self.level:
             self.level, self.reason = level, reason
 
+    def heed(self, level: int) -> None:
+        """Raise InterruptedRunError when at least this level was asked for."""
+        if self.level >= level:
+            msg = f"Ended by {self.reason}; what was sealed is kept, and --resume carries on."
+            raise InterruptedRunError(msg)
+
+    def heeding(self, prompt: Callable[[str], str]) -> Callable[[str], str]:
+        """`prompt`, ended by a signal that comes while it waits: else nobody would look at that before an answer."""
+
+        def ask(question: str) -> str:
+            try:
+                self.prompting = True
+                return prompt(question)
+            finally:
+                self.prompting = False
+
+        return ask
+
 
 @contextlib.contextmanager
 def listening(requests: StopRequests) -> Iterator[None]:
-    """Turn signals into requests: Ctrl-C once, Ctrl-C twice, SIGTERM, SIGHUP. Nothing is interrupted half-way."""
+    """Turn signals into requests: Ctrl-C once, Ctrl-C twice, SIGTERM, SIGHUP. Nothing is interrupted half-way but a prompt."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -60,6 +82,8 @@ def listening(requests: StopRequests) -> Iterator[None]:
             requests.ask(1, "Ctrl-C")
         else:
             requests.ask(2, "Ctrl-C twice" if number == signal.SIGINT else name)
+        if requests.prompting:
+            requests.heed(1)
 
     numbers = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
     before = [(number, signal.signal(number, handle)) for number in numbers]

@@ -123,7 +123,7 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
             raise OutputError(msg)
         profile = _profile(config, None)
         bench, clock, capture = connect(
-            profile, simulate=config.simulate, prompt=config.prompt, raw=config.raw
+            profile, simulate=config.simulate, prompt=requests.heeding(config.prompt), raw=config.raw
         )
         plan = plan_of(profile, bench)
         for note in profile.notes:
@@ -156,7 +156,7 @@ def _run_rest(
         simulate=config.simulate,
         start_s=_start_again_s(config, profile, before, found),
         restarts=found.resumed + 1,
-        prompt=config.prompt,
+        prompt=requests.heeding(config.prompt),
         raw=config.raw,
     )
     if before.bench.get("devices", bench.describe) != bench.describe:

@@ -60,7 +60,7 @@ def command(
     if dry_run:
         _show_plan(*session.dry_run(config), as_json)
         return
-    with progress("acquire", quiet=as_json) as report:
+    with progress("acquire", quiet=as_json, still=True) as report:
         summary = session.acquire(config, _Watch(report))
     if as_json:
         emit_json({"run": str(out), "complete": summary.complete, **asdict(summary)})
@@ -76,7 +76,7 @@ def command(
 
 
 def _ask(question: str) -> str:
-    click.echo(question, err=True, nl=False)
+    click.echo(f"\n{question.rstrip()}", err=True)
     return input()
 
 

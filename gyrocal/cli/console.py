@@ -62,12 +62,15 @@ def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str
 
 
 @contextmanager
-def progress(title: str, *, quiet: bool = False) -> Iterator[Report]:
-    """Yield a `Report`: a bar with the time left on a terminal, a line a quarter when piped, nothing if `quiet`."""
+def progress(title: str, *, quiet: bool = False, still: bool = False) -> Iterator[Report]:
+    """Yield a `Report`: a bar with the time left on a terminal, a line a quarter when piped, nothing if `quiet`.
+
+    A `still` bar is drawn at each report and not in between, so that it does not draw over what is asked and typed.
+    """
     if quiet:
         yield lambda share, what: None
     elif sys.stderr.isatty():
-        yield from _rich_bar(title)
+        yield from _rich_bar(title, still=still)
     else:
         said = [-1]
 
@@ -80,7 +83,7 @@ def progress(title: str, *, quiet: bool = False) -> Iterator[Report]:
         yield report
 
 
-def _rich_bar(title: str) -> Iterator[Report]:
+def _rich_bar(title: str, *, still: bool) -> Iterator[Report]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -91,10 +94,10 @@ def _rich_bar(title: str) -> Iterator[Report]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[what]}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=not still) as bar:
         task = bar.add_task(title, total=1.0, what="")
 
         def report(share: float, what: str) -> None:
-            bar.update(task, completed=min(share, 1.0), what=what)
+            bar.update(task, completed=min(share, 1.0), what=what, refresh=still)
 
         yield report

@@ -54,6 +54,7 @@ def command(
         return TcpEndpoint() if tcp else PtyEndpoint(links / role if links else None)
 
     if links is not None:
+        links = links.resolve()  # the profile may be used from elsewhere
         links.mkdir(parents=True, exist_ok=True)
     kinds = {"gyro": gyro, "table": table, "chamber": chamber}
     served = serve_profile(load_profile(profile), RealClock(), endpoint, kinds)

@@ -200,6 +200,21 @@ def test_a_chamber_that_fails_to_start_is_made_safe_too(tmp_path: Path) -> None:
     assert stand.table.motions == ["stop"] * len(stand.table.motions) != []
 
 
+def test_a_signal_ends_a_question_to_the_operator() -> None:
+    requests = StopRequests()
+
+    def nobody(question: str) -> str:
+        os.kill(os.getpid(), signal.SIGTERM)
+        return "the answer of hours later"
+
+    with listening(requests):
+        with pytest.raises(InterruptedRunError, match="Ended by SIGTERM"):
+            requests.heeding(nobody)("Set the table: ")
+        # what makes the bench safe has to ask all the same, and then no signal is left to end it
+        assert requests.heeding(lambda question: "0")("STOP: ") == "0"
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
 @pytest.mark.parametrize(
     ("signals", "level", "reason"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from gyrocal.bench.schema import number
 from gyrocal.errors import InterruptedRunError
 
 NAME = "manual chamber"
+#: Farther from the set point than this a typed temperature is asked for once more, deg C.
+_FAR_C = 2.0
 
 #: Asks the operator a question and returns the answer; the command line supplies it.
 Prompt = Callable[[str], str]
@@ -36,6 +39,7 @@ class ManualChamber:
         self._clock = clock
         self._options = options
         self._temp_c = self._setpoint_c = 20.0
+        self._told_c: float | None = None
 
     def limits(self) -> ChamberLimits:
         """Limits from the options."""
@@ -44,6 +48,7 @@ class ManualChamber:
 
     def start(self) -> None:
         """Have the operator switch it on and type its temperature."""
+        self._told_c = None
         self._temp_c = self._setpoint_c = self._number(
             "Switch the chamber on, then type the temperature it shows (deg C): "
         )
@@ -53,12 +58,19 @@ class ManualChamber:
         self._ask(f"Set the chamber's own alarms to {low_c:g} and {high_c:g} deg C, then press Enter: ")
 
     def set_setpoint(self, temp_c: float, ramp_c_per_min: float | None = None) -> None:
-        """Ask for a set point, and for the temperature once it is reached."""
+        """Ask for a set point: with a ramp for the temperature once it is reached, else for no more than to set it."""
         check_setpoint(NAME, temp_c, self.limits())
-        self._setpoint_c = temp_c
-        self._temp_c = self._number(
-            f"Set the chamber to {temp_c:g} deg C; when it shows that, type the temperature (deg C): "
-        )
+        if ramp_c_per_min is None:
+            self._ask(f"Set the chamber to {temp_c:g} deg C, then press Enter: ")
+        elif temp_c != self._told_c:
+            question = (
+                f"Set the chamber to {temp_c:g} deg C; when it shows that, type the temperature (deg C): "
+            )
+            shown_c = self._number(question)
+            if abs(shown_c - temp_c) > _FAR_C:
+                shown_c = self._number(f"{shown_c:g} deg C is not near {temp_c:g}. {question}")
+            self._temp_c = shown_c
+        self._setpoint_c = self._told_c = temp_c
 
     def read(self) -> ChamberReading:
         """What the operator typed last."""
@@ -70,9 +82,11 @@ class ManualChamber:
     def _number(self, question: str) -> float:
         while True:
             try:
-                return float(self._ask(question))
+                value = float(self._ask(question))
             except ValueError:
                 continue
+            if math.isfinite(value):
+                return value
 
     def _ask(self, question: str) -> str:
         try:

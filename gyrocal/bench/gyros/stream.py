@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import GyroSamples, StreamHealth
-from gyrocal.bench.gyros.codec import Decoder, Frame
+from gyrocal.bench.gyros.codec import Decoder
 from gyrocal.bench.schema import number
 from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
@@ -73,7 +73,9 @@ class WireGyro:
         self._make_decoder = make_decoder
         self._clock = clock
         self._threaded = threaded
-        self._queue: deque[tuple[float, Frame]] = deque()
+        #: Four numbers a sample, flat: an operator may take an hour to answer a question, at a kilohertz.
+        self._rows = array("d")
+        self._lock = threading.Lock()
         self._decoder = make_decoder()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -97,7 +99,7 @@ class WireGyro:
         self._decoder = self._make_decoder()
         self._failure = self._first_byte_s = self._paused = None
         self._restarts = 0
-        self._queue.clear()
+        self._taken()
         # A thread that hung in its port when it was closed keeps its own, set event.
         stop = self._stop = threading.Event()
         transport = self._transport = self._open()
@@ -139,8 +141,8 @@ class WireGyro:
         DeviceError
             The port is gone, or has been silent for too long; the samples before that were handed out.
         """
-        count = len(self._queue)
-        if count == 0:
+        rows = self._taken()
+        if not rows:
             if self._failure is not None:
                 raise self._failure
             silent_s = self._clock.now_s() - self._last_byte_s
@@ -149,13 +151,13 @@ class WireGyro:
                     f"{self._spec.name}: has been silent for {silent_s:.1f} s. Check power, cable and port."
                 )
             return GyroSamples()
-        rows = [self._queue.popleft() for _ in range(count)]
-        return GyroSamples(
-            np.array([t_s for t_s, _ in rows]),
-            np.array([frame.rate_dps for _, frame in rows]),
-            np.array([frame.temp_c for _, frame in rows]),
-            np.array([float(frame.status) for _, frame in rows]),
-        )
+        return GyroSamples(*np.array(rows).reshape(-1, 4).T)
+
+    def _taken(self) -> array[float]:
+        """The rows that came since the last call."""
+        with self._lock:
+            rows, self._rows = self._rows, array("d")
+        return rows
 
     def health(self) -> StreamHealth:
         """Counters since `start`."""
@@ -201,7 +203,8 @@ class WireGyro:
             behind += len(frame.raw)
         for t_s, frame in zip(reversed(times_s), frames, strict=True):
             self._last_t_s = max(t_s, self._last_t_s)
-            self._queue.append((self._last_t_s, frame))
+            with self._lock:
+                self._rows.extend((self._last_t_s, frame.rate_dps, frame.temp_c, frame.status))
 
     def _notice_restart(self, now_s: float) -> None:
         """After a pause the device may be back in its power-up mode: send the commands again.

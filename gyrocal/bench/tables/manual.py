@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,8 +30,11 @@ class ManualTable:
         self._prompt = prompt
         self._clock = clock
         self._options = options
-        self._rate_dps = 0.0
+        # nobody has said yet what the table does
+        self._rate_dps = math.nan
         self._angle_deg = 0.0
+        self._stopped = False
+        self._asked_dps: float | None = None
         self._since_s = clock.now_s()
 
     def limits(self) -> TableLimits:
@@ -39,13 +43,17 @@ class ManualTable:
 
     def start(self) -> None:
         """Have the operator confirm that the table stands."""
+        self._stopped, self._asked_dps = False, None
         self._confirm_rate("Make sure that the table stands, then type its rate in deg/s (0): ")
 
     def set_rate(self, rate_dps: float) -> float:
-        """Ask for a rate; returns the one that the operator reads off the table, deg/s."""
+        """Ask for a rate, unless it was the last one; returns the one that the operator reads off the table, deg/s."""
         if not abs(rate_dps) <= self._options.max_rate_dps:
             msg = f"manual table: {rate_dps:g} deg/s is beyond the limit of {self._options.max_rate_dps:g} deg/s."
             raise DeviceError(msg)
+        if rate_dps == self._asked_dps:
+            return self._rate_dps
+        self._stopped, self._asked_dps = False, rate_dps
         self._confirm_rate(
             f"Set the table to {rate_dps:+.6g} deg/s (counter-clockwise is +), then type the rate it shows: "
         )
@@ -61,8 +69,11 @@ class ManualTable:
         return ()
 
     def send_stop(self) -> None:
-        """Tell the operator to stop the table; the answer is the read-back."""
-        self._confirm_rate("STOP THE TABLE NOW, then type the rate it shows (0): ")
+        """Tell the operator to stop the table, until the answer, which is the read-back, is that it stands."""
+        self._asked_dps = None
+        if not self._stopped:
+            self._confirm_rate("STOP THE TABLE NOW, then type the rate it shows (0): ")
+            self._stopped = self._rate_dps == 0.0
 
     def close(self) -> None:
         """Nothing to close."""
@@ -79,7 +90,10 @@ class ManualTable:
                 rate_dps = float(answer)
             except ValueError:
                 continue
+            if not math.isfinite(rate_dps):
+                continue
             now_s = self._clock.now_s()
-            self._angle_deg += self._rate_dps * (now_s - self._since_s)
+            if math.isfinite(self._rate_dps):
+                self._angle_deg += self._rate_dps * (now_s - self._since_s)
             self._rate_dps, self._since_s = rate_dps, now_s
             return

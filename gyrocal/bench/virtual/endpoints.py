@@ -49,6 +49,10 @@ class PtyEndpoint:
     def __init__(self, link: Path | None = None) -> None:
         if pty is None:
             raise OutputError("This system has no pseudo-terminals. Use TCP ports (--tcp).")
+        if link is not None and link.exists():
+            raise OutputError(
+                f"{link}: is there already. End the gyrocal sim that serves it, or choose other --links."
+            )
         self._link = link
         self._master = self._slave = -1
         self.address = ""
@@ -83,6 +87,7 @@ class PtyEndpoint:
         # The slave stays open here too: else the pair hangs up when a client closes it.
         self.address = os.ttyname(self._slave)
         if self._link is not None:
+            self._link.unlink(missing_ok=True)  # of a program that was killed
             self._link.symlink_to(self.address)
             self.address = str(self._link)
 

@@ -281,12 +281,26 @@ def test_weiss_names_fields_that_do_not_fit() -> None:
 
 
 def test_manual_chamber_asks() -> None:
-    answers = iter(["21", "", "hot", "40.2"])
-    chamber = manual.ManualChamber(lambda _: next(answers), CLOCK)
+    answers = iter(["21", "", "hot", "nan", "4", "40.2", ""])
+    asked: list[str] = []
+
+    def operator(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    chamber = manual.ManualChamber(operator, CLOCK)
     chamber.start()
     chamber.set_alarm_limits(-15.0, 55.0)
-    chamber.set_setpoint(40.0)
+    chamber.set_setpoint(40.0, 1.0)
     assert (chamber.read().temp_c, chamber.read().setpoint_c) == (40.2, 40.0)
+    assert asked[-1].startswith(
+        "4 deg C is not near 40. Set the chamber to 40 deg C; when it shows that, type"
+    )
+    # the soak asks for the same again, and the operator need not; the safe set point is not waited for
+    chamber.set_setpoint(40.0, 1.0)
+    chamber.set_setpoint(23.0)
+    assert asked[-1] == "Set the chamber to 23 deg C, then press Enter: "
+    assert len(asked) == 7
 
     def gone(_: str) -> str:
         raise EOFError

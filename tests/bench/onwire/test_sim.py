@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ from gyrocal.bench.transport import SerialTransport
 from gyrocal.bench.virtual.endpoints import Endpoint, PtyEndpoint, TcpEndpoint
 from gyrocal.bench.virtual.serving import Served, serve_profile, wired
 from gyrocal.calibration.calibrate import FitConfig, calibrate
-from gyrocal.errors import DeviceError
+from gyrocal.errors import DeviceError, OutputError
 from gyrocal.records.run import read_run
 from tests.bench.test_resume import toml
 from tests.bench.test_runner import events
@@ -256,6 +258,61 @@ def test_a_signal_stops_the_table_on_the_wire(tmp_path: Path, number: signal.Sig
     assert read_status(out).state == "stopped"
 
 
+class Terminal:
+    """A program on a pseudo-terminal, with somebody who reads and types."""
+
+    def __init__(self, *command: str) -> None:
+        self.master, slave = pty.openpty()
+        self.process = subprocess.Popen(
+            command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True, close_fds=True
+        )
+        os.close(slave)
+        os.set_blocking(self.master, False)
+        self.seen = b""
+
+    def read(self, text: bytes, within_s: float = 60.0) -> bytes:
+        """What comes until `text` does, and half a second more."""
+        deadline, found_s = time.monotonic() + within_s, None
+        while (now_s := time.monotonic()) < deadline and (found_s is None or now_s < found_s + 0.5):
+            with suppress(OSError):
+                self.seen += os.read(self.master, 65536)
+            found_s = found_s or (now_s if text in self.seen else None)
+            time.sleep(0.02)
+        assert found_s is not None, self.seen
+        seen, self.seen = self.seen, b""
+        return seen
+
+    def type(self, text: str) -> None:
+        """Type a line."""
+        os.write(self.master, text.encode() + b"\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_operator_sees_the_question_and_can_end_it(tmp_path: Path, number: signal.Signals) -> None:
+    profile = profile_from_dict(tiny(**SHORT), "short.toml")
+    with serving(profile, {"gyro": "kvh-dsp3000"}) as served:
+        lines = {**wired(profile, served).raw, "table": {"device": "manual"}}
+        path = tmp_path / "wired.toml"
+        path.write_text(toml(json.loads(json.dumps(lines))))
+        terminal = Terminal(
+            sys.executable, "-m", "gyrocal", "acquire", str(path), "--out", str(tmp_path / "r")
+        )
+        with terminal.process as process:
+            question = b"Make sure that the table stands, then type its rate in deg/s (0):"
+            after = terminal.read(question).partition(question)[2]
+            assert after.strip() == b"", "drawn over"
+            terminal.type("0")
+            terminal.read(b"Set the table to +0 deg/s")
+            process.send_signal(number)
+            terminal.read(b"STOP THE TABLE NOW")
+            terminal.type("0")
+            said = terminal.read(b"what was sealed is kept")
+            assert process.wait(60.0) == 130, said
+        os.close(terminal.master)
+    (line,) = events(tmp_path / "r", "make_safe")
+    assert line["table_stopped"] is True
+
+
 def with_lines(profile: Profile, lines: list[str], path: Path) -> Path:
     """The profile with the lines of `gyrocal sim` in the place of its own."""
     own = {k: v for k, v in profile.raw.items() if k not in ("gyro", "table", "chamber")}
@@ -274,3 +331,11 @@ def test_sim_prints_a_profile_that_works(tmp_path: Path) -> None:
         port.close()
         assert bytes.fromhex("FE81FF55") in data
     assert not (tmp_path / "ports" / "gyro").is_symlink()
+
+
+def test_links_left_by_a_sim_that_was_killed_are_taken_and_others_refused(tmp_path: Path) -> None:
+    (tmp_path / "gyro").symlink_to("/dev/pts/none")
+    endpoint = PtyEndpoint(tmp_path / "gyro")
+    with pytest.raises(OutputError, match=r"gyro: is there already\. End the gyrocal sim"):
+        PtyEndpoint(tmp_path / "gyro")
+    endpoint.close()

@@ -284,14 +284,20 @@ def test_json_lines_refuses(answer: bytes, text: str) -> None:
 
 def test_manual_table_asks_until_it_gets_a_number() -> None:
     clock = VirtualClock()
-    answers = iter(["0", "what", "10.02", "0"])
+    answers = iter(["0", "what", "nan", "10.02", "0.3", "0", "5"])
     driver = manual.ManualTable(lambda _: next(answers), clock)
+    assert math.isnan(driver.read().rate_dps), "nobody has said yet that it stands"
     driver.start()
     assert driver.set_rate(10.0) == 10.02
+    assert driver.set_rate(10.0) == 10.02, "asked once for a rate that stays"
     clock.sleep(2.0)
     assert driver.read().angle_deg == pytest.approx(20.04)
     driver.send_stop()
-    assert driver.read().rate_dps == 0.0
+    assert driver.read().rate_dps == 0.3
+    for _ in range(3):
+        driver.send_stop()
+    assert driver.read().rate_dps == 0.0, "told to stop until it stands, and not after that"
+    assert driver.set_rate(5.0) == 5.0
     with pytest.raises(DeviceError, match="beyond the limit"):
         driver.set_rate(200.0)
 
