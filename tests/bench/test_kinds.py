@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -81,6 +82,22 @@ def test_every_option_is_held_to_its_range(kind: str) -> None:
                 ProfileError, match=rf"tiny.toml: {role}.options.{option.name} is .*, and allowed is "
             ):
                 read_wire(profile_from_dict({**tiny(), **usual, role: section}, "tiny.toml"), role)
+
+
+def test_every_option_stands_in_the_readme_with_its_default() -> None:
+    text = (ROOM.parents[1] / "bench_profiles" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \| [^|]+ \|$", text, flags=re.MULTILINE)
+    told = {(kind, option, default) for option, kinds, default in rows for kind in kinds.split(", ")}
+    classes = {kind: cls.options for kind, cls in KINDS.items()}
+    classes |= {"manual table": MANUAL_TABLE[0], "manual chamber": MANUAL_CHAMBER[0]}
+    assert told == {(kind, f.name, in_toml(f.default)) for kind, cls in classes.items() for f in fields(cls)}
+
+
+def in_toml(default: Any) -> str:
+    """A default as the README shows it; numbers, texts and lists read alike in JSON."""
+    if default is MISSING or default is None:
+        return "required" if default is MISSING else "none"
+    return f"`{json.dumps(default)}`"
 
 
 @pytest.mark.parametrize("kind", KINDS)
