@@ -17,17 +17,19 @@ from scipy.stats import norm
 
 from gyrocal.diagnosis.base import simulate
 from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.gram import project
+from gyrocal.diagnosis.gram import Projection, project
 from gyrocal.diagnosis.hypotheses import TWINS, law, phase_columns, shapes_of
 from gyrocal.diagnosis.planned import Design, Reach, designs, duration_h, planned_series, to_profile
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.untimed import by_time
 from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.surface import Surface
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPH_TO_DPS
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: Evidence that counts as settled: 20 : 1, in nats.
 _SETTLED_NATS = 3.0
@@ -37,8 +39,17 @@ _USUAL_RAMP_C_PER_MIN = 2.0
 _USUAL_REST_C = 25.0
 #: Of the report's figures, a standard unit, where the record carries none.
 _USUAL_WALK_DEG_PER_RT_H = 0.083
+#: Below this the largest rate of a plan is not rounded to a whole number.
+_WHOLE_RATES_DPS = 5.0
+#: A plan that settles a doubt less often is not worth its bench time.
+_LEAST_POWER = 0.2
+#: Columns of less whitened power are not there.
+_NOTHING = 1e-18
+#: An effect of less d' does not show in a plan.
+_SEEN_AT_ALL = 1e-3
 _WITH_PHASE = ("earth_rate_tilt", "magnetic", "g_sensitivity", "table_eccentricity", "step_response")
-_MDPS = 1e-3
+#: Its amplitudes are draws of one size, not parameters each: evidence is paid for each of them.
+_DRAWN = "reference_rate_error"
 
 #: Where structure is left unexplained: the plan that shows it best.
 _PLAN_FOR = {
@@ -52,6 +63,8 @@ _PLAN_FOR = {
     "time_since_step": "grid",
     "data_set_index": "grid",
 }
+#: The same for a record at one rate, where nothing is known of what rates the gyro bears.
+_AT_REST = {"time": ("rest",), "data_set_index": ("rest",)}
 #: What no profile can do: it needs a hand.
 _BY_HAND = {
     frozenset(
@@ -137,8 +150,8 @@ def propose(diagnosis: Diagnosis, bench: Mapping[str, Any], bench_hours: float) 
     """
     if diagnosis.surface is None:
         return None
-    reach = _reach(diagnosis, bench)
     sensor = {**diagnosis.surface.sensor, **bench.get("sensor", {})}
+    reach = _reach(diagnosis, sensor, bench)
     unsettled = [e for e in diagnosis.effects if e.alternatives]
     if unsettled:
         return _separating(diagnosis, unsettled[0], reach, sensor, bench, bench_hours)
@@ -149,23 +162,46 @@ def propose(diagnosis: Diagnosis, bench: Mapping[str, Any], bench_hours: float) 
     return None
 
 
-def _reach(diagnosis: Diagnosis, bench: Mapping[str, Any]) -> Reach:
-    valid = diagnosis.surface.valid if diagnosis.surface is not None else None
-    rate = max(map(abs, valid.rate_dps)) if valid else 100.0
-    low, high = valid.temp_c if valid else (-10.0, 50.0)
-    ramp = float(bench.get("ramp", {}).get("rate_c_per_min", _USUAL_RAMP_C_PER_MIN))
-    fast = float(bench.get("limits", {}).get("max_ramp_c_per_min", ramp))
+def _reach(diagnosis: Diagnosis, sensor: Mapping[str, Any], bench: Mapping[str, Any]) -> Reach:
+    """What the record, the gyro and the bench's user allow, whichever is least."""
+    limits = bench.get("limits", {})
+    low, high = _temperatures(diagnosis)
+    gyro_low, gyro_high = sensor.get("temp_range_c", (-np.inf, np.inf))
+    low = max(low, gyro_low, limits.get("min_temp_c", -np.inf))
+    high = min(high, gyro_high, limits.get("max_temp_c", np.inf))
     # Whole numbers inside the calibrated range: a set point that noise has widened could be out of limits.
+    whole = float(np.ceil(low + 0.5)), float(np.floor(high - 0.5))
+    low, high = whole if whole[0] <= whole[1] else (0.5 * (low + high),) * 2
+    ramp = float(bench.get("ramp", {}).get("rate_c_per_min", _USUAL_RAMP_C_PER_MIN))
+    fast = float(limits.get("max_ramp_c_per_min", ramp))
     # Where the gyro was when the run began is where the chamber rests.
-    rest = round(float(diagnosis.rows.temp_c[0])) if diagnosis.rows is not None else _USUAL_REST_C
+    rest = float(np.round(diagnosis.rows.temp_c[0])) if diagnosis.rows is not None else _USUAL_REST_C
+    sizes = () if diagnosis.rows is None else np.unique(np.abs(np.round(diagnosis.rows.rate_dps, 3))).tolist()
     return Reach(
-        float(np.floor(rate + 0.5)),
-        float(np.ceil(low + 0.5)),
-        float(np.floor(high - 0.5)),
-        ramp,
-        fast,
-        float(rest),
+        _largest_rate(diagnosis, sensor, limits), low, high, min(ramp, fast), fast, rest, tuple(sizes)
     )
+
+
+def _temperatures(diagnosis: Diagnosis) -> tuple[float, float]:
+    if diagnosis.surface is not None:
+        return diagnosis.surface.valid.temp_c
+    return -10.0, 50.0
+
+
+def _largest_rate(diagnosis: Diagnosis, sensor: Mapping[str, Any], limits: Mapping[str, Any]) -> float:
+    """Largest rate of the record, within all limits; 0 where neither record nor data sheet know one."""
+    known = sensor.get("rate_range_dps")
+    rows = diagnosis.rows
+    if rows is not None and np.ptp(rows.rate_dps) > 0:
+        largest = float(np.max(np.abs(rows.rate_dps)))
+    elif known is not None:
+        largest = min(map(abs, known))
+    else:
+        return 0.0
+    if known is not None:
+        largest = min(largest, *map(abs, known))
+    largest = min(largest, limits.get("max_rate_dps", np.inf))
+    return float(np.floor(largest + 0.01)) if largest >= _WHOLE_RATES_DPS else round(largest, 3)
 
 
 def _separating(
@@ -186,13 +222,15 @@ def _separating(
     if on_bench:
         best = best_design(diagnosis, effect, on_bench, reach, bench_hours)
     names = (effect.effect, *others)
-    if best is None:
+    if best is None or _hopeless(best[1]):
         remedy = "; ".join(by_hand) or f"no plan within {bench_hours:g} h of bench time separates them"
+        if best is not None:
+            remedy += f" (the best of them, {best[0].purpose}, with a probability of {_power(best[1]):.0%})"
         return Proposal(f"To tell {_either(names)}: {remedy}.", names, None, None, None, (), tuple(by_hand))
     design, separations = best
     if design.from_power_on:
         by_hand.append(_OFF_BEFORE)
-    power = min(s.power for s in separations)
+    power = _power(separations)
     hours = duration_h(design, reach)
     sentence = f"To tell {_either(names)}, measure {design.purpose} ({hours:.1f} h): expected to reach 20 : 1 with a probability of {power:.0%}"
     times = repeats_needed(separations)
@@ -222,6 +260,16 @@ def repeats_needed(separations: Sequence[Separation]) -> int:
     return int(np.ceil(needed / max(each, needed / 1e6)))
 
 
+def _power(separations: Sequence[Separation]) -> float:
+    """Probability that the worst pair is settled."""
+    return min(s.power for s in separations)
+
+
+def _hopeless(separations: Sequence[Separation]) -> bool:
+    """Whether a plan settles hardly anything, however often it is repeated."""
+    return _power(separations) < _LEAST_POWER and repeats_needed(separations) > _MOST_REPEATS
+
+
 def _either(names: Sequence[str]) -> str:
     return f"{names[0]} from {' and '.join(names[1:])}"
 
@@ -241,11 +289,12 @@ def _showing(
         return Proposal(
             f"To see what lives in supply: {_SUPPLY_BY_HAND}.", (), None, None, None, (), (_SUPPLY_BY_HAND,)
         )
-    named = {d.name: d for d in designs(reach)}
-    design = named.get(_PLAN_FOR.get(place, "grid"), named["grid"])
-    hours = duration_h(design, reach)
-    if hours > bench_hours:
+    named = {d.name: d for d in designs(reach) if duration_h(d, reach) <= bench_hours}
+    wanted = [_PLAN_FOR.get(place, "grid"), *(_AT_REST.get(place, ()) if reach.rate_dps == 0 else ())]
+    design = next((named[name] for name in wanted if name in named), None)
+    if design is None:
         return None
+    hours = duration_h(design, reach)
     sentence = f"To see what lives in {place}, measure {design.purpose} ({hours:.1f} h)."
     return Proposal(sentence, (), to_profile(design, reach, sensor, bench), round(hours, 3), None, (), ())
 
@@ -259,7 +308,7 @@ def best_design(
         hours = duration_h(design, reach)
         if hours <= bench_hours:
             pairs = separate(diagnosis, effect, others, design, reach)
-            found.append((min(p.power for p in pairs), hours, design, pairs))
+            found.append((_power(pairs), hours, design, pairs))
     good = [f for f in found if f[0] >= _GOOD_POWER]
     if good:
         return min(good, key=lambda f: f[1])[2:]
@@ -282,14 +331,45 @@ def separate(
     left = project(white.T @ white, np.arange(base.shape[1]))
     first, pairs = base.shape[1], []
     for other, grid in zip(others, grids, strict=True):
+        d_prime = float(np.sqrt(max(left.rss, 0.0)))
+        if other == _DRAWN:
+            columns_of = np.arange(first, first + grid[0].shape[1])
+            first += columns_of.size
+            pairs.append(_against_draws(other, d_prime, left, columns_of))
+            continue
         captured = 0.0
         for point in grid:
             captured = max(captured, left.block(np.arange(first, first + point.shape[1]))[0])
             first += point.shape[1]
         share = min(captured / left.rss, 1.0) if left.rss > 0 else 1.0
-        d_prime = float(np.sqrt(max(left.rss, 0.0)))
         pairs.append(Separation(other, d_prime, share, power_of(d_prime, share)))
     return tuple(pairs)
+
+
+def _against_draws(other: str, d_prime: float, left: Projection, columns: Ints) -> Separation:
+    """How well a law is told from independent draws of one size, one for each rate.
+
+    Draws can follow any law, and pay for it: their evidence, at the size that suits them best, is
+    ``sum(w_k (b_k^2 + 1) - log(1 + s^2 l_k))/2`` over their orthogonal patterns of strength l_k, of which the
+    law has the components b_k, ``w_k = s^2 l_k / (1 + s^2 l_k)``; the 1 is what noise adds to a square.
+    """
+    strength, patterns = np.linalg.eigh(left.gram[np.ix_(columns, columns)])
+    kept = strength > max(1e-6 * float(strength[-1]), _NOTHING)
+    if not kept.any() or d_prime < _SEEN_AT_ALL:
+        return Separation(other, d_prime, 1.0, 0.0)
+    strength = strength[kept]
+    along = (patterns[:, kept].T @ left.score[columns]) ** 2 / strength
+    best, share, spread = 0.0, 0.0, 1.0
+    for size in np.geomspace(1e-3, 1e4, 141) / np.sqrt(float(np.median(strength))):
+        weight = size**2 * strength / (1.0 + size**2 * strength)
+        gain = 0.5 * float(np.sum(weight * (along + 1.0) - np.log1p(size**2 * strength)))
+        if gain > best:
+            best, share = gain, gain / max(0.5 * d_prime**2, 1e-300)
+            spread = float(np.sum((1.0 - weight) ** 2 * along + 0.5 * weight**2))
+    beyond = max(d_prime**2 - float(along.sum()), 0.0)
+    mean = 0.5 * (d_prime**2 + 1.0) - best
+    power = float(norm.sf((_SETTLED_NATS - mean) / np.sqrt(spread + beyond)))
+    return Separation(other, d_prime, float(np.clip(share, 0.0, 1.0)), power)
 
 
 def power_of(d_prime: float, captured: float) -> float:
@@ -302,21 +382,21 @@ def power_of(d_prime: float, captured: float) -> float:
 
 def _signature(effect: NamedEffect, series: Series, surface: Surface) -> Floats:
     """The named effect in the planned rows, at its estimated size, shape (n,)."""
-    shape = {k: e.value for k, e in effect.parameters.items() if k != "amplitude"}
+    shape = by_time(effect.parameters)
+    size = shape.pop("amplitude", 1.0)
     c = conditions_of(series)
-    if effect.effect == "reference_rate_error":
-        return np.asarray(_reference_columns(series).sum(axis=1) * effect.parameters["amplitude"].value)
+    if effect.effect == _DRAWN:
+        return np.asarray(_reference_columns(series).sum(axis=1) * size)
     if "at_s" in shape:
         # The old instant means nothing in a new run: what matters is a jump in its middle.
         shape["at_s"] = float(series.t_s.mean())
-    size = effect.parameters["amplitude"].value if "amplitude" in effect.parameters else 1.0
     return np.asarray(size * law(effect.effect, c, shape, surface))
 
 
 def _grid(effect: str, series: Series, surface: Surface) -> list[Floats]:
     """Columns of an effect for each of its shapes in the planned rows, each of shape (n, k)."""
     c = conditions_of(series)
-    if effect == "reference_rate_error":
+    if effect == _DRAWN:
         return [_reference_columns(series)]
     known = CATALOGUE[effect]
     if any(getattr(c, need) is None for need in known.needs):
@@ -338,8 +418,11 @@ def _reference_columns(series: Series) -> Floats:
 
 
 def _walk_dps_rt_s(diagnosis: Diagnosis) -> float:
-    noise = diagnosis.noise
+    """Angle random walk; of a table, whose rows do not say what time they average over, from their distance."""
+    noise, rows = diagnosis.noise, diagnosis.rows
     walk = noise.angle_random_walk_deg_per_rt_h if noise is not None else None
+    if walk is None and noise is not None and rows is not None and rows.t_s.size > 1:
+        return noise.white_std_dps * float(np.sqrt(max(np.median(np.diff(rows.t_s)), 0.01)))
     return (walk or _USUAL_WALK_DEG_PER_RT_H) * DEG_PER_RT_H_TO_DPS_PER_RT_HZ
 
 

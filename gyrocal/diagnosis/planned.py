@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,13 +22,36 @@ _AIR_LAG_S = 60.0
 _SETTLE_S = 4.0
 _ROW_LONG_S = 5.0
 _ROW_SET_S = 1.0
+#: Temperatures nearer together than this are one.
+_LEAST_SPAN_C = 5.0
+#: Visits of a plan at one temperature.
+_VISITS = 6
+_FEWEST_BETWEEN, _MOST_BETWEEN = 4, 24
+#: How much later than planned a ramp and a soak may end, s: a plan is to keep to its bench time.
+_LATE_RAMP_S, _LATE_SOAK_S, _LATE_REST_S = 600.0, 900.0, 300.0
+#: What the virtual table bears unless the profile says more, deg/s.
+_VIRTUAL_TABLE_DPS = 400.0
+#: Where the chamber goes at the end, deg C, if that is within reach.
+_SAFE_C = 25.0
 #: Sections of the profile at hand that describe the bench, not the plan.
 _OF_BENCH = ("gyro", "table", "chamber", "bench", "limits", "settle", "record", "safe", "virtual")
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What a plan may ask for: largest rate, temperatures, usual and largest slope of the chamber, its rest."""
+    """What a plan may ask for.
+
+    Attributes
+    ----------
+    rate_dps : float
+        Largest rate; 0 where the record does not show what the gyro can bear: such plans stay at rest.
+    low_c, high_c, rest_c : float
+        Temperatures, and the one at which the chamber rests.
+    ramp_c_per_min, fast_ramp_c_per_min : float
+        Usual and largest slope of the chamber.
+    sizes_dps : tuple of float
+        Sizes of the rates of the record at hand.
+    """
 
     rate_dps: float
     low_c: float
@@ -36,6 +59,7 @@ class Reach:
     ramp_c_per_min: float
     fast_ramp_c_per_min: float
     rest_c: float = 25.0
+    sizes_dps: tuple[float, ...] = ()
 
     @property
     def middle_c(self) -> float:
@@ -76,46 +100,95 @@ class Design:
 
 
 def designs(reach: Reach) -> list[Design]:
-    """Canned plans within reach, each the best that is known for one kind of doubt (physics-report.md, D.7)."""
+    """Plans within reach, each the best that is known for one kind of doubt (physics-report.md, D.7)."""
+    found = _thermal(reach)
+    if reach.high_c - reach.low_c < _LEAST_SPAN_C:
+        found = []
+    found += [_from_power_on(reach), _at_rest(reach)]
+    return found + (_turning(reach) if reach.rate_dps > 0 else [])
+
+
+def _thermal(reach: Reach) -> list[Design]:
+    """Plans that change the temperature; in a rate of zero they stay at rest."""
     w, low, mid, high = reach.rate_dps, reach.low_c, reach.middle_c, reach.high_c
-    fine = tuple(np.round(np.linspace(0.05, 1.0, 20) * w, 3).tolist())
-    near_zero = tuple(np.round(np.geomspace(0.005, 1.0, 12) * w, 3).tolist())
-    top = tuple(np.round(np.linspace(0.4, 1.0, 13) * w, 3).tolist())
-    levels = np.round(np.linspace(low, high, 7), 1).tolist()
-    interleaved = (*levels[::2], *levels[1::2][::-1])
+    half = (0.5 * w,) if w > 0 else ()
     turning = (round(0.8 * w, 3), round(-0.8 * w, 3))
-    # The same visit again and again: bias wanders between data sets, so many short ones tell more than few long.
-    again = (mid,) * 6
-    return [
+    found = [
         Design("ramps", "ramps up and down at rest", (low, high, low, high, mid), soak_s=600.0),
         Design("ramps_soaks", "ramps with long soaks at rest", (low, mid, high, mid, low), soak_s=2700.0),
         Design("fast_ramps", "fast ramps with soaks at rest", (low, high) * 3, soak_s=1500.0, fast=True),
         Design("loops", "inner loops of temperature", (low, high, mid, high, low, mid, low), soak_s=1800.0),
-        Design(
-            "turning_ramps",
-            "ramps while the table turns",
-            (low, high, low, high, low),
-            soak_s=600.0,
-            ramp_rates_dps=turning,
-        ),
-        Design("near_zero", "rates dense near zero", again, near_zero, soak_s=60.0),
-        Design("fine_rates", "fine rates", again, fine, soak_s=60.0),
-        Design("top_rates", "rates dense at the upper end", again, top, soak_s=60.0),
-        Design("grid", "all rates at temperatures visited out of order", interleaved, fine[1::2]),
-        Design(
-            "power_on",
-            "hours at rest from power-on",
-            (mid,),
-            soak_s=300.0,
-            static_s=14400.0,
-            from_power_on=True,
-        ),
-        Design(
-            "repeats", "the same rates again and again", (mid,) * 8, (0.2 * w, 0.5 * w, 0.9 * w), 60.0, 1200.0
-        ),
-        Design("turns", "slow and fast turns", again, (0.05 * w, 0.2 * w, 0.5 * w, w), 60.0, 60.0),
-        Design("levels", "many temperatures up and down", _up_and_down(low, high), (0.5 * w,), 60.0, 1500.0),
+        Design("levels", "many temperatures up and down", _up_and_down(low, high), half, 60.0, 1500.0),
     ]
+    if w > 0:
+        ramps = (low, high, low, high, low)
+        found.append(
+            Design(
+                "turning_ramps", "ramps while the table turns", ramps, soak_s=600.0, ramp_rates_dps=turning
+            )
+        )
+        levels = np.round(np.linspace(low, high, 7), 1).tolist()
+        interleaved = (*levels[::2], *levels[1::2][::-1])
+        fine = tuple(np.round(np.linspace(0.1, 1.0, 10) * w, 3).tolist())
+        found.append(Design("grid", "all rates at temperatures visited out of order", interleaved, fine))
+    return found
+
+
+def _from_power_on(reach: Reach) -> Design:
+    purpose = "hours at rest from power-on"
+    return Design("power_on", purpose, (reach.middle_c,), soak_s=300.0, static_s=14400.0, from_power_on=True)
+
+
+def _at_rest(reach: Reach) -> Design:
+    return Design(
+        "rest", "hours at rest at one temperature", (reach.middle_c,), soak_s=900.0, static_s=14400.0
+    )
+
+
+def _turning(reach: Reach) -> list[Design]:
+    """Plans of many rates at one temperature.
+
+    The same visit again and again: bias wanders between data sets, so many short ones tell more than few long.
+    """
+    w, mid = reach.rate_dps, reach.middle_c
+    rates = {
+        "near_zero": ("rates dense near zero", np.geomspace(0.005, 1.0, 12) * w),
+        "fine_rates": ("fine rates", np.linspace(0.05, 1.0, 20) * w),
+        "top_rates": ("rates dense at the upper end", np.linspace(0.4, 1.0, 13) * w),
+        "turns": ("slow and fast turns", np.array([0.05, 0.2, 0.5, 1.0]) * w),
+    }
+    between = _between(reach)
+    if between.size >= _FEWEST_BETWEEN:
+        rates["new_rates"] = ("rates between those of this record", between)
+    found = [
+        Design(
+            name,
+            purpose,
+            (mid,) * _VISITS,
+            tuple(np.round(r, 3).tolist()),
+            60.0 if name == "turns" else 20.0,
+            60.0,
+        )
+        for name, (purpose, r) in rates.items()
+    ]
+    found += [
+        replace(
+            d, name=f"{d.name}_long", purpose=f"{d.purpose}, for long", temperatures_c=(mid,) * (3 * _VISITS)
+        )
+        for d in found
+    ]
+    again = (round(0.2 * w, 3), round(0.5 * w, 3), round(0.9 * w, 3))
+    found.append(Design("repeats", "the same rates again and again", (mid,) * 8, again, 60.0, 1200.0))
+    return found
+
+
+def _between(reach: Reach) -> Floats:
+    """Rates half-way between those of the record: an error of the reference is drawn anew for each rate."""
+    sizes = np.unique(np.round([s for s in reach.sizes_dps if s <= reach.rate_dps], 3))
+    if sizes.size > _MOST_BETWEEN:
+        sizes = sizes[:: int(np.ceil(sizes.size / _MOST_BETWEEN))]
+    middles = 0.5 * (sizes[:-1] + sizes[1:])
+    return np.asarray(middles[middles > 0])
 
 
 def _up_and_down(low: float, high: float) -> tuple[float, ...]:
@@ -149,19 +222,26 @@ def to_profile(
         "sensor": {
             "model": "unknown",
             "sample_rate_hz": 10.0,
-            "rate_range_dps": [-reach.rate_dps, reach.rate_dps],
-            "temp_range_c": [reach.low_c, reach.high_c],
+            # A gyro of which no rate is known stays at rest; the schema wants a range all the same.
+            "rate_range_dps": [-(reach.rate_dps or 1.0), reach.rate_dps or 1.0],
+            "temp_range_c": [min(reach.low_c, reach.high_c - 1.0), reach.high_c],
             **known,
         },
         "plan": plan,
-        "ramp": {"rate_c_per_min": design.ramp_c_per_min(reach)},
+        "ramp": {"rate_c_per_min": design.ramp_c_per_min(reach), "deadline_s": _LATE_RAMP_S},
         # What the gyro does while it comes to rest is wanted in the record, so its own slope does not have to vanish.
         "soak": {
             "time_s": design.soak_s,
             "slope_c_per_min": 100.0,
             "slope_over_s": min(300.0, design.soak_s),
+            "deadline_s": design.soak_s
+            + (_LATE_SOAK_S if len(set(design.temperatures_c)) > 1 else _LATE_REST_S),
         },
     }
+    low, high = profile["sensor"]["temp_range_c"]
+    profile["safe"] = {"chamber_c": float(min(max(_SAFE_C, low), high))}
+    if reach.rate_dps > _VIRTUAL_TABLE_DPS:
+        profile["virtual"] = {"table": {"max_rate_dps": 1.2 * reach.rate_dps}}
     if design.from_power_on:
         profile["sensor"]["on_before_s"] = 0.0
     return profile | {key: bench[key] for key in _OF_BENCH if key in bench}
