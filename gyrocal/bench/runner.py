@@ -109,6 +109,7 @@ class Runner:
         # The slope of the gyro's temperature wants a handful of points.
         self._slow_drain_s = min(_SLOW_DRAIN_S, profile.soak.slope_over_s / 10.0)
         self._not_kept = 0
+        self._why: str | None = None
         self._done_s = 0.0
         self._step_began_s = 0.0
         self._told_s = -np.inf
@@ -133,7 +134,8 @@ class Runner:
                     self._visit(step)
                     self._done_s += step.expected_s
         except GyrocalError as error:
-            self._note_if_possible("aborted", reason=str(error), error=type(error).__name__)
+            with contextlib.suppress(OutputError):  # a full disk must not hide that error
+                self._note("aborted", reason=str(error), error=type(error).__name__)
             s = self.summary
             self._watch.say(
                 f"Until then {s.recorded} segments were recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
@@ -241,7 +243,7 @@ class Runner:
 
     def _perform(self, step: Step, left: int = 0) -> bool:
         """Do a step and seal its segment; False when its stream was too bad and it is to be done again."""
-        self._step_began_s = self._clock.now_s()
+        self._step_began_s, self._why = self._clock.now_s(), None
         self._tell(step, now=True)
         self._tally = StreamTally(self._profile.sensor.sample_rate_hz)
         settled = self._bring_to_rate(step)
@@ -265,7 +267,7 @@ class Runner:
         finally:
             segment.abandon()
         self._remember(step, outcome)
-        self._count(step, "failed" if verdict else outcome, verdict)
+        self._count(step, "failed" if verdict else outcome, verdict or self._why)
         if verdict is not None:
             self._note("bad_stream", id=step.id, reason=verdict)
             self._watch.say(f"failed: {step.describe()}: {verdict}")
@@ -437,6 +439,7 @@ class Runner:
     def _record_dwell(self, step: Step, recorder: Recorder, length_s: float) -> str:
         """Record at one rate; a rate or a chamber that leaves its window makes the data set unsettled."""
         outcome = "ok" if self._soak_outcome == "ok" else "unsettled"
+        self._why = self._why or (None if outcome == "ok" else "the soak was unsettled")
         jumps = self._lookout.jumps
         end_s = self._clock.now_s() + length_s
         while end_s - self._clock.now_s() > 1e-9:
@@ -469,18 +472,12 @@ class Runner:
             )
 
     def _warn(self, step: Step, why: str) -> None:
+        self._why = why
         self._note("unsettled", id=step.id, reason=why)
         self._watch.say(f"unsettled: {step.describe()}: {why}")
 
     def _note(self, event: str, **details: Any) -> None:
         self._writer.event(event, self._clock.now_s(), **details)
-
-    def _note_if_possible(self, event: str, **details: Any) -> None:
-        """On the way out of an error a full disk must not hide that error."""
-        try:
-            self._note(event, **details)
-        except OutputError as error:
-            self._watch.say(str(error))
 
     def _tell(self, step: Step, *, now: bool = False) -> None:
         now_s = self._clock.now_s()

@@ -19,7 +19,7 @@ from gyrocal.bench.profile import Profile, load_profile, profile_from_dict
 from gyrocal.bench.runner import Runner, Summary, Watch
 from gyrocal.bench.safety import StopRequests, listening
 from gyrocal.bench.virtual.devices import virtual_bench
-from gyrocal.bench.wiring import Prompt, is_virtual, open_bench
+from gyrocal.bench.wiring import ROLES, Prompt, is_virtual, open_bench
 from gyrocal.errors import InputError, InterruptedRunError, OutputError
 from gyrocal.records.journal import Recovered, RunWriter, create_run, is_stillborn, resume_run
 from gyrocal.records.run import SCHEMA, Run, Sensor, read_run
@@ -28,6 +28,7 @@ from gyrocal.records.run import SCHEMA, Run, Sensor, read_run
 _VIRTUAL_UTC = "2000-01-01T00:00:00Z"
 #: Bench time between the last thing a dead run wrote and its next start on the virtual bench.
 _VIRTUAL_PAUSE_S = 60.0
+_DEVICES = tuple(f"{role}.device" for role in ROLES)
 
 
 def _nobody(question: str) -> str:
@@ -136,10 +137,10 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
 def _carry_on(config: AcquireConfig, watch: Watch, requests: StopRequests) -> Summary:
     before = read_run(config.out)
     profile = _profile(config, before)
-    _refuse_change(config.out, before, profile)
+    ports = _new_ports(config.out, before, profile)
     writer, found = resume_run(config.out)
     with writer:
-        return _run_rest(config, profile, before, writer, found, watch, requests)
+        return _run_rest(config, profile, before, writer, found, watch, requests, ports)
 
 
 def _run_rest(
@@ -150,6 +151,7 @@ def _run_rest(
     found: Recovered,
     watch: Watch,
     requests: StopRequests,
+    ports: Mapping[str, str],
 ) -> Summary:
     bench, clock, capture = connect(
         profile,
@@ -182,6 +184,8 @@ def _run_rest(
         "adopted": list(found.adopted),
         "discarded": list(found.discarded),
     }
+    if ports:
+        details["ports"] = ports
     if bench.describe == "virtual":
         details["virtual_world"] = f"restarted at {profile.virtual.start_temp_c:g} deg C, table at rest"
     with _capturing(capture, config.out, watch):
@@ -207,20 +211,29 @@ def _profile(config: AcquireConfig, before: Run | None) -> Profile:
     return profile
 
 
-def _refuse_change(path: Path, before: Run, profile: Profile) -> None:
+def _new_ports(path: Path, before: Run, profile: Profile) -> dict[str, str]:
+    """Ports that changed since the run was begun: adapters are numbered anew. Any other change is refused."""
     if before.profile_sha256 == profile.sha256:
-        return
+        return {}
     if before.profile is None:
         raise InputError(
             f"{path}/run.json: holds no profile, so gyrocal did not write this run. It cannot be carried on."
         )
     then = profile_from_dict(before.profile, f"{path}/run.json")
-    key, old, new = next(iter(_differences(then.raw, profile.raw)), ("", None, None))
+    changed = list(_differences(then.raw, profile.raw))
+    moved = {key: new for key, old, new in changed if key in _DEVICES and _kind(old) == _kind(new)}
+    if len(moved) == len(changed):
+        return moved
+    key, old, new = next(change for change in changed if change[0] not in moved)
     msg = (
         f"{profile.source}: differs from the profile that {path} was begun with: {key} was {old!r} and is {new!r}. "
         "Carry on with the old profile, or start a new run with another --out."
     )
     raise OutputError(msg)
+
+
+def _kind(device: Any) -> str:
+    return str(device).partition(":")[0]
 
 
 def _differences(

@@ -148,7 +148,7 @@ def _check_line(profile: Profile, wire: Wire, kind: GyroKind) -> None:
 
 
 def _check_together(profile: Profile, wires: Mapping[str, Wire]) -> None:
-    """Refuse what no device by itself can show: a port named twice, a table that nobody asks for too long."""
+    """Refuse what no device by itself can show: a port named twice, a chamber without alarms, a table not asked for too long."""
     ports = [(role, wire.url) for role, wire in wires.items() if wire.url]
     for i, (role, url) in enumerate(ports):
         for other, its_url in ports[:i]:
@@ -159,6 +159,18 @@ def _check_together(profile: Profile, wires: Mapping[str, Wire]) -> None:
                     f"{wires[role].kind}:{url}",
                     f"a port other than that of {other}",
                 )
+    chamber = wires["chamber"]
+    if chamber.kind != MANUAL and not (
+        CHAMBERS[chamber.kind].sets_alarms
+        or profile.chamber.own_alarms_set
+        or getattr(chamber.options, "alarm_registers", False)
+    ):
+        (low_c, high_c), margin_c = profile.sensor.temp_range_c, profile.safe.gyro_margin_c
+        msg = (
+            f"{profile.source}: nothing sets the own alarms of a {chamber.kind} chamber, which protect the gyro when this computer "
+            f"is dead. Set them to {low_c - margin_c:g} and {high_c + margin_c:g} °C at its panel and say own_alarms_set = true in [chamber]."
+        )
+        raise ProfileError(msg)
     watchdog_s = getattr(wires["table"].options, "watchdog_s", math.inf)
     period_s = profile.record.bench_period_s
     if period_s > _WATCHDOG_SHARE * watchdog_s:

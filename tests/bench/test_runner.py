@@ -82,6 +82,7 @@ def test_a_table_that_never_arrives_is_unsettled_but_recorded(tmp_path: Path) ->
     summary = stand.run()
     assert summary.complete
     assert len(summary.unsettled) == 4
+    assert all("deg/s within 10 s" in text or "while recording" in text for text in summary.unsettled)
     run = read_run(tmp_path / "r")
     assert [r.n for r in run.segments if r.outcome == "unsettled"] == [30] * 4
     assert "the table reached 29.7 deg/s within 10 s" in stand.watch.said[0] or "-29.7" in stand.watch.said[0]
@@ -189,6 +190,7 @@ def test_a_chamber_that_never_arrives_marks_all_that_follows(tmp_path: Path) -> 
     assert summary.complete
     assert summary.recorded == 6
     assert len(summary.unsettled) == 6
+    assert summary.unsettled[-1] == "rate at +0 deg/s, 24 °C: the soak was unsettled"
     marked = {i for i, o in outcomes(read_run(tmp_path / "r")).items() if o == "unsettled"}
     assert marked == {7, 8, 9, 10, 11, 12}
     reasons = [e["reason"] for e in events(tmp_path / "r", "unsettled")]
@@ -205,7 +207,7 @@ def test_a_chamber_that_never_arrives_fails_by_policy_and_skips_its_data_sets(tm
     never(stand)
     summary = stand.run()
     assert not summary.complete
-    assert summary.failed == ["ramp 20 to 24 °C"]
+    assert summary.failed == ["ramp 20 to 24 °C: the chamber was at 22.00 °C after 2 min"]
     assert len(summary.skipped) == 5
     assert events(tmp_path / "r", "end")[0]["complete"] is False
 
@@ -214,7 +216,8 @@ def test_a_soak_that_fails_by_policy_skips_its_data_sets(tmp_path: Path) -> None
     stand = Stand(tmp_path / "r", soak__on_deadline="fail")
     never(stand)
     summary = stand.run()
-    assert summary.failed == ["soak, 24 °C"]
+    (failed,) = summary.failed
+    assert failed.startswith("soak, 24 °C: after 2 min the chamber was at 22.00 °C")
     assert len(summary.skipped) == 4
 
 
@@ -260,7 +263,7 @@ def test_a_thermometer_that_dies_is_not_taken_for_a_flat_one(tmp_path: Path) -> 
     nan_after = lambda s: replace(s, gyro_temp_c=np.where(s.t_s < 25.0, s.gyro_temp_c, np.nan))  # noqa: E731
     with_gyro(stand, nan_after)
     summary = stand.run()
-    assert "soak, 24 °C" in summary.unsettled
+    assert any(text.startswith("soak, 24 °C: after ") for text in summary.unsettled)
 
 
 INTERLOCKS: list[tuple[str, Callable[[Stand], None], str]] = [

@@ -70,6 +70,9 @@ class AerosmithTable:
             msg = f"Aerosmith table: {rate_dps:g} deg/s is beyond the limit of {limit:g} deg/s; nothing was sent."
             raise DeviceError(msg)
         wire = round(self._sign * rate_dps, self._options.decimals)
+        if wire == 0.0 != rate_dps:
+            msg = f"Aerosmith table: {rate_dps:g} deg/s is 0 with {self._options.decimals} decimals; nothing was sent. See decimals in [table.options]."
+            raise DeviceError(msg)
         if wire == 0.0:
             # JOG0 is not verified to stop on all firmware; STO is.
             self._ask("STO")

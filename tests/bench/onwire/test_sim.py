@@ -22,13 +22,14 @@ from scipy.stats import norm
 from gyrocal.bench.capture import decode_capture
 from gyrocal.bench.clock import RealClock
 from gyrocal.bench.profile import Profile, profile_from_dict
+from gyrocal.bench.safety import StopRequests
 from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.bench.status import read_status
 from gyrocal.bench.transport import SerialTransport
 from gyrocal.bench.virtual.endpoints import Endpoint, PtyEndpoint, TcpEndpoint
 from gyrocal.bench.virtual.serving import Served, serve_profile, wired
 from gyrocal.calibration.calibrate import FitConfig, calibrate
-from gyrocal.errors import DeviceError, OutputError
+from gyrocal.errors import DeviceError, InterruptedRunError, OutputError
 from gyrocal.records.run import read_run
 from tests.bench.test_resume import toml
 from tests.bench.test_runner import events
@@ -331,6 +332,20 @@ def test_sim_prints_a_profile_that_works(tmp_path: Path) -> None:
         port.close()
         assert bytes.fromhex("FE81FF55") in data
     assert not (tmp_path / "ports" / "gyro").is_symlink()
+
+
+def test_a_run_is_carried_on_at_other_ports(tmp_path: Path) -> None:
+    profile = profile_from_dict(tiny(**SHORT), "short.toml")
+    for resume in (False, True):
+        requests = StopRequests()
+        requests.ask(1, "the test")
+        with serving(profile, {"gyro": "kvh-dsp3000"}) as served:
+            path = profile_file(wired(profile, served), tmp_path / "wired.toml")
+            with pytest.raises(InterruptedRunError):
+                acquire(AcquireConfig(path, tmp_path / "r", resume=resume), Silent(), requests)
+    (line,) = events(tmp_path / "r", "resume")
+    assert line["ports"]["gyro.device"] == f"kvh-dsp3000:{served.addresses['gyro']}"
+    assert set(line["ports"]) == {"gyro.device", "table.device", "chamber.device"}
 
 
 def test_links_left_by_a_sim_that_was_killed_are_taken_and_others_refused(tmp_path: Path) -> None:

@@ -112,6 +112,11 @@ def test_a_profile_names_kinds_ports_and_options() -> None:
             'p.toml: table.device is "zaber:/dev/x", and allowed is a port other than that of gyro.',
         ),
         (
+            {"chamber": {"device": "weiss:/dev/z"}},
+            "p.toml: nothing sets the own alarms of a weiss chamber, which protect the gyro when this computer is dead. Set "
+            "them to -45 and 80 °C at its panel and say own_alarms_set = true in [chamber].",
+        ),
+        (
             {"table": {"device": "json-lines:/dev/y"}, "record": {"bench_period_s": 8.0}},
             "p.toml: record.bench_period_s is 8 s, and the table stops by itself when it is not asked for 10 s. Give at "
             "most 5 s, or raise watchdog_s in [table.options].",

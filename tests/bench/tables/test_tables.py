@@ -211,6 +211,14 @@ def test_acutrol_split_of_the_prefix_is_an_option() -> None:
     port.finish()
 
 
+def test_aerosmith_refuses_a_rate_that_its_decimals_make_nothing() -> None:
+    port = ScriptedTransport()
+    driver = aerosmith.AerosmithTable(port, CLOCK, aerosmith.Options(decimals=0, timeout_s=0.004))
+    with pytest.raises(DeviceError, match=r"0\.3 deg/s is 0 with 0 decimals; nothing was sent"):
+        driver.set_rate(0.3)
+    port.finish()
+
+
 def test_zaber_without_get_vel_takes_the_rate_from_the_way() -> None:
     clock, table = VirtualClock(), IdealTable()
     line = LoopTransport(zaber.ZaberResponder(table))
