@@ -60,7 +60,10 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
         raise InputError(f"{path}, line 1: column {repeated[0]} stands twice. Remove one.")
     missing = [name for name in required if name not in header]
     if missing:
-        msg = f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). Names carry the unit; known: {', '.join(known)}."
+        msg = (
+            f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). "
+            f"{_hint(header)}Names carry the unit; known: {', '.join(known)}."
+        )
         raise InputError(msg)
     unknown = [name for name in header if name not in known]
     if unknown:
@@ -68,6 +71,20 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
             f"{path}, line 1: unknown column {unknown[0]!r}. Names carry the unit; known: {', '.join(known)}."
         )
         raise InputError(msg)
+
+
+def _hint(header: Sequence[str]) -> str:
+    """What a header of other columns most likely is, as a sentence with a blank behind it; empty if nobody knows."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            return (
+                f"The cells are separated by {name}: save the file with commas, and points in its numbers. "
+            )
+    if {"left_m", "left_ticks"} & set(header) and {"right_m", "right_ticks"} & set(header):
+        return "This looks like the log of a drive: `diagnose` takes it with --robot. "
+    if {"rate_dps", "temp_c"} <= set(header):
+        return "This looks like a table of data sets: `diagnose` takes it without --robot. "
+    return ""
 
 
 def iterate_columns(

@@ -115,6 +115,13 @@ def sha256_of_file(path: Path) -> str:
     return digest.hexdigest()
 
 
+def _what_directory(path: Path) -> str:
+    """The end of the sentence about a directory where a file was wanted: what it is, and what to do."""
+    if (path / "run.json").exists():
+        return ". It holds a run of the bench: `fit` and `diagnose` take it as it is, without --robot."
+    return ". Give the path of a file in it."
+
+
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn what the operating system says about reading `path` into an ``InputError`` with a remedy."""
@@ -123,7 +130,8 @@ def reading(path: Path) -> Iterator[None]:
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file or directory. Check the path.") from error
     except IsADirectoryError as error:
-        raise InputError(f"{path}: is a directory, and a file is wanted here.") from error
+        msg = f"{path}: is a directory, and a file is wanted here{_what_directory(path)}"
+        raise InputError(msg) from error
     except PermissionError as error:
         raise InputError(f"{path}: may not be read (permission denied). Change its permissions.") from error
     except UnicodeDecodeError as error:

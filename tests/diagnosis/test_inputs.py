@@ -12,10 +12,11 @@ import pytest
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.errors import DataError
+from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import Surface
-from gyrocal.records.datasets import DataSetTable
+from gyrocal.records.datasets import DataSetTable, read_data_sets
+from gyrocal.records.drive import read_drive_log
 
 
 def make_table(scale: float = 1.0, full_dps: float = 240.0) -> DataSetTable:
@@ -120,3 +121,31 @@ def test_a_table_without_time_states_nothing_in_time() -> None:
     assert {e.unit for e in effect.parameters.values()} <= {"mdeg/s", "1"}
     assert not {p.coordinate for p in found.located} & set(found.not_testable)
     assert not any(unit in p.region for p in found.located for unit in (" h ", " s ", "degC/min"))
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        ("rate_dps;gyro_dps;temp_c", "1,5;1,4;20,0", "separated by semicolons"),
+        ("rate_dps\tgyro_dps\ttemp_c", "1.5\t1.4\t20.0", "separated by tabs"),
+        ("t_s,left_m,right_m,gyro_dps,gyro_temp_c", "0,0,0,0,20", "with --robot"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_by_its_header(
+    tmp_path: Path, header: str, row: str, said: str
+) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{header}\n{row}\n")
+    with pytest.raises(InputError, match=said):
+        read_data_sets(path)
+
+
+def test_a_table_or_a_run_where_a_drive_log_is_wanted_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("rate_dps,gyro_dps,temp_c\n0,0,20\n")
+    with pytest.raises(InputError, match="without --robot"):
+        read_drive_log(path)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("{}")
+    with pytest.raises(InputError, match=r"holds a run of the bench.*without --robot"):
+        read_drive_log(tmp_path / "run")
