@@ -28,10 +28,9 @@ from gyrocal.diagnosis.result import (
 )
 from gyrocal.diagnosis.scatter import (
     Finding,
-    bad_set_findings,
-    bad_sets,
     clock_findings,
     outlier_findings,
+    set_aside,
     step_findings,
     variance_places,
 )
@@ -105,9 +104,7 @@ def diagnose(
         )
     notes = check_inputs(recorded, coefficients)
     whole = without_terms(recorded, coefficients)
-    numbers, off_dps = bad_sets(whole)
-    findings = bad_set_findings(whole, numbers, off_dps)
-    series = whole.take(~np.isin(whole.set_index, numbers)) if numbers.size else whole
+    series, findings = set_aside(whole, recorded.gyro_dps)
     analysis = analyse(series, options.false_alarm_rate, options.seed)
     remaining = lack_of_fit(analysis, options.false_alarm_rate)
     decided = gate(analysis.members, remaining, analysis.search)

@@ -23,6 +23,10 @@ Bools = NDArray[np.bool_]
 #: A data set this many times farther off than 95 % of all others is not of this recording.
 _GROSS = 8.0
 _MOST_BAD_SHARE = 0.03
+#: Fewest data sets of no output that are a dead zone, and the share of them all beyond which the gyro is not read.
+_FEWEST_DEAD, _MOST_DEAD_SHARE = 3, 0.5
+#: What is lost must stand out of the noise of a row by this factor.
+_LOST_SIGMAS = 5.0
 #: Output steps that make less than this share of the variance of a sample are no effect.
 _STEP_VARIANCE = 0.05
 #: Sample clocks nearer to nominal than this are as good as any.
@@ -38,6 +42,66 @@ class Finding:
     parameters: dict[str, Estimate]
     p_value: float
     place: Located
+
+
+def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding]]:
+    """The series without the data sets that say nothing of the surface, and what is found in them.
+
+    Parameters
+    ----------
+    output_dps : ndarray, shape (n,)
+        The output as recorded: a dead gyro says exactly 0, whatever has been taken off since.
+    """
+    findings: list[Finding] = []
+    dead, lost_dps, reach = dead_sets(series, output_dps)
+    if dead.size:
+        findings.append(_dead_finding(dead, lost_dps, reach, np.unique(series.set_index).size))
+        series = series.take(~np.isin(series.set_index, dead))
+    numbers, off_dps = bad_sets(series)
+    findings += bad_set_findings(series, numbers, off_dps)
+    return (series.take(~np.isin(series.set_index, numbers)) if numbers.size else series), findings
+
+
+def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[float, float]]:
+    """Data sets of exactly no output where the surface of the others has one, what it has, and the dead zone's width.
+
+    The zone is at least as wide as the largest output that is lost, and no wider than the least that is not.
+    """
+    nothing = np.empty(0, dtype=np.int64), np.empty(0), (0.0, 0.0)
+    largest = np.zeros(int(series.set_index.max()) + 1)
+    np.maximum.at(largest, series.set_index, np.abs(output_dps))
+    sets = np.unique(series.set_index[series.is_set])
+    dead = sets[largest[sets] == 0.0]
+    if not _FEWEST_DEAD <= dead.size < _MOST_DEAD_SHARE * sets.size or np.ptp(series.rate_dps) == 0:
+        return nothing
+    others = series.take(~np.isin(series.set_index, dead))
+    base = fit_surface(others)
+    first = np.array([np.flatnonzero(series.set_index == n)[0] for n in dead])
+    lost = base.surface.output_dps(series.rate_dps[first], series.temp_c[first])
+    noise = 1.4826 * float(np.median(np.abs(base.residual_dps)))
+    least_alive = float(np.min(np.abs(set_means(others, others.gyro_dps)[1])))
+    deepest = float(np.max(np.abs(lost)))
+    # Sets that lack far more than others show lost their gyro, not a small input.
+    if float(np.sqrt(np.mean(lost**2))) < _LOST_SIGMAS * noise or deepest > 1.5 * least_alive:
+        return nothing
+    return dead, lost, (deepest, max(least_alive, deepest))
+
+
+def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets: int) -> Finding:
+    size, spread = 1e3 * float(np.sqrt(np.mean(lost_dps**2))), 1e3 * float(np.std(lost_dps))
+    statement = (
+        f"The output is exactly 0 in {dead.size} of {sets} data sets where the others say up to {1e3 * reach[0]:.3g} mdeg/s: "
+        "small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit."
+    )
+    parameters = {
+        "amplitude": Estimate(
+            size, spread, "mdeg/s", (1e3 * float(np.min(np.abs(lost_dps))), 1e3 * reach[0])
+        ),
+        # It may be no wider than what it is seen to swallow.
+        "width_dps": Estimate(reach[0], 0.25 * (reach[1] - reach[0]), "deg/s", reach),
+    }
+    place = Located("rate", "mean", "data sets whose output is exactly 0", 1e-12, 1.0)
+    return Finding("dead_zone", statement, parameters, 1e-12, place)
 
 
 def bad_sets(series: Series) -> tuple[Ints, Floats]:

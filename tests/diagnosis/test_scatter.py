@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.scatter import outlier_findings, step_findings
+from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, set_aside, step_findings
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.untimed import by_data_set, by_time, where
@@ -98,3 +98,40 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
             {name: e.value for name, e in parameters.items()}
         )
     assert untimed.when(0.0, 5 * SURROGATE_PERIOD_S) == "data sets 1 to 6"
+
+
+def make_rates(zone_dps: float, bias_dps: float = 0.3, seed: int = 3) -> DataSetTable:
+    """A table of 11 rates at 5 temperatures whose output stays 0 for what is smaller than `zone_dps`."""
+    rng = np.random.default_rng(seed)
+    rate = np.tile(np.linspace(-200.0, 200.0, 11), 5)
+    temp = np.repeat(np.linspace(-20.0, 60.0, 5), 11)
+    gyro = 1.001 * rate + bias_dps * (1.0 + 0.01 * temp) + 0.003 * rng.standard_normal(rate.size)
+    return DataSetTable(Path("made.csv"), rate, np.where(np.abs(gyro) < zone_dps, 0.0, gyro), temp)
+
+
+def test_data_sets_without_output_are_a_dead_zone_and_do_not_bend_the_surface() -> None:
+    series = series_of_table(make_rates(0.6))
+    left, findings = set_aside(series, series.gyro_dps)
+    (found,) = findings
+    assert found.effect == "dead_zone"
+    assert "exactly 0 in 5 of 55 data sets" in found.statement
+    low, high = found.parameters["width_dps"].interval_95
+    assert low == pytest.approx(0.48, abs=0.02)
+    assert low < 0.6 < high
+    assert found.parameters["amplitude"].value == pytest.approx(1e3 * np.sqrt(np.mean(lost() ** 2)), rel=0.05)
+    assert len(left) == 50
+    assert not np.any(left.rate_dps == 0)
+
+
+def lost() -> np.ndarray:
+    return 0.3 * (1.0 + 0.01 * np.linspace(-20.0, 60.0, 5))
+
+
+@pytest.mark.parametrize("what", ["alive", "no bias", "dead at every rate"])
+def test_zeros_that_are_no_dead_zone(what: str) -> None:
+    """A gyro whose rest is 0 by chance or by its bias loses nothing; one that fails at a high rate is not dead at rest."""
+    table = make_rates(0.0 if what == "alive" else 0.6, bias_dps=0.0 if what == "no bias" else 0.3)
+    if what == "dead at every rate":
+        table.gyro_dps[[0, 12, 30]] = 0.0
+    series = series_of_table(table)
+    assert dead_sets(series, series.gyro_dps)[0].size == 0
