@@ -18,8 +18,9 @@ from gyrocal.errors import DeviceError
 
 #: Bits of a UART character: start, eight data, stop.
 _BITS_PER_BYTE = 10
-#: Samples closer than this share of a period came in a clump; a longer pause than so many periods kept some back.
-_CLOSE, _PAUSE = 0.2, 6.0
+#: Samples closer than this share of a period came in a clump; a pause of more than so many periods, and not longer than
+#: a latency timer of 16 ms lets it be, lies between clumps.
+_CLOSE, _PAUSE, _LATENCY_S = 0.2, 6.0, 0.02
 #: At a segment's end so much may still be on its way, s.
 _TAIL_S = 0.5
 _LATENCY_REMEDY = "On an FTDI adapter set its latency timer to 1 ms: echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
@@ -243,8 +244,8 @@ class StreamLimits:
     surplus_share : float
         Samples beyond those that were due: the device's data rate is not ``sensor.sample_rate_hz``.
     clump_share : float
-        Samples that arrived less than a fifth of a period after the one before, or that pauses of more than six
-        periods kept back.
+        Samples that arrived less than a fifth of a period after the one before. On a fast line the frames of a clump
+        lie farther apart; there it counts when half of the time goes in the pauses of a 16 ms latency timer.
     stuck_samples : int
         So many equal samples in a row are a stuck output; 0: never.
     """
@@ -263,16 +264,12 @@ class StreamTally:
     def __init__(self, sample_rate_hz: float) -> None:
         self._period_s = 1.0 / sample_rate_hz
         self.n = self.longest_run = 0
-        self._close = 0
-        self._kept_back = 0.0
+        self.clumped = 0
+        #: Time that went in pauses as a latency timer makes them; a busy computer makes some too, but not most of the time.
+        self.paused_s = 0.0
         self.first_t_s = self.last_t_s = np.nan
         self._last_dps = np.nan
         self._run = 0
-
-    @property
-    def clumped(self) -> float:
-        """Samples that came in clumps: seen by what is too close, or, on a slow line, by the pauses between the clumps."""
-        return max(float(self._close), self._kept_back)
 
     def add(self, samples: GyroSamples) -> None:
         """Count samples, in order of time."""
@@ -280,9 +277,8 @@ class StreamTally:
         if n == 0:
             return
         steps_s = np.diff(samples.t_s, prepend=self.last_t_s)
-        self._close += int(np.count_nonzero(steps_s < _CLOSE * self._period_s))
-        pauses_s = steps_s[steps_s > _PAUSE * self._period_s]
-        self._kept_back += float(np.sum(pauses_s / self._period_s - 1.0))
+        self.clumped += int(np.count_nonzero(steps_s < _CLOSE * self._period_s))
+        self.paused_s += float(np.sum(steps_s[(steps_s > _PAUSE * self._period_s) & (steps_s < _LATENCY_S)]))
         self.first_t_s = samples.t_s[0] if self.n == 0 else self.first_t_s
         self.n += n
         # Runs of equal values: the first may go on from before, the last may go on behind.
@@ -340,8 +336,13 @@ def judge_stream(
             "data rate of the device, on which the scale of its rate may hang"
         )
     if tally.clumped > limits.clump_share * (tally.n - 1):
-        share = min(tally.clumped / (tally.n - 1), 1.0)
+        share = tally.clumped / (tally.n - 1)
         return (
             f"{share:.0%} of the samples arrived in clumps, so their times are not known. {_LATENCY_REMEDY}"
+        )
+    if tally.paused_s > 0.5 * came_in_s:
+        return (
+            f"{tally.paused_s / came_in_s:.0%} of the time went in pauses between clumps of samples, so their times are not known. "
+            f"{_LATENCY_REMEDY}"
         )
     return None

@@ -158,11 +158,10 @@ def test_a_stream_that_ends_in_a_segment_lacks_samples() -> None:
 
 
 @pytest.mark.parametrize(("latency_s", "clumped"), [(0.001, False), (0.016, True)])
-@pytest.mark.parametrize("baud", [576000, 921600])
-def test_the_latency_timer_is_seen_at_a_kilohertz(latency_s: float, clumped: bool, baud: int) -> None:
+def test_the_latency_timer_is_seen_at_a_kilohertz(latency_s: float, clumped: bool) -> None:
     """An FTDI adapter hands its bytes over every 16 ms; on a fast line its frames then lie 0.4 ms apart."""
     clock = Hand()
-    spec = StreamSpec("kvh-frame-a on /dev/ttyX", 1000.0, baud)
+    spec = StreamSpec("kvh-frame-a on /dev/ttyX", 1000.0, 921600)
     device = WireGyro(
         spec, lambda: ChunkTransport([]), lambda: kvh_frame.KvhFrameDecoder(OPTIONS), clock, threaded=False
     )
