@@ -81,7 +81,7 @@ def _say(result: DiagnoseResult) -> None:
     for sentence in plain_sentences(found):
         click.echo(f"- {sentence}")
     for table in tables(found):
-        if table.rows and table.name in ("located", "effects", "alternatives", "improvement"):
+        if table.rows and table.name in ("located", "effects", "alternatives", "improvement", "noise"):
             click.echo("")
             emit_table(table.columns, table.rows, table.title)
     click.echo(f"\nPictures and numbers: open {result.out / 'diagnosis.html'}")

@@ -219,6 +219,8 @@ class Diagnosis:
         What pictures need; not part of the JSON.
     next_experiment : mapping or None
         Filled by `gyrocal.diagnosis.next_experiment`.
+    counted_in : str
+        What log-losses are counted in where the rows do not tell, as of a drive; not part of the JSON.
     """
 
     recording: str
@@ -234,6 +236,7 @@ class Diagnosis:
     rows: Rows | None
     notes: tuple[str, ...] = ()
     next_experiment: Mapping[str, Any] | None = None
+    counted_in: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """The document that `diagnose` writes; plain, finite JSON values."""

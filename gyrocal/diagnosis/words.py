@@ -100,6 +100,14 @@ def coordinate_words(coordinate: str) -> str:
     return coordinate.replace("_", " ").replace("power on", "power-on")
 
 
+def parameter_words(name: str) -> str:
+    """A parameter without the unit in its name, which stands behind its value."""
+    for unit in ("_rad_per_dps", "_dps", "_rad", "_hz", "_s", "_c"):
+        if name.endswith(unit):
+            return name.removesuffix(unit).replace("_", " ")
+    return name.replace("_", " ")
+
+
 def listed(things: list[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}" if things else ""

@@ -9,7 +9,26 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, NamedEffect, Rows
+from gyrocal.diagnosis.result import Diagnosis, Improvement, Located, NamedEffect, Rows
+from gyrocal.diagnosis.sentences import (
+    counted,
+    has_times,
+    in_the_noise,
+    logloss_gain,
+    not_testable_sentences,
+    scale_of,
+    traded_sentence,
+    verdict_sentence,
+)
+from gyrocal.diagnosis.words import (
+    decimals,
+    fixed,
+    interval_text,
+    listed,
+    p_text,
+    range_text,
+    value_text,
+)
 from gyrocal.report import style
 from gyrocal.report.diagnosis_figures import (
     effect_figure,
@@ -24,13 +43,8 @@ from gyrocal.report.page import Page, Picture, Table, render_page
 
 #: Fewer rows than this on a turning table are no picture of a turn.
 _LEAST_TURNING = 100
-
-VERDICT_SENTENCES = {
-    "consistent": "The recording agrees with the simulation: nothing stands out of the noise.",
-    "explained": "The recording departs from the simulation, and the physics named below explains it.",
-    "partly_explained": "The recording departs from the simulation; the physics named below explains a part, and structure remains.",
-    "unexplained": "The recording departs from the simulation, and no effect of the catalogue explains it.",
-}
+#: Levels of noise below this, in whatever unit they are read, are nothing.
+_LEAST_LEVEL = 1e-4
 
 
 def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
@@ -51,7 +65,8 @@ def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
     else:
         why = diagnosis.not_testable.get("table_angle", "The table did not turn long enough.")
         found.append(_missing("angle", why[0].upper() + why[1:].rstrip(".") + "."))
-    return found + [_effect_picture(rows, effect) for effect in diagnosis.effects]
+    timed = has_times(diagnosis)
+    return found + [_effect_picture(rows, effect, timed) for effect in diagnosis.effects]
 
 
 _TITLES: Mapping[str, tuple[str, str]] = {
@@ -62,12 +77,17 @@ _TITLES: Mapping[str, tuple[str, str]] = {
     ),
     "map": (
         "Residual over rate and temperature",
-        "Mean residual of the data sets in each cell; the colour scale is the same in all panels.",
+        "Mean residual of the data sets in each cell; the colour scale is the same in all panels. What lives in "
+        "ramps, within a turn or after a step hardly shows here: see the folded figures.",
     ),
-    "time": ("Residual over time", "Minute means; the vertical scale is the same in all panels."),
+    "time": (
+        "Residual over time",
+        "The vertical scale is the same in all panels. Patterns without a name are not taken out.",
+    ),
     "angle": (
         "Residual over table angle",
-        "Means over one turn with 95 % intervals of the white noise; each data set's own mean is taken out.",
+        "Means over one turn with 95 % intervals of the white noise; each data set's own mean is taken out. "
+        "Before and after are drawn beside each other.",
     ),
 }
 
@@ -82,15 +102,20 @@ def _missing(name: str, why: str) -> tuple[Picture, None]:
     return Picture(name, title, caption, missing=why), None
 
 
-def _effect_picture(rows: Rows, effect: NamedEffect) -> tuple[Picture, Figure | None]:
-    figure = effect_figure(rows, effect)
+def _effect_picture(rows: Rows, effect: NamedEffect, timed: bool) -> tuple[Picture, Figure | None]:
+    figure = effect_figure(rows, effect, timed)
     caption = (
         f"{effect.statement} Folded on its own coordinate with all other named physics taken out: left the residual "
-        "and the effect's law, right what is left. 95 % intervals from the scatter between data sets."
+        "and the effect's law, right what is left, with whatever has no name. 95 % intervals from the scatter "
+        "between data sets, of all bins together where a bin has fewer than three."
     )
     title = f"{effect.effect}, before and after"
-    missing = "" if figure else "The record has no coordinate on which this effect can be folded."
-    return Picture(f"effect_{effect.effect}", title, caption, missing=missing), figure
+    missing = "The record has no coordinate on which this effect can be folded."
+    if effect.effect not in rows.effect_dps:
+        missing = (
+            "It was found in single samples or single data sets, and the means drawn here do not show it."
+        )
+    return Picture(f"effect_{effect.effect}", title, caption, missing="" if figure else missing), figure
 
 
 def render_pictures(diagnosis: Diagnosis) -> list[Picture]:
@@ -103,10 +128,10 @@ def render_pictures(diagnosis: Diagnosis) -> list[Picture]:
 
 def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture], provenance: Mapping[str, str]) -> str:
     """HTML of the diagnosis, self-contained."""
-    remarks = plain_sentences(diagnosis)
+    remarks = [s for s in plain_sentences(diagnosis) if s != verdict_sentence(diagnosis)]
     page = Page(
         title=f"Diagnosis of {diagnosis.recording}",
-        verdict=VERDICT_SENTENCES[diagnosis.verdict],
+        verdict=verdict_sentence(diagnosis),
         key_figures=_key_figures(diagnosis),
         remarks=remarks,
         pictures=pictures,
@@ -123,48 +148,50 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ("Named", ", ".join(e.effect for e in diagnosis.effects) or "nothing"),
     ]
     best = diagnosis.improvement
-    if best is not None:
+    if best is not None and diagnosis.effects:
+        before, after, floor = _rms_cells(best)
         found += [
-            ("Held-out rms before", _mdps(best.heldout_rms_before_dps)),
-            ("Held-out rms after", _mdps(best.heldout_rms_after_dps)),
-            ("Noise floor", _mdps(best.noise_floor_dps)),
+            ("Held-out rms", f"{before} to {after}"),
+            ("Noise floor", floor),
+            (
+                f"Held-out log-loss, a {counted(diagnosis).each}",
+                f"{style.minus('-')}{logloss_gain(best)[0]} nats",
+            ),
         ]
     if diagnosis.noise is not None:
         noise = diagnosis.noise
         if noise.angle_random_walk_deg_per_rt_h is not None:
             found.append(("Angle random walk", f"{noise.angle_random_walk_deg_per_rt_h:.3f} °/√h"))
-        found.append(("Bias instability", f"{noise.bias_instability_deg_per_h:.2f} °/h"))
+        if noise.bias_instability_deg_per_h > _LEAST_LEVEL:
+            found.append(("Bias instability", f"{noise.bias_instability_deg_per_h:.2f} °/h"))
     return found
 
 
-def _mdps(value_dps: float) -> str:
-    return f"{value_dps * 1e3:.3g} mdeg/s"
+def _rms_cells(i: Improvement) -> tuple[str, str, str]:
+    scale, unit = scale_of(i)
+    places = decimals(scale * i.noise_floor_dps) + 1
+    values = (i.heldout_rms_before_dps, i.heldout_rms_after_dps, i.noise_floor_dps)
+    before, after, floor = (fixed(scale * v, places) for v in values)
+    return before, f"{after} {unit}", f"{floor} {unit}"
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
-    """Where the excess lives, what was named, what it gained, and what this record cannot show."""
+    """Where the excess lives, what was named, what it gained, the noise, and what this record cannot show."""
     return [
         _table(
             "located",
             "Where the excess lives",
-            ("Coordinate", "of", "Region", "p", "Share of the excess", "Still there after"),
-            [
-                (
-                    p.coordinate,
-                    p.statistic,
-                    p.region,
-                    format_p(p.p_value),
-                    f"{p.share:.0%}" if math.isfinite(p.share) else "-",
-                    "yes" if p.remains else "no",
-                )
-                for p in diagnosis.located
-            ],
+            ("Coordinate", "of", "Region", "p", "Share of the excess", "With the model found"),
+            [_located(diagnosis, p) for p in diagnosis.located],
+            "What lives on one coordinate is seen on others, so that the shares overlap. Taken up: by the named "
+            "physics or by a pattern that has no name.",
         ),
         _table(
             "effects",
             "Named physics",
             ("Effect", "Parameter", "Value", "95 % interval", "p"),
             _parameters(diagnosis),
+            " ".join(filter(None, (traded_sentence(e, diagnosis.improved) for e in diagnosis.effects))),
         ),
         _table(
             "alternatives",
@@ -176,9 +203,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
                 for a in e.alternatives
             ],
         ),
-        _table(
-            "improvement", "On data that the fit did not see", _IMPROVEMENT_COLUMNS, _improvements(diagnosis)
-        ),
+        _improvement_table(diagnosis),
+        _table("noise", "Noise of the recording", ("Noise", "Level"), _noise_rows(diagnosis)),
         _table(
             "not_testable",
             "Not testable with this record",
@@ -188,12 +214,45 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     ]
 
 
-def _table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _located(diagnosis: Diagnosis, place: Located) -> tuple[str, ...]:
+    with_model = "explained" if diagnosis.verdict == "explained" else "taken up"
+    return (
+        place.coordinate,
+        place.statistic,
+        place.region,
+        p_text(place.p_value),
+        f"{place.share:.0%}" if math.isfinite(place.share) else "-",
+        "still there" if place.remains else with_model,
+    )
+
+
+def _noise_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Levels that this record tells."""
+    noise = diagnosis.noise
+    if noise is None:
+        return []
+    found = [
+        ("white noise of a row, typically", noise.white_std_dps * 1e3, "mdeg/s"),
+        ("angle random walk", noise.angle_random_walk_deg_per_rt_h, "deg/√h"),
+        ("bias instability", noise.bias_instability_deg_per_h, "deg/h"),
+        ("rate random walk", noise.rate_random_walk_deg_per_h_per_rt_h, "deg/h/√h"),
+        ("scatter of the table's rate from set to set", noise.rate_jitter_ppm, "ppm of rate"),
+    ]
+    return [
+        (name, f"{value:.3g} {unit}" if value > _LEAST_LEVEL else "none seen")
+        for name, value, unit in found
+        if value is not None and math.isfinite(value)
+    ]
+
+
+def _table(
+    name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str = ""
+) -> Table:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(rows)
-    return Table(name, title, columns, rows, text.getvalue())
+    return Table(name, title, columns, rows, text.getvalue(), note if rows else "")
 
 
 def _parameters(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
@@ -203,70 +262,53 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
             name,
             value_text(e),
             interval_text(e),
-            format_p(effect.p_value),
+            p_text(effect.p_value),
         )
         for effect in diagnosis.effects
         for name, e in effect.parameters.items()
     ]
 
 
-def value_text(e: Estimate) -> str:
-    """A parameter with its unit."""
-    return f"{e.value:.4g}" + (f" {e.unit}" if e.unit != "1" else "")
-
-
-def interval_text(e: Estimate) -> str:
-    """A parameter's 95 % interval."""
-    low, high = e.interval_95
-    return f"{low:.4g} to {high:.4g}" if low < high else "chosen, not estimated"
-
-
-def format_p(p: float) -> str:
-    """A p-value as people read it."""
-    return "< 1e-15" if p < 1e-15 else f"{p:.2g}"
-
-
-_IMPROVEMENT_COLUMNS = (
-    "Model",
-    "Held-out rms before, mdeg/s",
-    "after",
-    "drop, 95 % interval",
-    "Noise floor",
-    "Excess removed",
-    "Log-loss a data set before, nats",
-    "after",
-)
-
-
-def _improvements(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    rows = [(e.effect, e.improvement) for e in diagnosis.effects if e.improvement is not None]
-    if diagnosis.improvement is not None:
-        rows.append(("all named physics", diagnosis.improvement))
-    return [(name, *_improvement_cells(i)) for name, i in rows if i is not None]
+def _improvement_table(diagnosis: Diagnosis) -> Table:
+    """Per effect beside all others; all of them together only where that says more."""
+    measured = {e.effect: e.improvement for e in diagnosis.effects if e.improvement is not None}
+    rows = []
+    for name, i in measured.items():
+        others = [other for other in measured if other != name]
+        rows.append((name, listed(["surface", *others]), *_improvement_cells(i)))
+    if diagnosis.improvement is not None and len(measured) > 1:
+        rows.append(("all named physics", "surface", *_improvement_cells(diagnosis.improvement)))
+    columns = (
+        "Added",
+        "to",
+        "Held-out rms before",
+        "after",
+        "drop, 95 % interval",
+        "Noise floor",
+        "Excess removed",
+        f"Log-loss gain, nats a {counted(diagnosis).each}",
+        "95 % interval",
+    )
+    left_out = diagnosis.improvement.scheme if diagnosis.improvement is not None else ""
+    note = f"Left out: {left_out}." if left_out else ""
+    return _table("improvement", "On data that the fit did not see", columns, rows, note)
 
 
 def _improvement_cells(i: Improvement) -> tuple[str, ...]:
-    low, high = (x * 1e3 for x in i.interval_95)
+    scale, unit = scale_of(i)
+    before, after, floor = _rms_cells(i)
+    low, high = i.interval_95
+    gain, interval = logloss_gain(i)
+    removed = "within the noise" if in_the_noise(i) else f"{i.excess_removed:.0%}"
     return (
-        f"{i.heldout_rms_before_dps * 1e3:.3f}",
-        f"{i.heldout_rms_after_dps * 1e3:.3f}",
-        f"{low:.3f} to {high:.3f}",
-        f"{i.noise_floor_dps * 1e3:.3f}",
-        f"{i.excess_removed:.0%}",
-        f"{i.logloss_before:.2f}",
-        f"{i.logloss_after:.2f}",
+        f"{before} {unit}",
+        after,
+        f"{range_text(low, high, scale)} {unit}",
+        floor,
+        removed,
+        gain,
+        interval,
     )
-
-
-def not_testable_sentences(diagnosis: Diagnosis) -> list[str]:
-    """What this record cannot show, by reason."""
-    by_reason: dict[str, list[str]] = {}
-    for what, why in diagnosis.not_testable.items():
-        by_reason.setdefault(why.rstrip("."), []).append(what)
-    return [
-        f"Not testable with this record: {', '.join(things)}, because {why}."
-        for why, things in by_reason.items()
-    ]
 
 
 def plain_sentences(diagnosis: Diagnosis) -> list[str]:

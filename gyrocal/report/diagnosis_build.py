@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 import gyrocal
 from gyrocal.bench.profile import profile_from_dict
 from gyrocal.calibration.provenance import check_sensor, refuse_compensated
+from gyrocal.diagnosis.drive import BLOCK_S
 from gyrocal.diagnosis.drive_result import diagnose_drive
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.next_experiment import propose, to_toml
@@ -90,6 +91,7 @@ def _write_drive(config: DiagnoseConfig, robot_file: Path, progress: Progress) -
     coefficients = None if config.coefficients is None else load_coefficients(config.coefficients)
     progress(0.1, "examine")
     found = diagnose_drive(config.recording.name, log, robot, coefficients, config.seed)
+    found = replace(found, diagnosis=replace(found.diagnosis, counted_in=f"block of {BLOCK_S:g} s"))
     drawn = drive_figures(found)
     provenance = _provenance(config) | {"robot": robot_file.name}
     if coefficients is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,19 +11,24 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive import BLOCK_S
 from gyrocal.diagnosis.drive_result import DriveDiagnosis
+from gyrocal.diagnosis.drive_series import bins_of
 from gyrocal.diagnosis.folds import clustered_error
+from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.report import style
+from gyrocal.report.diagnosis_marks import NORMAL_95, bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.page import Picture
 
 Floats = NDArray[np.float64]
 
 _BINS = 15
-_95 = 1.96
+#: Before and after are drawn beside each other; share of the distance between bins.
+_APART = 0.12
 
 
 def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
     """Every picture of a drive's page with its caption."""
-    return [
+    intervals = f"95 % intervals from the scatter between blocks of {BLOCK_S:g} s"
+    drawn: list[tuple[Picture, Figure | None]] = [
         (
             Picture(
                 "difference",
@@ -35,8 +42,8 @@ def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
             Picture(
                 "coordinates",
                 "Where the difference lives",
-                "Mean difference over each coordinate with 95 % intervals from the scatter between blocks of "
-                f"{BLOCK_S:g} s, before and after the named physics.",
+                f"Mean difference over each coordinate, before and after the named physics; {intervals}, of all bins "
+                "together where a bin has fewer than three.",
             ),
             difference_by_coordinate(found),
         ),
@@ -50,6 +57,20 @@ def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
             encoders_against_gyro(found),
         ),
     ]
+    for effect in found.diagnosis.effects:
+        if effect.effect in _OWN and effect.effect in found.fit.law_deg:
+            caption = (
+                f"{effect.statement} Folded on its own coordinate with all other named physics taken out: left the "
+                f"difference and the effect's law, right what is left; {intervals}."
+            )
+            name = effect.effect
+            drawn.append(
+                (
+                    Picture(f"effect_{name}", f"{name}, before and after", caption),
+                    effect_before_and_after(found, effect),
+                )
+            )
+    return drawn
 
 
 def _models(found: DriveDiagnosis) -> list[tuple[str, Floats, str]]:
@@ -64,81 +85,141 @@ def _models(found: DriveDiagnosis) -> list[tuple[str, Floats, str]]:
 @style.styled
 def difference_over_time(found: DriveDiagnosis) -> Figure:
     """Difference of heading rates, and its sum, over time."""
-    figure = style.new_figure(style.TWO_COLUMNS_IN, 3.6)
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 3.7)
     upper, lower = figure.subplots(2, 1, sharex=True)
     t_s, width_s = found.fit.bins.t_s, found.fit.bins.width_s
     for name, rate, colour in _models(found):
         rms = float(np.sqrt(np.mean(rate**2)))
         upper.plot(t_s, rate, ".", markersize=2, color=colour, label=f"{name}: {rms:.3g} deg/s rms")
-        lower.plot(t_s, np.cumsum(rate) * width_s, color=colour, label=name)
-    limit = 1.2 * style.symmetric_limit(_models(found)[0][1], 0.998)
-    upper.set_ylim(-limit, limit)
+        lower.plot(t_s, np.cumsum(rate) * width_s, color=colour)
+    limit_around_zero(upper, _models(found)[0][1], 0.998)
     upper.set_ylabel("Difference, deg/s")
-    upper.legend(loc="upper right", ncols=2, markerscale=3)
-    lower.axhline(0.0, color=style.GREY, linewidth=0.6)
+    legend_above(upper, 3)
+    zero_line(lower)
     lower.set_ylabel("Summed up, deg")
     lower.set_xlabel("Time, s")
     return figure
 
 
+def _turn_acceleration(found: DriveDiagnosis) -> Floats:
+    """Mean change of the turn rate over the delay that was found, or over a bin where there is none, deg/s^2."""
+    delay_s, width_s = found.fit.model.delay_s, found.fit.bins.width_s
+    ends = (0.0, delay_s) if found.fit.model.delayed else (-0.5 * width_s, 0.5 * width_s)
+    later, earlier = (bins_of(found.series, end) for end in ends)
+    return np.asarray((later.gyro_deg - earlier.gyro_deg) / ((ends[1] - ends[0]) * width_s))
+
+
 @style.styled
 def difference_by_coordinate(found: DriveDiagnosis) -> Figure:
-    """Mean difference over turn rate, speed, acceleration and heading."""
+    """Mean difference over turn rate and its change, curvature, speed, acceleration and heading."""
     bins = found.fit.bins
-    figure = style.new_figure(style.TWO_COLUMNS_IN, 4.4)
-    axes = figure.subplots(2, 2)
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 4.6)
+    axes = figure.subplots(2, 3)
     coordinates = (
         ("Turn rate, deg/s", bins.turn_rate_dps),
+        ("Change of turn rate, deg/s²", _turn_acceleration(found)),
+        ("Curvature, rad/m", bins.curvature_per_m),
         ("Speed, m/s", bins.speed_mps),
         ("Acceleration, m/s²", bins.acceleration_mps2),
         ("Heading, deg", bins.heading_deg % 360.0),
     )
+    models = _models(found)
     for panel, (label, x) in zip(axes.ravel(), coordinates, strict=True):
-        panel.axhline(0.0, color=style.GREY, linewidth=0.6)
-        for name, rate, colour in _models(found):
-            _means(panel, x, rate, bins.t_s, colour, name)
+        zero_line(panel)
+        for k, (name, rate, colour) in enumerate(models):
+            means = _means(x, rate, bins.t_s)
+            if means is not None:
+                place, mean, half = means
+                apart = _APART * float(np.median(np.diff(place))) if place.size > 1 else 0.0
+                bars(panel, place + (2 * k - 1) * apart * (len(models) - 1), mean, half, colour, name)
         panel.set_xlabel(label)
+    for panel in axes[:, 0]:
         panel.set_ylabel("Difference, deg/s")
-    axes[0, 0].legend()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
 
-def _means(panel: Axes, x: Floats, y: Floats, t_s: Floats, colour: str, name: str) -> None:
-    """Means in equal bins of x; the outer two take what lies beyond the middle 96 %, so that none is nearly empty."""
+def _means(x: Floats, y: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """Places, means and half widths of 95 % in equal bins of x; None where x does not change.
+
+    The outer two take what lies beyond the middle 96 %, so that none is nearly empty.
+    """
     use = np.isfinite(x) & np.isfinite(y)
-    low, high = np.quantile(x[use], [0.02, 0.98])
+    low, high = np.quantile(x[use], [0.02, 0.98]) if use.any() else (0.0, 0.0)
     if low == high:
-        return
+        return None
     edges = np.linspace(low, high, _BINS + 1)
     number = np.clip(np.searchsorted(edges, x[use], side="right") - 1, 0, edges.size - 2)
     number = np.unique(number, return_inverse=True)[1]
     blocks = np.unique(t_s[use] // BLOCK_S, return_inverse=True)[1]
     one = np.ones(number.size)
     count = np.bincount(number)
-    half = _95 * clustered_error(y[use], one, one, number, blocks)
-    panel.errorbar(
-        np.bincount(number, x[use]) / count,
-        np.bincount(number, y[use]) / count,
-        yerr=np.nan_to_num(half),
-        fmt="o",
-        markersize=3,
-        elinewidth=0.8,
-        color=colour,
-        label=name,
+    half = NORMAL_95 * clustered_error(y[use], one, one, number, blocks)
+    return (
+        np.asarray(np.bincount(number, x[use]) / count),
+        np.asarray(np.bincount(number, y[use]) / count),
+        half,
     )
 
 
 @style.styled
 def encoders_against_gyro(found: DriveDiagnosis) -> Figure:
-    """Heading rate by encoders over that by gyro, bin by bin."""
-    bins = found.fit.bins
-    gyro, encoder = bins.gyro_deg / bins.width_s, bins.encoder_deg / bins.width_s
-    figure = style.new_figure(style.ONE_COLUMN_IN, 3.2)
-    axes = figure.subplots()
-    limit = 1.05 * float(np.nanmax(np.abs(gyro), initial=1e-9))
-    axes.plot([-limit, limit], [-limit, limit], color=style.GREY, linewidth=0.8, label="equal")
-    axes.plot(gyro, encoder, ".", markersize=2, color=style.BLUE)
-    axes.set_xlabel("Heading rate by the gyro, deg/s")
-    axes.set_ylabel("by the encoders, deg/s")
-    axes.legend()
+    """Heading rate by encoders over that by gyro, bin by bin, before and after."""
+    fit = found.fit
+    nominal = bins_of(found.series, 0.0).gyro_deg
+    clouds = [(nominal, nominal + fit.before_deg)]
+    if found.diagnosis.effects:
+        clouds.append((fit.bins.gyro_deg, fit.bins.gyro_deg + fit.after_deg))
+    figure = style.new_figure(style.TWO_COLUMNS_IN if len(clouds) > 1 else style.ONE_COLUMN_IN, 3.3)
+    axes = figure.subplots(1, len(clouds), sharex=True, sharey=True, squeeze=False)[0]
+    limit = 1.05 * max(float(np.max(np.abs(cloud))) for cloud in clouds) / fit.bins.width_s
+    for panel, cloud, (name, _, colour) in zip(axes, clouds, _models(found), strict=True):
+        gyro, encoder = (x / fit.bins.width_s for x in cloud)
+        panel.plot([-limit, limit], [-limit, limit], color=style.GREY, linewidth=0.8)
+        panel.plot(gyro, encoder, ".", markersize=2, color=colour)
+        panel.set_aspect("equal")
+        panel.set_title(name[0].upper() + name[1:])
+        panel.set_xlabel("Heading rate by the gyro, deg/s")
+    axes[0].set_ylabel("by the encoders, deg/s")
     return figure
+
+
+#: Where each law shows: label, and its coordinate in every bin.
+_OWN: dict[str, tuple[str, Callable[[DriveDiagnosis], Floats]]] = {
+    "gyro_delay": ("Change of the turn rate, deg/s²", _turn_acceleration),
+    "skid_slip": ("Turn rate, deg/s", lambda found: found.fit.bins.turn_rate_dps),
+    "wheel_asymmetry": ("Speed, m/s", lambda found: found.fit.bins.speed_mps),
+    "gyro_bias": ("Time, s", lambda found: found.fit.bins.t_s),
+    "bias_temperature": ("Gyro temperature, °C", lambda found: found.fit.bins.temp_c),
+}
+
+
+@style.styled
+def effect_before_and_after(found: DriveDiagnosis, effect: NamedEffect) -> Figure:
+    """An effect on its own coordinate: the difference with all other effects taken out, and what is left."""
+    fit = found.fit
+    label, coordinate = _OWN[effect.effect]
+    x, width_s = coordinate(found), fit.bins.width_s
+    law = fit.law_deg[effect.effect] / width_s
+    after = fit.after_deg / width_s
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 2.6)
+    left, right = figure.subplots(1, 2, sharey=True, sharex=True)
+    for panel, y, colour, title in (
+        (left, after + law, style.ORANGE, "Before"),
+        (right, after, style.BLUE, "After"),
+    ):
+        zero_line(panel)
+        _draw_means(panel, _means(x, y, fit.bins.t_s), colour)
+        panel.set_title(title)
+        panel.set_xlabel(label)
+    curve = _means(x, law, fit.bins.t_s)
+    if curve is not None:
+        left.plot(curve[0], curve[1], color=style.INK, linewidth=1.0, label=effect.effect)
+        legend_above(left)
+    left.set_ylabel("Difference, deg/s")
+    return figure
+
+
+def _draw_means(panel: Axes, means: tuple[Floats, Floats, Floats] | None, colour: str) -> None:
+    if means is not None:
+        bars(panel, *means, colour)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.folds import Floats, Fold, bin_rows, fold
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
+from gyrocal.diagnosis.sentences import counted, has_times
+from gyrocal.diagnosis.words import decimals, fixed
 from gyrocal.report import style
+from gyrocal.report.diagnosis_marks import NORMAL_95, bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.levels import cell_edges, levels
 from gyrocal.units import S_PER_H
 
@@ -19,16 +19,13 @@ _MDPS = 1e3
 _BIN_TIME_S = 60.0
 _MOST_RATES = 64
 _MOST_TEMPERATURES = 12
-_BARS: dict[str, Any] = {"fmt": "o", "markersize": 3.0, "elinewidth": 0.8, "capsize": 0.0}
-_95 = 1.96
+#: Before and after are drawn beside each other, so that neither hides the other; share of a bin.
+_APART = 0.14
+_PALE = "#BDBDBD"
 
 
 def _hours(rows: Rows) -> Floats:
     return np.asarray((rows.t_s - rows.t_s[0]) / S_PER_H)
-
-
-def _has_times(diagnosis: Diagnosis) -> bool:
-    return "time" not in diagnosis.not_testable
 
 
 @style.styled
@@ -41,18 +38,21 @@ def recorded_and_simulated(diagnosis: Diagnosis, rows: Rows) -> Figure:
     if diagnosis.surface is not None:
         surface = diagnosis.surface.surface
         simulated = surface.output_dps(rows.rate_dps, rows.temp_c) - rows.rate_dps
-    upper.plot(x, simulated + rows.before_dps, ".", markersize=1.5, color=style.GREY, label="recorded")
-    upper.plot(x, simulated, ".", markersize=0.8, color=style.BLUE, label="simulated: surface alone")
+    upper.plot(x, simulated + rows.before_dps, ".", markersize=5, color=_PALE, label="recorded")
+    upper.plot(x, simulated, ".", markersize=1.2, color=style.BLUE, label="simulated: surface alone")
     upper.set_ylabel("Output - rate, deg/s")
-    upper.legend(markerscale=5, ncols=2, loc="upper right")
+    legend_above(upper, 2)
     set_x, set_y = _per_set(x, rows.before_dps, rows)
-    middle.axhline(0.0, color=style.GREY, linewidth=0.6)
-    middle.plot(x, rows.before_dps * _MDPS, ",", color="#C4C4C4", rasterized=True)
-    middle.plot(set_x, set_y * _MDPS, ".", markersize=2.5, color=style.ORANGE, label="mean of a segment")
-    limit = 1.3 * style.symmetric_limit(_smoothed(rows.before_dps, rows), 0.995) * _MDPS
-    middle.set_ylim(-limit, limit)
+    zero_line(middle)
+    if set_x.size < x.size:
+        middle.plot(
+            x, rows.before_dps * _MDPS, ".", markersize=0.8, color=_PALE, label="row", rasterized=True
+        )
+    middle.plot(set_x, set_y * _MDPS, ".", markersize=2.5, color=style.ORANGE, label=counted(diagnosis).means)
+    # Ramps are segments too; within them the minute means show what lives there.
+    limit_around_zero(middle, np.concatenate([set_y, _smoothed(rows.before_dps, rows)]) * _MDPS)
     middle.set_ylabel("Recorded -\nsimulated, mdeg/s")
-    middle.legend(loc="upper right", markerscale=2)
+    legend_above(middle, 2)
     lower.plot(x, rows.temp_c, ".", markersize=0.8, color=style.INK)
     lower.set_ylabel("Gyro, °C")
     lower.set_xlabel(label)
@@ -60,7 +60,7 @@ def recorded_and_simulated(diagnosis: Diagnosis, rows: Rows) -> Figure:
 
 
 def _time_axis(diagnosis: Diagnosis, rows: Rows) -> tuple[Floats, str]:
-    if _has_times(diagnosis):
+    if has_times(diagnosis):
         return _hours(rows), "Time, h"
     return np.arange(1.0, rows.t_s.size + 1), "Data set, in the order recorded"
 
@@ -147,16 +147,22 @@ def residual_over_time(diagnosis: Diagnosis, rows: Rows) -> Figure:
     x, label = _time_axis(diagnosis, rows)
     minutes = _smoothed(x, rows)
     held = _smoothed(rows.is_set.astype(np.float64), rows) > 0.5
+    means = counted(diagnosis).means if minutes.size == x.size else "minute means"
     for panel, (title, values, colour) in zip(axes, panels, strict=True):
         y = _smoothed(values, rows) * _MDPS
-        panel.axhline(0.0, color=style.GREY, linewidth=0.6)
-        panel.plot(minutes[~held], y[~held], ".", color=style.GREY, markersize=2, label="ramps and soaks")
-        panel.plot(minutes[held], y[held], ".", color=colour, markersize=3, label="data sets")
-        panel.set_title(f"{title}: {np.sqrt(np.mean(y**2)):.2f} mdeg/s rms of minute means")
+        zero_line(panel)
+        if not held.all():
+            panel.plot(
+                minutes[~held], y[~held], ".", color=style.GREY, markersize=2, label="ramps, soaks and rests"
+            )
+            panel.plot(minutes[held], y[held], ".", color=colour, markersize=3, label="data sets")
+        else:
+            panel.plot(minutes, y, ".", color=colour, markersize=3)
+        panel.set_title(f"{title}: {np.sqrt(np.mean(y**2)):.3g} mdeg/s rms of {means}")
         panel.set_ylabel("Residual, mdeg/s")
-    axes[0].legend(ncols=2, loc="upper right", markerscale=2)
-    limit = 1.25 * style.symmetric_limit(_smoothed(rows.before_dps, rows), 0.998) * _MDPS
-    axes[0].set_ylim(-limit, limit)
+        if not held.all():
+            legend_above(panel, 2)
+    limit_around_zero(axes[0], _smoothed(rows.before_dps, rows) * _MDPS, 0.998)
     axes[-1].set_xlabel(label)
     return figure
 
@@ -165,34 +171,32 @@ def residual_over_time(diagnosis: Diagnosis, rows: Rows) -> Figure:
 def residual_over_angle(diagnosis: Diagnosis, rows: Rows) -> Figure:
     """The residual over one turn of the table, each data set's mean taken out."""
     use = turning(rows)
-    figure = style.new_figure(style.TWO_COLUMNS_IN, 2.5)
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 2.8)
     constant, with_rate = figure.subplots(1, 2)
     bins, x = bin_rows(rows.angle_deg[use] % 360.0)
     _, sets = np.unique(rows.set_index[use], return_inverse=True)
     weight = 1.0 / rows.white_std_dps[use] ** 2
+    apart = _APART * 360.0 / x.size if diagnosis.effects else 0.0
+    models = [("surface alone", rows.before_dps, style.ORANGE, -apart)]
+    if diagnosis.effects:
+        models.append(("surface and named physics", rows.after_dps, style.BLUE, apart))
     for panel, gain, unit in (
         (constant, np.full(use.sum(), 1 / _MDPS), "Residual, mdeg/s"),
         (with_rate, rows.rate_dps[use] / 100.0 / _MDPS, "Residual ÷ rate,\nmdeg/s at 100 deg/s"),
     ):
-        panel.axhline(0.0, color=style.GREY, linewidth=0.6)
-        for name, values, colour in (
-            ("surface alone", rows.before_dps, style.ORANGE),
-            ("surface and named physics", rows.after_dps, style.BLUE),
-        ):
-            if name != "surface alone" and not diagnosis.effects:
-                continue
+        zero_line(panel)
+        information = np.bincount(bins, gain**2 * weight)
+        for name, values, colour, shift in models:
             v = values[use]
             v = v - (np.bincount(sets, v * weight) / np.bincount(sets, weight))[sets]
-            information = np.bincount(bins, gain**2 * weight)
             mean = np.bincount(bins, v * gain * weight) / information
-            half = _95 / np.sqrt(information)
-            panel.errorbar(x, mean, yerr=half, color=colour, label=name, **_BARS)
+            bars(panel, x + shift, mean, NORMAL_95 / np.sqrt(information), colour, name)
         panel.set_xlabel("Table angle, deg")
         panel.set_ylabel(unit)
         panel.set_xticks(range(0, 361, 60))
     constant.set_title("Same size at every rate")
     with_rate.set_title("Growing with rate")
-    constant.legend()
+    figure.legend(*constant.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
 
@@ -201,26 +205,25 @@ def before_and_after(folded: Fold, effect: NamedEffect) -> Figure:
     """An effect on its own coordinate: the residual before with the effect's law, and what is left after."""
     figure = style.new_figure(style.TWO_COLUMNS_IN, 2.6)
     left, right = figure.subplots(1, 2, sharey=True, sharex=True)
-    half = _95 * folded.std_error
-    _bars(left, folded.x, folded.before, half, style.ORANGE)
+    half = NORMAL_95 * folded.std_error
+    before, after, noise = folded.rms()
+    places = decimals(noise)
+    for panel, y, colour, title, rms in (
+        (left, folded.before, style.ORANGE, "Before", before),
+        (right, folded.after, style.BLUE, "After", after),
+    ):
+        zero_line(panel)
+        bars(panel, folded.x, y, half, colour)
+        panel.set_title(f"{title}: rms {fixed(rms, places)}")
+        panel.set_xlabel(folded.coordinate.label)
     order = np.argsort(folded.x)
     left.plot(folded.x[order], folded.law[order], color=style.INK, linewidth=1.0, label=effect.effect)
-    left.set_title("Before")
-    left.legend()
-    _bars(right, folded.x, folded.after, half, style.BLUE)
-    right.set_title("After")
+    legend_above(left)
     left.set_ylabel(f"Residual, {folded.coordinate.unit}")
-    for panel in (left, right):
-        panel.set_xlabel(folded.coordinate.label)
     return figure
 
 
-def _bars(panel: Axes, x: Floats, y: Floats, half: Floats, colour: str) -> None:
-    panel.axhline(0.0, color=style.GREY, linewidth=0.6)
-    panel.errorbar(x, y, yerr=np.nan_to_num(half), color=colour, **_BARS)
-
-
-def effect_figure(rows: Rows, effect: NamedEffect) -> Figure | None:
+def effect_figure(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Figure | None:
     """Picture of one named effect; None where the record has no coordinate to fold it on."""
-    folded = fold(rows, effect)
+    folded = fold(rows, effect, has_time)
     return None if folded is None else before_and_after(folded, effect)

@@ -95,10 +95,15 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 def render(figure: Figure, kind: str) -> bytes:
     """The figure as ``png`` or ``svg``; the same figure gives the same bytes."""
     stream = io.BytesIO()
-    metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": "gyrocal"}
     with mpl.rc_context(_RC):
-        _lay_out(figure)
-        figure.savefig(stream, format=kind, metadata=metadata, dpi=PNG_DPI)
+        if kind == "png":
+            figure.set_dpi(PNG_DPI)
+            _lay_out(figure)
+            # Straight to the canvas: savefig would draw once more to see whether the layout holds.
+            FigureCanvasAgg(figure).print_png(stream, metadata={"Software": None})  # type: ignore[no-untyped-call]
+        else:
+            _lay_out(figure)
+            figure.savefig(stream, format=kind, metadata={"Date": None, "Creator": "gyrocal"}, dpi=PNG_DPI)
     return stream.getvalue()
 
 

@@ -10,18 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.folds import bin_rows, clusters, coordinate_of, fold
 from gyrocal.diagnosis.result import Diagnosis, Located
+from gyrocal.diagnosis.sentences import not_testable_sentences
 from gyrocal.errors import InputError, OutputError
 from gyrocal.report.diagnosis import (
     diagnosis_page,
     figures,
-    format_p,
-    not_testable_sentences,
     plain_sentences,
     tables,
 )
 from gyrocal.report.diagnosis_build import DiagnoseConfig, diagnosis_files, write_diagnosis
-from gyrocal.diagnosis.folds import bin_rows, coordinate_of, fold
 from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 
@@ -74,6 +73,57 @@ def test_bins_are_levels_where_values_repeat_and_widths_where_they_do_not() -> N
     _, many = bin_rows(np.linspace(0.0, 1.0, 1000))
     assert many.size == 24
     assert np.diff(many) == pytest.approx(np.full(23, 1 / 24), rel=0.02)
+
+
+def test_every_bin_has_an_error_bar_even_with_one_data_set_in_it() -> None:
+    """A warm-up is seen in ramps and soaks, of which a stretch of time has one: no scatter of its own."""
+    diagnosis = made_up_diagnosis(make_recording([("warm_up", 20.0)], 7, "even"))
+    assert diagnosis.rows is not None
+    folded = fold(diagnosis.rows, diagnosis.effects[0])
+    assert folded is not None
+    white = float(np.median(diagnosis.rows.white_std_dps)) * 1e3
+    assert np.all(np.isfinite(folded.std_error))
+    assert folded.std_error.min() > white / np.sqrt(diagnosis.rows.t_s.size)
+    before, after, noise = folded.rms()
+    assert before > 3 * after
+    assert noise > 0
+
+
+def test_log_without_segments_scatters_between_stretches_of_time(found: Diagnosis) -> None:
+    """Noise is correlated from row to row: error bars from the scatter of single rows would be too short."""
+    rows = found.rows
+    assert rows is not None
+    assert np.unique(clusters(rows)).size == np.unique(rows.set_index).size
+    n = rows.t_s.size
+    still = replace(rows, rate_dps=np.zeros(n), set_index=np.arange(n))
+    assert np.unique(clusters(still)).size == 120
+    assert np.all(np.diff(clusters(still)) >= 0)
+
+
+def test_order_stands_for_time_where_there_is_none(found: Diagnosis) -> None:
+    assert found.rows is not None
+    drift = replace(found.effects[0], effect="bias_drift")
+    untimed = coordinate_of(found.rows, drift, has_time=False)
+    assert untimed.label == "Data set, in the order recorded"
+    assert untimed.x[[0, -1]].tolist() == [1.0, found.rows.t_s.size]
+
+
+def test_effect_of_single_samples_is_not_folded(found: Diagnosis) -> None:
+    bursts = replace(found.effects[0], effect="bursts")
+    drawn = {p.name: (p, figure) for p, figure in figures(replace(found, effects=(bursts,)))}
+    picture, figure = drawn["effect_bursts"]
+    assert figure is None
+    assert "single samples" in picture.missing
+
+
+def test_legends_lie_outside_the_data(found: Diagnosis) -> None:
+    for picture, figure in figures(found):
+        assert figure is not None
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            if legend is not None:
+                assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1, picture.name
 
 
 def test_step_is_shown_in_its_own_unit(found: Diagnosis) -> None:
@@ -154,11 +204,18 @@ def test_each_thing_is_said_once(found: Diagnosis) -> None:
 
 def test_tables_hold_located_parameters_and_gain(found: Diagnosis) -> None:
     place = Located("rate", "variance", "at 32 deg/s", 1e-20, 0.5, remains=True)
-    by_name = {t.name: t for t in tables(replace(found, located=(place,)))}
-    assert by_name["located"].rows == [("rate", "variance", "at 32 deg/s", "< 1e-15", "50%", "yes")]
+    assert found.noise is not None
+    noise = replace(found.noise, rate_random_walk_deg_per_h_per_rt_h=0.25)
+    assert noise.to_json()["rate_random_walk_deg_per_h_per_rt_h"] == 0.25
+    by_name = {t.name: t for t in tables(replace(found, located=(place,), noise=noise))}
+    assert by_name["located"].rows == [("rate", "variance", "at 32 deg/s", "< 1e-12", "50%", "still there")]
     assert [r[1] for r in by_name["effects"].rows] == ["amplitude", "amplitude", "harmonic", "phase_rad"]
-    assert by_name["improvement"].rows[-1][0] == "all named physics"
-    assert format_p(0.0123) == "0.012"
+    assert [r[:2] for r in by_name["improvement"].rows] == [
+        ("shupe", "surface and table_eccentricity"),
+        ("table_eccentricity", "surface and shupe"),
+        ("all named physics", "surface"),
+    ]
+    assert ["rate random walk", "0.25 deg/h/√h"] in [list(row) for row in by_name["noise"].rows]
 
 
 def test_existing_output_is_refused_before_the_work(tmp_path: Path) -> None:
