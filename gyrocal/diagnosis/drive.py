@@ -21,6 +21,8 @@ from gyrocal.diagnosis.drive_effects import (
     region,
     strongest_first,
 )
+from gyrocal.diagnosis.drive_noise import YawNoise, slips_place
+from gyrocal.diagnosis.drive_rests import Rest, rests, rests_speak_against
 from gyrocal.diagnosis.drive_series import MAX_DELAY_S, Bins, DriveSeries, bins_of
 from gyrocal.diagnosis.gram import benjamini_hochberg, holm
 from gyrocal.diagnosis.result import Estimate, Located
@@ -28,13 +30,15 @@ from gyrocal.diagnosis.result import Estimate, Located
 Floats = NDArray[np.float64]
 
 #: Family-wise rate of false names, and rate of false places. The five laws of the heading difference share it with
-#: the two checks that stand for themselves (wheel out of true, scale of distance).
+#: the three checks that stand for themselves (wheel out of true, scale of distance, scale of the gyro).
 LEVEL = 0.01
-LEVEL_OF_LAWS, LEVEL_OF_A_CHECK = LEVEL * 5 / 7, LEVEL / 7
+LEVEL_OF_LAWS, LEVEL_OF_A_CHECK = LEVEL * 5 / 8, LEVEL / 8
 #: Rows of a block that counts as independent of its neighbours, s.
 BLOCK_S = 10.0
 DRAWS = 3999
 _MAX_EFFECTS = 6
+#: A law is not named where one that failed its test, or that the rests refute, fits better by this, nats (20 to 1).
+_CLEAR_NATS = 3.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ class YawFit:
     law_deg: dict[str, Floats]
     places: tuple[Located, ...]
     phi: Floats = field(repr=False)
+    noise: YawNoise = field(repr=False)
 
 
 def _rows_per_block(bins: Bins) -> int:
@@ -90,12 +95,28 @@ def _columns(series: DriveSeries, model: Model, bins: Bins) -> Floats:
     return np.hstack(parts) if parts else np.zeros((bins.t_s.size, 0))
 
 
-def _regression(series: DriveSeries, model: Model) -> tuple[Bins, robust.Regression]:
-    bins = bins_of(series, model.delay_s)
-    y, columns = bins.encoder_deg - bins.gyro_deg, _columns(series, model, bins)
+@dataclass(frozen=True)
+class Question:
+    """What is to be explained: a log, its noise, what the gyro says at rest, and laws that must not be named."""
+
+    series: DriveSeries
+    noise: YawNoise
+    rests: tuple[Rest, ...]
+    banned: frozenset[str] = frozenset()
+
+    @staticmethod
+    def of(series: DriveSeries, noise: YawNoise) -> Question:
+        """The question that a log asks."""
+        return Question(series, noise, rests(series))
+
+
+def _regression(asked: Question, model: Model) -> tuple[Bins, robust.Regression]:
+    # Bins count alike: what a model lacks makes scatter in turns, and to give turns less weight would hide it.
+    bins = bins_of(asked.series, model.delay_s)
+    y = bins.encoder_deg - bins.gyro_deg
+    columns = np.hstack([_columns(asked.series, model, bins), asked.noise.dummies()])
     plain = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0] if columns.shape[1] else y
-    phi = robust.autoregression(plain)
-    return bins, robust.regress(y, columns, phi, _rows_per_block(bins))
+    return bins, robust.regress(y, columns, robust.autoregression(plain), _rows_per_block(bins))
 
 
 def _signs(regression: robust.Regression, seed: int) -> Floats:
@@ -103,47 +124,74 @@ def _signs(regression: robust.Regression, seed: int) -> Floats:
     return rng.choice([-1.0, 1.0], size=(DRAWS, regression.blocks.size))
 
 
-def search(series: DriveSeries, seed: int) -> tuple[Model, dict[str, float], dict[str, dict[str, float]]]:
+def search(asked: Question, seed: int) -> tuple[Model, dict[str, float], dict[str, dict[str, float]]]:
     """Forward selection under family-wise control; ``(model, p-values, rivals)``."""
+    series = asked.series
     model, p_values, rivals = Model(), {}, {}
-    for _ in range(_MAX_EFFECTS):
-        bins, regression = _regression(series, model)
+    vetoed: set[str] = set()
+    while len(model.names()) < _MAX_EFFECTS:
+        bins, regression = _regression(asked, model)
         signs = _signs(regression, seed)
         families = {
             effect: family
             for effect, family in candidates(series, bins, model.delay_s).items()
-            if effect not in model.names()
+            if effect not in (*model.names(), *asked.banned)
         }
         if not families:
             break
         tests = {e: robust.score_test(regression, [c.columns for c in f], signs) for e, f in families.items()}
         passed = holm(np.array([t.p_value for t in tests.values()]), LEVEL_OF_LAWS)
-        accepted = [e for e, ok in zip(tests, passed, strict=True) if ok and tests[e].gain_nats > 0]
+        accepted = [
+            e
+            for e, ok in zip(tests, passed, strict=True)
+            if ok and tests[e].gain_nats > 0 and e not in vetoed
+        ]
         if not accepted:
             break
         best = max(accepted, key=lambda e: tests[e].gain_nats)
+        if max(t.gain_nats for t in tests.values()) > tests[best].gain_nats + _CLEAR_NATS:
+            break
+        wider = _with(series, model, families[best][tests[best].best], asked.noise)
+        if rests_speak_against(asked.rests, _bias_law(asked, model), _bias_law(asked, wider)):
+            vetoed.add(best)
+            continue
+        model = wider
         p_values[best] = tests[best].p_value
         rivals[best] = {
             e: float(np.exp(min(tests[best].gain_nats - t.gain_nats, 50.0)))
             for e, t in tests.items()
-            if e != best and tests[best].gain_nats - t.gain_nats < 3.0
+            if e != best and tests[best].gain_nats - t.gain_nats < _CLEAR_NATS
         }
-        model = _with(series, model, families[best][tests[best].best])
-    return _pruned(series, model, p_values, rivals, seed)
+    return _pruned(asked, model, p_values, rivals, seed)
 
 
-def _with(series: DriveSeries, model: Model, chosen: Candidate) -> Model:
+def _bias_law(asked: Question, model: Model) -> tuple[float, float]:
+    """What a model says of the gyro at rest: bias, deg/s, and its slope over temperature, deg/s per degC."""
+    members = [m.effect for m in model.members]
+    if not {"gyro_bias", "bias_temperature"} & set(members):
+        return 0.0, 0.0
+    values = dict(zip(members, _fitted(asked, model)[0], strict=False))
+    return float(values.get("gyro_bias", 0.0)), float(values.get("bias_temperature", 0.0))
+
+
+def _fitted(asked: Question, model: Model) -> tuple[Floats, Floats, int, Bins, robust.Regression]:
+    """Coefficients of a model's columns, their covariance, its degrees of freedom; bins and regression."""
+    bins, regression = _regression(asked, model)
+    columns = _columns(asked.series, model, bins)
+    count = columns.shape[1]
+    values, covariance, dof = robust.fit(
+        bins.encoder_deg - bins.gyro_deg, np.hstack([columns, asked.noise.dummies()]), regression.phi,
+        _rows_per_block(bins),
+    )  # fmt: skip
+    return values[:count], covariance[:count, :count], dof, bins, regression
+
+
+def _with(series: DriveSeries, model: Model, chosen: Candidate, noise: YawNoise) -> Model:
     if chosen.effect == "gyro_delay":
         model = replace(model, delay_s=chosen.shape["delay_s"], delayed=True)
     else:
         model = replace(model, members=(*model.members, chosen))
-    return _refined(series, model)
-
-
-def _refined(series: DriveSeries, model: Model) -> Model:
-    """The same with its delay at the optimum, and its columns made again for it."""
-    rows = bins_of(series, 0.0).t_s.size
-    return refitted(series, model, np.ones(rows, dtype=bool), MAX_DELAY_S)
+    return refitted(series, model, noise.used, MAX_DELAY_S)
 
 
 def refitted(series: DriveSeries, model: Model, used: NDArray[np.bool_], reach_s: float = 0.1) -> Model:
@@ -176,7 +224,7 @@ def _moved(series: DriveSeries, model: Model, delay_s: float) -> Model:
 
 
 def _pruned(
-    series: DriveSeries,
+    asked: Question,
     model: Model,
     p_values: dict[str, float],
     rivals: dict[str, dict[str, float]],
@@ -185,7 +233,7 @@ def _pruned(
     """Without the effects that the later ones have made superfluous."""
     for member in model.members:
         rest = replace(model, members=tuple(m for m in model.members if m is not member))
-        _, regression = _regression(series, rest)
+        _, regression = _regression(asked, rest)
         test = robust.score_test(regression, [member.columns], _signs(regression, seed))
         p_values[member.effect] = max(p_values[member.effect], test.p_value)
         if test.p_value > LEVEL:
@@ -194,12 +242,12 @@ def _pruned(
     return model, {n: p_values[n] for n in names}, {n: rivals[n] for n in names}
 
 
-def explain(series: DriveSeries, seed: int) -> YawFit:
+def explain(asked: Question, seed: int) -> YawFit:
     """Explain the difference between the encoders' heading and the gyro's."""
-    model, p_values, rivals = search(series, seed)
-    bins, regression = _regression(series, model)
-    y, columns = bins.encoder_deg - bins.gyro_deg, _columns(series, model, bins)
-    values, covariance, dof = robust.fit(y, columns, regression.phi, _rows_per_block(bins))
+    series = asked.series
+    model, p_values, rivals = search(asked, seed)
+    values, covariance, dof, bins, regression = _fitted(asked, model)
+    y = bins.encoder_deg - bins.gyro_deg
     t95 = float(stats.t.ppf(0.975, dof))
     parameters, laws, taken = {}, {}, np.zeros(y.size)
     for i, member in enumerate(model.members):
@@ -216,8 +264,10 @@ def explain(series: DriveSeries, seed: int) -> YawFit:
         parameters["gyro_delay"] = {"amplitude": _estimate(-model.delay_s, std, t95, 1.0, "s")}
         laws["gyro_delay"] = bins.gyro_deg - nominal.gyro_deg
     before, after = nominal.encoder_deg - nominal.gyro_deg, y - taken
-    places = _places(series, model, seed)
-    return YawFit(bins, model, parameters, p_values, rivals, before, after, laws, places, regression.phi)
+    places = _places(asked, model, seed)
+    return YawFit(
+        bins, model, parameters, p_values, rivals, before, after, laws, places, regression.phi, asked.noise
+    )
 
 
 def _estimate(value: float, std: float, t95: float, scale: float, unit: str) -> Estimate:
@@ -225,12 +275,13 @@ def _estimate(value: float, std: float, t95: float, scale: float, unit: str) -> 
     return Estimate(value, std, unit, (value - t95 * std, value + t95 * std))
 
 
-def _places(series: DriveSeries, model: Model, seed: int) -> tuple[Located, ...]:
+def _places(asked: Question, model: Model, seed: int) -> tuple[Located, ...]:
     """Coordinates on which the nominal model leaves structure, and those on which the named one still does."""
-    bins, nominal = _regression(series, Model())
+    series = asked.series
+    bins, nominal = _regression(asked, Model())
     before = coordinates(series, bins, 0.0)
     p_before, share = _test_each(nominal, before, seed)
-    bins, named = _regression(series, model)
+    bins, named = _regression(asked, model)
     after = coordinates(series, bins, model.delay_s)
     p_after, share_after = _test_each(named, after, seed)
     remains = holm(np.array(p_after), LEVEL)
@@ -242,7 +293,9 @@ def _places(series: DriveSeries, model: Model, seed: int) -> tuple[Located, ...]
             where = region(place, _curve(regression, place))
             p_value, part = (p_after[i], share_after[i]) if remains[i] else (p_before[i], share[i])
             found.append(Located(coordinate.name, "mean", where, p_value, part, bool(remains[i])))
-    return strongest_first([*found, *_scatter(named, after, seed)])
+    slips = slips_place(bins, asked.noise)
+    found += [] if slips is None else [slips]
+    return strongest_first([*found, *_scatter(named, after, asked.noise, seed)])
 
 
 def _test_each(
@@ -265,11 +318,14 @@ def _curve(regression: robust.Regression, place: Coordinate, *, whitened: bool =
     return np.asarray(free @ values if whitened else place.columns @ values)
 
 
-def _scatter(regression: robust.Regression, places: Sequence[Coordinate], seed: int) -> list[Located]:
-    """Coordinates on which the size of what is left changes: the mean of its logarithm."""
-    squares = regression.residual**2
-    log_size = np.log(squares + 1e-3 * squares.mean())
+def _scatter(
+    regression: robust.Regression, places: Sequence[Coordinate], noise: YawNoise, seed: int
+) -> list[Located]:
+    """Coordinates on which the size of what is left changes beyond the noise's growth with way and turn."""
     order = regression.phi.size
+    squares = (regression.residual / noise.std_deg[order:]) ** 2
+    squares[~noise.used[order:]] = np.median(squares)
+    log_size = np.log(squares + 1e-3 * squares.mean())
     flat = robust.regress(
         log_size, np.ones((log_size.size, 1)), np.zeros(0), max(1, log_size.size // regression.blocks.size)
     )

@@ -1,4 +1,4 @@
-"""What a drive log shows beside the heading difference: units, ticks, time stamps, wheels out of true, scale of distance."""
+"""What a drive log shows beside the heading difference: units, ticks, time stamps, wheels out of true."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis import robust
+from gyrocal.diagnosis.drive import YawFit
 from gyrocal.diagnosis.drive_series import GAP_STEPS, DriveSeries, bins_of
-from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.result import Alternative, Estimate
 from gyrocal.records.drive import DriveBlock
 from gyrocal.units import RAD_TO_DEG
 
@@ -28,10 +29,10 @@ _PEAKS = 6
 _FINE_ROWS = 60_000
 #: Evidence by which a wheel has to beat a swing of fixed frequency, nats (20 to 1).
 _CLEAR_NATS = 3.0
-#: Positions further apart than this count as independent, s: consumer GPS wanders for tens of seconds.
-_TRUTH_BLOCK_S = 30.0
-#: Gauss-Newton steps, and the step of the derivative by the gyro bias, rad/s.
-_STEPS, _NUDGE = 8, 1e-6
+
+
+#: Share of the noise's variance from which on ticks and time stamps matter.
+_MATTERS = 0.05
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Found:
     parameters: Mapping[str, Estimate]
     p_value: float
     sentence: str
+    alternatives: tuple[Alternative, ...] = ()
 
 
 def wrong_unit(series: DriveSeries) -> tuple[float, Found | None]:
@@ -119,6 +121,35 @@ def ticks(log: DriveBlock) -> Found | None:
     return Found(
         "encoder_quantisation", {"amplitude": Estimate(1e3 * tick_m, float("nan"), "mm", _NONE)}, 1e-16, text
     )
+
+
+def of_the_log(
+    log: DriveBlock, usual_dt_s: float, fit: YawFit, separation_m: float
+) -> tuple[list[Found], tuple[str, ...]]:
+    """Findings about the logging itself; ticks and time stamps that hardly add to the noise are remarks only.
+
+    Parameters
+    ----------
+    fit : YawFit
+        Its noise is what ticks and time stamps are measured by.
+    """
+    variance = float(np.median(fit.noise.std_deg**2))
+    turn = float(np.mean(fit.bins.turn_rate_dps**2))
+    found, remarks = [], []
+    size = ticks(log)
+    for f in (*([] if size is None else [size]), *time_stamps(log, usual_dt_s)):
+        amplitude = 1e-3 * f.parameters["amplitude"].value
+        # A bin is the difference of two readings, each off by the error; both wheels have ticks.
+        part = {
+            "encoder_quantisation": 4.0 * amplitude**2 / 12.0 * (RAD_TO_DEG / separation_m) ** 2,
+            "timestamp_jitter": 2.0 * amplitude**2 * turn,
+        }.get(f.effect, np.inf)
+        if part > _MATTERS * variance:
+            found.append(f)
+        else:
+            share = 100.0 * part / variance
+            remarks.append(f"{f.sentence.rstrip('.')}: {share:.1g} % of the noise of the heading difference")
+    return found, tuple(remarks)
 
 
 def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: float) -> Found | None:
@@ -216,57 +247,3 @@ def _wheel_line(series: DriveSeries, t_s: Floats, width_s: float, side: float, r
     end = np.interp(t_s + 0.5 * width_s, series.t_s, wheel) / radius_m
     lines = [np.sin(end) - np.sin(begin), np.cos(begin) - np.cos(end)]
     return np.asarray(side * radius_m * np.stack(lines, axis=1))
-
-
-def wheel_scale(series: DriveSeries, level: float) -> Found | None:
-    """Distances off by a factor, from the truth's positions: dead reckoning laid onto them.
-
-    Position, direction, scale and a constant gyro bias are fitted (Gauss and Newton); a bias left out would bend the
-    path and shorten it. Errors of the positions count as independent between blocks.
-    """
-    known = np.isfinite(series.truth_x_m) & np.isfinite(series.truth_y_m)
-    t = series.t_s[known]
-    if known.sum() < 30 or t[-1] - t[0] < 8 * _TRUTH_BLOCK_S:
-        return None
-    truth = series.truth_x_m[known] + 1j * series.truth_y_m[known]
-    steps = np.diff(series.distance_m, prepend=0.0)
-    heading, clock = np.deg2rad(series.gyro_deg), series.t_s - series.t_s[0]
-
-    def path(bias: float) -> NDArray[np.complex128]:
-        return np.asarray(np.cumsum(steps * np.exp(1j * (heading + bias * clock)))[known])
-
-    bias, turn, origin = 0.0, 1.0 + 0.0j, 0.0 + 0.0j
-    jacobian = np.zeros((0, 5))
-    for _ in range(_STEPS):
-        reckoned = path(bias)
-        slope = (path(bias + _NUDGE) - path(bias - _NUDGE)) / (2 * _NUDGE)
-        columns = [np.ones_like(truth), np.full_like(truth, 1j), reckoned, 1j * reckoned, turn * slope]
-        jacobian = np.column_stack([np.concatenate([c.real, c.imag]) for c in columns])
-        miss = truth - origin - turn * reckoned
-        change = np.linalg.lstsq(jacobian, np.concatenate([miss.real, miss.imag]), rcond=None)[0]
-        origin += change[0] + 1j * change[1]
-        turn += change[2] + 1j * change[3]
-        bias += change[4]
-    miss = truth - origin - turn * path(bias)
-    block = np.tile(np.floor((t - t[0]) / _TRUTH_BLOCK_S).astype(np.int64), 2)
-    residual = np.concatenate([miss.real, miss.imag])
-    scores = np.stack([np.bincount(block, column * residual) for column in jacobian.T], axis=1)
-    count = scores.shape[0]
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    covariance = count / (count - 1) * inverse @ (scores.T @ scores) @ inverse
-    length = abs(turn)
-    gradient = np.array([0.0, 0.0, turn.real, turn.imag, 0.0]) / length
-    # Truth over reckoned is 1 / (1 + S).
-    scale, std = float(1.0 / length), float(np.sqrt(gradient @ covariance @ gradient)) / length**2
-    p_value = float(2 * stats.t.sf(abs(scale - 1.0) / std, count - len(gradient)))
-    if not p_value <= level:
-        return None
-    t95 = float(stats.t.ppf(0.975, count - len(gradient)))
-    value = float(100 * (scale - 1.0))
-    estimate = Estimate(value, 100 * std, "%", (value - 100 * t95 * std, value + 100 * t95 * std))
-    rms_m = float(np.sqrt(np.mean(np.abs(miss) ** 2)))
-    text = (
-        f"Distances by the encoders are off by a factor, seen against the truth's positions "
-        f"(which the path then meets within {rms_m:.2g} m rms)"
-    )
-    return Found("wheel_scale", {"amplitude": estimate}, p_value, text)

@@ -144,4 +144,4 @@ def region(coordinate: Coordinate, curve: Floats) -> str:
 
 def strongest_first(found: list[Located]) -> tuple[Located, ...]:
     """Places by their share of the excess."""
-    return tuple(sorted(found, key=lambda place: -place.share))
+    return tuple(sorted(found, key=lambda place: -np.nan_to_num(place.share)))

@@ -2,43 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis import robust
-from gyrocal.diagnosis.drive import BLOCK_S, LEVEL_OF_A_CHECK, Model, YawFit, explain, refitted
-from gyrocal.diagnosis.drive_checks import (
-    Found,
-    eccentric_wheel,
-    ticks,
-    time_stamps,
-    wheel_scale,
-    wrong_unit,
-)
-from gyrocal.diagnosis.drive_effects import EFFECTS, coordinates, temperature_span_c
+from gyrocal.diagnosis.drive import LEVEL_OF_A_CHECK, LEVEL_OF_LAWS, Question, YawFit
+from gyrocal.diagnosis.drive_checks import Found, eccentric_wheel, of_the_log, wrong_unit
+from gyrocal.diagnosis.drive_effects import EFFECTS, strongest_first, temperature_span_c
+from gyrocal.diagnosis.drive_heldout import explain_with_gain
+from gyrocal.diagnosis.drive_noise import slip_times, yaw_noise
 from gyrocal.diagnosis.drive_series import DriveSeries, bins_of, drive_series
-from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Located, NamedEffect
+from gyrocal.diagnosis.drive_told import (
+    Told,
+    ask_truth,
+    contradicted,
+    corrected,
+    scales_found,
+    twins_of_slip,
+    widened,
+)
+from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Improvement, Located, NamedEffect
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot
 
 Floats = NDArray[np.float64]
 
-_FOLDS = 10
-_BOOTSTRAP = 2000
 #: Physics that gives the same columns, so that a heading difference cannot tell it from the name; 1 : 1.
-_TWINS = {
-    "skid_slip": ("gyro_scale", "robot_tilt"),
-    "gyro_bias": ("earth_rate",),
-    "wheel_scale": ("encoder_overcount", "start_stop_slip"),
-}
+_TWINS = {"gyro_bias": ("earth_rate",)}
 #: Places of effects found by checks of their own: coordinate and region.
 _PLACES = {
     "wheel_eccentricity": ("wheel_angle", "once a turn of the wheel"),
     "wheel_scale": ("speed", "wherever the robot moves"),
+    "gyro_scale": ("turn_rate", "all turns"),
     "dropped_samples": ("time", "at the gaps"),
     "timestamp_jitter": ("time", "all along"),
     "unit_or_sign": ("turn_rate", "all turns"),
@@ -46,6 +44,11 @@ _PLACES = {
 }
 #: Findings about the logging itself: they are named, but say nothing of an excess in the heading difference.
 _OF_THE_LOG = ("encoder_quantisation", "dropped_samples", "timestamp_jitter")
+
+
+#: A scale known no better than this (relative) counts as not testable.
+_BLUNT = 0.02
+_ONE = Estimate(1.0, float("nan"), "1", (float("nan"), float("nan")))
 
 
 @dataclass(frozen=True)
@@ -72,83 +75,136 @@ def diagnose_drive(
     DataError
         The log is too short, does not move, or lacks a channel that was asked for.
     """
-    series = drive_series(source, log, robot, coefficients)
-    factor, unit = wrong_unit(series)
-    series = replace(series, gyro_deg=series.gyro_deg * factor)
-    scale = wheel_scale(series, LEVEL_OF_A_CHECK)
-    if scale is not None:
-        # A scale of both wheels turns the encoders' heading too, and must not be taken for slip.
-        series = _rescaled(series, 1.0 + scale.parameters["amplitude"].value / 100.0)
-    fit = explain(series, seed)
+    logged = drive_series(source, log, robot, coefficients)
+    factor, unit = wrong_unit(logged)
+    nominal = replace(logged, gyro_deg=logged.gyro_deg * factor)
+    answer = _answer(nominal, seed)
+    fit, told = answer.fit, answer.told
     slip = fit.law_deg.get("skid_slip", np.zeros(fit.bins.t_s.size))
     ratio = 1.0 + float(np.sum(slip * fit.bins.gyro_deg) / np.sum(fit.bins.gyro_deg**2))
-    others = [
-        unit,
-        eccentric_wheel(series, fit.model.delay_s, ratio, LEVEL_OF_A_CHECK),
-        scale,
-    ]
-    found = [f for f in (*others, ticks(log), *time_stamps(log, series.usual_dt_s)) if f is not None]
-    total, gains = _improvements(series, fit, seed)
-    effects = tuple(_named(fit, name, gains.get(name)) for name in fit.model.names())
-    effects += tuple(_found(f) for f in found)
-    located = (*fit.places, *(_place(f) for f in found))
+    wheel = eccentric_wheel(answer.series, fit.model.delay_s, ratio, LEVEL_OF_A_CHECK)
+    of_log, remarks = of_the_log(log, nominal.usual_dt_s, fit, robot.wheel_separation_m)
+    found = [f for f in (unit, wheel, *scales_found(told), *of_log) if f is not None]
+    effects = tuple(_named(answer, name) for name in fit.model.names()) + tuple(_found(f) for f in found)
+    located = (*answer.places, *(_place(f) for f in found))
     diagnosis = Diagnosis(
         recording=source,
-        verdict=_verdict(effects, fit.places),
+        verdict=_verdict(effects, located),
         located=located,
         effects=effects,
-        not_testable=_not_testable(series, fit),
+        not_testable=_not_testable(nominal, fit, told),
         sentences=(),
         noise=None,
-        improvement=total,
+        improvement=answer.total,
         surface=coefficients,
         improved=None,
         rows=None,
-        notes=series.notes,
+        notes=(*nominal.notes, *remarks),
     )
-    return DriveDiagnosis(replace(diagnosis, sentences=_sentences(diagnosis, fit, series)), series, fit)
+    said = _sentences(diagnosis, answer)
+    return DriveDiagnosis(replace(diagnosis, sentences=said), nominal, fit)
 
 
-def _rescaled(series: DriveSeries, scale: float) -> DriveSeries:
-    return replace(
-        series,
-        encoder_deg=series.encoder_deg / scale,
-        left_m=series.left_m / scale,
-        right_m=series.right_m / scale,
-    )
+@dataclass(frozen=True)
+class _Answer:
+    """What encoders, gyro and truth say together.
+
+    Attributes
+    ----------
+    series : DriveSeries
+        The log with the scales taken out that the truth names.
+    total, gains : improvements of all named laws, and of each
+    refused : laws that fit and do not help on data left out
+    slip_p_value : of a slip beside the named scales, 0 where there are none
+    """
+
+    series: DriveSeries
+    fit: YawFit
+    told: Told
+    total: Improvement | None
+    gains: Mapping[str, Improvement]
+    refused: tuple[str, ...]
+    places: tuple[Located, ...]
+    slip_p_value: float
+
+
+def _answer(nominal: DriveSeries, seed: int) -> _Answer:
+    asked = Question.of(nominal, yaw_noise(nominal))
+    fit, total, gains, refused = explain_with_gain(asked, nominal, seed)
+    first = fit
+    told = ask_truth(nominal, fit)
+    series, banned = corrected(nominal, told.scales), contradicted(told, fit)
+    slip_p_value = 0.0
+    if told.scales or banned:
+        asked = replace(Question.of(series, yaw_noise(series)), banned=banned)
+        fit, total, gains, refused = explain_with_gain(asked, nominal, seed)
+    if told.scales and fit.parameters.get("skid_slip", {}).get("exponent", _ONE).value == 0.0:
+        parameters, slip_p_value = widened(told, fit.parameters["skid_slip"])
+        if slip_p_value <= LEVEL_OF_LAWS:
+            fit = replace(fit, parameters=fit.parameters | {"skid_slip": dict(parameters)})
+        else:
+            # What the truth leaves open of the scales is enough to make encoders and gyro agree.
+            by = 1.0 + parameters["amplitude"].value / 100.0
+            series = replace(series, encoder_deg=series.encoder_deg / by)
+            asked = replace(Question.of(series, yaw_noise(series)), banned=banned | {"skid_slip"})
+            fit, total, gains, refused = explain_with_gain(asked, nominal, seed)
+    bare = bins_of(nominal, 0.0)
+    fit = replace(fit, before_deg=bare.encoder_deg - bare.gyro_deg)
+    places = list(fit.places)
+    if fit is not first:
+        now = {(p.coordinate, p.statistic) for p in places}
+        places += [replace(p, remains=False) for p in first.places if (p.coordinate, p.statistic) not in now]
+    places += [] if told.fit is None else told.fit.places
+    places += _homes(fit, {p.coordinate for p in places})
+    places = list(strongest_first(places))
+    return _Answer(series, fit, told, total, gains, refused, tuple(places), slip_p_value)
+
+
+def _homes(fit: YawFit, taken: set[str]) -> list[Located]:
+    """Where named laws live, if the tests over whole coordinates, blunter than those of one law, did not say so."""
+    bare, found = float(np.sum(fit.before_deg**2)), []
+    for name in fit.model.names():
+        coordinate = EFFECTS[name].seen_in
+        if coordinate not in taken:
+            share = min(float(np.sum(fit.law_deg[name] ** 2)) / bare, 1.0)
+            found.append(Located(coordinate, "mean", "where its law is", fit.p_values[name], share))
+            taken.add(coordinate)
+    return found
 
 
 def _verdict(effects: Sequence[NamedEffect], places: Sequence[Located]) -> str:
-    physics = [e for e in effects if e.effect not in _OF_THE_LOG]
     remains = any(place.remains for place in places)
-    if physics:
+    if effects:
         return "partly_explained" if remains else "explained"
     return "unexplained" if remains else "consistent"
 
 
-def _named(fit: YawFit, name: str, improvement: Improvement | None) -> NamedEffect:
-    effect = EFFECTS[name]
-    shape = fit.parameters[name].get("exponent")
-    # A slip that grows with the turn rate is not what a scale factor does.
-    twins = _TWINS.get(name, ()) if shape is None or shape.value == 0.0 else ()
-    alternatives = [Alternative(t, 1.0, EFFECTS[t].statement) for t in twins]
+def _named(answer: _Answer, name: str) -> NamedEffect:
+    effect, fit = EFFECTS[name], answer.fit
+    parameters = fit.parameters[name]
+    alternatives = [Alternative(t, 1.0, EFFECTS[t].statement) for t in _TWINS.get(name, ())]
+    p_value = fit.p_values[name]
+    if name == "skid_slip":
+        p_value = max(p_value, answer.slip_p_value)
+        # A slip that grows with the turn rate is not what a scale factor does.
+        if parameters["exponent"].value == 0.0:
+            alternatives += twins_of_slip(answer.told, parameters["amplitude"].value / 100.0)
     alternatives += [Alternative(e, r, EFFECTS[e].statement) for e, r in fit.rivals.get(name, {}).items()]
     return NamedEffect(
-        name, effect.family, effect.statement, fit.parameters[name], fit.p_values[name], tuple(alternatives),
-        improvement, effect.runtime,
+        name, effect.family, effect.statement, parameters, p_value, tuple(alternatives), answer.gains.get(name),
+        effect.runtime,
     )  # fmt: skip
 
 
 def _found(found: Found) -> NamedEffect:
     effect = EFFECTS[found.effect]
-    twins = tuple(Alternative(t, 1.0, EFFECTS[t].statement) for t in _TWINS.get(found.effect, ()))
     return NamedEffect(
         found.effect,
         effect.family,
         found.sentence,
         found.parameters,
         found.p_value,
-        twins,
+        found.alternatives,
         None,
         effect.runtime,
     )
@@ -159,97 +215,34 @@ def _place(found: Found) -> Located:
     return Located(coordinate, "mean", where, found.p_value, float("nan"))
 
 
-def _improvements(
-    series: DriveSeries, fit: YawFit, seed: int
-) -> tuple[Improvement | None, dict[str, Improvement]]:
-    """Held-out gain of all named effects together, and of each when it is left out of them."""
-    names = fit.model.names()
-    if not names:
-        return None, {}
-    without = {
-        name: replace(fit.model, delayed=False, delay_s=0.0)
-        if name == "gyro_delay"
-        else replace(fit.model, members=tuple(m for m in fit.model.members if m.effect != name))
-        for name in names
-    }
-    bins = fit.bins
-    fold = np.arange(bins.t_s.size) * _FOLDS // bins.t_s.size
-    after = _heldout(series, fit.model, fold)
-    floor = _floor_dps(series, fit)
-    total = _improvement(fit.before_deg, after, bins.width_s, floor, seed)
-    each = {
-        name: _improvement(_heldout(series, model, fold), after, bins.width_s, floor, seed)
-        for name, model in without.items()
-    }
-    return total, each
-
-
-def _heldout(series: DriveSeries, model: Model, fold: NDArray[np.int64]) -> Floats:
-    """What a model leaves in bins that its coefficients and its delay were not fitted to, deg a bin."""
-    left = np.empty(fold.size)
-    for k in range(_FOLDS):
-        moved = refitted(series, model, fold != k)
-        bins = bins_of(series, moved.delay_s)
-        y = bins.encoder_deg - bins.gyro_deg
-        columns = np.hstack([np.zeros((y.size, 0)), *(m.columns for m in moved.members)])
-        values = np.linalg.lstsq(columns[fold != k], y[fold != k], rcond=None)[0]
-        left[fold == k] = (y - columns @ values)[fold == k]
-    return left
-
-
-def _floor_dps(series: DriveSeries, fit: YawFit) -> float:
-    """What is left when curves over every coordinate are fitted beside the named effects, deg/s."""
-    curves = [c.columns for c in coordinates(series, fit.bins, fit.model.delay_s)]
-    columns = np.hstack(curves)
-    left = fit.after_deg - columns @ np.linalg.lstsq(columns, fit.after_deg, rcond=None)[0]
-    rank = int(np.linalg.matrix_rank(columns))
-    return float(np.sqrt(left @ left / max(left.size - rank, 1))) / fit.bins.width_s
-
-
-def _improvement(before: Floats, after: Floats, width_s: float, floor: float, seed: int) -> Improvement:
-    """Drop of rms and of Gaussian log-loss, by a paired bootstrap of blocks."""
-    starts = robust.block_starts(before.size, round(BLOCK_S / width_s))
-    squares = np.stack([np.add.reduceat(x**2, starts) for x in (before, after)])
-    counts = np.diff(starts, append=before.size)
-    rng = np.random.default_rng([seed, 99])
-    drawn = rng.integers(0, starts.size, size=(_BOOTSTRAP, starts.size))
-    rms = np.sqrt(squares[:, drawn].sum(axis=2) / counts[drawn].sum(axis=1)) / width_s
-    drops = np.quantile(rms[0] - rms[1], [0.025, 0.975])
-    # Log-loss of a Gaussian whose spread is the residual's own, a block's worth of bins at a time.
-    nats = np.log(rms) * float(np.mean(counts))
-    gains = np.quantile(nats[0] - nats[1], [0.025, 0.975])
-    rms_before, rms_after = (float(np.sqrt(np.mean(x**2))) / width_s for x in (before, after))
-    excess = rms_before**2 - floor**2
-    removed = (rms_before**2 - rms_after**2) / excess if excess > 0 else float("nan")
-    per_block = 0.5 * float(np.mean(counts))
-    return Improvement(
-        rms_before, rms_after, floor, (float(drops[0]), float(drops[1])),
-        per_block * (1 + np.log(2 * np.pi * rms_before**2)), per_block * (1 + np.log(2 * np.pi * rms_after**2)),
-        (float(gains[0]), float(gains[1])), float(np.clip(removed, -np.inf, 1.0)),
-        f"tenths of the log in turn, yaw rate in bins of {width_s:g} s",
-    )  # fmt: skip
-
-
-def _not_testable(series: DriveSeries, fit: YawFit) -> dict[str, str]:
+def _not_testable(series: DriveSeries, fit: YawFit, told: Told) -> dict[str, str]:
     """Effects that this log cannot show, with the reason."""
     reasons = {
-        "gyro_scale": "from heading differences alone it cannot be told from the effective wheel separation; calibrate the gyro on a bench",
         "robot_tilt": "the log has no inclination",
         "earth_rate": "it cannot be told from a gyro bias",
-        "start_stop_slip": "it changes distances, and the truth's positions are too coarse for that",
+        "start_stop_slip": "it changes distances for moments only, which nothing in the log resolves",
+        "encoder_overcount": "single bumps cannot be told from the wheels' noise, nor many of them from a scale of the wheels",
     }
     if temperature_span_c(fit.bins) < 0.5:
         reasons["bias_temperature"] = "the log has no gyro temperature, or it hardly changes"
-    if not np.any(np.isfinite(series.truth_x_m)):
-        without = "the log has no true positions to compare distances with"
-        reasons |= dict.fromkeys(("wheel_scale", "encoder_overcount", "start_stop_slip"), without)
-    else:
-        reasons["encoder_overcount"] = "the truth's positions do not resolve single bumps"
+    if told.fit is None:
+        reasons["gyro_scale"] = (
+            "from heading differences alone it cannot be told from the effective wheel separation; "
+            "calibrate the gyro on a bench"
+        )
+        reasons["wheel_scale"] = "the log has no true positions, or too few, to compare distances with"
+        return reasons
+    for name, what in (("gyro_scale", "turns"), ("wheel_scale", "way")):
+        std = told.fit.stds.get(name)
+        if std is None or std > _BLUNT:
+            known = "not at all" if std is None else f"to {100 * std:.2g} % only"
+            reasons[name] = f"with this truth and so few {what} it is known {known}"
     return reasons
 
 
-def _sentences(diagnosis: Diagnosis, fit: YawFit, series: DriveSeries) -> tuple[str, ...]:
+def _sentences(diagnosis: Diagnosis, answer: _Answer) -> tuple[str, ...]:
     """What there is to say, plainly, in order."""
+    fit, series = answer.fit, answer.series
     said = {
         "consistent": "Encoders and gyro agree within their noise.",
         "explained": "Encoders and gyro disagree, and the physics named below explains it.",
@@ -257,16 +250,23 @@ def _sentences(diagnosis: Diagnosis, fit: YawFit, series: DriveSeries) -> tuple[
         "unexplained": "Encoders and gyro disagree, and no effect of the catalogue explains it.",
     }
     lines = [said[diagnosis.verdict]]
+    if diagnosis.verdict == "explained" and all(e.effect in _OF_THE_LOG for e in diagnosis.effects):
+        lines = ["Encoders and gyro agree within their noise; what is named below lies in the log itself."]
     lines += [_effect_sentence(e) for e in diagnosis.effects]
+    lines += _slip_sentences(fit)
     for place in diagnosis.located:
-        if place.remains:
-            lines.append(
-                f"Structure remains in {place.coordinate.replace('_', ' ')}: {place.region} (p = {place.p_value:.2g})"
-            )
+        where = place.coordinate.replace("_", " ")
+        if place.remains and "isolated" not in place.region:
+            lines.append(f"Structure remains in {where}: {place.region} (p = {place.p_value:.2g})")
         elif place.statistic == "variance":
             lines.append(
-                f"The scatter changes with {place.coordinate.replace('_', ' ')}, most at {place.region}"
+                f"The scatter changes with {where} beyond what way and turn make, most at {place.region}"
             )
+    lines += [
+        f"{name} would fit, but does not lessen the error on data left out, and is not named"
+        for name in answer.refused
+    ]
+    lines += _truth_sentences(answer.told)
     gain = diagnosis.improvement
     if gain is not None:
         low, high = gain.interval_95
@@ -276,22 +276,77 @@ def _sentences(diagnosis: Diagnosis, fit: YawFit, series: DriveSeries) -> tuple[
             f"coordinate would leave {gain.noise_floor_dps:.3g}"
         )
     drift = [float(np.ptp(np.cumsum(x))) for x in (fit.before_deg, fit.after_deg)]
+    after = (
+        f", and {drift[1]:.3g} deg once the named effects are taken out"
+        if fit.model.names() or answer.told.scales
+        else ""
+    )
     lines.append(
-        f"Over {series.duration_s:.0f} s and {series.distance_m[-1]:.0f} m the encoders' heading wanders {drift[0]:.3g} deg from "
-        f"the gyro's, and {drift[1]:.3g} deg once the named effects are taken out"
+        f"Over {series.duration_s:.0f} s and {np.sum(np.abs(np.diff(series.distance_m))):.0f} m the encoders' heading wanders "
+        f"{drift[0]:.3g} deg from the gyro's{after}"
     )
     return tuple(lines)
 
 
+def _slip_sentences(fit: YawFit) -> list[str]:
+    """Isolated slips, with the largest."""
+    noise = fit.noise
+    if not noise.slips.size:
+        return []
+    times = slip_times(fit.bins, noise)
+    largest = float(noise.slip_deg[np.argmax(np.abs(noise.slip_deg))])
+    listed = ", ".join(f"{t:.0f}" for t in times[:10]) + (" and later" if len(times) > 10 else "")
+    return [
+        f"{len(times)} isolated slip{'s' if len(times) > 1 else ''} of the wheels, at t = {listed} s: the encoders' heading jumps from the "
+        f"gyro's by up to {abs(largest):.2g} deg; these bins are left out of all fits"
+    ]
+
+
+def _truth_sentences(told: Told) -> list[str]:
+    """What the truth says of the scales, named or not."""
+    if told.fit is None:
+        return []
+    parts = []
+    for name, what in (("wheel_scale", "the distances"), ("gyro_scale", "the gyro's scale")):
+        if name in told.fit.values:
+            std = 100 * told.fit.stds[name]
+            decimals = _decimals(std)
+            parts.append(f"{what} off by {100 * told.fit.values[name]:.{decimals}f} ± {std:.{decimals}f} %")
+    seen = "positions and headings" if told.fit.headings else "positions"
+    return [f"Against the truth's {seen}: {', '.join(parts)}"] if parts else []
+
+
+def _decimals(std: float) -> int:
+    """Decimals that show two digits of a standard deviation."""
+    return int(np.clip(1 - np.floor(np.log10(std)), 0, 9)) if std > 0 and np.isfinite(std) else 3
+
+
+def _value(e: Estimate) -> str:
+    """Value, unit and interval, all rounded to the same decimal."""
+    unit = "" if e.unit == "1" else f" {e.unit}"
+    if np.isnan(e.interval_95[0]):
+        return f"{e.value:.4g}{unit}"
+    d = _decimals(e.std)
+    return f"{e.value:.{d}f}{unit} (95 %: {e.interval_95[0]:.{d}f} to {e.interval_95[1]:.{d}f})"
+
+
 def _effect_sentence(effect: NamedEffect) -> str:
     amplitude = effect.parameters["amplitude"]
-    low, high = amplitude.interval_95
-    interval = "" if np.isnan(low) else f" (95 %: {low:.3g} to {high:.3g})"
     statement = effect.statement
     if effect.effect == "gyro_delay" and amplitude.value < 0:
         statement = "The encoders' counts arrive later than the gyro's rate (a negative delay)."
     if effect.effect == "skid_slip" and amplitude.value < 0:
         statement = "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer together than the robot file says."
-    others = [a.effect for a in effect.alternatives]
-    rest = f"; this log cannot tell it from {', '.join(others)}" if others else ""
-    return f"{effect.effect}: {statement.rstrip('.')}: {amplitude.value:.4g} {amplitude.unit}{interval}{rest}"
+    others = [_other(a) for a in effect.alternatives]
+    rest = f"; it could also be {', '.join(others)}" if others else ""
+    return f"{effect.effect}: {statement.rstrip('.')}: {_value(amplitude)}{rest}"
+
+
+def _other(a: Alternative) -> str:
+    if 0.95 < a.evidence_ratio < 1.05:
+        return f"{a.effect} (equally well)"
+    return (
+        f"{a.effect} (evidence {a.evidence_ratio:.2g} to 1 against it)"
+        if a.evidence_ratio > 1
+        else f"{a.effect} (evidence 1 to {1 / a.evidence_ratio:.2g} for it)"
+    )

@@ -35,7 +35,7 @@ class DriveSeries:
     encoder_deg, gyro_deg : heading by the encoders (nominal wheel separation) and by the gyro, from 0
     left_m, right_m : distance of each side, from 0
     temp_c : gyro temperature, NaN where there is none
-    truth_x_m, truth_y_m : position, NaN where there is none
+    truth_x_m, truth_y_m, truth_heading_deg : position and heading, NaN where there is none
     usual_dt_s : median time step
     gaps_s : (begin, end) of each gap
     notes : what was found and done, in words
@@ -50,6 +50,7 @@ class DriveSeries:
     temp_c: Floats
     truth_x_m: Floats
     truth_y_m: Floats
+    truth_heading_deg: Floats
     usual_dt_s: float
     gaps_s: tuple[tuple[float, float], ...]
     robot: Robot = field(repr=False)
@@ -65,6 +66,12 @@ class DriveSeries:
         """Distance of the robot's centre, from 0 (paper eq. 6)."""
         return 0.5 * (self.left_m + self.right_m)
 
+    @property
+    def way_m(self) -> Floats:
+        """Way of the wheels, forward or backward, their mean, from 0: what their noise grows with."""
+        left, right = (np.abs(np.diff(w, prepend=w[:1])) for w in (self.left_m, self.right_m))
+        return np.asarray(np.cumsum(0.5 * (left + right)))
+
 
 @dataclass(frozen=True)
 class Bins:
@@ -76,6 +83,7 @@ class Bins:
     gyro_deg: Floats
     left_m: Floats
     right_m: Floats
+    way_m: Floats
     turn_rate_dps: Floats
     speed_mps: Floats
     acceleration_mps2: Floats
@@ -125,7 +133,7 @@ def drive_series(
         raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
     return DriveSeries(
         source, t_s, (right - left) / robot.wheel_separation_m * RAD_TO_DEG, gyro, left, right, log.gyro_temp_c,
-        log.truth_x_m, log.truth_y_m, usual_dt_s, tuple((t_s[i - 1], t_s[i]) for i in gaps), robot, (*notes, *said),
+        log.truth_x_m, log.truth_y_m, log.truth_heading_deg, usual_dt_s, tuple((t_s[i - 1], t_s[i]) for i in gaps), robot, (*notes, *said),
     )  # fmt: skip
 
 
@@ -175,6 +183,6 @@ def bins_of(series: DriveSeries, delay_s: float, width_s: float = BIN_S) -> Bins
     temp = np.interp(middle, t[known], series.temp_c[known]) if known.any() else np.full(middle.size, np.nan)
     half = sums(series.distance_m, -0.5 * width_s) - sums(series.distance_m, 0.5 * width_s)
     return Bins(
-        width_s, middle, sums(series.encoder_deg), gyro, left, right, gyro / width_s, speed, half / width_s**2,
+        width_s, middle, sums(series.encoder_deg), gyro, left, right, sums(series.way_m), gyro / width_s, speed, half / width_s**2,
         np.interp(middle - delay_s, t, series.gyro_deg), temp,
     )  # fmt: skip
