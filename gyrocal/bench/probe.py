@@ -118,6 +118,10 @@ def identify(chunks: Sequence[tuple[float, bytes]], duration_s: float, baud: int
         health = decoder.health()
         if len(frames) >= _MIN_FRAMES and health.bytes_skipped <= _MAX_LEFT_OVER * len(data):
             return _finding(kind, frames, len(data), duration_s)
+    others = vn100.messages(data)
+    if len(others) >= _MIN_FRAMES:
+        text = f"vn100: sends {others[-1]}, {len(others) / duration_s:.1f} a second; acquire selects VNIMU by itself."
+        return Finding("vn100", text, len(data), len(others), 0, len(others) / duration_s, False)
     text = (
         f"{len(data)} bytes came in {duration_s:g} s at {baud} baud, and no known frame among them. "
         f"The baud rate is wrong, or it is another device. The first bytes: {data[:16].hex(' ')}."

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Protocol
 
 import serial
 
 from gyrocal.errors import DeviceError
+
+try:
+    import fcntl
+except ImportError:  # a system without POSIX locks
+    fcntl = None  # type: ignore[assignment]
 
 #: Longest wait inside one look at the port; deadlines are made of such looks.
 _LOOK_S = 0.02
@@ -51,6 +60,7 @@ class SerialTransport:
     ):
         self.url = url
         self._tap = tap
+        self._lock = _lock_network_port(url)
         try:
             self._port = serial.serial_for_url(
                 url, baudrate=baud, timeout=_LOOK_S, write_timeout=1.0, rtscts=rtscts, do_not_open=True
@@ -60,6 +70,7 @@ class SerialTransport:
                 self._port.exclusive = True
             self._port.open()
         except (serial.SerialException, OSError, ValueError) as error:
+            self._unlock()
             raise DeviceError(_open_failed(url, error)) from error
 
     def now_s(self) -> float:
@@ -119,6 +130,32 @@ class SerialTransport:
         """Close; never raises."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
+        self._unlock()
+
+    def _unlock(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
+
+
+def _lock_network_port(url: str) -> int | None:
+    """Hold a port of the network for this program, as the tty lock does for others: a converter may let two in.
+
+    Only other gyrocals on this computer know of it. None where there is nothing to lock, or no way to.
+    """
+    if fcntl is None or not url.startswith(("socket://", "rfc2217://")):
+        return None
+    name = hashlib.sha256(url.encode()).hexdigest()[:16]
+    try:
+        lock = os.open(Path(tempfile.gettempdir()) / f"gyrocal-{name}.lock", os.O_RDONLY | os.O_CREAT, 0o644)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        raise DeviceError(f"{url}: another gyrocal holds the port. Wait for it, or end it first.") from error
+    return lock
 
 
 class ReopeningTransport:

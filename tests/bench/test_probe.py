@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from gyrocal.bench.capture import decode_capture
-from gyrocal.bench.gyros import ascii_line, ecore2000, kvh_frame
+from gyrocal.bench.gyros import ascii_line, ecore2000, kvh_frame, vn100
 from gyrocal.bench.probe import identify
 from gyrocal.bench.registry import GYROS
 from gyrocal.bench.virtual.endpoints import TcpEndpoint
@@ -44,6 +44,13 @@ def test_nothing_and_unknown_bytes_are_told_apart() -> None:
     verdict = identify([(0.0, b"\x00\xc3" * 100)], 2.0, 9600).verdict
     assert "200 bytes came in 2 s at 9600 baud, and no known frame" in verdict
     assert "00 c3 00" in verdict
+
+
+def test_a_vn100_in_its_power_up_mode_is_known() -> None:
+    data = b"".join(vn100.command(f"VNYMR,+{i:03d}.000,-1.0") for i in range(20))
+    finding = identify([(0.1, data)], 2.0, 115200)
+    assert finding.kind == "vn100"
+    assert finding.verdict == "vn100: sends VNYMR, 10.0 a second; acquire selects VNIMU by itself."
 
 
 def test_status_is_told() -> None:

@@ -24,6 +24,10 @@ _CONTENT = re.compile(
 )
 
 
+#: Any asynchronous message: after power-up it is usually ``VNYMR``.
+_ANY_MESSAGE = re.compile(rb"\$(VN(?!ERR|WRG|RRG)[A-Z]{3}),[^$*\r\n]*\*[0-9A-Fa-f]{2,4}\r\n")
+
+
 def xor8(data: bytes) -> int:
     """XOR of all bytes."""
     return reduce(lambda a, b: a ^ b, data, 0)
@@ -87,6 +91,11 @@ def encode(rate_dps: float, temp_c: float, options: Options = Options()) -> byte
     numbers = ",".join(f"{value:+010.6f}" for value in rates)
     body = f"VNIMU,+00.2000,+00.0000,+00.4000,+00.000,+00.000,-09.807,{numbers},{temp_c:+05.1f},+101.325".encode()
     return b"$" + body + f"*{xor8(body):02X}\r\n".encode()
+
+
+def messages(data: bytes) -> list[str]:
+    """Names of the asynchronous messages in `data`, whatever they are."""
+    return [name.decode() for name in _ANY_MESSAGE.findall(data)]
 
 
 def command(body: str) -> bytes:

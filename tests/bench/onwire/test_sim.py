@@ -137,6 +137,19 @@ def test_a_port_is_held_by_one_program(tmp_path: Path) -> None:
         SerialTransport(endpoint.address, 9600)
 
 
+def test_a_tcp_port_is_held_by_one_gyrocal() -> None:
+    endpoint = TcpEndpoint()
+    first = SerialTransport(endpoint.address, 9600)
+    with pytest.raises(DeviceError, match=r"another gyrocal holds the port\. Wait for it"):
+        SerialTransport(endpoint.address, 9600)
+    first.close()
+    SerialTransport(endpoint.address, 9600).close()
+    endpoint.close()
+    for _ in range(2):
+        with pytest.raises(DeviceError, match="nobody listens there"):
+            SerialTransport(endpoint.address, 9600)
+
+
 @pytest.mark.parametrize("tcp", [False, True])
 def test_a_port_that_vanishes_says_so_and_opens_again(tmp_path: Path, tcp: bool) -> None:
     endpoint: Endpoint = TcpEndpoint() if tcp else PtyEndpoint(tmp_path / "port")
