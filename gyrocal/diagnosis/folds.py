@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.result import NamedEffect, Rows
+from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.units import S_PER_H, S_PER_MIN
 
 Floats = NDArray[np.float64]
@@ -50,7 +50,8 @@ class Coordinate:
 class Fold:
     """Binned means over a coordinate; arrays of shape (bins,), in the ordinate's unit.
 
-    ``before`` has all named physics but this effect taken out, ``after`` this one as well; ``law`` is the effect.
+    ``before`` has all named physics but this effect taken out, ``after`` this one as well; ``law`` is the effect,
+    less what the error surface alone would follow of it.
     """
 
     coordinate: Coordinate
@@ -150,17 +151,31 @@ def coordinate_of(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Coo
     return c
 
 
-def fold(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Fold | None:
+def fold_of(d: Diagnosis, effect: NamedEffect) -> Fold | None:
+    """`fold` for an effect of a diagnosis; of a single effect beside a surface fitted here the change is known exactly."""
+    rows = d.rows
+    if rows is None:
+        return None
+    fitted_here = d.surface is not None and d.surface.provenance.get("by") == "diagnose"
+    exact = fitted_here and list(rows.effect_dps) == [effect.effect]
+    return fold(
+        rows, effect, "time" not in d.not_testable, rows.before_dps - rows.after_dps if exact else None
+    )
+
+
+def fold(
+    rows: Rows, effect: NamedEffect, has_time: bool = True, seen_dps: Floats | None = None
+) -> Fold | None:
     """The residual before and after `effect`, binned on its coordinate; None where the rows do not carry it.
 
     Each bin is a least-squares mean of residual over gain with the white noise of its rows as weights. Its standard
     error comes from the scatter between data sets, which holds whatever the correlation inside a set is; a record
-    without segments is cut into stretches of time.
+    without segments is cut into stretches of time. `seen_dps` is what the residual shows of the law, if that is known.
     """
     if effect.effect not in rows.effect_dps:
         return None
     c = coordinate_of(rows, effect, has_time)
-    law = rows.effect_dps[effect.effect]
+    law = beyond_surface(rows, rows.effect_dps[effect.effect]) if seen_dps is None else seen_dps
     use = np.isfinite(c.x) & np.isfinite(rows.after_dps) & (c.gain != 0)
     if use.sum() < 3 or np.ptp(c.x[use]) == 0:
         return None
@@ -181,6 +196,30 @@ def fold(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Fold | None:
     white = 1.0 / np.sqrt(np.bincount(bins, gain**2 * weight))
     error = np.maximum(clustered_error(after, gain, weight, bins, sets), white)
     return Fold(c, x, mean(after + law), mean(after), error, mean(law))
+
+
+def beyond_surface(rows: Rows, law: Floats) -> Floats:
+    """What is left of a law once the error surface has followed it as far as it can, deg/s, shape (n,).
+
+    Without the effect in the model the surface bends towards it, and only this is seen in a residual. Segments count
+    with their white noise and the scatter of their means, as in the fit.
+    """
+    known = np.isfinite(rows.after_dps) & np.isfinite(law) & np.isfinite(rows.temp_c)
+    piece = np.unique(rows.set_index[known], return_inverse=True)[1]
+    weight = 1.0 / rows.white_std_dps[known] ** 2
+    total = np.bincount(piece, weight)
+    means = np.bincount(piece, weight * rows.after_dps[known]) / total
+    weight = np.sqrt(weight / (1.0 + total * np.mean(means**2))[piece])
+    u, v = (_scaled(x) for x in (rows.rate_dps, rows.temp_c))
+    basis = np.stack([u**i * v**j for i in range(4 if np.ptp(u) > 0 else 1) for j in range(3)], axis=1)
+    bend = np.linalg.lstsq(basis[known] * weight[:, None], law[known] * weight, rcond=1e-10)[0]
+    return np.asarray(law - basis @ bend)
+
+
+def _scaled(x: Floats) -> Floats:
+    """From -1 to 1."""
+    low, high = np.nanmin(x), np.nanmax(x)
+    return np.asarray((2.0 * x - low - high) / (high - low) if high > low else np.zeros_like(x))
 
 
 def _set_means(values: Floats, weight: Floats, sets: NDArray[np.int64]) -> Floats:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal.diagnosis.folds import Fold, fold
+from gyrocal.diagnosis.folds import Fold, fold_of
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Located, NamedEffect
 from gyrocal.diagnosis.words import (
     coordinate_words,
@@ -148,7 +148,7 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
         beside = f", beside {listed(others)}" if others else ""
         transient = effect.family in _NOT_IN_MEANS
         said.append(f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient))
-    folded = None if d.rows is None else fold(d.rows, effect, has_times(d))
+    folded = fold_of(d, effect)
     if folded is not None:
         said.append(f"{effect.effect}: " + _folded(folded))
     return said

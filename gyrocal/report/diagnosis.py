@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from gyrocal.diagnosis.result import Diagnosis, Improvement, Located, NamedEffect, Rows
 from gyrocal.diagnosis.sentences import (
     counted,
-    has_times,
     in_the_noise,
     logloss_gain,
     not_testable_sentences,
@@ -65,8 +64,7 @@ def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
     else:
         why = diagnosis.not_testable.get("table_angle", "The table did not turn long enough.")
         found.append(_missing("angle", why[0].upper() + why[1:].rstrip(".") + "."))
-    timed = has_times(diagnosis)
-    return found + [_effect_picture(rows, effect, timed) for effect in diagnosis.effects]
+    return found + [_effect_picture(diagnosis, rows, effect) for effect in diagnosis.effects]
 
 
 _TITLES: Mapping[str, tuple[str, str]] = {
@@ -102,11 +100,11 @@ def _missing(name: str, why: str) -> tuple[Picture, None]:
     return Picture(name, title, caption, missing=why), None
 
 
-def _effect_picture(rows: Rows, effect: NamedEffect, timed: bool) -> tuple[Picture, Figure | None]:
-    figure = effect_figure(rows, effect, timed)
+def _effect_picture(diagnosis: Diagnosis, rows: Rows, effect: NamedEffect) -> tuple[Picture, Figure | None]:
+    figure = effect_figure(diagnosis, effect)
     caption = (
         f"{effect.statement} Folded on its own coordinate with all other named physics taken out: left the residual "
-        "and the effect's law, right what is left, with whatever has no name. 95 % intervals from the scatter "
+        "and the effect's law, less what the error surface follows of it; right what is left, with whatever has no name. 95 % intervals from the scatter "
         "between data sets, of all bins together where a bin has fewer than three."
     )
     title = f"{effect.effect}, before and after"

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.folds import Floats, Fold, bin_rows, fold
+from gyrocal.diagnosis.folds import Floats, Fold, bin_rows, fold_of
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.diagnosis.sentences import counted, has_times
 from gyrocal.diagnosis.words import decimals, fixed
@@ -223,7 +223,7 @@ def before_and_after(folded: Fold, effect: NamedEffect) -> Figure:
     return figure
 
 
-def effect_figure(rows: Rows, effect: NamedEffect, has_time: bool = True) -> Figure | None:
+def effect_figure(diagnosis: Diagnosis, effect: NamedEffect) -> Figure | None:
     """Picture of one named effect; None where the record has no coordinate to fold it on."""
-    folded = fold(rows, effect, has_time)
+    folded = fold_of(diagnosis, effect)
     return None if folded is None else before_and_after(folded, effect)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.folds import bin_rows, clusters, coordinate_of, fold
+from gyrocal.diagnosis.folds import beyond_surface, bin_rows, clusters, coordinate_of, fold, fold_of
 from gyrocal.diagnosis.result import Diagnosis, Located
 from gyrocal.diagnosis.sentences import not_testable_sentences
 from gyrocal.errors import InputError, OutputError
@@ -129,12 +129,32 @@ def test_legends_lie_outside_the_data(found: Diagnosis) -> None:
 def test_step_is_shown_in_its_own_unit(found: Diagnosis) -> None:
     diagnosis = made_up_diagnosis(make_recording([("scale_step", 20.0)], 7, "even"))
     assert diagnosis.rows is not None
-    folded = fold(diagnosis.rows, diagnosis.effects[0])
+    folded = fold(diagnosis.rows, diagnosis.effects[0], seen_dps=diagnosis.rows.effect_dps["scale_step"])
     assert folded is not None
     assert folded.coordinate.unit == "ppm of rate"
     assert np.ptp(folded.law) == pytest.approx(
         abs(diagnosis.effects[0].parameters["amplitude"].value), rel=0.02
     )
+
+
+def test_before_is_what_the_surface_leaves_not_what_it_follows() -> None:
+    """A difference between left and right is mostly slope, which the surface takes: its gain must not count that."""
+    diagnosis = made_up_diagnosis(make_recording([("scale_asymmetry", 20.0)], 7, "even"))
+    rows, effect = diagnosis.rows, diagnosis.effects[0]
+    assert rows is not None
+    whole = rows.effect_dps[effect.effect]
+    seen = beyond_surface(rows, whole)
+    assert np.std(seen[rows.is_set]) < 0.5 * np.std(whole[rows.is_set])
+    # A refitted surface takes the same again: nothing is left to follow.
+    assert beyond_surface(rows, seen) == pytest.approx(seen, abs=1e-12)
+    folded = fold_of(diagnosis, effect)
+    assert folded is not None
+    assert np.ptp(folded.law) < 0.5 * np.ptp(whole) * 1e3
+    assert diagnosis.surface is not None
+    fitted = replace(diagnosis, surface=replace(diagnosis.surface, provenance={"by": "diagnose"}))
+    exact = fold_of(fitted, effect)
+    assert exact is not None
+    assert np.ptp(exact.law) == pytest.approx(np.ptp(rows.before_dps - rows.after_dps) * 1e3, rel=1e-6)
 
 
 def test_effect_without_its_channel_is_not_drawn(found: Diagnosis) -> None:
