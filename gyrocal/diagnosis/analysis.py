@@ -14,10 +14,10 @@ from gyrocal.diagnosis.columns import Book, conditions_of
 from gyrocal.diagnosis.gram import Projection, project
 from gyrocal.diagnosis.hypotheses import Hypothesis, Shape
 from gyrocal.diagnosis.jumps import scan
-from gyrocal.diagnosis.search import Member, Search
+from gyrocal.diagnosis.search import Member, Search, related
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.strangers import Block
-from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
+from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk, walk_p_value
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import Surface
 
@@ -115,15 +115,20 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
     What wanders slowly can be a law, or noise; the evidence of the whole decides.
     """
     y, X = setup.base.residual_dps, setup.columns
-    bare = estimate_levels(setup.model, y, X[:, setup.surface_columns]).levels
-    saturated = X[:, _saturating(setup)]
-    still = estimate_levels(setup.model, y, saturated, bare)
+    surface, saturated = X[:, setup.surface_columns], X[:, _saturating(setup)]
+    bare = estimate_levels(setup.model, y, surface)
+    still = estimate_levels(setup.model, y, saturated, bare.levels)
     found = _search_from(setup, still.levels, level, seed)
-    walking, p_value = look_for_walk(setup.model, y, saturated, still, level)
-    if not walking.walk:
+    walking, p_value = look_for_walk(setup.model, y, saturated, still)
+    if p_value > level and any(related(m.hypothesis.coordinate, "time") for m in found.members):
+        walking, p_value = look_for_walk(setup.model, y, surface, bare)
+    if not walking.walk or p_value > level:
         return found
-    other = replace(_search_from(setup, walking, level, seed), walk_p=p_value)
-    return min((found, other), key=_criterion)
+    other = _search_from(setup, walking, level, seed)
+    if not other.levels.walk or _criterion(other) >= _criterion(found):
+        return found
+    p_value = walk_p_value(setup.model, y, model_columns(other.setup, other.members), other.levels)
+    return replace(other, walk_p=p_value) if p_value < level else found
 
 
 def _search_from(setup: Setup, levels: NoiseLevels, level: float, seed: int) -> Analysis:

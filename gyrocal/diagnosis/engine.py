@@ -195,7 +195,11 @@ def _named(member: Member, series: Series, refined: Refined, improvement: Improv
         Alternative(e, float(np.exp(min(loss, 50.0))), CATALOGUE[e].statement) for e, loss in nearest.items()
     ]
     parameters = by_data_set(series, refined.parameters[effect.id])
-    twins = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in TWINS.get(effect.id, ())]
+    alike: tuple[str, ...] = TWINS.get(effect.id, ())
+    if effect.id == "dead_zone" and "table_angle" in series.untestable:
+        # A table at rest keeps one phase of what turns with it, and nobody has logged which.
+        alike = ("earth_rate_tilt", *TWINS["earth_rate_tilt"])
+    twins = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in alike]
     return NamedEffect(
         effect.id,
         effect.family,

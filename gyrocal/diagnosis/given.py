@@ -12,6 +12,7 @@ from gyrocal.diagnosis.analysis import Analysis
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gram import project, tail
 from gyrocal.diagnosis.improve import Refined
+from gyrocal.diagnosis.model_file import bench_only_mean
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
@@ -24,7 +25,10 @@ _CHANGED_P = 1e-4
 
 
 def without_terms(series: Series, coefficients: Coefficients | None) -> Series:
-    """The recording less the physics that the coefficient file has in its terms already."""
+    """The recording less the physics that the coefficient file has in its terms already.
+
+    The mean of what only the bench can evaluate is in the surface of the file (`coefficients_of`).
+    """
     if coefficients is None or not coefficients.terms:
         return series
     c = conditions_of(series)
@@ -32,7 +36,11 @@ def without_terms(series: Series, coefficients: Coefficients | None) -> Series:
     for term in coefficients.terms:
         effect = find_effect(term.effect)
         values = effect.typical() | {name: float(p["value"]) for name, p in term.parameters.items()}
-        added = added + effect.error_dps(c, values, coefficients.surface, None)[0]
+        error_dps = effect.error_dps(c, values, coefficients.surface, None)[0]
+        if not effect.runtime:
+            constant, share = bench_only_mean(series, error_dps)
+            error_dps = error_dps - constant - share * series.rate_dps
+        added = added + error_dps
     return replace(series, gyro_dps=series.gyro_dps - added)
 
 
@@ -91,7 +99,7 @@ def temperature_alone(analysis: Analysis) -> tuple[str, ...]:
         - X @ np.linalg.lstsq(X, analysis.setup.base.residual_dps, rcond=None)[0]
     )
     gap = _branch_gap(series, left)
-    if p < 1e-3:
+    if p < 1e-3 or analysis.levels.walk:
         apart = (
             ""
             if gap is None

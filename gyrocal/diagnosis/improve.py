@@ -13,7 +13,7 @@ from gyrocal.diagnosis.base import Base, simulate, with_coefficients
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gate import Gate
 from gyrocal.diagnosis.hypotheses import columns_at
-from gyrocal.diagnosis.intervals import Profile, descend, profile_interval
+from gyrocal.diagnosis.intervals import Profile, amplitude_interval, descend, profile_interval
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.search import Member
 from gyrocal.physics.catalogue import CATALOGUE
@@ -136,6 +136,19 @@ class _Fit:
         solution = np.linalg.lstsq(both[:, 1:], both[:, 0], rcond=1e-9)[0]
         left = both[:, 0] - both[:, 1:] @ solution
         return float(left @ left)
+
+    def one(self, column: Floats, others: Floats) -> tuple[float, float, float]:
+        """Residual sum of squares, amplitude and its standard deviation of one column beside others, shape (n, k)."""
+        white = np.column_stack([self.white_base[:, 0], self.whiten(np.column_stack([column, others]))])
+        white -= self._q @ (self._q.T @ white)
+        y, own = white[:, 0], white[:, 1]
+        if others.shape[1]:
+            y, own = (
+                white[:, :2] - white[:, 2:] @ np.linalg.lstsq(white[:, 2:], white[:, :2], rcond=1e-9)[0]
+            ).T
+        norm2 = float(own @ own)
+        amplitude = float(own @ y) / norm2
+        return float(y @ y) - amplitude**2 * norm2, amplitude, 1.0 / float(np.sqrt(norm2))
 
     def solve(self, columns: Floats) -> tuple[Floats, Floats]:
         """Coefficients of surface and columns, and their covariance."""
@@ -281,6 +294,23 @@ def _refine_shapes(
             if name == "at_s"
             else None,
         )
+    for k, member in enumerate(members):
+        mine = [name for i, name, _ in handles if i == k and name != "at_s"]
+        if len(mine) == 1 and columns[k].shape[1] == 1:
+            others = np.concatenate(
+                [np.empty((columns[k].shape[0], 0)), *(x for i, x in enumerate(columns) if i != k)], axis=1
+            )
+            effect = member.hypothesis.id
+
+            def at(
+                value: float, k: int = k, name: str = mine[0], others: Floats = others
+            ) -> tuple[float, float, float]:
+                trial = member_columns(members[k], {**shapes[k], name: value}, c, surface, grid)
+                return fit.one(trial, others)
+
+            profiles[effect, "amplitude"] = amplitude_interval(
+                at, profiles[effect, mine[0]].interval, _limits(effect, mine[0])
+            )
     pieces = [Piece(m, s, x) for m, s, x in zip(members, shapes, columns, strict=True)]
     return pieces, profiles
 
@@ -423,7 +453,12 @@ def _estimates(
             if profile is None
             else Estimate(value, profile.std, units[name], profile.interval)
         )
-    return {"amplitude": _normal(amplitude, std, units["amplitude"])} | found
+    traded = profiles.get((h.id, "amplitude"))
+    if traded is not None and traded.interval[0] < amplitude < traded.interval[1]:
+        own = Estimate(amplitude, traded.std, units["amplitude"], traded.interval)
+    else:
+        own = _normal(amplitude, std, units["amplitude"])
+    return {"amplitude": own} | found
 
 
 def _normal(value: float, std: float, unit: str) -> Estimate:

@@ -18,6 +18,9 @@ _RISE_95 = 3.841
 _RISE_INSTANT_95 = 7.352
 #: Losses that differ by less are the same to the last digits.
 _TIE = 1e-3
+#: Shapes at which an amplitude's likelihood is evaluated, and how far beyond the interval of the shape.
+_SHAPES = 15
+_WIDER = 1.4
 _RATIO_95 = 2.0 * 1.959964
 
 
@@ -75,6 +78,31 @@ def profile_interval(
     low = _crossing(loss, floor, best, 1.0 / np.sqrt(reach), limits[0])
     high = _crossing(loss, floor, best, np.sqrt(reach), limits[1])
     return Profile((low, high), (high - low) / _RATIO_95)
+
+
+def amplitude_interval(
+    at: Callable[[float], tuple[float, float, float]],
+    around: tuple[float, float],
+    limits: tuple[float, float],
+) -> Profile:
+    """Interval of an amplitude that is traded against a shape: its likelihood with the best shape for each value.
+
+    Parameters
+    ----------
+    at : callable
+        Residual sum of squares, best amplitude and its standard deviation at a value of the shape.
+    around : tuple of float
+        95 % interval of the shape.
+    limits : tuple of float
+        What the shape may be.
+    """
+    low, high = max(around[0] / _WIDER, limits[0]), min(around[1] * _WIDER, limits[1])
+    loss, amplitude, std = np.array([at(float(x)) for x in np.geomspace(low, high, _SHAPES)]).T
+    a = np.linspace(float((amplitude - 3.0 * std).min()), float((amplitude + 3.0 * std).max()), 2001)
+    profile = np.min(loss[:, None] + ((a - amplitude[:, None]) / std[:, None]) ** 2, axis=0)
+    inside = a[profile - profile.min() < _RISE_95]
+    interval = (float(inside[0]), float(inside[-1]))
+    return Profile(interval, (interval[1] - interval[0]) / _RATIO_95)
 
 
 def _crossing(loss: Callable[[float], float], floor: float, best: float, ratio: float, limit: float) -> float:

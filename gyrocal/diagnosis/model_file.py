@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis
 from gyrocal.diagnosis.gate import Gate
@@ -12,6 +14,7 @@ from gyrocal.diagnosis.improve import Refined, Solved
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients, Noise, Term, Valid
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.surface import Surface
 
 _NORMAL_95 = 1.959964
 
@@ -22,7 +25,11 @@ def surface_coefficients(series: Series, analysis: Analysis, refined: Refined) -
 
 
 def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decided: Gate) -> Coefficients:
-    """The surface that was fitted beside the named physics, which stands in its terms."""
+    """The surface that was fitted beside the named physics, which stands in its terms.
+
+    What only the bench can evaluate (a drift since the run began, a jump) is not in what a robot takes off: the
+    surface then stands for the gyro as it was on average over the recording (`bench_only_mean`).
+    """
     terms = []
     for member in decided.named:
         effect = CATALOGUE[member.hypothesis.id]
@@ -36,7 +43,28 @@ def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decide
         terms.append(Term(effect.id, parameters, effect.runtime))
         if second:
             terms.append(Term(effect.id, {**parameters, **second}, effect.runtime))
-    return _coefficients(series, analysis, refined.named, terms)
+    solved = refined.named
+    for key, effect_dps in refined.effects_dps.items():
+        if not CATALOGUE[key].runtime:
+            solved = replace(solved, surface=_raised(solved.surface, *bench_only_mean(series, effect_dps)))
+    return _coefficients(series, analysis, solved, terms)
+
+
+def bench_only_mean(series: Series, effect_dps: NDArray[np.float64]) -> tuple[float, float]:
+    """Constant (deg/s) and share of the rate that an effect has on average over the data sets of a recording."""
+    rows = np.flatnonzero(series.is_set) if series.is_set.any() else np.arange(len(series))
+    weight = 1.0 / series.white_std_dps[rows]
+    X = np.column_stack([np.ones(rows.size), series.rate_dps[rows]]) * weight[:, None]
+    constant, share = np.linalg.lstsq(X, effect_dps[rows] * weight, rcond=None)[0]
+    return float(constant), float(share)
+
+
+def _raised(surface: Surface, constant_dps: float, share: float) -> Surface:
+    """A surface with a constant and a share of the rate more."""
+    c = surface.coefficients_dps.copy()
+    c[0, 0] += constant_dps + share * surface.rate_center_dps
+    c[1, 0] += share * surface.rate_scale_dps
+    return replace(surface, coefficients_dps=c)
 
 
 def _coefficients(series: Series, analysis: Analysis, solved: Solved, terms: Sequence[Term]) -> Coefficients:

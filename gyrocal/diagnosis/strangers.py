@@ -103,6 +103,10 @@ def _in_time(s: Series, enter: Enter) -> None:
     enter("passing disturbance", where, np.concatenate(pulses, axis=1))
     enter("bend in time", where, np.maximum(x - centres[2:-2:2], 0.0))
     enter("drift as the square root of time", where, np.sqrt(x[:, 0]))
+    if s.since_power_on_s is None and s.has_time:
+        # A warm-up, if only it were known when the gyro was switched on.
+        taus = np.geomspace(120.0, 7200.0, 12)
+        enter("decay from the beginning of the record", where, np.exp(-(s.t_s - s.t_s[0])[:, None] / taus))
     decay = (x > centres) * np.exp(-np.maximum(x - centres, 0.0) / 0.08)
     enter("disturbance that decays", where, decay)
     if turning:
@@ -230,6 +234,7 @@ def blocks(series: Series, book: Book) -> list[Block]:
                 "by temperature",
                 hats(s.rate_dps, quantile_knots(rates, 9)) * _scaled(s.temp_c)[:, None],
             )
+            enter("rate", "uneven with temperature", _uneven(w[:, 0], s.temp_c), (4, 13))
     if np.ptp(s.temp_c) > 3.0:
         enter("temperature", "bias", _cosines(s.temp_c, 16), (4, 8, 16))
         if turning:
@@ -253,6 +258,14 @@ def blocks(series: Series, book: Book) -> list[Block]:
         if turning:
             enter("supply", "scale factor", _cosines(s.supply_v, 3) * w, (1, 3))
     return found
+
+
+def _uneven(x: Floats, temp_c: Floats) -> Floats:
+    """Corners at rate zero that change with temperature: what the surface's smooth products cannot follow."""
+    v = _scaled(temp_c) - 0.5
+    smooth = [corner * v**power for corner in (np.sqrt(np.abs(x)), np.sign(x)) for power in (1, 2)]
+    each = hats(temp_c, quantile_knots(temp_c, 9)) * np.sqrt(np.abs(x))[:, None]
+    return np.column_stack([*smooth, each])
 
 
 def _thermal_blocks(s: Series, w: Floats | None, enter: Enter) -> None:

@@ -9,7 +9,7 @@ one pass; the restricted likelihood of its innovations gives the levels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -397,19 +397,13 @@ def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels 
     return _climb(model, yX, max(trials, key=lambda r: _evaluate(model, r, yX).reml), 0.7)
 
 
-def look_for_walk(
-    model: NoiseModel, y: Floats, X: Floats, without: Likelihood, level: float
-) -> tuple[NoiseLevels, float]:
-    """Levels with a rate random walk where the likelihood ratio insists on one, and the p-value of the walk.
-
-    A walk from nothing is a variance at the edge of what it can be: half a chi-square of one degree of freedom.
+def look_for_walk(model: NoiseModel, y: Floats, X: Floats, without: Likelihood) -> tuple[NoiseLevels, float]:
+    """Levels with a rate random walk, and the p-value of the walk; without one where there is no likely one.
 
     Parameters
     ----------
     without : Likelihood
         The best without a walk.
-    level : float
-        False-alarm rate at which a walk is taken in.
     """
     yX = np.column_stack([y, X])
     first = _ratios(without.levels, model)
@@ -424,5 +418,15 @@ def look_for_walk(
     if max(likelihoods) < without.reml - _HOPELESS:
         return without.levels, 1.0
     found = _climb(model, yX, trials[int(np.argmax(likelihoods))], 0.3)
-    p_value = 0.5 * float(chi2.sf(max(2.0 * (found.reml - without.reml), 0.0), 1))
-    return (found.levels, p_value) if p_value < level else (without.levels, p_value)
+    return found.levels, _walk_p_value(found, without)
+
+
+def walk_p_value(model: NoiseModel, y: Floats, X: Floats, levels: NoiseLevels) -> float:
+    """P-value of the walk in `levels`, beside a model that was found with it."""
+    without = estimate_levels(model, y, X, replace(levels, walk=0.0))
+    return _walk_p_value(estimate_levels(model, y, X, levels), without)
+
+
+def _walk_p_value(found: Likelihood, without: Likelihood) -> float:
+    """A walk from nothing is a variance at the edge of what it can be: half a chi-square of one degree of freedom."""
+    return 0.5 * float(chi2.sf(max(2.0 * (found.reml - without.reml), 0.0), 1))

@@ -74,6 +74,18 @@ def test_the_improved_model_explains_the_recording_that_it_came_from(
     assert again.verdict == "consistent"
 
 
+def test_what_a_robot_cannot_evaluate_leaves_its_mean_in_the_surface() -> None:
+    table = make_table(hidden=np.where(np.arange(140) < 90, 0.0, 0.02))
+    found = diagnose(table, options=Options(heldout=False))
+    assert [(e.effect, e.runtime) for e in found.effects] == [("bias_step", False)]
+    assert found.improved is not None
+    left = table.gyro_dps - found.improved.surface.output_dps(table.rate_dps, table.temp_c)
+    # A robot cannot place the jump: what is left is its spread about the mean, no more.
+    assert np.sqrt(np.mean(left**2)) < 1.05 * np.std(np.where(np.arange(140) < 90, 0.0, 0.02))
+    again = diagnose(table, parse_coefficients(found.improved.to_text(), "made"), Options(heldout=False))
+    assert again.verdict == "consistent"
+
+
 def test_a_surface_of_another_gyro_is_said_to_have_changed() -> None:
     found = diagnose(make_table(), options=Options(heldout=False)).surface
     assert found is not None

@@ -86,11 +86,15 @@ def test_p_values_of_a_grid_are_uniform_under_the_null() -> None:
 
 
 def test_evidence_pays_for_shapes_and_amplitudes() -> None:
-    sharp = log_evidence(np.array([60.0, 0.0, 0.0, 0.0]), 1, 100)
-    sure = log_evidence(np.array([60.0]), 1, 100)
+    even = np.full(4, 0.25)
+    sharp = log_evidence(np.array([60.0, 0.0, 0.0, 0.0]), 1, 100, even)
+    sure = log_evidence(np.array([60.0]), 1, 100, np.ones(1))
     assert sure - sharp == pytest.approx(np.log(4.0), abs=1e-9)
     assert sure == pytest.approx(30.0 - 0.5 * np.log(100.0))
-    assert log_evidence(np.empty(0), 1, 100) == -np.inf
+    # Twice as many points at the same shape are no more evidence.
+    doubled = log_evidence(np.array([60.0, 60.0, 0.0, 0.0, 0.0]), 1, 100, np.array([0.125, 0.125, *even[1:]]))
+    assert doubled == pytest.approx(sharp)
+    assert log_evidence(np.empty(0), 1, 100, np.empty(0)) == -np.inf
 
 
 def test_independent_draws_are_worth_less_than_a_law_that_fits_as_well() -> None:
@@ -99,7 +103,7 @@ def test_independent_draws_are_worth_less_than_a_law_that_fits_as_well() -> None
     y = X @ np.full(6, 0.5) + rng.standard_normal(300)
     matrix = np.column_stack([y, X, X.sum(axis=1)])
     given = project(matrix.T @ matrix, np.empty(0, dtype=np.int64))
-    law = log_evidence(given.gains(np.array([[6]])), 1, 300)
+    law = log_evidence(given.gains(np.array([[6]])), 1, 300, np.ones(1))
     assert law > random_evidence(given, np.arange(6)) > 0
     null = np.column_stack([rng.standard_normal(300), X])
     assert random_evidence(project(null.T @ null, np.empty(0, dtype=np.int64)), np.arange(6)) < 2.0
