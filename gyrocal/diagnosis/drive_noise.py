@@ -22,7 +22,9 @@ _OUTLIER, _NEIGHBOUR = 6.0, 3.0
 _MOST = 0.25
 _HUBER, _BISQUARE = 1.5, 4.7
 _ROUNDS = 20
-#: Times of slips that a sentence lists.
+#: How the region of such bins begins.
+ISOLATED = "isolated slips"
+#: Times of slips that a region lists.
 _LISTED = 6
 
 
@@ -129,7 +131,7 @@ def slips_place(bins: Bins, noise: YawNoise) -> Located | None:
     p_value = min(1.0, 2.0 * noise.std_deg.size * float(stats.norm.sf(np.max(z))))
     squares = float(noise.slip_deg @ noise.slip_deg)
     share = squares / (squares + float(np.sum(noise.std_deg**2)))
-    where = f"isolated slips at {_listed(slip_times(bins, noise))}"
+    where = f"{ISOLATED} at {_listed(slip_times(bins, noise))}"
     return Located("time", "mean", where, max(p_value, 1e-16), share, True)
 
 

@@ -12,7 +12,7 @@ from gyrocal.diagnosis.drive import LEVEL_OF_A_CHECK, LEVEL_OF_LAWS, Question, Y
 from gyrocal.diagnosis.drive_checks import Found, eccentric_wheel, of_the_log, wrong_unit
 from gyrocal.diagnosis.drive_effects import EFFECTS, strongest_first, temperature_span_c
 from gyrocal.diagnosis.drive_heldout import explain_with_gain
-from gyrocal.diagnosis.drive_noise import slip_times, yaw_noise
+from gyrocal.diagnosis.drive_noise import ISOLATED, slip_times, yaw_noise
 from gyrocal.diagnosis.drive_series import DriveSeries, bins_of, drive_series
 from gyrocal.diagnosis.drive_told import (
     Told,
@@ -30,8 +30,8 @@ from gyrocal.records.robot import Robot
 
 Floats = NDArray[np.float64]
 
-#: Physics that gives the same columns, so that a heading difference cannot tell it from the name; 1 : 1.
-_TWINS = {"gyro_bias": ("earth_rate",)}
+#: The most that the Earth's turn adds to a gyro, mdeg/s: a larger bias is none of it.
+_EARTH_MDPS = 4.2
 #: Places of effects found by checks of their own: coordinate and region.
 _PLACES = {
     "wheel_eccentricity": ("wheel_angle", "once a turn of the wheel"),
@@ -44,8 +44,6 @@ _PLACES = {
 }
 #: Findings about the logging itself: they are named, but say nothing of an excess in the heading difference.
 _OF_THE_LOG = ("encoder_quantisation", "dropped_samples", "timestamp_jitter")
-
-
 #: A scale known no better than this (relative) counts as not testable.
 _BLUNT = 0.02
 _ONE = Estimate(1.0, float("nan"), "1", (float("nan"), float("nan")))
@@ -99,7 +97,7 @@ def diagnose_drive(
         surface=coefficients,
         improved=None,
         rows=None,
-        notes=(*nominal.notes, *remarks),
+        notes=(*nominal.notes, *remarks, *([told.note] if told.note else [])),
     )
     said = _sentences(diagnosis, answer)
     return DriveDiagnosis(replace(diagnosis, sentences=said), nominal, fit)
@@ -182,8 +180,9 @@ def _verdict(effects: Sequence[NamedEffect], places: Sequence[Located]) -> str:
 def _named(answer: _Answer, name: str) -> NamedEffect:
     effect, fit = EFFECTS[name], answer.fit
     parameters = fit.parameters[name]
-    alternatives = [Alternative(t, 1.0, EFFECTS[t].statement) for t in _TWINS.get(name, ())]
-    p_value = fit.p_values[name]
+    alternatives, p_value = [], fit.p_values[name]
+    if name == "gyro_bias" and min(map(abs, parameters["amplitude"].interval_95)) < _EARTH_MDPS:
+        alternatives.append(Alternative("earth_rate", 1.0, EFFECTS["earth_rate"].statement))
     if name == "skid_slip":
         p_value = max(p_value, answer.slip_p_value)
         # A slip that grows with the turn rate is not what a scale factor does.
@@ -243,20 +242,12 @@ def _not_testable(series: DriveSeries, fit: YawFit, told: Told) -> dict[str, str
 def _sentences(diagnosis: Diagnosis, answer: _Answer) -> tuple[str, ...]:
     """What there is to say, plainly, in order."""
     fit, series = answer.fit, answer.series
-    said = {
-        "consistent": "Encoders and gyro agree within their noise.",
-        "explained": "Encoders and gyro disagree, and the physics named below explains it.",
-        "partly_explained": "Encoders and gyro disagree; the physics named below explains a part of it.",
-        "unexplained": "Encoders and gyro disagree, and no effect of the catalogue explains it.",
-    }
-    lines = [said[diagnosis.verdict]]
-    if diagnosis.verdict == "explained" and all(e.effect in _OF_THE_LOG for e in diagnosis.effects):
-        lines = ["Encoders and gyro agree within their noise; what is named below lies in the log itself."]
+    lines = [_first_sentence(diagnosis, answer)]
     lines += [_effect_sentence(e) for e in diagnosis.effects]
     lines += _slip_sentences(fit)
     for place in diagnosis.located:
         where = place.coordinate.replace("_", " ")
-        if place.remains and "isolated" not in place.region:
+        if place.remains and not place.region.startswith(ISOLATED):
             lines.append(f"Structure remains in {where}: {place.region} (p = {place.p_value:.2g})")
         elif place.statistic == "variance":
             lines.append(
@@ -288,6 +279,29 @@ def _sentences(diagnosis: Diagnosis, answer: _Answer) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _first_sentence(diagnosis: Diagnosis, answer: _Answer) -> str:
+    """Whether encoders and gyro agree, and whether what is named explains it."""
+    said = {
+        "consistent": "Encoders and gyro agree within their noise.",
+        "explained": "Encoders and gyro disagree, and the physics named below explains it.",
+        "partly_explained": "Encoders and gyro disagree; the physics named below explains a part of it.",
+        "unexplained": "Encoders and gyro disagree, and no effect of the catalogue explains it.",
+    }[diagnosis.verdict]
+    if any(e.effect not in _OF_THE_LOG for e in diagnosis.effects):
+        return said
+    remains = [place for place in answer.fit.places if place.remains]
+    exceptions = []
+    if remains and all(place.region.startswith(ISOLATED) for place in remains):
+        exceptions.append("isolated slips")
+    elif remains:
+        return said
+    if answer.told.fit is not None and answer.told.fit.places:
+        exceptions.append("the path that they make departs from the truth's")
+    but = f", but for what follows: {', and '.join(exceptions)}" if exceptions else ""
+    of_log = "; what is named below lies in the log itself" if diagnosis.effects else ""
+    return f"Encoders and gyro agree within their noise{but}{of_log}."
+
+
 def _slip_sentences(fit: YawFit) -> list[str]:
     """Isolated slips, with the largest."""
     noise = fit.noise
@@ -295,10 +309,10 @@ def _slip_sentences(fit: YawFit) -> list[str]:
         return []
     times = slip_times(fit.bins, noise)
     largest = float(noise.slip_deg[np.argmax(np.abs(noise.slip_deg))])
-    listed = ", ".join(f"{t:.0f}" for t in times[:10]) + (" and later" if len(times) > 10 else "")
+    listed = ", ".join(f"{t:.0f}" for t in times[:10]) + " s" + (" and later" if len(times) > 10 else "")
     return [
-        f"{len(times)} isolated slip{'s' if len(times) > 1 else ''} of the wheels, at t = {listed} s: the encoders' heading jumps from the "
-        f"gyro's by up to {abs(largest):.2g} deg; these bins are left out of all fits"
+        f"Isolated slips of a wheel (or spikes of the gyro): {len(times)}, at t = {listed}; the encoders' heading jumps from "
+        f"the gyro's by up to {abs(largest):.2g} deg; these seconds are left out of all fits"
     ]
 
 

@@ -28,6 +28,7 @@ NEGLIGIBLE = 1e-3
 _OUT, _MOST = 100.0, 1e6
 #: Standard deviations apart at which two estimates of one bias contradict each other.
 _APART = 4.0
+_ASTRAY = "the truth's positions do not follow the path (mirrored, swapped, or of another drive?), so they were left aside"
 _SCALES = ("wheel_scale", "gyro_scale")
 _UNIT = {"wheel_scale": ("%", 100.0), "gyro_scale": ("ppm", 1e6)}
 
@@ -38,6 +39,7 @@ class Told:
 
     fit: TruthFit | None
     scales: Mapping[str, float]
+    note: str = ""
 
     def spread(self) -> float:
         """Standard deviation that the named scales leave in the ratio of encoders' and gyro's heading."""
@@ -54,6 +56,8 @@ def ask_truth(series: DriveSeries, fit: YawFit) -> Told:
     told = truth_fit(
         _steadied(series, fit), fit.model.delay_s, _walks(series, fit.noise, fit), LEVEL_OF_A_CHECK
     )
+    if told is not None and not told.follows:
+        return Told(None, {}, _ASTRAY)
     if told is None or told.places:
         return Told(told, {})
     named = {

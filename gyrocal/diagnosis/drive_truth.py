@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from gyrocal.diagnosis.drive_path import KNOTS, Complexes, Path, independent, short_variance
 from gyrocal.diagnosis.drive_reml import Fit, Source, fit
 from gyrocal.diagnosis.drive_series import DriveSeries
 from gyrocal.diagnosis.result import Located
 from gyrocal.units import DEG_TO_RAD
 
 Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
-#: Knots into which the truth is averaged, and the fewest that are looked at.
-_KNOTS, _FEWEST = 80, 12
+#: Fewest knots that are looked at.
+_FEWEST = 12
 _LEAST_ROWS, _LEAST_S = 30, 60.0
 #: Memories of what wanders in the truth's positions, s.
 _WANDER_S = (10.0, 60.0, 300.0)
@@ -33,9 +33,10 @@ _ROUNDS = 3
 _SPREAD = 2.0
 #: Bias that builds up over a drive, where nothing else is known, deg/s.
 _BIAS_DRIFT_DPS = 0.01
-#: A share of a column below which the nuisances hold all of it.
-_HIDDEN = 1e-4
 
+#: A truth that moves by less than this share of the path stands still; one whose wandering is a larger share of its
+#: own extent than this does not follow the path (a mirrored frame, another robot's log).
+_STILL, _ASTRAY = 0.05, 0.25
 #: What a row's time stamp and the steps between rows are worth: no scale is known better.
 _MODEL_STD = {"wheel_scale": 1e-4, "gyro_scale": 1e-4}
 #: Sizes of errors that are met with, to begin with, and parts of the drive over which the path is laid first.
@@ -78,6 +79,8 @@ class TruthFit:
         Structure that no parameter takes up and no noise of dead reckoning makes.
     headings : bool
         Whether the truth has headings.
+    follows : bool
+        Whether the truth follows the path at all; if not, nothing here means anything.
     """
 
     values: Mapping[str, float]
@@ -90,49 +93,7 @@ class TruthFit:
     levels: Mapping[str, float]
     places: tuple[Located, ...]
     headings: bool
-
-
-class _Path:
-    """Row-wise quantities of a reckoned path, and their means over the truth's knots."""
-
-    def __init__(self, series: DriveSeries, delay_s: float) -> None:
-        t = series.t_s
-        turned = np.interp(t - delay_s, t, series.gyro_deg)
-        self.t_s = t - t[0]
-        self.heading = DEG_TO_RAD * turned
-        self.ds = np.diff(series.distance_m, prepend=0.0)
-        self.way = np.diff(series.way_m, prepend=0.0)
-        self.dt = np.diff(t, prepend=t[0])
-        self.rate = np.divide(
-            np.diff(self.heading, prepend=self.heading[0]), self.dt, out=np.zeros_like(t), where=self.dt > 0
-        )
-        self.known = np.isfinite(series.truth_x_m) & np.isfinite(series.truth_y_m)
-        self.knot = _knots(t[self.known])
-        self.count = np.bincount(self.knot).astype(np.float64)
-        truth = series.truth_x_m + 1j * series.truth_y_m
-        self.truth = self.mean(truth)
-        self.at_s = self.mean(self.t_s)
-        self.has_heading = bool(np.all(np.isfinite(series.truth_heading_deg[self.known])))
-        self.truth_heading = DEG_TO_RAD * series.truth_heading_deg
-
-    def mean(self, rows: NDArray[np.generic]) -> NDArray:  # type: ignore[type-arg]
-        """Mean of a row-wise quantity over each knot's positions."""
-        seen = rows[self.known]
-        if np.iscomplexobj(seen):
-            return np.asarray(self.mean(rows.real) + 1j * self.mean(rows.imag))
-        return np.asarray(np.bincount(self.knot, seen) / self.count)
-
-    def reckon(self, heading: Floats, ds: Floats) -> tuple[Complexes, Complexes]:
-        """Steps of the path, and the path, row by row."""
-        middle = 0.5 * (heading + np.concatenate([heading[:1], heading[:-1]]))
-        steps = ds * np.exp(1j * middle)
-        return steps, np.cumsum(steps)
-
-
-def _knots(t_s: Floats) -> NDArray[np.int64]:
-    """Number of the knot of each position; knots are equally long, empty ones left out."""
-    width = (t_s[-1] - t_s[0]) / min(_KNOTS, t_s.size)
-    return np.asarray(np.unique(np.floor((t_s - t_s[0]) / width), return_inverse=True)[1], dtype=np.int64)
+    follows: bool = True
 
 
 def truth_fit(series: DriveSeries, delay_s: float, walks: Walks, level: float) -> TruthFit | None:
@@ -149,20 +110,23 @@ def truth_fit(series: DriveSeries, delay_s: float, walks: Walks, level: float) -
     t = series.t_s[known]
     if known.sum() < _LEAST_ROWS or t[-1] - t[0] < _LEAST_S:
         return None
-    path = _Path(series, delay_s)
+    path = Path(series, delay_s)
     if path.count.size < _FEWEST:
         return None
-    return _Smoother(path, walks, series).answer(level)
+    smoother = _Smoother(path, walks, series)
+    if smoother.stands_still():
+        return TruthFit({}, {}, {}, {}, 0.0, np.nan, np.nan, {}, (), path.has_heading, follows=False)
+    return smoother.answer(level)
 
 
 class _Smoother:
     """Gauss and Newton with the walks smoothed: linearise, estimate levels and parameters, lay the path anew."""
 
-    def __init__(self, path: _Path, walks: Walks, series: DriveSeries) -> None:
+    def __init__(self, path: Path, walks: Walks, series: DriveSeries) -> None:
         self.path, self.walks = path, walks
         self.backward = bool(np.any(path.ds < 0))
         # Walks are looked at in so many equal steps of rows' time.
-        edges = np.linspace(0.0, path.t_s[-1], min(2 * path.count.size, 2 * _KNOTS) + 1)
+        edges = np.linspace(0.0, path.t_s[-1], min(2 * path.count.size, 2 * KNOTS) + 1)
         self.cell = np.clip(np.searchsorted(edges, path.t_s, side="left") - 1, 0, edges.size - 2)
         self.cells = edges.size - 1
         self.width_s = float(edges[1] - edges[0])
@@ -177,6 +141,11 @@ class _Smoother:
         a, b = reckoned - reckoned.mean(), self.path.truth - self.path.truth.mean()
         found = complex(np.vdot(a, b))
         return found / abs(found) if abs(found) > 0 else 1.0 + 0.0j
+
+    def stands_still(self) -> bool:
+        """Whether the truth stays where it is while the wheels move."""
+        reckoned = self.path.mean(self.path.reckon(self.path.heading, self.path.ds)[1])
+        return bool(np.std(self.path.truth) < _STILL * np.std(reckoned))
 
     def _stack(self, positions: Complexes, headings: Floats, known_dps: float = 0.0) -> Floats:
         """Rows: positions, headings where there are any, and what is known of the gyro's bias beforehand."""
@@ -251,9 +220,7 @@ class _Smoother:
                 out[k * n : (k + 1) * n, k * n : (k + 1) * n] = block
             return out
 
-        guess = max(
-            _short_variance(residual[:n], p.count), _short_variance(residual[n : 2 * n], p.count), 1e-8
-        )
+        guess = max(short_variance(residual[:n], p.count), short_variance(residual[n : 2 * n], p.count), 1e-8)
         found = [
             Source("heading", white, self.walks.heading, _SPREAD),
             Source("bias", drift, (DEG_TO_RAD * _BIAS_DRIFT_DPS) ** 2 / length_s, _SPREAD),
@@ -268,7 +235,7 @@ class _Smoother:
             Source(f"wander {tau:g} s", placed(np.exp(-gap / tau), (0, 1)), 0.1 * wander) for tau in _WANDER_S
         ]
         if p.has_heading:
-            guess = max(_short_variance(residual[2 * n : 3 * n], p.count), 1e-12)
+            guess = max(short_variance(residual[2 * n : 3 * n], p.count), 1e-12)
             found.append(Source("headings white", placed(np.diag(1.0 / p.count), (2,)), guess))
             wander = float(np.var(residual[2 * n : 3 * n])) + 1e-12
             found.append(Source("headings wander", placed(np.exp(-gap / _WANDER_S[0]), (2,)), 0.1 * wander))
@@ -396,7 +363,7 @@ class _Smoother:
             steps, ds, heading = self._linear()
             at = self.path.mean(np.cumsum(steps))
             nuisances, interests = self._design(steps, ds, heading)
-            columns, names = _independent(nuisances, interests)
+            columns, names = independent(nuisances, interests)
             responses = self._walks(steps, heading, at)
             # What is taken out already, smoothed errors and parameters, comes back into what is to be explained.
             known = -self.values["gyro_bias"]
@@ -469,34 +436,10 @@ class _Smoother:
             shared = found.covariance[i, j] / np.sqrt(found.covariance[i, i] * found.covariance[j, j])
             correlation = float(shared)
         levels = {s.name: float(v) for s, v in zip(sources, found.levels, strict=True)}
+        wander_m = np.sqrt(2 * sum(v for n, v in levels.items() if n.startswith("wander")))
+        follows = bool(wander_m < _ASTRAY * np.std(self.path.truth))
         self.heading_error[:], self.distance_error[:] = 0.0, 0.0
         return TruthFit(
             {n: float(values[n]) for n in told}, spread, freedoms, p_values, correlation, nominal_m, self._miss(),
-            levels, tuple(places), self.path.has_heading,
+            levels, tuple(places), self.path.has_heading, follows,
         )  # fmt: skip
-
-
-def _short_variance(residual: Floats, count: Floats) -> float:
-    """Variance of a single position's noise from neighbouring knots."""
-    second = residual[2:] - 2 * residual[1:-1] + residual[:-2]
-    return float(np.median(second**2) / 0.455 / 6.0 * np.median(count))
-
-
-def _independent(
-    nuisances: Mapping[str, Floats], interests: Mapping[str, Floats]
-) -> tuple[Floats, list[str]]:
-    """Columns that add something to those before them, nuisances first."""
-    kept: list[str] = []
-    basis = np.zeros((next(iter(nuisances.values())).size, 0))
-    columns = {**nuisances, **interests}
-    for name, column in columns.items():
-        length = float(np.linalg.norm(column))
-        if length == 0:
-            continue
-        free = column - basis @ (basis.T @ column)
-        free = free - basis @ (basis.T @ free)
-        if float(np.linalg.norm(free)) < _HIDDEN * length:
-            continue
-        basis = np.column_stack([basis, free / np.linalg.norm(free)])
-        kept.append(name)
-    return np.column_stack([columns[name] for name in kept]), kept

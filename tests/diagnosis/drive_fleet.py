@@ -163,9 +163,8 @@ def _truth(
     at = np.arange(0, rows, max(1, round(plan.truth_every_s * plan.hz)))
     fine = (at + 1) * every - 1
     antenna = place[fine] + complex(*plan.lever_m) * np.exp(1j * theta[fine])
-    noise: NDArray[np.complex128] = (
-        np.asarray(rng.normal(size=at.size) + 1j * rng.normal(size=at.size)) * plan.truth_m
-    )
+    noise = np.zeros(at.size, dtype=np.complex128)
+    noise += plan.truth_m * (rng.normal(size=at.size) + 1j * rng.normal(size=at.size))
     if plan.truth_wander_m:
         keep = np.exp(-plan.truth_every_s / 25.0)
         pushes = (rng.normal(size=at.size) + 1j * rng.normal(size=at.size)) * np.sqrt(1 - keep**2)
