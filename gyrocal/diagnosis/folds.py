@@ -120,7 +120,7 @@ _COORDINATES: dict[str, Callable[[Rows, NamedEffect], Coordinate]] = {
     "shupe_gradient": _in_own_units("T - T_in, °C"),
     "thermal_hysteresis": _in_own_units("Play of the temperature, P[T] - T, °C"),
     "thermal_lag": lambda rows, effect: _plain(
-        "Error by the lag, as modelled, mdeg/s", rows.effect_dps[effect.effect] * _MDPS
+        "Error by the lag as modelled, mdeg/s", rows.effect_dps[effect.effect] * _MDPS
     ),
     "warm_up": lambda rows, effect: _plain("Time since power-on, min", rows.since_power_on_s / S_PER_MIN),
     "bias_drift": _over_time,

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.result import Diagnosis, Improvement, Located, NamedEffect, Rows
@@ -234,8 +235,9 @@ def _noise_rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ("angle random walk", noise.angle_random_walk_deg_per_rt_h, "deg/√h"),
         ("bias instability", noise.bias_instability_deg_per_h, "deg/h"),
         ("rate random walk", noise.rate_random_walk_deg_per_h_per_rt_h, "deg/h/√h"),
-        ("scatter of the table's rate from set to set", noise.rate_jitter_ppm, "ppm of rate"),
     ]
+    if diagnosis.rows is None or np.ptp(diagnosis.rows.rate_dps) > 0:
+        found.append(("scatter of the table's rate from set to set", noise.rate_jitter_ppm, "ppm of rate"))
     return [
         (name, f"{value:.3g} {unit}" if value > _LEAST_LEVEL else "none seen")
         for name, value, unit in found
@@ -270,12 +272,13 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 def _improvement_table(diagnosis: Diagnosis) -> Table:
     """Per effect beside all others; all of them together only where that says more."""
     measured = {e.effect: e.improvement for e in diagnosis.effects if e.improvement is not None}
+    bare = "nominal model" if diagnosis.counted_in else "surface"
     rows = []
     for name, i in measured.items():
         others = [other for other in measured if other != name]
-        rows.append((name, listed(["surface", *others]), *_improvement_cells(i)))
+        rows.append((name, listed([bare, *others]), *_improvement_cells(i)))
     if diagnosis.improvement is not None and len(measured) > 1:
-        rows.append(("all named physics", "surface", *_improvement_cells(diagnosis.improvement)))
+        rows.append(("all named physics", bare, *_improvement_cells(diagnosis.improvement)))
     columns = (
         "Added",
         "to",

@@ -88,13 +88,19 @@ def difference_over_time(found: DriveDiagnosis) -> Figure:
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.7)
     upper, lower = figure.subplots(2, 1, sharex=True)
     t_s, width_s = found.fit.bins.t_s, found.fit.bins.width_s
+    noise = found.fit.noise
     for name, rate, colour in _models(found):
-        rms = float(np.sqrt(np.mean(rate**2)))
+        rms = float(np.sqrt(np.mean(rate[noise.used] ** 2)))
         upper.plot(t_s, rate, ".", markersize=2, color=colour, label=f"{name}: {rms:.3g} deg/s rms")
         lower.plot(t_s, np.cumsum(rate) * width_s, color=colour)
+    if noise.slips.size:
+        slipped = _models(found)[-1][1][noise.slips]
+        upper.plot(
+            t_s[noise.slips], slipped, "x", markersize=4, color=style.INK, label="slip, left out of the fit"
+        )
     limit_around_zero(upper, _models(found)[0][1], 0.998)
     upper.set_ylabel("Difference, deg/s")
-    legend_above(upper, 3)
+    legend_above(upper)
     zero_line(lower)
     lower.set_ylabel("Summed up, deg")
     lower.set_xlabel("Time, s")
@@ -127,7 +133,7 @@ def difference_by_coordinate(found: DriveDiagnosis) -> Figure:
     for panel, (label, x) in zip(axes.ravel(), coordinates, strict=True):
         zero_line(panel)
         for k, (name, rate, colour) in enumerate(models):
-            means = _means(x, rate, bins.t_s)
+            means = _means(found, x, rate)
             if means is not None:
                 place, mean, half = means
                 apart = _APART * float(np.median(np.diff(place))) if place.size > 1 else 0.0
@@ -139,19 +145,19 @@ def difference_by_coordinate(found: DriveDiagnosis) -> Figure:
     return figure
 
 
-def _means(x: Floats, y: Floats, t_s: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Places, means and half widths of 95 % in equal bins of x; None where x does not change.
+def _means(found: DriveDiagnosis, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """Places, means and half widths of 95 % in equal bins of x, without slips; None where x does not change.
 
     The outer two take what lies beyond the middle 96 %, so that none is nearly empty.
     """
-    use = np.isfinite(x) & np.isfinite(y)
+    use = np.isfinite(x) & np.isfinite(y) & found.fit.noise.used
     low, high = np.quantile(x[use], [0.02, 0.98]) if use.any() else (0.0, 0.0)
     if low == high:
         return None
     edges = np.linspace(low, high, _BINS + 1)
     number = np.clip(np.searchsorted(edges, x[use], side="right") - 1, 0, edges.size - 2)
     number = np.unique(number, return_inverse=True)[1]
-    blocks = np.unique(t_s[use] // BLOCK_S, return_inverse=True)[1]
+    blocks = np.unique(found.fit.bins.t_s[use] // BLOCK_S, return_inverse=True)[1]
     one = np.ones(number.size)
     count = np.bincount(number)
     half = NORMAL_95 * clustered_error(y[use], one, one, number, blocks)
@@ -209,10 +215,10 @@ def effect_before_and_after(found: DriveDiagnosis, effect: NamedEffect) -> Figur
         (right, after, style.BLUE, "After"),
     ):
         zero_line(panel)
-        _draw_means(panel, _means(x, y, fit.bins.t_s), colour)
+        _draw_means(panel, _means(found, x, y), colour)
         panel.set_title(title)
         panel.set_xlabel(label)
-    curve = _means(x, law, fit.bins.t_s)
+    curve = _means(found, x, law)
     if curve is not None:
         left.plot(curve[0], curve[1], color=style.INK, linewidth=1.0, label=effect.effect)
         legend_above(left)
