@@ -6,9 +6,10 @@ zero, and its memory does not grow with the number of samples.
 
 Reference rate of a data set, the best that the recording has:
 
-1. the increment of the table angle over the segment, divided by its time. It integrates servo cogging and wow, and
-   an encoder error enters only at the two ends (30 arcsec over 20 s: below 1 mdeg/s), where the mean of sampled
-   rates would alias it (physics-report.md, B3 and B4);
+1. the slope of the table angle over the segment, where it is known better than the mean of the reported rates, or
+   where the two disagree by more than five of its standard errors (a report that echoes the command). It integrates
+   servo cogging and wow, where the mean of sampled rates aliases them (physics-report.md, B3 and B4). An angle whose
+   time stamps are coarse is known worse than a steady report, and one that is wrapped is no rate at all;
 2. the mean of the rates that the table reported;
 3. the commanded rate in the journal.
 
@@ -18,6 +19,7 @@ Which one was taken stands in `DataSets.reference`.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -42,6 +44,8 @@ CONSTANT_KINDS = ("rate", "static")
 
 #: The angle must cover this share of a segment's time to stand for its rate.
 _ANGLE_COVERAGE = 0.5
+#: A report that is further off the slope of the angle, in its standard errors, is not what the table did.
+_ECHO_SIGMAS = 5.0
 #: Angle and reported rate that differ by more (relative, deg/s) are not the same motion: a wrapped angle, mostly.
 _ANGLE_RELATIVE = 0.01
 _ANGLE_ABSOLUTE_DPS = 0.1
@@ -331,20 +335,23 @@ def reduce_segment(blocks: Iterable[Segment]) -> SegmentSums:
 
 def reference_rate(record: SegmentRecord, sums: SegmentSums) -> tuple[float, str, str]:
     """Reference rate (deg/s) of a segment, where it comes from, and a note when something is odd."""
-    table = sums.table_rate
-    angle = sums.angle_rate_dps()
-    if angle is not None and sums.angle_span_s >= _ANGLE_COVERAGE * sums.span_s:
-        tolerance = _ANGLE_ABSOLUTE_DPS + _ANGLE_RELATIVE * abs(table.mean)
-        if table.n == 0 or abs(angle - table.mean) <= tolerance:
-            return angle, "angle", ""
+    table, slope = sums.table_rate, sums.angle_slope_dps()
+    if slope is None or sums.angle_span_s < _ANGLE_COVERAGE * sums.span_s:
+        return (table.mean, "table", "") if table.n else (record.rate_dps, "command", "")
+    angle, error = record.rate_dps + slope[0], slope[1]
+    if table.n == 0:
+        return angle, "angle", ""
+    apart = abs(angle - table.mean)
+    if apart > _ANGLE_ABSOLUTE_DPS + _ANGLE_RELATIVE * abs(table.mean):
         note = (
             f"segment {record.id}: the table angle moves at {angle:.4g} deg/s and the table reports {table.mean:.4g}; "
             "the report is taken (is the angle wrapped?)"
         )
         return table.mean, "table", note
-    if table.n:
-        return table.mean, "table", ""
-    return record.rate_dps, "command", ""
+    report_error = table.std() / math.sqrt(table.n) if table.n > 1 else math.inf
+    if error < report_error or apart > _ECHO_SIGMAS * error:
+        return angle, "angle", ""
+    return table.mean, "table", ""
 
 
 def _saturated_sums(rows: Sequence[SegmentSums]) -> tuple[NDArray[np.bool_], int]:

@@ -13,6 +13,9 @@ from gyrocal.units import S_PER_MIN
 
 Floats = NDArray[np.float64]
 
+#: Fewer readings than this say nothing of their own scatter about a straight line; each is then as good as 36 arcsec.
+_LEAST_FOR_SCATTER, _READING_DEG = 4, 0.01
+
 
 @dataclass(frozen=True)
 class Sums:
@@ -83,7 +86,11 @@ def sums_of(values: Floats, *, integers: bool = False) -> Sums:
 
 @dataclass(frozen=True)
 class SegmentSums:
-    """What remains of a segment: sums of gyro, temperature and table, and its ends in time and angle."""
+    """What remains of a segment: sums of gyro, temperature and table, and its ends in time.
+
+    ``angle`` is what the table angle departs from the motion that was commanded: the angle itself grows to numbers
+    beside which the noise of its readings is lost in rounding.
+    """
 
     gyro: Sums = Sums()
     temp: Sums = Sums()
@@ -95,8 +102,9 @@ class SegmentSums:
     chamber_time_temp: float = 0.0
     t_first_s: float = math.nan
     t_last_s: float = math.nan
-    angle_first: tuple[float, float] | None = None
-    angle_last: tuple[float, float] | None = None
+    angle: Sums = Sums()
+    angle_time: Sums = Sums()
+    angle_time_angle: float = 0.0
     bad_status: int = 0
     non_finite: int = 0
 
@@ -108,15 +116,20 @@ class SegmentSums:
     @property
     def angle_span_s(self) -> float:
         """Time from the first angle to the last; 0 without two angles."""
-        if self.angle_first is None or self.angle_last is None:
-            return 0.0
-        return self.angle_last[0] - self.angle_first[0]
+        return self.angle_time.high - self.angle_time.low if self.angle.n > 1 else 0.0
 
-    def angle_rate_dps(self) -> float | None:
-        """Increment of the table angle over its time, deg/s; None without two angles."""
-        if self.angle_first is None or self.angle_last is None or not self.angle_span_s > 0:
+    def angle_slope_dps(self) -> tuple[float, float] | None:
+        """How much faster than commanded the angle moves, and the standard error of that; None without two angles.
+
+        The slope over time by least squares, with the scatter of the readings about it.
+        """
+        if self.angle.n < 2 or not self.angle_time.squares > 0:
             return None
-        return (self.angle_last[1] - self.angle_first[1]) / self.angle_span_s
+        slope = self.angle_time_angle / self.angle_time.squares
+        if self.angle.n < _LEAST_FOR_SCATTER:
+            return slope, _READING_DEG / math.sqrt(self.angle_time.squares)
+        left = max(self.angle.squares - slope * self.angle_time_angle, 0.0) / (self.angle.n - 2)
+        return slope, math.sqrt(left / self.angle_time.squares)
 
     def temp_rate_c_per_min(self) -> float:
         """Slope of the temperature over time by least squares; NaN where all samples share one time."""
@@ -141,8 +154,11 @@ class SegmentSums:
             + _cross(self.chamber_time, self.chamber, after.chamber_time, after.chamber),
             t_first_s=after.t_first_s if math.isnan(self.t_first_s) else self.t_first_s,
             t_last_s=self.t_last_s if math.isnan(after.t_last_s) else after.t_last_s,
-            angle_first=self.angle_first or after.angle_first,
-            angle_last=after.angle_last or self.angle_last,
+            angle=self.angle.merge(after.angle),
+            angle_time=self.angle_time.merge(after.angle_time),
+            angle_time_angle=self.angle_time_angle
+            + after.angle_time_angle
+            + _cross(self.angle_time, self.angle, after.angle_time, after.angle),
             bad_status=self.bad_status + after.bad_status,
             non_finite=self.non_finite + after.non_finite,
         )
@@ -154,6 +170,11 @@ def _cross(t_before: Sums, before: Sums, t_after: Sums, after: Sums) -> float:
     if not both:
         return 0.0
     return (t_after.mean - t_before.mean) * (after.mean - before.mean) * both / (before.n + after.n)
+
+
+def _product(t_s: Floats, time: Sums, values: Floats, sums: Sums) -> float:
+    """Centred sum of products of times and values."""
+    return float((t_s - time.mean) @ (values - sums.mean)) if values.size else 0.0
 
 
 #: A segment of no samples.
@@ -174,24 +195,24 @@ def sums_of_block(block: Segment) -> SegmentSums:
     aired = np.isfinite(block.chamber_temp_c)
     air, air_t_s = block.chamber_temp_c[aired], block.bench_t_s[aired]
     air_sums, air_time_sums = sums_of(air, integers=True), sums_of(air_t_s)
-    angle = np.flatnonzero(np.isfinite(block.table_angle_deg))
-
-    def reading(row: int) -> tuple[float, float]:
-        return float(block.bench_t_s[angle[row]]), float(block.table_angle_deg[angle[row]])
-
+    seen = np.isfinite(block.table_angle_deg)
+    angle_t_s = block.bench_t_s[seen]
+    angle = block.table_angle_deg[seen] - block.record.rate_dps * (angle_t_s - block.record.t_start_s)
+    angle_sums, angle_time_sums = sums_of(angle), sums_of(angle_t_s)
     return SegmentSums(
         gyro=sums_of(gyro_dps),
         temp=temp_sums,
         table_rate=sums_of(block.table_rate_dps[np.isfinite(block.table_rate_dps)]),
         time=time_sums,
-        time_temp=float((temp_t_s - time_sums.mean) @ (temp - temp_sums.mean)) if temp.size else 0.0,
+        time_temp=_product(temp_t_s, time_sums, temp, temp_sums),
         chamber=air_sums,
         chamber_time=air_time_sums,
-        chamber_time_temp=float((air_t_s - air_time_sums.mean) @ (air - air_sums.mean)) if air.size else 0.0,
+        chamber_time_temp=_product(air_t_s, air_time_sums, air, air_sums),
         t_first_s=float(t_s[0]) if t_s.size else math.nan,
         t_last_s=float(t_s[-1]) if t_s.size else math.nan,
-        angle_first=reading(0) if angle.size else None,
-        angle_last=reading(-1) if angle.size else None,
+        angle=angle_sums,
+        angle_time=angle_time_sums,
+        angle_time_angle=_product(angle_t_s, angle_time_sums, angle, angle_sums),
         bad_status=int(np.count_nonzero(~status_good)),
         non_finite=int(np.count_nonzero(~finite & status_good)),
     )

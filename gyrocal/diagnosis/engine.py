@@ -37,9 +37,8 @@ from gyrocal.diagnosis.scatter import (
 from gyrocal.diagnosis.search import Member
 from gyrocal.diagnosis.sentences import sentences
 from gyrocal.diagnosis.series import Series, series_of_run, set_means
-from gyrocal.diagnosis.table_series import FEWEST_ROWS, series_of_table
+from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.untimed import by_data_set, where
-from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.datasets import DataSetTable, read_data_sets
@@ -98,10 +97,6 @@ def diagnose(
     """
     options = options or Options()
     recorded = series_of(recording)
-    if len(recorded) < FEWEST_ROWS:
-        raise DataError(
-            f"{recorded.name}: has {len(recorded)} rows; a diagnosis needs at least {FEWEST_ROWS}. Record longer."
-        )
     notes = check_inputs(recorded, coefficients)
     whole = without_terms(recorded, coefficients)
     series, findings = set_aside(whole, recorded.gyro_dps)

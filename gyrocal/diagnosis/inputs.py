@@ -6,6 +6,7 @@ import numpy as np
 
 from gyrocal.calibration.scale import Odd, gross_row, odd_output, output_scale
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 
@@ -14,7 +15,7 @@ _SAID = 0.1
 
 
 def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str, ...]:
-    """Refuse an output of another unit or sign, a stuck gyro, a wild value, and another gyro's coefficients.
+    """Refuse too few rows, an output of another unit or sign, a stuck gyro, a wild value, and another gyro's coefficients.
 
     A surface that is fitted first would swallow all of them.
 
@@ -28,6 +29,10 @@ def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str
     DataError
         With what is wrong, where, and what to do.
     """
+    if len(series) < FEWEST_ROWS:
+        raise DataError(
+            f"{series.name}: has {len(series)} rows; a diagnosis needs at least {FEWEST_ROWS}. Record longer."
+        )
     row = gross_row(series.rate_dps, series.gyro_dps)
     if row is not None:
         raise DataError(

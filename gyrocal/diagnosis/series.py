@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.datasets import reduce_segment, reference_rate
 from gyrocal.diagnosis.history import TemperatureHistory, fill_gaps, temperature_history
 from gyrocal.errors import DataError
 from gyrocal.records.run import Run, Segment
@@ -166,6 +167,7 @@ def series_of_run(run: Run) -> Series:
     notes += sample_notes(
         sum(raw["outliers_t_s"].size for raw in raws), np.concatenate([raw["temp"] for raw in raws])
     )
+    notes += [raw["odd"] for raw in raws if raw["odd"]]
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
     return _assemble_run(run, columns, raws, notes)
 
@@ -189,7 +191,7 @@ def _segment_rows(
 ) -> tuple[dict[str, Floats], dict[str, Any]]:
     good = segment.good
     t, gyro = segment.t_s[good], segment.gyro_dps[good]
-    rate = _reference_rate(segment)
+    rate, _, odd = reference_rate(segment.record, reduce_segment([segment]))
     step_s = float(np.median(np.diff(t)))
     averaging_s = segment.record.averaging_s or step_s
     outlier = outliers(gyro)
@@ -222,6 +224,7 @@ def _segment_rows(
         "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),
     }
     raw = {
+        "odd": odd,
         "averaging_s": averaging_s,
         "gyro": gyro[keep],
         "temp": segment.gyro_temp_c[good],
@@ -235,30 +238,6 @@ def _segment_rows(
         "difference_std": float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
     }
     return rows, raw
-
-
-def _reference_rate(segment: Segment) -> float:
-    """Mean rate of a segment, deg/s: the reported rates' mean or the slope of the angle, whichever is known better.
-
-    A controller's report may carry the unrest of its servo, milli-degrees a second that the mean over a data set
-    does not have; a report without unrest beats an angle whose time stamps are coarse.
-    """
-    reported = segment.table_rate_dps[np.isfinite(segment.table_rate_dps)]
-    if not reported.size:
-        return segment.record.rate_dps
-    mean = float(np.mean(reported))
-    error = float(np.std(reported)) / np.sqrt(reported.size)
-    known = np.isfinite(segment.table_angle_deg)
-    if known.sum() < 4:
-        return mean
-    t = segment.bench_t_s[known] - segment.bench_t_s[known].mean()
-    angle = segment.table_angle_deg[known] - segment.table_angle_deg[known].mean()
-    spread = float(t @ t)
-    slope = float(t @ angle) / spread if spread > 0 else np.nan
-    slope_error = float(np.std(angle - slope * t)) / np.sqrt(spread) if spread > 0 else np.inf
-    # An angle that is wrapped or of another scale must not pass for a rate.
-    agrees = abs(slope - mean) <= 6.0 * error + 1e-4 * abs(mean)
-    return slope if agrees and slope_error < error else mean
 
 
 def outliers(gyro: Floats) -> Bools:

@@ -10,6 +10,8 @@ from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.units import S_PER_H
 
+#: An interval that ends this little behind a data set ends at it.
+_ON_THE_SET = 0.05
 _EACH = " a data set"
 
 
@@ -44,12 +46,13 @@ def by_time(parameters: Mapping[str, Estimate]) -> dict[str, float]:
 
 
 def where(statement: str, parameters: Mapping[str, Estimate]) -> str:
-    """The statement of an effect with the data sets that a jump lies between."""
+    """The statement of an effect with the data sets that a jump lies between, for what the interval allows."""
     at = parameters.get("at_data_set")
     if at is None:
         return statement
-    before = int(np.floor(at.value))
-    return f"{statement} Between data sets {before} and {before + 1}."
+    first = int(np.floor(at.interval_95[0]))
+    last = max(int(np.ceil(at.interval_95[1] - _ON_THE_SET)), first + 1)
+    return f"{statement} Between data sets {first} and {last}."
 
 
 def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:

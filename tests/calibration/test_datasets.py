@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
-from gyrocal.calibration.datasets import load_recording, reduce_segment
-from gyrocal.calibration.moments import Sums, sums_of
+from gyrocal.calibration.datasets import load_recording, reduce_segment, reference_rate
+from gyrocal.calibration.moments import SegmentSums, Sums, sums_of
 from gyrocal.errors import DataError, InputError
 from gyrocal.records.run import Segment, SegmentRecord
 from tests.calibration.runs import Part, bench_row, gyro_row, parts_of, write_run
@@ -78,7 +79,7 @@ def test_run_gives_the_means_that_were_put_in(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.temp_c, sets.temp_c, atol=1e-3)
     np.testing.assert_allclose(found.t_s, sets.t_s, atol=0.06)
     np.testing.assert_allclose(found.duration_s, 4.0, atol=1e-6)
-    assert set(found.reference) == {"angle"}
+    assert set(found.reference) == {"table"}
 
 
 def still(rate: float, *, angle: bool = True, report: bool = True, wrap: bool = False) -> Part:
@@ -109,6 +110,75 @@ def test_reference_rate(tmp_path: Path, part: Part, reference: str, rate: float)
     assert recording.sets.rate_dps[0] == pytest.approx(rate)
     wrapped = [note for note in recording.notes if "wrapped" in note]
     assert bool(wrapped) == (rate == 50.0)
+
+
+def sums_at(angle_deg: np.ndarray, reported_dps: np.ndarray, t_s: np.ndarray, block: int = 7) -> SegmentSums:
+    """Sums of a segment of 20 s at 50 deg/s from blocks, with bench readings at `t_s`."""
+    gyro_t = np.arange(0.0, 20.0, 0.1)
+    still = np.full(gyro_t.size, 50.0)
+    nothing, empty = np.full(t_s.size, np.nan), np.empty(0)
+    gyro = Segment(COMMAND, gyro_t, still, still, np.zeros(gyro_t.size), *[empty] * 5)
+    parts = [gyro]
+    for i in range(0, t_s.size, block):
+        cut = slice(i, i + block)
+        bench = (t_s[cut], reported_dps[cut], angle_deg[cut], nothing[cut], nothing[cut])
+        parts.append(Segment(COMMAND, empty, empty, empty, empty, *bench))
+    return reduce_segment(parts)
+
+
+COMMAND = SegmentRecord(1, "rate", 50.0, 20.0, 0.0, 20.0, 200, 0.1, "ok", "x.csv", "")
+BENCH_S = np.arange(20.0)
+TRUE_DPS = 50.0005
+
+
+def test_slope_of_the_angle_and_its_error_are_those_of_a_straight_line() -> None:
+    rng = np.random.default_rng(1)
+    angle = 3e5 + TRUE_DPS * BENCH_S + rng.normal(0, 1e-4, BENCH_S.size)
+    line = stats.linregress(BENCH_S, angle - 50.0 * BENCH_S)
+    for block in (3, 20):
+        found = sums_at(angle, np.full(20, np.nan), BENCH_S, block).angle_slope_dps()
+        assert found is not None
+        assert found == pytest.approx((line.slope, line.stderr), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("report", "angle", "reference"),
+    [
+        ("uneasy", "fine", "angle"),
+        ("steady", "fine", "angle"),  # a report that echoes the command, ten standard errors beside the angle
+        ("true", "fine", "table"),
+        ("uneasy", "none", "table"),
+        ("none", "fine", "angle"),
+        ("none", "none", "command"),
+        ("true", "coarse stamps", "table"),
+        ("uneasy", "wrapped", "table"),
+    ],
+)
+def test_the_rate_that_is_known_best_is_the_reference(report: str, angle: str, reference: str) -> None:
+    rng = np.random.default_rng(2)
+    reports = {
+        "uneasy": TRUE_DPS + rng.normal(0, 0.01, 20),
+        "steady": np.full(20, 50.0),
+        "true": np.full(20, TRUE_DPS),
+        "none": np.full(20, np.nan),
+    }
+    stamps = BENCH_S + rng.uniform(-0.01, 0.01, 20) * (angle == "coarse stamps")
+    angles = {
+        "wrapped": np.mod(TRUE_DPS * BENCH_S, 360.0),
+        "none": np.full(20, np.nan),
+    }.get(angle, TRUE_DPS * BENCH_S + rng.normal(0, 2e-4, 20))
+    rate, taken, note = reference_rate(COMMAND, sums_at(angles, reports[report], stamps))
+    assert taken == reference
+    assert bool(note) == (angle == "wrapped")
+    best = {"angle": TRUE_DPS, "command": 50.0}.get(reference, float(np.mean(reports[report])))
+    assert rate == pytest.approx(best, abs=1e-4)
+
+
+def test_two_readings_of_the_angle_catch_a_report_that_is_far_off_only() -> None:
+    ends = np.array([0.0, 20.0])
+    for true_dps, reference in ((50.5, "angle"), (50.001, "table")):
+        sums = sums_at(true_dps * ends, np.full(2, 50.0), ends)
+        assert reference_rate(COMMAND, sums)[1] == reference
 
 
 def test_bad_samples_are_counted_and_left_out(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_whole_degrees_are_said() -> None:
 
 def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None:
     timed, untimed = series_of_table(make_log()), series_of_table(make_log(timed=False))
-    jump = {"at_s": Estimate(33.5 * SURROGATE_PERIOD_S, 2.0, "s", (650.0, 690.0))}
+    jump = {"at_s": Estimate(33.5 * SURROGATE_PERIOD_S, 2.0, "s", (665.0, 675.0))}
     assert by_data_set(timed, jump) == jump
     stated = by_data_set(untimed, jump)
     assert stated["at_data_set"].value == 34.5

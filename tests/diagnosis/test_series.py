@@ -1,44 +1,39 @@
-"""Reference rate of a segment: the report or the angle, whichever is known better."""
+"""Rows of a run: the reference rate is the one that `fit` takes."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.series import _reference_rate
-from gyrocal.records.run import Segment, SegmentRecord
+from gyrocal.calibration.datasets import load_recording
+from gyrocal.diagnosis.series import series_of_run
+from gyrocal.records.run import read_run
+from tests.calibration.runs import Part, bench_row, gyro_row, write_run
 
-RATE_DPS = 50.0
-RECORD = SegmentRecord(1, "rate", RATE_DPS, 20.0, 0.0, 20.0, 200, 0.1, "ok", "data/x.csv", "")
-
-
-def segment(reported_dps: np.ndarray, angle_deg: np.ndarray, t_s: np.ndarray) -> Segment:
-    nothing = np.full(t_s.size, np.nan)
-    empty = np.empty(0)
-    return Segment(RECORD, empty, empty, empty, empty, t_s, reported_dps, angle_deg, nothing, nothing)
+T_S = np.arange(0.0, 20.0, 0.1)
 
 
-T_S = np.arange(20.0)
-
-
-def test_an_uneasy_report_gives_way_to_the_angle() -> None:
+def part(rate_dps: float, true_dps: float, unrest_dps: float = 0.0, wrap: bool = False) -> Part:
+    """Twenty seconds at a command, with a report and an angle each second."""
     rng = np.random.default_rng(1)
-    uneasy = RATE_DPS + rng.normal(0, 0.01, T_S.size)
-    angle = (RATE_DPS + 0.0005) * T_S + rng.normal(0, 1e-4, T_S.size)
-    assert _reference_rate(segment(uneasy, angle, T_S)) == pytest.approx(RATE_DPS + 0.0005, abs=5e-5)
+    rows = []
+    for i, t in enumerate(T_S):
+        if i % 10 == 0:
+            angle = true_dps * t + rng.normal(0, 1e-4)
+            angle = angle % 360.0 if wrap else angle
+            rows.append(bench_row(t, f"{rate_dps + unrest_dps * rng.standard_normal():.6f}", f"{angle:.6f}"))
+        rows.append(gyro_row(t, true_dps + 1e-3 * rng.standard_normal()))
+    return Part(rows, rate_dps=rate_dps)
 
 
-def test_a_steady_report_beats_coarse_time_stamps() -> None:
-    steady = np.full(T_S.size, RATE_DPS)
-    stamps = T_S + np.random.default_rng(2).uniform(-0.01, 0.01, T_S.size)
-    assert _reference_rate(segment(steady, RATE_DPS * T_S, stamps)) == RATE_DPS
-
-
-def test_a_wrapped_angle_is_no_rate() -> None:
-    uneasy = RATE_DPS + np.random.default_rng(3).normal(0, 0.01, T_S.size)
-    assert _reference_rate(segment(uneasy, (RATE_DPS * T_S) % 360.0, T_S)) == pytest.approx(np.mean(uneasy))
-
-
-def test_without_a_report_the_command_stands() -> None:
-    nothing = np.full(T_S.size, np.nan)
-    assert _reference_rate(segment(nothing, nothing, T_S)) == RATE_DPS
+def test_diagnose_and_fit_take_the_same_reference(tmp_path: Path) -> None:
+    parts = [part(50.0, 50.0005, 0.01), part(-20.0, -20.01), part(80.0, 80.0, 0.01, wrap=True)]
+    path = write_run(tmp_path / "run", parts)
+    series, sets = series_of_run(read_run(path)), load_recording(path).sets
+    rates = [series.rate_dps[series.set_index == n][0] for n in np.unique(series.set_index)]
+    assert rates == pytest.approx(sets.rate_dps, abs=1e-12)
+    assert rates[:2] == pytest.approx([50.0005, -20.01], abs=1e-4)
+    assert list(sets.reference) == ["angle", "angle", "table"]
+    assert sum("is the angle wrapped?" in note for note in series.notes) == 1
