@@ -93,6 +93,17 @@ def test_every_option_stands_in_the_readme_with_its_default() -> None:
     assert told == {(kind, f.name, in_toml(f.default)) for kind, cls in classes.items() for f in fields(cls)}
 
 
+def test_usual_line_speeds_stand_in_the_readme() -> None:
+    text = (ROOM.parents[1] / "bench_profiles" / "README.md").read_text(encoding="utf-8").replace("\n", " ")
+    (told,) = re.findall(r"usual line speeds, where `baud` is not given: (.*?)\.", text)
+    speeds = {
+        kind: int(speed)
+        for kinds, speed in re.findall(r"([a-z][a-z0-9 -]*[a-z0-9]) (\d+)[,;]?", told)
+        for kind in kinds.split(" and ")
+    }
+    assert speeds == {kind: cls.baud for kind, cls in KINDS.items()}
+
+
 def in_toml(default: Any) -> str:
     """A default as the README shows it; numbers, texts and lists read alike in JSON."""
     if default is MISSING or default is None:
