@@ -147,6 +147,9 @@ class _Fit:
                 white[:, :2] - white[:, 2:] @ np.linalg.lstsq(white[:, 2:], white[:, :2], rcond=1e-9)[0]
             ).T
         norm2 = float(own @ own)
+        if norm2 == 0.0:
+            # A shape that no row shows: a knee above all rates.
+            return float(y @ y), 0.0, float("inf")
         amplitude = float(own @ y) / norm2
         return float(y @ y) - amplitude**2 * norm2, amplitude, 1.0 / float(np.sqrt(norm2))
 

@@ -98,6 +98,9 @@ def amplitude_interval(
     """
     low, high = max(around[0] / _WIDER, limits[0]), min(around[1] * _WIDER, limits[1])
     loss, amplitude, std = np.array([at(float(x)) for x in np.geomspace(low, high, _SHAPES)]).T
+    # Only shapes that fit about as well as the best can be inside.
+    likely = np.isfinite(std) & (loss - loss.min() < _RISE_95)
+    loss, amplitude, std = loss[likely], amplitude[likely], std[likely]
     a = np.linspace(float((amplitude - 3.0 * std).min()), float((amplitude + 3.0 * std).max()), 2001)
     profile = np.min(loss[:, None] + ((a - amplitude[:, None]) / std[:, None]) ** 2, axis=0)
     inside = a[profile - profile.min() < _RISE_95]
