@@ -22,7 +22,7 @@ from gyrocal.diagnosis.drive_effects import (
     strongest_first,
 )
 from gyrocal.diagnosis.drive_noise import YawNoise, slips_place
-from gyrocal.diagnosis.drive_rests import Rest, rests, rests_speak_against
+from gyrocal.diagnosis.drive_rests import Rest, evidence_of_rests, rests, rests_speak_against
 from gyrocal.diagnosis.drive_series import MAX_DELAY_S, Bins, DriveSeries, bins_of
 from gyrocal.diagnosis.gram import benjamini_hochberg, holm
 from gyrocal.diagnosis.result import Estimate, Located
@@ -39,6 +39,7 @@ DRAWS = 3999
 _MAX_EFFECTS = 6
 #: A law is not named where one that failed its test, or that the rests refute, fits better by this, nats (20 to 1).
 _CLEAR_NATS = 3.0
+_OF_THE_BIAS = frozenset({"gyro_bias", "bias_temperature"})
 
 
 @dataclass(frozen=True)
@@ -148,19 +149,23 @@ def search(asked: Question, seed: int) -> tuple[Model, dict[str, float], dict[st
         ]
         if not accepted:
             break
-        best = max(accepted, key=lambda e: tests[e].gain_nats)
-        if max(t.gain_nats for t in tests.values()) > tests[best].gain_nats + _CLEAR_NATS:
+        gains = {e: t.gain_nats for e, t in tests.items()}
+        wider = {e: _with(series, model, families[e][tests[e].best], asked.noise) for e in accepted}
+        now = _bias_law(asked, model)
+        for effect in _OF_THE_BIAS & set(accepted):
+            gains[effect] += evidence_of_rests(asked.rests, now, _bias_law(asked, wider[effect]))
+        best = max(accepted, key=lambda e: gains[e])
+        if max(gains.values()) > gains[best] + _CLEAR_NATS:
             break
-        wider = _with(series, model, families[best][tests[best].best], asked.noise)
-        if rests_speak_against(asked.rests, _bias_law(asked, model), _bias_law(asked, wider)):
+        if rests_speak_against(asked.rests, now, _bias_law(asked, wider[best])):
             vetoed.add(best)
             continue
-        model = wider
+        model = wider[best]
         p_values[best] = tests[best].p_value
         rivals[best] = {
-            e: float(np.exp(min(tests[best].gain_nats - t.gain_nats, 50.0)))
-            for e, t in tests.items()
-            if e != best and tests[best].gain_nats - t.gain_nats < _CLEAR_NATS
+            e: float(np.exp(min(gains[best] - gain, 50.0)))
+            for e, gain in gains.items()
+            if e != best and gains[best] - gain < _CLEAR_NATS
         }
     return _pruned(asked, model, p_values, rivals, seed)
 
@@ -168,7 +173,7 @@ def search(asked: Question, seed: int) -> tuple[Model, dict[str, float], dict[st
 def _bias_law(asked: Question, model: Model) -> tuple[float, float]:
     """What a model says of the gyro at rest: bias, deg/s, and its slope over temperature, deg/s per degC."""
     members = [m.effect for m in model.members]
-    if not {"gyro_bias", "bias_temperature"} & set(members):
+    if not _OF_THE_BIAS & set(members):
         return 0.0, 0.0
     values = dict(zip(members, _fitted(asked, model)[0], strict=False))
     return float(values.get("gyro_bias", 0.0)), float(values.get("bias_temperature", 0.0))
@@ -264,7 +269,7 @@ def explain(asked: Question, seed: int) -> YawFit:
         parameters["gyro_delay"] = {"amplitude": _estimate(-model.delay_s, std, t95, 1.0, "s")}
         laws["gyro_delay"] = bins.gyro_deg - nominal.gyro_deg
     before, after = nominal.encoder_deg - nominal.gyro_deg, y - taken
-    places = _places(asked, model, seed)
+    places = _places(asked, model, after, seed)
     return YawFit(
         bins, model, parameters, p_values, rivals, before, after, laws, places, regression.phi, asked.noise
     )
@@ -275,8 +280,8 @@ def _estimate(value: float, std: float, t95: float, scale: float, unit: str) -> 
     return Estimate(value, std, unit, (value - t95 * std, value + t95 * std))
 
 
-def _places(asked: Question, model: Model, seed: int) -> tuple[Located, ...]:
-    """Coordinates on which the nominal model leaves structure, and those on which the named one still does."""
+def _places(asked: Question, model: Model, left: Floats, seed: int) -> tuple[Located, ...]:
+    """Coordinates on which the nominal model leaves structure, and those on which the named one, that leaves `left`, does."""
     series = asked.series
     bins, nominal = _regression(asked, Model())
     before = coordinates(series, bins, 0.0)
@@ -295,7 +300,7 @@ def _places(asked: Question, model: Model, seed: int) -> tuple[Located, ...]:
             found.append(Located(coordinate.name, "mean", where, p_value, part, bool(remains[i])))
     slips = slips_place(bins, asked.noise)
     found += [] if slips is None else [slips]
-    return strongest_first([*found, *_scatter(named, after, asked.noise, seed)])
+    return strongest_first([*found, *_scatter(left, named.blocks.size, after, asked.noise, seed)])
 
 
 def _test_each(
@@ -319,19 +324,16 @@ def _curve(regression: robust.Regression, place: Coordinate, *, whitened: bool =
 
 
 def _scatter(
-    regression: robust.Regression, places: Sequence[Coordinate], noise: YawNoise, seed: int
+    left: Floats, blocks: int, places: Sequence[Coordinate], noise: YawNoise, seed: int
 ) -> list[Located]:
     """Coordinates on which the size of what is left changes beyond the noise's growth with way and turn."""
-    order = regression.phi.size
-    squares = (regression.residual / noise.std_deg[order:]) ** 2
-    squares[~noise.used[order:]] = np.median(squares)
+    squares = (left / noise.std_deg) ** 2
+    squares[~noise.used] = np.median(squares)
     log_size = np.log(squares + 1e-3 * squares.mean())
-    flat = robust.regress(
-        log_size, np.ones((log_size.size, 1)), np.zeros(0), max(1, log_size.size // regression.blocks.size)
-    )
+    flat = robust.regress(log_size, np.ones((log_size.size, 1)), np.zeros(0), max(1, log_size.size // blocks))
     signs = _signs(flat, seed)
     tested = [p for p in places if p.name in ("turn_rate", "speed", "time")]
-    sizes = [replace(p, values=np.abs(p.values[order:]), columns=_size_curve(p, order)) for p in tested]
+    sizes = [replace(p, values=np.abs(p.values), columns=_size_curve(p)) for p in tested]
     p_values = [robust.score_test(flat, [p.columns], signs).p_value for p in sizes]
     found = []
     for place, p_value, excess in zip(
@@ -345,8 +347,8 @@ def _scatter(
     return found
 
 
-def _size_curve(place: Coordinate, order: int) -> Floats:
+def _size_curve(place: Coordinate) -> Floats:
     """Slopes over the size of a coordinate, shape (rows, 2); a scatter has no sign."""
-    x = np.abs(place.values[order:])
+    x = np.abs(place.values)
     x = (x - x.mean()) / (x.std() or 1.0)
     return np.stack([x, x**2], axis=1)

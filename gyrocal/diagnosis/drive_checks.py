@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import optimize, stats
 
 from gyrocal.diagnosis import robust
 from gyrocal.diagnosis.drive import YawFit
-from gyrocal.diagnosis.drive_series import GAP_STEPS, DriveSeries, bins_of
+from gyrocal.diagnosis.drive_series import GAP_STEPS, Bins, DriveSeries, bins_of
 from gyrocal.diagnosis.result import Alternative, Estimate
 from gyrocal.records.drive import DriveBlock
 from gyrocal.units import RAD_TO_DEG
@@ -26,6 +26,9 @@ _WINDOW_S = 5.0
 _FINE_S = 0.1
 _RADII_M = (0.02, 0.6)
 _PEAKS = 6
+_BLOCK_S = 10.0
+#: Median absolute deviations beyond which a fine bin is cut down.
+_FAR = 12.0
 _FINE_ROWS = 60_000
 #: Evidence by which a wheel has to beat a swing of fixed frequency, nats (20 to 1).
 _CLEAR_NATS = 3.0
@@ -165,15 +168,21 @@ def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: fl
     The spectrum over the travelled distance proposes, the robust score test decides; its p-value is multiplied by
     the number of independent lines that were looked at.
     """
-    width_s = max(_FINE_S, 2.0 * series.usual_dt_s, series.duration_s / _FINE_ROWS)
+    width_s = max(_FINE_S, series.usual_dt_s, series.duration_s / _FINE_ROWS)
     bins = bins_of(series, delay_s, width_s)
     y = bins.encoder_deg - ratio * bins.gyro_deg
-    moving = np.abs(bins.speed_mps[np.abs(bins.speed_mps) > 0.05])
+    moves = np.abs(bins.speed_mps) > 0.05
+    moving = np.abs(bins.speed_mps[moves])
     if moving.size < 100:
         return None
+    # Isolated slips are no swing: they are cut down to the size of the rest.
+    middle = float(np.median(y[moves]))
+    y = middle + np.clip(
+        y - middle, *(_FAR * float(np.median(np.abs(y[moves] - middle))) * np.array([-1, 1]))
+    )
     # A turn of the wheel takes at least four bins, else it is not seen.
     smallest_m = max(_RADII_M[0], 4.0 * width_s * float(np.median(moving)) / (2 * np.pi))
-    rows = round(10.0 / width_s)
+    rows = round(_BLOCK_S / width_s)
     regression = robust.regress(y, bins.distance_m[:, None], robust.autoregression(y, 20), rows)
     lines = {
         side: _spectral_lines(series, bins.t_s[20:], regression.residual, side, smallest_m)
@@ -192,19 +201,29 @@ def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: fl
     hertz = float(np.median(moving)) / (2 * np.pi * cases[best][1]) * np.linspace(0.8, 1.2, 401)
     if max(robust.line_test(regression, _swing(bins.t_s, width_s, f))[0] for f in hertz) > gain - _CLEAR_NATS:
         return None
-    side, radius = cases[best]
-    values, covariance, dof = robust.fit(y, columns[best], regression.phi, rows)
+    return _wheel_found(series, bins, y, *cases[best], p_value)
+
+
+def _wheel_found(
+    series: DriveSeries, bins: Bins, y: Floats, side: float, radius: float, p_value: float
+) -> Found:
+    """Size and radius of a wheel out of true, from the heading difference `y`, deg a bin."""
+    scale = RAD_TO_DEG / series.robot.wheel_separation_m
+    radius, column = _tuned(series, bins, y / scale, side, radius)
+    # The memory of the noise without the line: with it, whitening would take a part of the line away.
+    plain = y - scale * column @ np.linalg.lstsq(scale * column, y, rcond=None)[0]
+    rows = round(_BLOCK_S / bins.width_s)
+    values, covariance, dof = robust.fit(y, scale * column, robust.autoregression(plain), rows)
     size = float(np.hypot(*values))
     gradient = values / size
     std = float(np.sqrt(gradient @ covariance @ gradient))
     t95 = float(stats.t.ppf(0.975, dof))
-    step = radius**2 * np.pi / float(np.ptp(series.distance_m))
+    step = radius**2 * np.pi / float(np.ptp(series.right_m if side > 0 else series.left_m))
+    low, high = 100 * (size - t95 * std), 100 * (size + t95 * std)
     return Found(
         "wheel_eccentricity",
         {
-            "amplitude": Estimate(
-                100 * size, 100 * std, "%", (100 * (size - t95 * std), 100 * (size + t95 * std))
-            ),
+            "amplitude": Estimate(100 * size, 100 * std, "%", (low, high)),
             "wheel_radius_m": Estimate(radius, step / 2, "m", (radius - step, radius + step)),
             "side": Estimate(side, float("nan"), "1", _NONE),
         },
@@ -214,17 +233,34 @@ def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: fl
     )
 
 
+def _tuned(
+    series: DriveSeries, bins: Bins, y_m: Floats, side: float, radius_m: float
+) -> tuple[float, Floats]:
+    """The radius, between two lines of the spectrum, whose line fits best, and its columns."""
+    reach = np.pi * radius_m**2 / (2.0 * float(np.ptp(series.right_m if side > 0 else series.left_m)))
+
+    def left(radius: float) -> float:
+        column = _wheel_line(series, bins.t_s, bins.width_s, side, radius)
+        residual = y_m - column @ np.linalg.lstsq(column, y_m, rcond=None)[0]
+        return float(residual @ residual)
+
+    bounds = (radius_m - reach, radius_m + reach)
+    found = optimize.minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-3 * reach})
+    return float(found.x), _wheel_line(series, bins.t_s, bins.width_s, side, float(found.x))
+
+
 def _spectral_lines(
     series: DriveSeries, t_s: Floats, residual: Floats, side: float, smallest_m: float
 ) -> tuple[Floats, int]:
     """Radii of the strongest lines of a residual over one side's distance, and how many lines were looked at."""
     wheel = series.right_m if side > 0 else series.left_m
     travelled = np.interp(t_s, series.t_s, wheel)
-    travelled = np.maximum.accumulate(travelled)
-    length = float(travelled[-1] - travelled[0])
+    length = float(np.ptp(travelled))
     step_m = min(0.5 * smallest_m, length / travelled.size)
-    grid = np.arange(travelled[0], travelled[-1], step_m)
-    even = np.interp(grid, travelled, residual)
+    # Summed where the wheel stood, so that a robot may go back and forth; backwards a line turns its sign.
+    forward = np.sign(np.gradient(travelled))
+    place = np.floor((travelled - travelled.min()) / step_m).astype(np.int64)
+    even = np.bincount(place, residual * forward)
     # Padded, so that a line between two frequencies is not lost.
     power = np.abs(np.fft.rfft(even, 4 * even.size)) ** 2
     per_m = np.fft.rfftfreq(4 * even.size, step_m)

@@ -59,15 +59,22 @@ def rests(series: DriveSeries) -> tuple[Rest, ...]:
     return tuple(found)
 
 
-def rests_speak_against(
+def evidence_of_rests(
     seen: tuple[Rest, ...], before: tuple[float, float], after: tuple[float, float]
-) -> bool:
-    """Whether a new law (bias, deg/s, and its slope, deg/s per degC) meets the rests clearly worse than the old one."""
+) -> float:
+    """Log-likelihood that a new law (bias, deg/s, and its slope, deg/s per degC) gains at the rests, nats."""
 
     def squares(law: tuple[float, float]) -> float:
         return float(sum(((r.rate_dps - law[0] - law[1] * r.warmer_c) / r.std_dps) ** 2 for r in seen))
 
-    return bool(seen) and squares(after) - squares(before) > float(stats.chi2.isf(_LEVEL, 1))
+    return 0.5 * (squares(before) - squares(after))
+
+
+def rests_speak_against(
+    seen: tuple[Rest, ...], before: tuple[float, float], after: tuple[float, float]
+) -> bool:
+    """Whether a new law meets the rests clearly worse than the old one."""
+    return evidence_of_rests(seen, before, after) < -0.5 * float(stats.chi2.isf(_LEVEL, 1))
 
 
 def white_rate_dps_rt_s(series: DriveSeries) -> float:

@@ -30,6 +30,7 @@ _OUT, _MOST = 100.0, 1e6
 _APART = 4.0
 _ASTRAY = "the truth's positions do not follow the path (mirrored, swapped, or of another drive?), so they were left aside"
 _SCALES = ("wheel_scale", "gyro_scale")
+_BIASES = ("gyro_bias", "bias_temperature")
 _UNIT = {"wheel_scale": ("%", 100.0), "gyro_scale": ("ppm", 1e6)}
 
 
@@ -69,14 +70,15 @@ def ask_truth(series: DriveSeries, fit: YawFit) -> Told:
 
 
 def _steadied(series: DriveSeries, fit: YawFit) -> DriveSeries:
-    """The gyro without the drift by temperature that was named; a constant bias is fitted to the path itself."""
-    amplitude = fit.parameters.get("bias_temperature", {}).get("amplitude")
+    """The gyro without the bias and the drift by temperature that were named; what is left of a bias the path tells."""
+    slopes = {n: 1e-3 * fit.parameters[n]["amplitude"].value for n in _BIASES if n in fit.parameters}
+    drift = np.full(series.t_s.size, slopes.get("gyro_bias", 0.0))
     known = np.isfinite(series.temp_c)
-    if amplitude is None or not known.any():
-        return series
-    temp = np.interp(series.t_s, series.t_s[known], series.temp_c[known])
-    drift = np.cumsum((temp - temp[0]) * np.diff(series.t_s, prepend=series.t_s[0]))
-    return replace(series, gyro_deg=series.gyro_deg - 1e-3 * amplitude.value * drift)
+    if "bias_temperature" in slopes and known.any():
+        temp = np.interp(series.t_s, series.t_s[known], series.temp_c[known])
+        drift = drift + slopes["bias_temperature"] * (temp - temp[0])
+    turned = np.cumsum(drift * np.diff(series.t_s, prepend=series.t_s[0]))
+    return replace(series, gyro_deg=series.gyro_deg - turned)
 
 
 def _walks(series: DriveSeries, noise: YawNoise, fit: YawFit) -> Walks:
@@ -114,7 +116,8 @@ def contradicted(told: Told, fit: YawFit) -> frozenset[str]:
     named = fit.parameters.get("gyro_bias", {}).get("amplitude")
     if named is None or told.fit is None or "gyro_bias" not in told.fit.values:
         return frozenset()
-    apart = abs(1e-3 * named.value - told.fit.values["gyro_bias"])
+    # The path was laid with the named bias taken out.
+    apart = abs(told.fit.values["gyro_bias"])
     limit = _APART * float(np.hypot(1e-3 * named.std, told.fit.stds["gyro_bias"]))
     return frozenset({"gyro_bias"}) if apart > limit else frozenset()
 

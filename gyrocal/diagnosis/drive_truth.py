@@ -37,6 +37,8 @@ _BIAS_DRIFT_DPS = 0.01
 #: A truth that moves by less than this share of the path stands still; one whose wandering is a larger share of its
 #: own extent than this does not follow the path (a mirrored frame, another robot's log).
 _STILL, _ASTRAY = 0.05, 0.25
+#: Scales this far off are believed only if the path then meets the truth.
+_ODD = 0.2
 #: What a row's time stamp and the steps between rows are worth: no scale is known better.
 _MODEL_STD = {"wheel_scale": 1e-4, "gyro_scale": 1e-4}
 #: Sizes of errors that are met with, to begin with, and parts of the drive over which the path is laid first.
@@ -436,10 +438,12 @@ class _Smoother:
             shared = found.covariance[i, j] / np.sqrt(found.covariance[i, i] * found.covariance[j, j])
             correlation = float(shared)
         levels = {s.name: float(v) for s, v in zip(sources, found.levels, strict=True)}
-        wander_m = np.sqrt(2 * sum(v for n, v in levels.items() if n.startswith("wander")))
-        follows = bool(wander_m < _ASTRAY * np.std(self.path.truth))
         self.heading_error[:], self.distance_error[:] = 0.0, 0.0
+        miss_m, extent_m = self._miss(), float(np.std(self.path.truth))
+        wander_m = np.sqrt(2 * sum(v for n, v in levels.items() if n.startswith("wander")))
+        odd = max(abs(values.get(n, 0.0)) for n in _MODEL_STD) > _ODD
+        follows = wander_m < _ASTRAY * extent_m and not (odd and miss_m > 0.1 * extent_m)
         return TruthFit(
-            {n: float(values[n]) for n in told}, spread, freedoms, p_values, correlation, nominal_m, self._miss(),
-            levels, tuple(places), self.path.has_heading, follows,
+            {n: float(values[n]) for n in told}, spread, freedoms, p_values, correlation, nominal_m, miss_m,
+            levels, tuple(places), self.path.has_heading, bool(follows),
         )  # fmt: skip
