@@ -11,6 +11,8 @@ from gyrocal.physics.catalogue import CATALOGUE
 LEAST_P = 1e-12
 #: More decimals than this are read as a power of ten.
 _MOST_DECIMALS = 6
+#: A stretch that begins within this share of its length from zero begins at zero.
+_NEARLY = 0.05
 #: Generic curves of the search, as a reader would call what they follow; empty where the place says it all.
 _CURVES = {
     "bias": "",
@@ -85,6 +87,8 @@ def p_equals(p: float) -> str:
 def span_text(low: float, high: float) -> str:
     """A stretch of a coordinate, its ends to two digits of its length; a beginning that is nearly zero is 0."""
     places = decimals(high - low)
+    if 0.0 < low < _NEARLY * (high - low):
+        low = 0.0
     ends = (fixed(end, places) for end in (low, high))
     return " to ".join("0" if float(end) == 0 else end for end in ends)
 

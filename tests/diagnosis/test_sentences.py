@@ -231,5 +231,6 @@ def test_p_values_and_names_as_people_read_them() -> None:
 
 def test_regions_are_rounded_to_their_length() -> None:
     assert span_text(0.0009722, 2.001) == "0 to 2.0"
+    assert span_text(0.001475, 0.0506) == "0 to 0.051"
     assert span_text(48.213, 48.982) == "48.21 to 48.98"
     assert span_text(347.0, 375.9) == "347 to 376"
