@@ -12,6 +12,8 @@ from gyrocal.fusion.coefficients import Coefficients
 
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1
+#: No gyro works where it is hotter.
+_HOTTEST_C = 200.0
 
 
 def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str, ...]:
@@ -45,13 +47,19 @@ def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str
     if coefficients is not None:
         _check_coefficients(series, coefficients, odd)
         return ()
+    notes: tuple[str, ...] = ()
+    if float(np.max(series.temp_c)) > _HOTTEST_C:
+        notes = (
+            f"temperatures run from {np.min(series.temp_c):.4g} to {np.max(series.temp_c):.4g} degC: check their unit "
+            "(kelvin?)",
+        )
     off = output_scale(series.rate_dps, series.gyro_dps) - 1.0
     if abs(off) > _SAID:
-        return (
+        notes += (
             f"the output is {1.0 + off:.3g} times the rate: far more than a gyro's scale error, and the fitted surface takes "
             "it up; check scale and units",
         )
-    return ()
+    return notes
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

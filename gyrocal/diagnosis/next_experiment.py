@@ -75,6 +75,7 @@ _BY_HAND = {
     ): "tilt the table by another, known angle: gravity and earth rate grow with it by different known amounts",
     frozenset(("magnetic", "g_sensitivity")): "tilt the table by another, known angle: only gravity follows",
 }
+_RATES_UNKNOWN = "; the table stands, as this record does not say what rates the gyro bears"
 _OFF_BEFORE = "leave the gyro off for an hour before, and start the run with its power-on"
 _SUPPLY_BY_HAND = "step the supply voltage by a few tenths of a volt between data sets, in random order"
 
@@ -232,7 +233,8 @@ def _separating(
         by_hand.append(_OFF_BEFORE)
     power = _power(separations)
     hours = duration_h(design, reach)
-    sentence = f"To tell {_either(names)}, measure {design.purpose} ({hours:.1f} h): expected to reach 20 : 1 with a probability of {power:.0%}"
+    unknown = _RATES_UNKNOWN if reach.rate_dps == 0 else ""
+    sentence = f"To tell {_either(names)}, measure {design.purpose} ({hours:.1f} h{unknown}): expected to reach 20 : 1 with a probability of {power:.0%}"
     times = repeats_needed(separations)
     if power < _GOOD_POWER - 0.005:
         sentence += (
@@ -295,7 +297,8 @@ def _showing(
     if design is None:
         return None
     hours = duration_h(design, reach)
-    sentence = f"To see what lives in {place}, measure {design.purpose} ({hours:.1f} h)."
+    unknown = _RATES_UNKNOWN if reach.rate_dps == 0 else ""
+    sentence = f"To see what lives in {place}, measure {design.purpose} ({hours:.1f} h{unknown})."
     return Proposal(sentence, (), to_profile(design, reach, sensor, bench), round(hours, 3), None, (), ())
 
 

@@ -94,18 +94,18 @@ def _white(table: DataSetTable) -> tuple[Floats, list[str]]:
     if table.t_s is not None:
         same = int(np.count_nonzero(np.diff(table.t_s) == 0))
         if same:
-            notes.append(f"{same} rows have the time of the row before them: are their times sound?")
+            notes.append(f"{same} rows have the time of the row before them: check the times")
     if table.gyro_std_dps is None or table.n is None:
         return np.ones(table.rate_dps.size), notes
     several = table.n > 1
     none = several & (table.gyro_std_dps == 0)
-    if none.all() or not several.any():
-        return np.ones(table.rate_dps.size), notes
     if none.any():
         notes.append(
             f"gyro_std_dps is 0 in {int(none.sum())} rows of several samples: an output that is stuck or does not resolve "
             "its noise; they count as noisy as the others"
         )
+    if none.all() or not several.any():
+        return np.ones(table.rate_dps.size), notes
     std = np.where(none | ~several, np.median(table.gyro_std_dps[several & ~none]), table.gyro_std_dps)
     return np.maximum(std / np.sqrt(np.maximum(table.n, 1.0)), _LEAST_STD_DPS), notes
 

@@ -65,6 +65,12 @@ def test_a_scale_far_off_is_said_and_a_sound_one_is_not() -> None:
     assert "0.802 times the rate" in check_inputs(series_of_table(make_table(0.8)), None)[0]
 
 
+def test_kelvin_is_said() -> None:
+    table = make_table()
+    notes = check_inputs(series_of_table(replace(table, temp_c=table.temp_c + 273.15)), None)
+    assert "kelvin" in notes[0]
+
+
 def test_coefficients_of_another_gyro_are_refused() -> None:
     series = series_of_table(make_table())
     assert check_inputs(series, model(0.1)) == ()
@@ -106,6 +112,9 @@ def test_no_scatter_and_shared_times_are_said() -> None:
     assert "gyro_std_dps is 0 in 8 rows" in " ".join(series.notes)
     assert f"{n - n // 5} rows have the time of the row before" in " ".join(series.notes)
     assert np.ptp(series.white_std_dps) == 0
+    series = series_of_table(replace(table, gyro_std_dps=np.zeros(n), n=np.full(n, 100.0)))
+    assert f"gyro_std_dps is 0 in {n} rows" in " ".join(series.notes)
+    assert np.all(series.white_std_dps == 1.0)
 
 
 def test_a_table_without_time_states_nothing_in_time() -> None:

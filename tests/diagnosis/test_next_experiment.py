@@ -203,6 +203,7 @@ def test_a_log_at_one_rate_gets_a_plan_at_rest(coordinate: str, tmp_path: Path) 
     path.write_text(to_toml(proposal.profile))
     _, plan = dry_run(AcquireConfig(path, Path()))
     assert {step.rate_dps for step in plan.steps} == {0.0}
+    assert "the table stands" in proposal.sentence
     assert plan.expected_s < 8.0 * 3600.0
 
 
