@@ -17,6 +17,11 @@ except ImportError:  # Windows has no pseudo-terminals; --tcp works there
     pty = None  # type: ignore[assignment]
 
 
+#: After so many writes that were refused in a row nobody reads: a server that was kept waiting itself, and sends what it
+#: owes in one piece, must not lose that to a reader that is a moment late.
+_PATIENCE = 500
+
+
 class Endpoint(Protocol):
     """A byte pipe to whoever opens `address`."""
 
@@ -54,6 +59,8 @@ class PtyEndpoint:
                 f"{link}: is there already. End the gyrocal sim that serves it, or choose other --links."
             )
         self._link = link
+        self._waiting = b""
+        self._refused = 0
         self._master = self._slave = -1
         self.address = ""
         self.come_back()
@@ -66,9 +73,15 @@ class PtyEndpoint:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send to the client."""
-        with contextlib.suppress(OSError):
-            os.write(self._master, data)
+        """Send to the client; what the terminal has no room for goes with the next call, unless nobody reads."""
+        data = self._waiting + data
+        try:
+            sent = os.write(self._master, data)
+            self._refused = 0
+        except OSError:
+            sent = 0
+            self._refused += 1
+        self._waiting = data[sent:] if self._refused < _PATIENCE else b""
 
     def vanish(self) -> None:
         """Close both ends and take the link away."""
@@ -76,6 +89,7 @@ class PtyEndpoint:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
         self._master = self._slave = -1
+        self._waiting = b""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
 

@@ -347,6 +347,27 @@ def test_sim_prints_a_profile_that_works(tmp_path: Path) -> None:
     assert not (tmp_path / "ports" / "gyro").is_symlink()
 
 
+def test_a_burst_on_a_pseudo_terminal_is_not_lost_and_what_nobody_reads_is(tmp_path: Path) -> None:
+    endpoint = PtyEndpoint(tmp_path / "port")
+    port = SerialTransport(endpoint.address, 921600)
+    burst = bytes(range(256)) * 400
+    endpoint.write(burst)
+    data = b""
+    while len(data) < len(burst):
+        data += port.read_available(1.0)
+        endpoint.write(b"")
+    assert data == burst
+    for _ in range(2000):
+        endpoint.write(b"x" * 1000)
+    data = b""
+    while chunk := port.read_available(0.1):
+        data += chunk
+        endpoint.write(b"")
+    assert 0 < len(data) < 600_000
+    port.close()
+    endpoint.close()
+
+
 def test_a_run_is_carried_on_at_other_ports(tmp_path: Path) -> None:
     profile = profile_from_dict(tiny(**SHORT), "short.toml")
     for resume in (False, True):
