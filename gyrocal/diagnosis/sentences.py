@@ -235,9 +235,9 @@ def _folded(folded: Fold) -> str:
 def _rms(i: Improvement, c: Counted) -> str:
     scale, unit = scale_of(i)
     low, high = i.interval_95
-    # Never more than three digits of the noise.
-    most = decimals(scale * i.noise_floor_dps) + 1
-    places = min(decimals(0.5 * scale * (high - low)), most)
+    # Two or three digits of the noise, as the drop is known.
+    least = decimals(scale * i.noise_floor_dps)
+    places = min(max(decimals(0.5 * scale * (high - low)), least), least + 1)
     before, after, floor = (
         fixed(scale * x, places)
         for x in (i.heldout_rms_before_dps, i.heldout_rms_after_dps, i.noise_floor_dps)

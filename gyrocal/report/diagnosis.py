@@ -215,10 +215,11 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
 
 def _located(diagnosis: Diagnosis, place: Located) -> tuple[str, ...]:
     with_model = "explained" if diagnosis.verdict == "explained" else "taken up"
+    said = [e.effect for e in diagnosis.effects if e.statement == place.region]
     return (
         place.coordinate,
         place.statistic,
-        place.region,
+        f"see {said[0]}" if said else place.region,
         p_text(place.p_value),
         f"{place.share:.0%}" if math.isfinite(place.share) else "-",
         "still there" if place.remains else with_model,

@@ -83,6 +83,27 @@ def test_error_of_means_leads_where_it_shows_the_gain() -> None:
     assert next(s for s in none.sentences if "left out" in s).count("no sure gain") == 2
 
 
+def test_errors_have_two_digits_of_the_noise_at_least(shupe: Diagnosis) -> None:
+    """A drop that is known to tens left "60 to 6"."""
+    wide = replace(
+        HIDDEN, heldout_rms_before_dps=59.8e-3, heldout_rms_after_dps=6.15e-3, noise_floor_dps=5.67e-3
+    )
+    said = _with_gain(shupe, replace(wide, interval_95=(0.040, 0.067), excess_removed=1.0)).sentences
+    assert any(
+        "falls from 59.8 to 6.2 mdeg/s (drop 40 to 67 at 95 %), where noise alone would leave 5.7" in s
+        for s in said
+    )
+
+
+def test_place_of_a_finding_is_not_its_whole_sentence(shupe: Diagnosis) -> None:
+    """Single bad data sets: the sentence stood three times."""
+    effect = shupe.effects[0]
+    place = Located("data_set_index", "mean", effect.statement, 1e-20, 1.0)
+    found = replace(shupe, located=(place,))
+    assert next(t for t in tables(found) if t.name == "located").rows[0][2] == "see shupe"
+    assert sum(effect.statement in s for s in sentences(found)) == 1
+
+
 def test_same_error_before_is_not_said_twice_of_one_effect(shupe: Diagnosis) -> None:
     """Two rows with two values of "before" were read as a mistake."""
     one = _with_gain(shupe, HIDDEN)
