@@ -16,6 +16,8 @@ from gyrocal.bench.transport import SerialTransport, Transport
 #: A kind is believed when at least so many frames decode and no more than this share of the bytes is left over.
 _MIN_FRAMES = 5
 _MAX_LEFT_OVER = 0.2
+#: Bytes of this first part of the time of listening may be old.
+_STALE_SHARE = 0.05
 
 
 def _candidates() -> dict[str, Decoder]:
@@ -117,7 +119,7 @@ def identify(chunks: Sequence[tuple[float, bytes]], duration_s: float, baud: int
         frames = [f for f in decoder.feed(data) if _belongs(kind, f)]
         health = decoder.health()
         if len(frames) >= _MIN_FRAMES and health.bytes_skipped <= _MAX_LEFT_OVER * len(data):
-            return _finding(kind, frames, len(data), duration_s)
+            return _finding(kind, frames, len(data), _frames_a_second(len(frames), chunks, duration_s))
     others = vn100.messages(data)
     if len(others) >= _MIN_FRAMES:
         text = f"vn100: sends {others[-1]}, {len(others) / duration_s:.1f} a second; acquire selects VNIMU by itself."
@@ -136,9 +138,15 @@ def _belongs(kind: str, frame: Frame) -> bool:
     return kind != "kvh-frame-b" or frame.raw.startswith(kvh_frame.HEADER_B)
 
 
-def _finding(kind: str, frames: Sequence[Frame], bytes_in: int, duration_s: float) -> Finding:
+def _frames_a_second(frames: int, chunks: Sequence[tuple[float, bytes]], duration_s: float) -> float:
+    """How often frames come, without what came at once: it had waited in a buffer since nobody knows when."""
+    begin_s = _STALE_SHARE * duration_s
+    fresh, all_bytes = (sum(len(data) for t_s, data in chunks if t_s >= after) for after in (begin_s, 0.0))
+    return frames * fresh / all_bytes / (duration_s - begin_s)
+
+
+def _finding(kind: str, frames: Sequence[Frame], bytes_in: int, rate_hz: float) -> Finding:
     bad = sum(f.status != 0 for f in frames)
-    rate_hz = len(frames) / duration_s
     has_temperature = any(math.isfinite(f.temp_c) for f in frames)
     carries = (
         "with temperature" if has_temperature else "without temperature (take it from the chamber or a probe)"

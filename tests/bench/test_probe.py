@@ -32,7 +32,10 @@ def sent(kind: str, count: int = 50) -> bytes:
 
 @pytest.mark.parametrize("kind", GYROS)
 def test_every_gyro_is_known_by_its_frames(kind: str) -> None:
-    finding = identify([(0.1, sent(kind))], 2.0, 115200)
+    data = sent(kind)
+    part = len(data) // 40 + 1
+    chunks = [(0.05 * i, data[i * part : (i + 1) * part]) for i in range(40)]
+    finding = identify(chunks, 2.0, 115200)
     assert finding.kind == kind
     assert finding.rate_hz == pytest.approx(25.0, abs=1.0)
     assert finding.has_temperature == (GYROS[kind].has_temperature and kind != "ascii-line")
@@ -51,6 +54,13 @@ def test_a_vn100_in_its_power_up_mode_is_known() -> None:
     finding = identify([(0.1, data)], 2.0, 115200)
     assert finding.kind == "vn100"
     assert finding.verdict == "vn100: sends VNYMR, 10.0 a second; acquire selects VNIMU by itself."
+
+
+def test_what_had_waited_in_a_buffer_does_not_count_for_the_rate() -> None:
+    options = kvh_frame.Options()
+    frames = [kvh_frame.encode(0.0, 20.0, i, options) for i in range(600)]
+    chunks = [(0.01, b"".join(frames[:400])), *((0.01 * i, frames[400 + i]) for i in range(1, 200))]
+    assert identify(chunks, 2.0, 921600).rate_hz == pytest.approx(100.0, rel=0.02)
 
 
 def test_status_is_told() -> None:

@@ -19,7 +19,7 @@ except ImportError:  # Windows has no pseudo-terminals; --tcp works there
 
 #: After so many writes that were refused in a row nobody reads: a server that was kept waiting itself, and sends what it
 #: owes in one piece, must not lose that to a reader that is a moment late.
-_PATIENCE = 500
+_PATIENCE = 100
 
 
 class Endpoint(Protocol):
