@@ -77,7 +77,7 @@ def wrong_unit(series: DriveSeries) -> tuple[float, Found | None]:
             "unit_or_sign",
             {"amplitude": Estimate(ratio, spread, "1", (ratio - 1.96 * spread, ratio + 1.96 * spread))},
             1e-16,
-            f"The gyro column is {said}: it turns {ratio:.4g} times as far as the encoders.",
+            f"The gyro column is {said} (its turns over those of the encoders).",
         )
         return 1.0 / amplitude, found
     return 1.0, None
@@ -96,10 +96,10 @@ def time_stamps(log: DriveBlock, usual_dt_s: float) -> list[Found]:
             Found("dropped_samples", {"amplitude": Estimate(share, float("nan"), "%", _NONE)}, 1e-16, text)
         )
     regular = steps[(steps > 0.2 * usual_dt_s) & (steps < 1.8 * usual_dt_s)]
-    jitter_ms = 1e3 * float(np.std(regular)) / np.sqrt(2.0) if regular.size else 0.0
+    jitter_ms = float(1e3 * np.std(regular) / np.sqrt(2.0)) if regular.size else 0.0
     if jitter_ms > 0.05e3 * usual_dt_s:
         text = f"Time stamps scatter by {jitter_ms:.2g} ms about an even clock of {1e3 * usual_dt_s:.3g} ms."
-        std = jitter_ms / np.sqrt(2.0 * regular.size)
+        std = jitter_ms / float(np.sqrt(2.0 * regular.size))
         estimate = Estimate(jitter_ms, std, "ms", (jitter_ms - 1.96 * std, jitter_ms + 1.96 * std))
         found.append(Found("timestamp_jitter", {"amplitude": estimate}, 1e-16, text))
     return found

@@ -20,6 +20,8 @@ _DELAY_STEP_S = 0.02
 _EXPONENTS = (0.0, 0.5, 1.0, 1.5, 2.0)
 _TURN_DPS = 30.0
 _MIN_TEMP_SPAN_C = 0.5
+#: A robot that turns less than this in all has not seen enough headings to tell them apart.
+_LEAST_HEADING_DEG = 180.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def law(series: DriveSeries, bins: Bins, effect: str, shape: Mapping[str, float]
         case "gyro_bias":
             return Candidate(effect, shape, np.full((bins.t_s.size, 1), -bins.width_s), 1e3)
         case "bias_temperature":
-            warmer = bins.temp_c - bins.temp_c[0]
+            warmer = bins.temp_c - series.start_temp_c
             return Candidate(effect, shape, (-bins.width_s * warmer)[:, None], 1e3)
     raise ValueError(f"{effect} is no law of a heading difference")
 
@@ -125,6 +127,8 @@ def coordinates(series: DriveSeries, bins: Bins, delay_s: float) -> list[Coordin
         ("delay", "s", np.abs(delay_slope(series, delay_s)), lambda _: lead),
         ("time", "s", bins.t_s - series.t_s[0], lambda x: _hats(x, 9)),
     ]
+    if np.ptp(bins.heading_deg) < _LEAST_HEADING_DEG:
+        curves = [curve for curve in curves if curve[0] != "heading"]
     return [Coordinate(name, unit, values, columns(values)) for name, unit, values, columns in curves]
 
 

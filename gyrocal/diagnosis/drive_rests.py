@@ -51,7 +51,7 @@ def rests(series: DriveSeries) -> tuple[Rest, ...]:
         steps = np.diff(series.gyro_deg[i : j + 1])
         white = float(np.var(steps - rate * np.diff(t[i : j + 1]))) * steps.size / seconds**2
         warmer = (
-            float(np.interp(t[i], t[known], series.temp_c[known]) - series.temp_c[known[0]])
+            float(np.interp(t[i], t[known], series.temp_c[known]) - series.start_temp_c)
             if known.size
             else 0.0
         )

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.drive_series import DriveSeries, bins_of, drive_series
 from gyrocal.diagnosis.drive_told import (
     Told,
     ask_truth,
+    better_name,
     contradicted,
     corrected,
     scales_found,
@@ -44,9 +45,10 @@ _PLACES = {
 }
 #: Findings about the logging itself: they are named, but say nothing of an excess in the heading difference.
 _OF_THE_LOG = ("encoder_quantisation", "dropped_samples", "timestamp_jitter")
+#: Evidence that tells nothing apart.
+_ALIKE = 3.0
 #: A scale known no better than this (relative) counts as not testable.
 _BLUNT = 0.02
-_ONE = Estimate(1.0, float("nan"), "1", (float("nan"), float("nan")))
 
 
 @dataclass(frozen=True)
@@ -78,13 +80,14 @@ def diagnose_drive(
     nominal = replace(logged, gyro_deg=logged.gyro_deg * factor)
     answer = _answer(nominal, seed)
     fit, told = answer.fit, answer.told
-    slip = fit.law_deg.get("skid_slip", np.zeros(fit.bins.t_s.size))
-    ratio = 1.0 + float(np.sum(slip * fit.bins.gyro_deg) / np.sum(fit.bins.gyro_deg**2))
-    wheel = eccentric_wheel(answer.series, fit.model.delay_s, ratio, LEVEL_OF_A_CHECK)
+    wheel = eccentric_wheel(answer.series, fit.model.delay_s, _ratio(fit), LEVEL_OF_A_CHECK)
     of_log, remarks = of_the_log(log, nominal.usual_dt_s, fit, robot.wheel_separation_m)
     found = [f for f in (unit, wheel, *scales_found(told), *of_log) if f is not None]
     effects = tuple(_named(answer, name) for name in fit.model.names()) + tuple(_found(f) for f in found)
-    located = (*answer.places, *(_place(f) for f in found))
+    if len(effects) == 1 and effects[0].effect in told.scales:
+        effects = (replace(effects[0], improvement=answer.total),)
+    taken = {place.coordinate for place in answer.places}
+    located = (*answer.places, *(p for p in map(_place, found) if p.coordinate not in taken))
     diagnosis = Diagnosis(
         recording=source,
         verdict=_verdict(effects, located),
@@ -136,14 +139,13 @@ def _answer(nominal: DriveSeries, seed: int) -> _Answer:
     if told.scales or banned:
         asked = replace(Question.of(series, yaw_noise(series)), banned=banned)
         fit, total, gains, refused = explain_with_gain(asked, nominal, seed)
-    if told.scales and fit.parameters.get("skid_slip", {}).get("exponent", _ONE).value == 0.0:
+    if told.scales and "skid_slip" in fit.parameters:
         parameters, slip_p_value = widened(told, fit.parameters["skid_slip"])
         if slip_p_value <= LEVEL_OF_LAWS:
             fit = replace(fit, parameters=fit.parameters | {"skid_slip": dict(parameters)})
         else:
             # What the truth leaves open of the scales is enough to make encoders and gyro agree.
-            by = 1.0 + parameters["amplitude"].value / 100.0
-            series = replace(series, encoder_deg=series.encoder_deg / by)
+            series = replace(series, encoder_deg=series.encoder_deg / _ratio(fit))
             asked = replace(Question.of(series, yaw_noise(series)), banned=banned | {"skid_slip"})
             fit, total, gains, refused = explain_with_gain(asked, nominal, seed)
     bare = bins_of(nominal, 0.0)
@@ -156,6 +158,16 @@ def _answer(nominal: DriveSeries, seed: int) -> _Answer:
     places += _homes(fit, {p.coordinate for p in places})
     places = list(strongest_first(places))
     return _Answer(series, fit, told, total, gains, refused, tuple(places), slip_p_value)
+
+
+def _ratio(fit: YawFit) -> float:
+    """Encoder yaw over gyro yaw in turns, by the slip that was named."""
+    slip = fit.law_deg.get("skid_slip")
+    return (
+        1.0
+        if slip is None
+        else 1.0 + float(slip @ fit.bins.gyro_deg / (fit.bins.gyro_deg @ fit.bins.gyro_deg))
+    )
 
 
 def _homes(fit: YawFit, taken: set[str]) -> list[Located]:
@@ -177,20 +189,23 @@ def _verdict(effects: Sequence[NamedEffect], places: Sequence[Located]) -> str:
     return "unexplained" if remains else "consistent"
 
 
-def _named(answer: _Answer, name: str) -> NamedEffect:
-    effect, fit = EFFECTS[name], answer.fit
-    parameters = fit.parameters[name]
-    alternatives, p_value = [], fit.p_values[name]
-    if name == "gyro_bias" and min(map(abs, parameters["amplitude"].interval_95)) < _EARTH_MDPS:
+def _named(answer: _Answer, law: str) -> NamedEffect:
+    fit, name = answer.fit, law
+    parameters: Mapping[str, Estimate] = fit.parameters[law]
+    alternatives, p_value = [], fit.p_values[law]
+    if law == "gyro_bias" and min(map(abs, parameters["amplitude"].interval_95)) < _EARTH_MDPS:
         alternatives.append(Alternative("earth_rate", 1.0, EFFECTS["earth_rate"].statement))
-    if name == "skid_slip":
+    if law == "skid_slip":
         p_value = max(p_value, answer.slip_p_value)
         # A slip that grows with the turn rate is not what a scale factor does.
         if parameters["exponent"].value == 0.0:
-            alternatives += twins_of_slip(answer.told, parameters["amplitude"].value / 100.0)
-    alternatives += [Alternative(e, r, EFFECTS[e].statement) for e, r in fit.rivals.get(name, {}).items()]
+            twins = twins_of_slip(answer.told, parameters["amplitude"].value / 100.0)
+            name, parameters, twins = better_name(parameters, twins)
+            alternatives += twins
+    alternatives += [Alternative(e, r, EFFECTS[e].statement) for e, r in fit.rivals.get(law, {}).items()]
+    effect = EFFECTS[name]
     return NamedEffect(
-        name, effect.family, effect.statement, parameters, p_value, tuple(alternatives), answer.gains.get(name),
+        name, effect.family, effect.statement, parameters, p_value, tuple(alternatives), answer.gains.get(law),
         effect.runtime,
     )  # fmt: skip
 
@@ -323,9 +338,10 @@ def _truth_sentences(told: Told) -> list[str]:
     parts = []
     for name, what in (("wheel_scale", "the distances"), ("gyro_scale", "the gyro's scale")):
         if name in told.fit.values:
-            std = 100 * told.fit.stds[name]
+            left = 1.0 - told.fit.values[name]
+            value, std = 100 * (1.0 / left - 1.0), 100 * told.fit.stds[name] / left**2
             decimals = _decimals(std)
-            parts.append(f"{what} off by {100 * told.fit.values[name]:.{decimals}f} ± {std:.{decimals}f} %")
+            parts.append(f"{what} off by {value:.{decimals}f} ± {std:.{decimals}f} %")
     seen = "positions and headings" if told.fit.headings else "positions"
     return [f"Against the truth's {seen}: {', '.join(parts)}"] if parts else []
 
@@ -357,10 +373,10 @@ def _effect_sentence(effect: NamedEffect) -> str:
 
 
 def _other(a: Alternative) -> str:
-    if 0.95 < a.evidence_ratio < 1.05:
+    if a.evidence_ratio == 1.0:
         return f"{a.effect} (equally well)"
-    return (
-        f"{a.effect} (evidence {a.evidence_ratio:.2g} to 1 against it)"
-        if a.evidence_ratio > 1
-        else f"{a.effect} (evidence 1 to {1 / a.evidence_ratio:.2g} for it)"
-    )
+    if 1 / _ALIKE < a.evidence_ratio < _ALIKE:
+        return f"{a.effect} (about as well)"
+    if a.evidence_ratio > 1.0:
+        return f"{a.effect} ({a.evidence_ratio:.2g} to 1 against it)"
+    return f"{a.effect} ({1 / a.evidence_ratio:.2g} to 1 for it)"

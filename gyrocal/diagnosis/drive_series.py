@@ -67,6 +67,15 @@ class DriveSeries:
         return 0.5 * (self.left_m + self.right_m)
 
     @property
+    def start_temp_c(self) -> float:
+        """Gyro temperature at which its bias was last taken off: that of the rest, or of the first row; NaN: none."""
+        known = np.isfinite(self.temp_c)
+        rest = known & (self.t_s <= self.t_s[0] + self.robot.static_s)
+        if not known.any():
+            return float("nan")
+        return float(np.mean(self.temp_c[rest])) if rest.any() else float(self.temp_c[known][0])
+
+    @property
     def way_m(self) -> Floats:
         """Way of the wheels, forward or backward, their mean, from 0: what their noise grows with."""
         left, right = (np.abs(np.diff(w, prepend=w[:1])) for w in (self.left_m, self.right_m))

@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 NEGLIGIBLE = 1e-3
 #: Evidence against a twin beyond which it is not listed any more, and the largest that is claimed.
 _OUT, _MOST = 100.0, 1e6
+#: Evidence against the slip from which on a twin is named instead.
+_PREFERRED = 1.0 / 3.0
 #: Standard deviations apart at which two estimates of one bias contradict each other.
 _APART = 4.0
 _ASTRAY = "the truth's positions do not follow the path (mirrored, swapped, or of another drive?), so they were left aside"
@@ -76,7 +78,7 @@ def _steadied(series: DriveSeries, fit: YawFit) -> DriveSeries:
     known = np.isfinite(series.temp_c)
     if "bias_temperature" in slopes and known.any():
         temp = np.interp(series.t_s, series.t_s[known], series.temp_c[known])
-        drift = drift + slopes["bias_temperature"] * (temp - temp[0])
+        drift = drift + slopes["bias_temperature"] * (temp - series.start_temp_c)
     turned = np.cumsum(drift * np.diff(series.t_s, prepend=series.t_s[0]))
     return replace(series, gyro_deg=series.gyro_deg - turned)
 
@@ -164,6 +166,34 @@ def twins_of_slip(told: Told, widening: float) -> tuple[Alternative, ...]:
                 # A tilted gyro sees less of a turn, never more.
                 twins.append(Alternative("robot_tilt", ratio, EFFECTS["robot_tilt"].statement))
     return tuple(twins)
+
+
+def better_name(
+    slip: Mapping[str, Estimate], twins: tuple[Alternative, ...]
+) -> tuple[str, Mapping[str, Estimate], tuple[Alternative, ...]]:
+    """A slip by the name that the truth prefers to it, where it does, with its parameters and what is left of its twins."""
+    best = min(twins, key=lambda a: a.evidence_ratio, default=None)
+    if best is None or best.evidence_ratio > _PREFERRED or best.effect not in _UNIT:
+        return "skid_slip", slip, twins
+    unit, factor = _UNIT[best.effect]
+    amplitude = slip["amplitude"]
+
+    def as_scale(percent: float) -> float:
+        ratio = 1.0 + percent / 100.0
+        return factor * (1.0 / ratio - 1.0 if best.effect == "gyro_scale" else ratio - 1.0)
+
+    low, high = sorted(as_scale(x) for x in amplitude.interval_95)
+    std = (high - low) / (amplitude.interval_95[1] - amplitude.interval_95[0]) * amplitude.std
+    estimate = Estimate(as_scale(amplitude.value), std, unit, (low, high))
+    others = [
+        replace(a, evidence_ratio=a.evidence_ratio / best.evidence_ratio) for a in twins if a is not best
+    ]
+    slipped = Alternative("skid_slip", 1.0 / best.evidence_ratio, EFFECTS["skid_slip"].statement)
+    return (
+        best.effect,
+        {"amplitude": estimate},
+        tuple(a for a in (slipped, *others) if a.evidence_ratio <= _OUT),
+    )
 
 
 def widened(told: Told, slip: Mapping[str, Estimate]) -> tuple[Mapping[str, Estimate], float]:

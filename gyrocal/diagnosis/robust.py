@@ -172,17 +172,34 @@ def _gain(regression: Regression, free: Floats) -> float:
     return 0.5 * regression.residual.size * float(np.log(regression.rss / left))
 
 
-def fit(y: Floats, columns: Floats, phi: Floats, rows_per_block: int) -> tuple[Floats, Floats, int]:
+def fit(
+    y: Floats, columns: Floats, phi: Floats, rows_per_block: int, nuisance: Floats | None = None
+) -> tuple[Floats, Floats, int]:
     """Coefficients (k,), their covariance (k, k) robust within blocks, and its degrees of freedom.
 
-    The covariance is the cluster sandwich with the factor C/(C-1) (Liang and Zeger 1986).
+    Parameters
+    ----------
+    nuisance : ndarray, shape (n, m), optional
+        Columns that are taken out first.
+
+    Notes
+    -----
+    The covariance is the jackknife over blocks (CR3 of Bell and McCaffrey 2002): where a few blocks weigh much, the
+    plain sandwich is too small.
     """
     white = whiten(phi, np.column_stack([y, columns]))
-    x = white[:, 1:]
-    inverse = np.linalg.pinv(x.T @ x)
-    values = inverse @ (x.T @ white[:, 0])
-    residual = white[:, 0] - x @ values
-    blocks = block_starts(residual.size, rows_per_block)
-    scores = np.add.reduceat(x * residual[:, None], blocks, axis=0)
-    factor = blocks.size / max(blocks.size - 1, 1)
-    return values, factor * inverse @ (scores.T @ scores) @ inverse, max(blocks.size - 1, 1)
+    if nuisance is not None and nuisance.shape[1]:
+        basis = np.linalg.qr(whiten(phi, nuisance))[0]
+        white = white - basis @ (basis.T @ white)
+    x, target = white[:, 1:], white[:, 0]
+    square, product = x.T @ x, x.T @ target
+    values = np.linalg.pinv(square) @ product
+    starts = block_starts(target.size, rows_per_block)
+    ends = np.append(starts[1:], target.size)
+    without = np.empty((starts.size, values.size))
+    for k, (begin, end) in enumerate(zip(starts, ends, strict=True)):
+        part = x[begin:end]
+        without[k] = np.linalg.pinv(square - part.T @ part) @ (product - part.T @ target[begin:end])
+    away = without - values
+    count = max(starts.size - 1, 1)
+    return values, count / starts.size * away.T @ away, count
