@@ -23,7 +23,10 @@ _BITS_PER_BYTE = 10
 _CLOSE, _PAUSE, _LATENCY_S = 0.2, 6.0, 0.02
 #: At a segment's end so much may still be on its way, s.
 _TAIL_S = 0.5
-_LATENCY_REMEDY = "On an FTDI adapter set its latency timer to 1 ms: echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
+_LATENCY_REMEDY = (
+    "On an FTDI adapter set its latency timer to 1 ms: echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer; "
+    "else take other load off this computer"
+)
 
 
 @dataclass(frozen=True)
