@@ -44,6 +44,8 @@ CONSTANT_KINDS = ("rate", "static")
 
 #: The angle must cover this share of a segment's time to stand for its rate.
 _ANGLE_COVERAGE = 0.5
+#: Whatever its scatter, no slope is known better: readings have a last digit.
+_LEAST_ERROR_DPS = 1e-9
 #: A report that is further off the slope of the angle, in its standard errors, is not what the table did.
 _ECHO_SIGMAS = 5.0
 #: Angle and reported rate that differ by more (relative, deg/s) are not the same motion: a wrapped angle, mostly.
@@ -338,7 +340,7 @@ def reference_rate(record: SegmentRecord, sums: SegmentSums) -> tuple[float, str
     table, slope = sums.table_rate, sums.angle_slope_dps()
     if slope is None or sums.angle_span_s < _ANGLE_COVERAGE * sums.span_s:
         return (table.mean, "table", "") if table.n else (record.rate_dps, "command", "")
-    angle, error = record.rate_dps + slope[0], slope[1]
+    angle, error = record.rate_dps + slope[0], max(slope[1], _LEAST_ERROR_DPS)
     if table.n == 0:
         return angle, "angle", ""
     apart = abs(angle - table.mean)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +40,15 @@ SENSOR = {
 }
 
 
+@cache
+def made_up(effect: str | None, d_prime: float) -> Diagnosis:
+    """The true answer of a recording with one effect, or with none."""
+    return made_up_diagnosis(make_recording([] if effect is None else [(effect, d_prime)], 7, "even"))
+
+
 def doubtful(effect: str, *others: str, d_prime: float = 8.0) -> Diagnosis:
     """A diagnosis that cannot tell `effect` from `others`."""
-    found = made_up_diagnosis(make_recording([(effect, d_prime)], 7, "even"))
+    found = made_up(effect, d_prime)
     named = replace(found.effects[0], alternatives=tuple(Alternative(o, 3.0) for o in others))
     return replace(found, effects=(named,))
 
@@ -99,7 +106,7 @@ def test_doubt_gets_the_plan_that_settles_it(
 
 
 def test_no_doubt_no_experiment() -> None:
-    found = made_up_diagnosis(make_recording([("shupe", 12.0)], 7, "even"))
+    found = made_up("shupe", 12.0)
     settled = replace(found, effects=(replace(found.effects[0], alternatives=()),))
     assert propose(settled, {}, 8.0) is None
 
@@ -112,7 +119,7 @@ def test_twins_on_a_table_need_a_hand() -> None:
 
 
 def test_unexplained_structure_gets_a_plan_that_resolves_its_coordinate() -> None:
-    found = made_up_diagnosis(make_recording([], 7, "even"), "unexplained")
+    found = made_up(None, 0.0)
     place = Located("temperature", "mean", "20 to 30 degC", 1e-9, 0.9, remains=True)
     proposal = propose(replace(found, verdict="unexplained", located=(place,)), {}, 8.0)
     assert proposal is not None
@@ -190,7 +197,7 @@ UNEXPLAINED = Located("time", "mean", "everywhere", 1e-9, 0.9, remains=True)
 @pytest.mark.parametrize("coordinate", ["rate", "time", "temperature", "temperature_rate", "data_set_index"])
 def test_a_log_at_one_rate_gets_a_plan_at_rest(coordinate: str, tmp_path: Path) -> None:
     """Nothing is known of what rates such a gyro bears."""
-    base = replace(made_up_diagnosis(make_recording([], 7, "even")), verdict="unexplained")
+    base = replace(made_up(None, 0.0), verdict="unexplained")
     place = replace(UNEXPLAINED, coordinate=coordinate)
     found = at_rates(replace(base, located=(place,)), np.zeros(1), (3.0, 48.0), {"model": "unknown"})
     proposal = propose(found, {}, 8.0)
@@ -208,7 +215,7 @@ def test_a_log_at_one_rate_gets_a_plan_at_rest(coordinate: str, tmp_path: Path) 
 
 
 def test_a_plan_stays_within_what_the_gyro_and_the_user_allow() -> None:
-    base = replace(made_up_diagnosis(make_recording([], 7, "even")), verdict="unexplained")
+    base = replace(made_up(None, 0.0), verdict="unexplained")
     sensor = {"model": "x", "rate_range_dps": [-90.0, 90.0], "temp_range_c": [0.0, 40.0]}
     found = at_rates(
         replace(base, located=(replace(UNEXPLAINED, coordinate="rate"),)),
