@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.analysis import _surface_beside
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.table_series import series_of_table
@@ -158,3 +159,12 @@ def test_a_table_or_a_run_where_a_drive_log_is_wanted_says_so(tmp_path: Path) ->
     (tmp_path / "run" / "run.json").write_text("{}")
     with pytest.raises(InputError, match=r"holds a run of the bench.*without --robot"):
         read_drive_log(tmp_path / "run")
+
+
+def test_a_law_that_the_surface_imitates_does_not_end_the_diagnosis() -> None:
+    """Eleven rates of a gyro that saturates: sine and surface are so alike that the fit of both runs off."""
+    table = make_table()
+    above = np.maximum(np.abs(table.gyro_dps) - 0.7 * 240.0, 0.0)
+    series = series_of_table(replace(table, gyro_dps=table.gyro_dps - 0.03 * above * np.sign(table.gyro_dps)))
+    surface = _surface_beside(series, "sagnac_sine", {"phase_rad_per_dps": 0.5 / 240.0})
+    assert np.all(np.isfinite(surface.output_dps(series.rate_dps, series.temp_c)))
