@@ -124,17 +124,27 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
         walking, p_value = look_for_walk(setup.model, y, surface, bare)
     if not walking.walk or p_value > level:
         return found
-    other = _search_from(setup, walking, level, seed)
-    if not other.levels.walk or _criterion(other) >= _criterion(found):
-        return found
-    p_value = walk_p_value(setup.model, y, model_columns(other.setup, other.members), other.levels)
-    return replace(other, walk_p=p_value) if p_value < level else found
+    best = min((found, _search_from(setup, walking, level, seed)), key=_criterion)
+    if best is found:
+        # What was found may be a part of what walks.
+        columns = model_columns(found.setup, found.members)
+        still = estimate_levels(setup.model, y, columns, found.levels)
+        walking, p_value = look_for_walk(setup.model, y, columns, still)
+        if not walking.walk or p_value > level:
+            return found
+        best = _search_from(found.setup, walking, level, seed, found.members)
+    columns = model_columns(best.setup, best.members)
+    return (
+        replace(best, walk_p=walk_p_value(setup.model, y, columns, best.levels)) if best.levels.walk else best
+    )
 
 
-def _search_from(setup: Setup, levels: NoiseLevels, level: float, seed: int) -> Analysis:
-    """Search and noise in turns, from a first guess of the noise."""
+def _search_from(
+    setup: Setup, levels: NoiseLevels, level: float, seed: int, start: Sequence[Member] = ()
+) -> Analysis:
+    """Search and noise in turns, from a first guess of the noise and of the members."""
     y = setup.base.residual_dps
-    members: list[Member] = []
+    members = list(start)
     for attempt in range(_ROUNDS):
         setup = _with_jumps(setup, levels, members, seed)
         white = setup.model.whiten(levels, setup.matrix)[0]
@@ -328,12 +338,10 @@ def _surface_beside(series: Series, effect: str, start: dict[str, float]) -> Sur
 
 
 def _criterion(analysis: Analysis) -> float:
-    """Twice the negative log-likelihood plus BIC, to compare two searches of one recording."""
+    """Twice the negative log-likelihood plus what each member and a walk pay for their freedom."""
     y = analysis.setup.base.residual_dps
     X = model_columns(analysis.setup, analysis.members)
     fit = estimate_levels(analysis.setup.model, y, X, analysis.levels)
-    amplitudes = sum(
-        2 if m.hypothesis.random else m.hypothesis.df + len(m.hypothesis.shapes[0]) for m in analysis.members
-    )
-    amplitudes += sum(m.free.shape[1] for m in analysis.members) + (analysis.levels.walk > 0)
-    return float(-2.0 * fit.ml + amplitudes * np.log(analysis.setup.series.n_sets))
+    each = float(np.log(analysis.setup.series.n_sets))
+    price = sum(m.gain - 2.0 * m.evidence + m.free.shape[1] * each for m in analysis.members)
+    return float(-2.0 * fit.ml + price + each * (analysis.levels.walk > 0))

@@ -22,14 +22,21 @@ class RowConditions(Conditions):
 
 
 def conditions_of(series: Series) -> RowConditions:
-    """What the laws of the catalogue may depend on, row by row."""
+    """What the laws of the catalogue may depend on, row by row.
+
+    Where it is not known when the gyro was switched on, that is when the record begins: a warm-up has the same
+    shape whenever it is first seen.
+    """
+    since_on = series.since_power_on_s
+    if since_on is None and series.has_time:
+        since_on = series.t_s - series.t_s[0]
     return RowConditions(
         t_s=series.t_s,
         rate_dps=series.rate_dps,
         temp_c=series.temp_c,
         angle_deg=series.angle_deg,
         supply_v=series.supply_v,
-        since_power_on_s=series.since_power_on_s,
+        since_power_on_s=since_on,
         since_step_s=series.since_set_s,
         step_dps=series.step_dps,
         temp_rate_c_per_s=series.temp_rate_c_per_min / 60.0,

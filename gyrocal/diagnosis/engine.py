@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis, analyse
+from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gate import Gate, gate
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.heldout import improvements
@@ -104,20 +105,15 @@ def diagnose(
     remaining = lack_of_fit(analysis, options.false_alarm_rate)
     decided = gate(analysis.members, remaining, analysis.search)
     located = locate(analysis, remaining, options.false_alarm_rate)
-    findings += outlier_findings(series)
-    if "truncation" not in [m.hypothesis.id for m in decided.named]:
-        findings += step_findings(series)
-    findings += clock_findings(series)
+    findings += _sampling_findings(series, decided)
     scatter = variance_places(analysis, options.false_alarm_rate)
     refined = refine(analysis, decided)
     gains, total = improvements(analysis, refined, options.seed) if options.heldout else ({}, None)
-    effects = (
-        *(_named(m, series, refined, gains.get(m.hypothesis.id)) for m in decided.named),
-        *map(_found, findings),
-    )
+    named = [_named(m, series, refined, gains.get(m.hypothesis.id)) for m in decided.named]
+    effects = (*named, *map(_found, findings))
     scatter = _explained_scatter(scatter, decided, findings)
     refined, change = _against_given(series, analysis, refined, coefficients)
-    walk = _walk_place(analysis)
+    walk = _walk_place(analysis, options.false_alarm_rate)
     everywhere = change + walk + located + [f.place for f in findings] + scatter
     verdict = _verdict(effects, decided, bool(remaining or change or walk), bool(scatter))
     diagnosis = Diagnosis(
@@ -132,9 +128,14 @@ def diagnose(
         surface=coefficients or surface_coefficients(series, analysis, refined),
         improved=coefficients_of(series, analysis, refined, decided) if decided.named else None,
         rows=_rows(series, analysis, refined),
-        notes=(*notes, *series.notes, *temperature_alone(analysis), *decided.reasons),
+        notes=(*notes, *series.notes, *_remarks(analysis, decided)),
     )
     return replace(diagnosis, sentences=sentences(diagnosis))
+
+
+def _sampling_findings(series: Series, decided: Gate) -> list[Finding]:
+    truncated = "truncation" in [m.hypothesis.id for m in decided.named]
+    return outlier_findings(series) + ([] if truncated else step_findings(series)) + clock_findings(series)
 
 
 def _against_given(
@@ -150,14 +151,39 @@ def _against_given(
     return replace(refined, plain=before), [] if change is None else [change]
 
 
-def _walk_place(analysis: Analysis) -> list[Located]:
+def _remarks(analysis: Analysis, decided: Gate) -> list[str]:
+    """Bias over temperature, why names were withheld, and what speaks against those given all the same."""
+    series = analysis.setup.series
+    found = [*temperature_alone(analysis), *decided.reasons]
+    for member in decided.named:
+        name = member.hypothesis.id
+        for rival, loss in member.rivals:
+            if rival not in CATALOGUE and loss < CLASS_NATS and "another" not in rival:
+                odds = "as well as" if loss < 0.05 else f"{np.exp(loss):.2g} times worse than"
+                found.append(
+                    f"A pattern that is not in the catalogue ({rival.strip('()')}) explains the data {odds} {name}."
+                )
+        if name == "warm_up" and series.since_power_on_s is None:
+            found.append(
+                "warm_up: the record does not say when the gyro was switched on; its amplitude is that at the beginning of the record."
+            )
+    return found
+
+
+def _walk_place(analysis: Analysis, level: float) -> list[Located]:
     """A bias that wanders farther than 1/f noise does is a departure too, though no law."""
-    if not analysis.levels.walk:
+    if not analysis.levels.walk or analysis.walk_p > level:
         return []
     series = analysis.setup.series
-    wandered = 1e3 * analysis.levels.walk * float(np.sqrt(np.ptp(series.t_s)))
+    wandered = 1e3 * analysis.levels.wander_dps(float(np.ptp(series.t_s)))
     where = "time" if series.has_time else "data_set_index"
-    region = f"everywhere (the bias walks at random, by {wandered:.2g} mdeg/s over the record)"
+    tau_s = analysis.levels.walk_tau_s
+    back = (
+        "over the record"
+        if np.isinf(tau_s) or not series.has_time
+        else f"and finds back in about {tau_s:.0f} s"
+    )
+    region = f"everywhere (the bias walks at random, by {wandered:.2g} mdeg/s {back})"
     return [Located(where, "variance", region, analysis.walk_p, 1.0, True)]
 
 
@@ -223,7 +249,8 @@ def _noise_figures(series: Series, analysis: Analysis) -> NoiseFigures:
     # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
     # IEEE 952 gives for both signs of the frequency, over a decade.
     flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
-    wander = levels.walk * 3600.0 * 60.0 if levels.walk and series.has_time else None
+    walks = levels.walk > 0 and np.isinf(levels.walk_tau_s) and series.has_time
+    wander = levels.walk * 3600.0 * 60.0 if walks else None
     return NoiseFigures(white, walk, float(flicker), 1e6 * levels.jitter, wander)
 
 
@@ -243,7 +270,7 @@ def _rows(series: Series, analysis: Analysis, refined: Refined) -> Rows:
         white_std_dps=analysis.levels.white * series.white_std_dps,
         angle_deg=known(series.angle_deg),
         supply_v=known(series.supply_v),
-        since_power_on_s=known(series.since_power_on_s),
+        since_power_on_s=known(conditions_of(series).since_power_on_s),
         since_set_s=known(series.since_set_s),
         step_dps=known(series.step_dps),
         effect_dps=refined.effects_dps,

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis
-from gyrocal.diagnosis.improve import Piece, Refined
+from gyrocal.diagnosis.improve import Refined
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.shapes import Piece
 from gyrocal.diagnosis.whitening import NoiseModel
 
 Floats = NDArray[np.float64]

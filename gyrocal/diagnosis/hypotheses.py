@@ -26,6 +26,8 @@ Shape = Mapping[str, float]
 #: has to be bought; what two hypotheses share is then given to the law.
 _PRIOR = {"rate_order": -1.0, "fit_direction": -1.0, "mechanical_resonance": -1.0}
 WRONG_SIGN = -2.5
+#: A warm-up of a gyro of which nobody says that it has just been switched on.
+_UNKNOWN_START = -1.0
 #: What is not in the catalogue starts with this.
 STRANGE = -3.0
 #: Effects whose amplitude is positive by their nature.
@@ -260,7 +262,10 @@ def build(series: Series, surface: Surface, book: Book) -> list[Hypothesis]:
         else:
             points = np.array([book.add(law(effect.id, c, s, surface)) for s in shapes])
             nuisance = _family_nuisance(effect.id, c, series, book)
-            found.append(_hypothesis(effect.id, shapes, points, nuisance, series.has_time))
+            h = _hypothesis(effect.id, shapes, points, nuisance, series.has_time)
+            if effect.id == "warm_up" and series.since_power_on_s is None:
+                h = replace(h, coordinate="time", prior=_UNKNOWN_START)
+            found.append(h)
             if effect.id == "bias_step":
                 found.append(_another(found[-1], "(another jump)"))
             if effect.id == "rate_order":
@@ -366,7 +371,8 @@ def _why_not(effect: str, series: Series) -> str | None:
     distinct = np.unique(np.round(series.rate_dps, 3))
     turning = float(np.max(np.abs(series.rate_dps))) > 0
     known = CATALOGUE[effect]
-    if known.seen_in in series.untestable and known.seen_in != "time":
+    unknown_start = known.seen_in == "time_since_power_on" and series.has_time
+    if known.seen_in in series.untestable and known.seen_in != "time" and not unknown_start:
         return series.untestable[known.seen_in]
     if "angle_deg" in known.needs and not turning:
         return "the table did not turn"

@@ -103,10 +103,6 @@ def _in_time(s: Series, enter: Enter) -> None:
     enter("passing disturbance", where, np.concatenate(pulses, axis=1))
     enter("bend in time", where, np.maximum(x - centres[2:-2:2], 0.0))
     enter("drift as the square root of time", where, np.sqrt(x[:, 0]))
-    if s.since_power_on_s is None and s.has_time:
-        # A warm-up, if only it were known when the gyro was switched on.
-        taus = np.geomspace(120.0, 7200.0, 12)
-        enter("decay from the beginning of the record", where, np.exp(-(s.t_s - s.t_s[0])[:, None] / taus))
     decay = (x > centres) * np.exp(-np.maximum(x - centres, 0.0) / 0.08)
     enter("disturbance that decays", where, decay)
     if turning:

@@ -109,7 +109,7 @@ def test_a_mislabelled_data_set_is_left_out_and_said() -> None:
 def test_what_a_record_cannot_show_is_said() -> None:
     found = diagnose(make_table(), options=Options(heldout=False))
     assert "no table angle" in found.not_testable["earth_rate_tilt"]
-    assert "powered on" in found.not_testable["warm_up"]
+    assert "powered on" in found.not_testable["time_since_power_on"]
     assert any("Not testable" in sentence for sentence in found.sentences)
 
 
