@@ -71,6 +71,7 @@ class JointFit:
         self._q = np.linalg.qr(self.white_base[:, 1:])[0]
 
     def whiten(self, columns: Floats) -> Floats:
+        """Whitened columns at the final noise levels."""
         return self.analysis.setup.model.whiten(self.analysis.levels, columns)[0]
 
     def rss(self, columns: Floats) -> float:
