@@ -26,6 +26,7 @@ from gyrocal.diagnosis.drive_rests import Rest, evidence_of_rests, rests, rests_
 from gyrocal.diagnosis.drive_series import MAX_DELAY_S, Bins, DriveSeries, bins_of
 from gyrocal.diagnosis.gram import benjamini_hochberg, holm
 from gyrocal.diagnosis.result import Estimate, Located
+from gyrocal.records.robot import BIAS_STD_AFTER_REST_DPS
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +40,8 @@ DRAWS = 3999
 _MAX_EFFECTS = 6
 #: A law is not named where one that failed its test, or that the rests refute, fits better by this, nats (20 to 1).
 _CLEAR_NATS = 3.0
+#: A bias within so many standard deviations of what the robot file grants is none.
+_KNOWN_STDS = 2.0
 _OF_THE_BIAS = frozenset({"gyro_bias", "bias_temperature"})
 
 
@@ -105,6 +108,11 @@ class Question:
     rests: tuple[Rest, ...]
     banned: frozenset[str] = frozenset()
 
+    @property
+    def bias_std_dps(self) -> float:
+        """What is known of the gyro's bias beforehand: that it is zero within this standard deviation."""
+        return max(self.series.robot.initial_std.get("gyro_bias_dps", BIAS_STD_AFTER_REST_DPS), 1e-6)
+
     @staticmethod
     def of(series: DriveSeries, noise: YawNoise) -> Question:
         """The question that a log asks."""
@@ -159,7 +167,13 @@ def search(asked: Question, seed: int) -> tuple[Model, dict[str, float], dict[st
         best = max(accepted, key=lambda e: gains[e])
         if max(gains.values()) > gains[best] + _CLEAR_NATS:
             break
-        if rests_speak_against(asked.rests, now, _bias_law(asked, wider[best])):
+        then = _bias_law(asked, wider[best])
+        small = (
+            best == "gyro_bias"
+            and series.robot.static_s > 0
+            and abs(then[0]) < _KNOWN_STDS * asked.bias_std_dps
+        )
+        if small or rests_speak_against(asked.rests, now, then):
             vetoed.add(best)
             continue
         model = wider[best]
@@ -181,16 +195,21 @@ def _bias_law(asked: Question, model: Model) -> tuple[float, float]:
     return float(values.get("gyro_bias", 0.0)), float(values.get("bias_temperature", 0.0))
 
 
-def _fitted(asked: Question, model: Model) -> tuple[Floats, Floats, int, Bins, robust.Regression]:
+def _fitted(asked: Question, model: Model) -> tuple[Floats, Floats, Floats, Bins, robust.Regression]:
     """Coefficients of a model's columns, their covariance, its degrees of freedom; bins and regression."""
     bins, regression = _regression(asked, model)
     columns = _columns(asked.series, model, bins)
+    # A bias that is too small to be named still leans on the other laws.
+    held = None
+    if not _OF_THE_BIAS & set(model.names()):
+        held = (np.ones(bins.t_s.size), bins.width_s * asked.bias_std_dps)
     values, covariance, dof = robust.fit(
         bins.encoder_deg - bins.gyro_deg,
         columns,
         regression.phi,
         _rows_per_block(bins),
         asked.noise.dummies(),
+        held,
     )
     return values, covariance, dof, bins, regression
 
@@ -257,20 +276,25 @@ def explain(asked: Question, seed: int) -> YawFit:
     model, p_values, rivals = search(asked, seed)
     values, covariance, dof, bins, regression = _fitted(asked, model)
     y = bins.encoder_deg - bins.gyro_deg
-    t95 = float(stats.t.ppf(0.975, dof))
+    t95 = np.atleast_1d(stats.t.ppf(0.975, dof))
     parameters, laws, taken = {}, {}, np.zeros(y.size)
     for i, member in enumerate(model.members):
         std = float(np.sqrt(covariance[i, i]))
-        amplitude = _estimate(values[i], std, t95, member.scale, EFFECTS[member.effect].parameters[0].unit)
+        amplitude = _estimate(
+            values[i], std, float(t95[i]), member.scale, EFFECTS[member.effect].parameters[0].unit
+        )
         shape = {k: Estimate(v, float("nan"), "1", (float("nan"),) * 2) for k, v in member.shape.items()}
         parameters[member.effect] = {"amplitude": amplitude} | shape
         laws[member.effect] = member.columns[:, 0] * values[i]
+        p_values[member.effect] = max(
+            p_values[member.effect], float(2 * stats.t.sf(abs(values[i]) / std, dof[i]))
+        )
         taken = taken + laws[member.effect]
     nominal = bins_of(series, 0.0)
     if model.delayed:
         # The encoders are late by the delay: the gyro, dated by them, is early.
         std = float(np.sqrt(covariance[-1, -1]))
-        parameters["gyro_delay"] = {"amplitude": _estimate(-model.delay_s, std, t95, 1.0, "s")}
+        parameters["gyro_delay"] = {"amplitude": _estimate(-model.delay_s, std, float(t95[-1]), 1.0, "s")}
         laws["gyro_delay"] = bins.gyro_deg - nominal.gyro_deg
     before, after = nominal.encoder_deg - nominal.gyro_deg, y - taken
     places = _places(asked, model, after, seed)

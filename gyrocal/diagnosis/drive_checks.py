@@ -185,7 +185,7 @@ def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: fl
     rows = round(_BLOCK_S / width_s)
     regression = robust.regress(y, bins.distance_m[:, None], robust.autoregression(y, 20), rows)
     lines = {
-        side: _spectral_lines(series, bins.t_s[20:], regression.residual, side, smallest_m)
+        side: _spectral_lines(series, bins.t_s[regression.phi.size :], regression.residual, side, smallest_m)
         for side in (-1.0, 1.0)
     }
     trials = sum(count for _, count in lines.values())
@@ -217,7 +217,7 @@ def _wheel_found(
     size = float(np.hypot(*values))
     gradient = values / size
     std = float(np.sqrt(gradient @ covariance @ gradient))
-    t95 = float(stats.t.ppf(0.975, dof))
+    t95 = float(stats.t.ppf(0.975, np.min(dof)))
     step = radius**2 * np.pi / float(np.ptp(series.right_m if side > 0 else series.left_m))
     low, high = 100 * (size - t95 * std), 100 * (size + t95 * std)
     return Found(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis import robust
-from gyrocal.diagnosis.drive import BLOCK_S, Model, Question, YawFit, explain, refitted
+from gyrocal.diagnosis.drive import BLOCK_S, LEVEL, Model, Question, YawFit, explain, refitted
 from gyrocal.diagnosis.drive_effects import coordinates
 from gyrocal.diagnosis.drive_noise import YawNoise
 from gyrocal.diagnosis.drive_series import DriveSeries, bins_of
@@ -23,7 +23,7 @@ _BOOTSTRAP = 2000
 def explain_with_gain(
     asked: Question, nominal: DriveSeries, seed: int
 ) -> tuple[YawFit, Improvement | None, dict[str, Improvement], tuple[str, ...]]:
-    """Explain a drive; a law that does not lessen the error on data left out is not named.
+    """Explain a drive; a law that does not lessen the error on data left out, or that a small bias may be, is not named.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def explain_with_gain(
     while True:
         fit = explain(replace(asked, banned=asked.banned | set(refused)), seed)
         total, each = _improvements(asked, fit, nominal, seed)
-        weak = [n for n, gain in each.items() if not gain.interval_95[0] > 0]
+        weak = [n for n, gain in each.items() if not gain.interval_95[0] > 0 or fit.p_values[n] > LEVEL]
         if not weak:
             return fit, total, each, tuple(refused)
         refused.append(min(weak, key=lambda n: each[n].interval_95[0]))

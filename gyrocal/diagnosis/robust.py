@@ -20,12 +20,22 @@ Ints = NDArray[np.int64]
 AR_ORDER = 6
 
 
-def autoregression(residual: Floats, order: int = AR_ORDER) -> Floats:
-    """Coefficients of the autoregression of `residual`, shape (order,), by Yule and Walker (always stable)."""
+def autoregression(residual: Floats, most: int = AR_ORDER) -> Floats:
+    """Coefficients of the autoregression of `residual`, by Yule and Walker (always stable).
+
+    Its order is that of the least Bayesian information criterion up to `most`: terms that are not there cost coverage.
+    """
     x = residual - residual.mean()
-    lags = np.array([x[: x.size - k] @ x[k:] for k in range(order + 1)]) / x.size
-    toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-    return np.asarray(np.linalg.solve(toeplitz + 1e-9 * lags[0] * np.eye(order), lags[1:]))
+    lags = np.array([x[: x.size - k] @ x[k:] for k in range(most + 1)]) / x.size
+    best, least = np.zeros(0), x.size * float(np.log(lags[0])) if lags[0] > 0 else -np.inf
+    for order in range(1, most + 1):
+        toeplitz = lags[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
+        phi = np.linalg.solve(toeplitz + 1e-9 * lags[0] * np.eye(order), lags[1 : order + 1])
+        left = float(lags[0] - phi @ lags[1 : order + 1])
+        criterion = x.size * float(np.log(max(left, 1e-300))) + order * float(np.log(x.size))
+        if criterion < least:
+            best, least = phi, criterion
+    return np.asarray(best)
 
 
 def whiten(phi: Floats, columns: Floats) -> Floats:
@@ -173,33 +183,56 @@ def _gain(regression: Regression, free: Floats) -> float:
 
 
 def fit(
-    y: Floats, columns: Floats, phi: Floats, rows_per_block: int, nuisance: Floats | None = None
-) -> tuple[Floats, Floats, int]:
-    """Coefficients (k,), their covariance (k, k) robust within blocks, and its degrees of freedom.
+    y: Floats,
+    columns: Floats,
+    phi: Floats,
+    rows_per_block: int,
+    nuisance: Floats | None = None,
+    held: tuple[Floats, float] | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Coefficients (k,), their covariance (k, k) robust within blocks, and its degrees of freedom (k,).
 
     Parameters
     ----------
     nuisance : ndarray, shape (n, m), optional
         Columns that are taken out first.
+    held : (ndarray of shape (n,), float), optional
+        A column whose coefficient is known to be zero within this standard deviation.
 
     Notes
     -----
     The covariance is the jackknife over blocks (CR3 of Bell and McCaffrey 2002): where a few blocks weigh much, the
-    plain sandwich is too small.
+    plain sandwich is too small. What the held column may do beside is added. The degrees of freedom are those of the
+    blocks that a coefficient really leans on (Satterthwaite).
     """
-    white = whiten(phi, np.column_stack([y, columns]))
+    parts = [y[:, None], columns] if held is None else [y[:, None], columns, held[0][:, None]]
+    white = whiten(phi, np.hstack(parts))
     if nuisance is not None and nuisance.shape[1]:
         basis = np.linalg.qr(whiten(phi, nuisance))[0]
         white = white - basis @ (basis.T @ white)
     x, target = white[:, 1:], white[:, 0]
     square, product = x.T @ x, x.T @ target
-    values = np.linalg.pinv(square) @ product
+    left = target - x @ (np.linalg.pinv(square) @ product)
+    weight = np.zeros(x.shape[1])
+    if held is not None:
+        weight[-1] = float(left @ left) / max(target.size - x.shape[1], 1) / held[1] ** 2
+    inverse = np.linalg.pinv(square + np.diag(weight))
+    values = inverse @ product
     starts = block_starts(target.size, rows_per_block)
     ends = np.append(starts[1:], target.size)
-    without = np.empty((starts.size, values.size))
+    without, leaning = np.empty((2, starts.size, values.size))
     for k, (begin, end) in enumerate(zip(starts, ends, strict=True)):
         part = x[begin:end]
-        without[k] = np.linalg.pinv(square - part.T @ part) @ (product - part.T @ target[begin:end])
+        rest = square - part.T @ part + np.diag(weight)
+        without[k] = np.linalg.pinv(rest) @ (product - part.T @ target[begin:end])
+        leaning[k] = np.sum((inverse @ part.T) ** 2, axis=1)
     away = without - values
-    count = max(starts.size - 1, 1)
-    return values, count / starts.size * away.T @ away, count
+    count, wanted = max(starts.size - 1, 1), columns.shape[1]
+    covariance = count / starts.size * away.T @ away
+    freedom = np.clip(
+        leaning.sum(axis=0) ** 2 / np.maximum((leaning**2).sum(axis=0), 1e-300) - 1.0, 1.0, count
+    )
+    if held is not None:
+        pulled = inverse[:, -1] * weight[-1] * held[1]
+        covariance = covariance + np.outer(pulled, pulled)
+    return values[:wanted], covariance[:wanted, :wanted], freedom[:wanted]
