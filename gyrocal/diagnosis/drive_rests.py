@@ -50,11 +50,11 @@ def rests(series: DriveSeries) -> tuple[Rest, ...]:
         rate = float(series.gyro_deg[j] - series.gyro_deg[i]) / seconds
         steps = np.diff(series.gyro_deg[i : j + 1])
         white = float(np.var(steps - rate * np.diff(t[i : j + 1]))) * steps.size / seconds**2
-        warmer = (
-            float(np.interp(t[i], t[known], series.temp_c[known]) - series.start_temp_c)
-            if known.size
-            else 0.0
-        )
+        warmer = 0.0
+        if known.size:
+            warmer = float(
+                np.mean(np.interp(t[i : j + 1], t[known], series.temp_c[known])) - series.start_temp_c
+            )
         found.append(Rest(float(t[i]), rate, float(np.hypot(np.sqrt(white), _WANDER_DPS)), warmer))
     return tuple(found)
 
