@@ -175,15 +175,9 @@ def _walk_place(analysis: Analysis, level: float) -> list[Located]:
     if not analysis.levels.walk or analysis.walk_p > level:
         return []
     series = analysis.setup.series
-    wandered = 1e3 * analysis.levels.wander_dps(float(np.ptp(series.t_s)))
+    wandered = 1e3 * analysis.levels.walk * float(np.sqrt(np.ptp(series.t_s)))
     where = "time" if series.has_time else "data_set_index"
-    tau_s = analysis.levels.walk_tau_s
-    back = (
-        "over the record"
-        if np.isinf(tau_s) or not series.has_time
-        else f"and finds back in about {tau_s:.0f} s"
-    )
-    region = f"everywhere (the bias walks at random, by {wandered:.2g} mdeg/s {back})"
+    region = f"everywhere (the bias walks at random, by {wandered:.2g} mdeg/s over the record)"
     return [Located(where, "variance", region, analysis.walk_p, 1.0, True)]
 
 
@@ -249,8 +243,7 @@ def _noise_figures(series: Series, analysis: Analysis) -> NoiseFigures:
     # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
     # IEEE 952 gives for both signs of the frequency, over a decade.
     flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
-    walks = levels.walk > 0 and np.isinf(levels.walk_tau_s) and series.has_time
-    wander = levels.walk * 3600.0 * 60.0 if walks else None
+    wander = levels.walk * 3600.0 * 60.0 if levels.walk and series.has_time else None
     return NoiseFigures(white, walk, float(flicker), 1e6 * levels.jitter, wander)
 
 

@@ -15,7 +15,6 @@ from gyrocal.diagnosis.whitening import TAUS_S, NoiseLevels, NoiseModel, estimat
 
 LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
 WALKING = replace(LEVELS, walk=4e-4)
-WANDERING = replace(LEVELS, walk=4e-4, walk_tau_s=100.0)
 
 
 def make_series(n_sets: int = 30, per_set: int = 12) -> Series:
@@ -51,14 +50,11 @@ def dense_covariance(series: Series, model: NoiseModel, levels: NoiseLevels) -> 
         total = total + levels.flicker_dps**2 * np.exp(-gap / tau) * np.outer(read, read)
     same = series.set_index[:, None] == series.set_index[None, :]
     since = series.t_s - series.t_s[0]
-    if np.isinf(levels.walk_tau_s):
-        total = total + levels.walk**2 * np.minimum(since[:, None], since[None, :])
-    else:
-        total = total + levels.walk**2 * levels.walk_tau_s / 2 * np.exp(-gap / levels.walk_tau_s)
+    total = total + levels.walk**2 * np.minimum(since[:, None], since[None, :])
     return np.asarray(total + same * (levels.jitter * series.rate_dps[:, None]) ** 2)
 
 
-@pytest.mark.parametrize("levels", [LEVELS, WALKING, WANDERING])
+@pytest.mark.parametrize("levels", [LEVELS, WALKING])
 def test_filter_equals_the_dense_covariance(levels: NoiseLevels) -> None:
     series = make_series()
     model = NoiseModel(series)
@@ -69,7 +65,7 @@ def test_filter_equals_the_dense_covariance(levels: NoiseLevels) -> None:
     assert 2.0 * np.log(std).sum() == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
 
 
-@pytest.mark.parametrize("levels", [LEVELS, WALKING, WANDERING])
+@pytest.mark.parametrize("levels", [LEVELS, WALKING])
 def test_simulated_noise_is_whitened_to_standard_normal(levels: NoiseLevels) -> None:
     model = NoiseModel(make_series(60))
     noise = model.simulate(levels, np.random.default_rng(1), 4)
@@ -124,7 +120,7 @@ def test_a_random_walk_is_taken_in_where_there_is_one_and_nowhere_else() -> None
             found, p_value = look_for_walk(model, y, X, estimate_levels(model, y, X))
             taken.append(found.walk if p_value < 0.01 else 0.0)
         if levels.walk:
-            # An hour of a walk: its level to a factor of two.
+            # 60 minutes of a walk: its level to a factor of two.
             assert np.median(taken) == pytest.approx(levels.walk, rel=0.5)
         else:
             assert np.count_nonzero(taken) <= 1
