@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Standard deviations beyond which a bin is no noise: once in 5e8 bins of a normal one; neighbours of such a bin.
-_OUTLIER, _NEIGHBOUR = 6.0, 3.0
+_OUTLIER, _NEIGHBOUR = 6.0, 2.0
 #: Slips in more than this share of the bins are not isolated: they are noise of this robot.
 _MOST = 0.25
 _HUBER, _BISQUARE = 1.5, 4.7

@@ -119,6 +119,18 @@ def test_a_bias_is_named_where_the_rests_agree() -> None:
     assert not rests_speak_against((), (0.0, 0.0), (0.3, 0.0))
 
 
+def test_a_drift_by_temperature_is_told_from_a_bias_by_the_rest() -> None:
+    found = diagnosis(Plan(minutes=10.0, wheel_noise=0.002, effects={"bias_temperature": 60.0}), 4)
+    assert names(found) == ["bias_temperature"]
+    amplitude = found.effects[0].parameters["amplitude"]
+    assert abs(amplitude.value - 60.0) < 4 * amplitude.std
+
+
+def test_a_small_bias_within_what_the_rest_leaves_is_no_effect() -> None:
+    plan = Plan(minutes=6.0, wheel_noise=1e-4, arw_dps_rt_s=0.01, bias_walk=0.0003)
+    assert names(diagnosis(plan, 4)) == []
+
+
 def test_rests_are_found_with_the_gyro_s_rate() -> None:
     plan = Plan(shape="rests", minutes=6.0, bias_dps=0.0, wheel_noise=0.0)
     seen = rests(drive_series("x", drive(plan, 3), robot(plan), None))
