@@ -146,7 +146,8 @@ def _search_from(
     y = setup.base.residual_dps
     members = list(start)
     for attempt in range(_ROUNDS):
-        setup = _with_jumps(setup, levels, members, seed)
+        # Once for the record, once for what the members leave.
+        setup = _with_jumps(setup, levels, members, seed) if attempt < 2 else setup
         white = setup.model.whiten(levels, setup.matrix)[0]
         gram = np.asarray(white.T @ white)
         search = Search(gram, setup.surface_columns, setup.hypotheses, setup.series.n_sets, level, seed)
