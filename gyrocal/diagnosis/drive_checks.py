@@ -34,6 +34,8 @@ _FINE_ROWS = 60_000
 _CLEAR_NATS = 3.0
 
 
+#: An error of a scale or of a wheel that is smaller, relative, is of no use to anyone, however well it is known.
+NEGLIGIBLE = 1e-3
 #: Share of the noise's variance from which on ticks and time stamps matter.
 _MATTERS = 0.05
 
@@ -201,7 +203,8 @@ def eccentric_wheel(series: DriveSeries, delay_s: float, ratio: float, level: fl
     hertz = float(np.median(moving)) / (2 * np.pi * cases[best][1]) * np.linspace(0.8, 1.2, 401)
     if max(robust.line_test(regression, _swing(bins.t_s, width_s, f))[0] for f in hertz) > gain - _CLEAR_NATS:
         return None
-    return _wheel_found(series, bins, y, *cases[best], p_value)
+    found = _wheel_found(series, bins, y, *cases[best], p_value)
+    return found if found.parameters["amplitude"].value > 100.0 * NEGLIGIBLE else None
 
 
 def _wheel_found(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive import LEVEL_OF_A_CHECK, YawFit
-from gyrocal.diagnosis.drive_checks import Found
+from gyrocal.diagnosis.drive_checks import NEGLIGIBLE, Found
 from gyrocal.diagnosis.drive_effects import EFFECTS
 from gyrocal.diagnosis.drive_noise import YawNoise
 from gyrocal.diagnosis.drive_rests import white_rate_dps_rt_s
@@ -22,8 +22,6 @@ from gyrocal.units import DEG_TO_RAD
 
 Floats = NDArray[np.float64]
 
-#: A scale that is off by less is of no use to anyone, however well it is known.
-NEGLIGIBLE = 1e-3
 #: Evidence against a twin beyond which it is not listed any more, and the largest that is claimed.
 _OUT, _MOST = 100.0, 1e6
 #: Evidence against the slip from which on a twin is named instead.
