@@ -26,7 +26,7 @@ _WINDOW_S = 5.0
 _FINE_S = 0.1
 _RADII_M = (0.02, 0.6)
 _PEAKS = 6
-_BLOCK_S = 10.0
+_BLOCK_S = 4.0
 #: Median absolute deviations beyond which a fine bin is cut down.
 _FAR = 12.0
 _FINE_ROWS = 60_000
