@@ -132,6 +132,9 @@ def _leave_out(
             / scale[:, None]
         )
         left = everything[out][:, :m] - everything[out][:, columns] @ solution
+        if analysis.levels.walk:
+            # The fit of a bias that walks refers to its first row; what predicts is the mean of what was seen.
+            left -= np.mean(everything[~out][:, :m] - everything[~out][:, columns] @ solution, axis=0)
         totals = np.column_stack([np.bincount(inverse, weights=weight * column) for column in left.T])
         means = totals / np.bincount(inverse, weights=weight)[:, None]
         squares.append(means[:, 0] ** 2)

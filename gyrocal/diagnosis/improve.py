@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gate import Gate
 from gyrocal.diagnosis.intervals import Profile
 from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.shapes import REFINED, JointFit, Piece, member_columns, refine_shapes
+from gyrocal.diagnosis.whitening import NoiseLevels
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Conditions
 from gyrocal.physics.surface import Surface
@@ -134,8 +136,27 @@ def _beside(
         rows[id(piece)] = np.arange(first, first + piece.columns.shape[1])
         first += piece.columns.shape[1]
     left = base.residual_dps - base.design @ solution[:p] - stacked @ solution[p:]
-    solved = Solved(_moved(base, solution), _full(covariance[:p, :p], base.terms), left)
+    solved = _centred(
+        Solved(_moved(base, solution), _full(covariance[:p, :p], base.terms), left), series, analysis.levels
+    )
     return _Beside(solved, solution, covariance, rows, steps)
+
+
+def _centred(solved: Solved, series: Series, levels: NoiseLevels) -> Solved:
+    """Where the bias walks, its level is known for an instant only: the surface takes the mean of the recording.
+
+    The fit itself refers to the first row, from which the walk is counted; the mean of a walk over T is away from
+    it by a variance of K^2 T / 3.
+    """
+    if not levels.walk:
+        return solved
+    mean_dps = float(
+        np.average(solved.left_dps, weights=series.averaging_s if series.averaging_s.any() else None)
+    )
+    c, covariance = solved.surface.coefficients_dps.copy(), solved.covariance_dps2.copy()
+    c[0, 0] += mean_dps
+    covariance[0, 0] += levels.walk**2 * float(np.ptp(series.t_s)) / 3.0
+    return Solved(replace(solved.surface, coefficients_dps=c), covariance, solved.left_dps - mean_dps)
 
 
 def _moved(base: Base, solution: Floats) -> Surface:

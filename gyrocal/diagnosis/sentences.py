@@ -226,8 +226,9 @@ def _folded(folded: Fold) -> str:
     places = decimals(noise)
     label = folded.coordinate.label.rsplit(",", 1)[0]
     label = label[0].lower() + label[1:] if label[1:2].islower() else label
+    moves = "falls" if after < before else "rises"
     return (
-        f"folded on {label} the rms of the residual falls from {fixed(before, places)} to {fixed(after, places)} "
+        f"folded on {label} the rms of the residual {moves} from {fixed(before, places)} to {fixed(after, places)} "
         f"{folded.coordinate.unit}."
     )
 

@@ -182,3 +182,24 @@ def test_practice_recordings() -> None:
             in_class |= {a.effect for e in found.effects for a in e.alternatives}
             right += truth <= in_class and len(found.effects) == len(truth)
     assert right == len(answers)
+
+
+def test_a_bias_that_walks_is_said_and_its_surface_stands_for_the_mean() -> None:
+    rng = np.random.default_rng(11)
+    t_s = np.arange(0.0, 7200.0, 4.0)
+    walk = np.cumsum(rng.normal(0.0, 1e-3, t_s.size))
+    gyro = 0.1 + walk + rng.normal(0.0, 2e-3, t_s.size)
+    temp = 25.0 + rng.normal(0.0, 0.01, t_s.size)
+    table = DataSetTable(Path("walk.csv"), np.zeros(t_s.size), gyro, temp, t_s=t_s)
+    found = diagnose(table, options=Options(heldout=False))
+    assert found.verdict == "unexplained"
+    assert found.effects == ()
+    assert [p.coordinate for p in found.located if p.remains] == ["time"]
+    assert "walks at random" in found.located[0].region
+    # 1 mdeg/s in the square root of 4 s, in deg/h in the square root of an hour.
+    true = 1e-3 / 2.0 * 3600.0 * 60.0
+    assert found.noise is not None
+    assert found.noise.rate_random_walk_deg_per_h_per_rt_h == pytest.approx(true, rel=0.15)
+    assert found.surface is not None
+    left = gyro - found.surface.surface.output_dps(np.zeros(t_s.size), temp)
+    assert abs(np.mean(left)) < 0.1 * np.std(walk)
