@@ -279,8 +279,7 @@ class Search:
     def _free_shapes(self, h: Hypothesis, point: int, gain: float, projection: Projection) -> Floats:
         """Mixtures of the family's columns along which a real effect of this strength may depart from the law."""
         own = h.points[point]
-        gains = projection.gains(h.points)
-        near = h.points[gains > 0.8 * gain].ravel()
+        near = h.points[_near(h, point, projection.gains(h.points) > 0.8 * gain)].ravel()
         family = np.setdiff1d(np.concatenate([near, h.nuisance]), own)
         size = self.gram.shape[0] - 1
         norm = projection.gram[family, family]
@@ -302,6 +301,18 @@ class Search:
             and score.gain < _MISFIT_SHARE * m.gain
             for m in members
         )
+
+
+def _near(h: Hypothesis, point: int, good: NDArray[np.bool_]) -> Ints:
+    """Grid points that explain almost as much as the best; of instants only those around it, not a second jump."""
+    if "at_s" not in h.shapes[point]:
+        return np.flatnonzero(good)
+    order = np.argsort([shape["at_s"] for shape in h.shapes])
+    place = int(np.flatnonzero(order == point)[0])
+    worse = np.flatnonzero(~good[order])
+    low = int(worse[worse < place][-1]) + 1 if (worse < place).any() else 0
+    high = int(worse[worse > place][0]) if (worse > place).any() else order.size
+    return order[low:high]
 
 
 def _without_doubles(hypotheses: Sequence[Hypothesis], bare: Projection) -> list[Hypothesis]:
