@@ -16,9 +16,13 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class RowConditions(Conditions):
-    """Conditions of rows that are means over a while; ``row_s``, shape (n,), says over how long."""
+    """Conditions of rows that are means over a while.
+
+    ``row_s``, shape (n,), says over how long; ``sample_std_dps`` is the noise of the samples in them, 0 if unknown.
+    """
 
     row_s: Floats = field(default_factory=lambda: np.empty(0))
+    sample_std_dps: float = 0.0
 
 
 def conditions_of(series: Series) -> RowConditions:
@@ -42,6 +46,9 @@ def conditions_of(series: Series) -> RowConditions:
         temp_rate_c_per_s=series.temp_rate_c_per_min / 60.0,
         data_set_index=series.set_index.astype(np.float64),
         row_s=np.maximum(series.averaging_s, 0.1),
+        sample_std_dps=0.0
+        if series.is_table
+        else float(np.max(series.white_std_dps[series.is_set], initial=0.0)),
     )
 
 

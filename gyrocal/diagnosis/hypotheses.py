@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from gyrocal.diagnosis.columns import Book, RowConditions, conditions_of
 from gyrocal.diagnosis.series import Series
@@ -112,9 +113,10 @@ def law(
         whole = known.error_dps(c, before, surface, None)[0]
         return np.asarray(whole * np.clip((c.t_s - shape["at_s"]) / c.row_s + 0.5, 0.0, 1.0))
     if effect == "truncation" and surface is not None and shape.get("of_output"):
-        # What is cut is the output: at rest its sign is that of the bias.
+        # What is cut is the output: at rest its sign is that of the bias, as far as the samples' noise lets it.
         output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
-        return np.asarray(-1e-3 * np.sign(output))
+        noise = c.sample_std_dps if isinstance(c, RowConditions) else 0.0
+        return np.asarray(-1e-3 * (erf(output / (np.sqrt(2.0) * noise)) if noise > 0 else np.sign(output)))
     if effect == "saturation" and shape.get("softness_dps"):
         # A gain that falls gradually: the catalogue's knee is its limit.
         return -_soft_knee(c.rate_dps, shape["knee_dps"], shape["softness_dps"])

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.columns import RowConditions
 from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.hypotheses import law
 from gyrocal.diagnosis.result import VERDICTS, Diagnosis
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import parse_coefficients
@@ -203,3 +205,15 @@ def test_a_bias_that_walks_is_said_and_its_surface_stands_for_the_mean() -> None
     assert found.surface is not None
     left = gyro - found.surface.surface.output_dps(np.zeros(t_s.size), temp)
     assert abs(np.mean(left)) < 0.1 * np.std(walk)
+
+
+def test_what_cuts_the_output_is_smeared_by_the_noise_of_its_samples() -> None:
+    t_s = np.arange(5.0)
+    c = RowConditions(
+        t_s=t_s, rate_dps=np.array([-5.0, 0.0, 0.0, 0.0, 5.0]), temp_c=np.full(5, 20.0), sample_std_dps=0.004
+    )
+    bias = np.zeros((4, 3))
+    bias[0, 0] = 0.002
+    loss_mdps = 1e3 * law("truncation", c, {"of_output": 1.0}, Surface(bias, 0.0, 100.0, 20.0, 30.0))
+    # At half a standard deviation of the samples a share of 0.383 more of them is above zero than below.
+    np.testing.assert_allclose(loss_mdps, [1.0, -0.383, -0.383, -0.383, -1.0], atol=1e-3)
