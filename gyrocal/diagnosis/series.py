@@ -308,9 +308,15 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         untestable[coordinate] = reason
         return None
 
-    if np.isnan(c["temp_raw_c"]).all():
-        raise DataError(f"{run.path}: no gyro temperature was logged, so no surface can be evaluated.")
-    temp_raw = fill_gaps(c["t_s"], c["temp_raw_c"])
+    logged = c["temp_raw_c"]
+    if np.isnan(logged).all():
+        if np.isnan(c["chamber_c"]).all():
+            raise DataError(f"{run.path}: no temperature was logged, so no surface can be evaluated.")
+        logged = c["chamber_c"]
+        notes.append(
+            "the gyro sends no temperature: the chamber's stands for its own, behind which the gyro lags"
+        )
+    temp_raw = fill_gaps(c["t_s"], logged)
     history = temperature_history(c["t_s"], temp_raw)
     angle = channel("angle_deg", "table_angle", "the table angle was not logged with every segment")
     supply = channel("supply_v", "supply", "the supply voltage was not logged with every segment")

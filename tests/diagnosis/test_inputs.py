@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +13,7 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.analysis import _surface_beside
-from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.errors import DataError, InputError
@@ -18,6 +21,7 @@ from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.drive import read_drive_log
+from tests.diagnosis.concealed_bench import make_recording, write_run
 
 
 def make_table(scale: float = 1.0, full_dps: float = 240.0) -> DataSetTable:
@@ -168,3 +172,28 @@ def test_a_law_that_the_surface_imitates_does_not_end_the_diagnosis() -> None:
     series = series_of_table(replace(table, gyro_dps=table.gyro_dps - 0.03 * above * np.sign(table.gyro_dps)))
     surface = _surface_beside(series, "sagnac_sine", {"phase_rad_per_dps": 0.5 / 240.0})
     assert np.all(np.isfinite(surface.output_dps(series.rate_dps, series.temp_c)))
+
+
+def test_a_gyro_without_thermometer_is_taken_at_the_chambers_temperature(tmp_path: Path) -> None:
+    whole = series_of(write_run_of(tmp_path / "whole"))
+    blind = series_of(write_run_of(tmp_path / "blind", thermometer=False))
+    assert any("chamber's stands for its own" in note for note in blind.notes)
+    # After a ramp of up to 25 degC and a soak of three time constants the gyro is within 2 degC of the chamber.
+    np.testing.assert_allclose(blind.temp_c[blind.is_set], whole.temp_c[whole.is_set], atol=2.0)
+
+
+def write_run_of(directory: Path, *, thermometer: bool = True) -> Path:
+    """A concealed recording, with the gyro's own temperature or without."""
+    write_run(make_recording([], 5, "even"), directory)
+    if thermometer:
+        return directory
+    journal = directory / "journal.jsonl"
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    for line in lines:
+        file = directory / line["file"]
+        text = re.sub(r"^([^,]*,[^,]+),[^,]*,", r"\1,,", file.read_text(), flags=re.MULTILINE)
+        head = file.read_text().split("\n", 1)[0]
+        file.write_text(head + "\n" + text.split("\n", 1)[1])
+        line["sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
+    journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return directory
