@@ -85,20 +85,27 @@ def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Bas
 def fit_surface(series: Series, added_dps: Floats | None = None) -> Base:
     """Surface by weighted least squares in gyro output (paper eq. 5): the start of everything else.
 
-    The regressors are evaluated at the predicted output, not the noisy one, which takes a few rounds.
+    The first round takes the recorded output for the regressors, as the paper does, which holds however nonlinear
+    the gyro is; in the others they are evaluated at the predicted output, which is not noisy.
     """
     surface, terms = blank_surface(series), carried_terms(series)
-    known = 0.0 if added_dps is None else added_dps
+    known = np.zeros(len(series)) if added_dps is None else added_dps
     weight = 1.0 / series.white_std_dps
     scale_dps = float(np.max(np.abs(series.rate_dps))) or 100.0
     stiff = np.diag((terms % SHAPE[1] > 0) / (_CHANGE_WITH_TEMPERATURE * scale_dps))
-    for _ in range(4):
-        base = simulate(series, surface, terms)
+
+    def moved(design: Floats, left_dps: Floats) -> Surface:
         now = surface.coefficients_dps.ravel()[terms]
         step = np.linalg.lstsq(
-            np.concatenate([base.design * weight[:, None], stiff]),
-            np.concatenate([(base.residual_dps - known) * weight, -stiff @ now]),
+            np.concatenate([design * weight[:, None], stiff]),
+            np.concatenate([left_dps * weight, -stiff @ now]),
             rcond=None,
         )[0]
-        surface = with_coefficients(surface, terms, surface.coefficients_dps.ravel()[terms] + step)
+        return with_coefficients(surface, terms, now + step)
+
+    own = series.gyro_dps - known
+    surface = moved(surface.design(own, series.temp_c)[:, terms], own - series.rate_dps)
+    for _ in range(4):
+        base = simulate(series, surface, terms)
+        surface = moved(base.design, base.residual_dps - known)
     return simulate(series, surface, terms)

@@ -197,3 +197,16 @@ def write_run_of(directory: Path, *, thermometer: bool = True) -> Path:
         line["sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
     journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
     return directory
+
+
+def test_a_very_nonlinear_gyro_is_no_gyro_of_another_unit() -> None:
+    rng = np.random.default_rng(2)
+    rate = np.tile(np.linspace(-100.0, 100.0, 11), 6)
+    temp = np.repeat(np.linspace(-10.0, 50.0, 6), 11) + rng.normal(0, 0.1, rate.size)
+    # A third of the rate more at full scale, all of it cubic.
+    gyro = rate + 33.0 * (rate / 100.0) ** 3 + 0.001 * rng.standard_normal(rate.size)
+    found = diagnose(DataSetTable(Path("made.csv"), rate, gyro, temp), options=Options(heldout=False))
+    assert found.surface is not None
+    left = gyro - found.surface.surface.output_dps(rate, temp)
+    # A cubic of the output is not the inverse of a cubic of the rate: some of it stays, and no more.
+    assert np.std(left) < 1.0
