@@ -17,6 +17,7 @@ from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.shapes import REFINED, JointFit, Piece, member_columns, refine_shapes
 from gyrocal.diagnosis.whitening import NoiseLevels
+from gyrocal.errors import DataError
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Conditions
 from gyrocal.physics.surface import Surface
@@ -126,7 +127,11 @@ def _beside(
     fit = JointFit(analysis, base)
     for _ in range(3 if pieces else 1):
         # The surface is a function of the output itself: it is linearised anew around its own fit.
-        base = simulate(series, _moved(base, fit.solve(stacked)[0]), base.terms)
+        try:
+            base = simulate(series, _moved(base, fit.solve(stacked)[0]), base.terms)
+        except DataError:
+            # Beside a pattern that it could follow itself a surface may run off; the linear fit stands.
+            break
         fit = JointFit(analysis, base)
     solution, _ = fit.solve(stacked)
     covariance, steps = _with_shapes(fit, pieces, profiles, stacked, solution, c)

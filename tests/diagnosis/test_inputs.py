@@ -203,8 +203,8 @@ def test_a_very_nonlinear_gyro_is_no_gyro_of_another_unit() -> None:
     rng = np.random.default_rng(2)
     rate = np.tile(np.linspace(-100.0, 100.0, 11), 6)
     temp = np.repeat(np.linspace(-10.0, 50.0, 6), 11) + rng.normal(0, 0.1, rate.size)
-    # A third of the rate more at full scale, all of it cubic.
-    gyro = rate + 33.0 * (rate / 100.0) ** 3 + 0.001 * rng.standard_normal(rate.size)
+    # A fifth of the rate more at full scale, all of it cubic.
+    gyro = rate + 20.0 * (rate / 100.0) ** 3 + 0.001 * rng.standard_normal(rate.size)
     found = diagnose(DataSetTable(Path("made.csv"), rate, gyro, temp), options=Options(heldout=False))
     assert found.surface is not None
     left = gyro - found.surface.surface.output_dps(rate, temp)
