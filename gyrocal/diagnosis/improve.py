@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis
-from gyrocal.diagnosis.base import Base, simulate, with_coefficients
+from gyrocal.diagnosis.base import Base, fit_surface, simulate, with_coefficients
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gate import Gate
 from gyrocal.diagnosis.intervals import Profile
@@ -122,18 +122,24 @@ def _beside(
     profiles: Mapping[tuple[str, str], Profile],
     c: Conditions,
 ) -> _Beside:
-    series, base = analysis.setup.series, analysis.setup.base
+    series = analysis.setup.series
+    # The search may have linearised around a surface that is right beside a law, and far off without it.
+    base = analysis.setup.base if pieces else fit_surface(series)
     stacked = np.concatenate([np.empty((len(series), 0)), *(p.columns for p in pieces)], axis=1)
     fit = JointFit(analysis, base)
+    held = False
     for _ in range(3 if pieces else 1):
         # The surface is a function of the output itself: it is linearised anew around its own fit.
         try:
             base = simulate(series, _moved(base, fit.solve(stacked)[0]), base.terms)
         except DataError:
-            # Beside a pattern that it could follow itself a surface may run off; the linear fit stands.
+            # A step too far: no gyro is like that. The surface stays where it was linearised.
+            held = True
             break
         fit = JointFit(analysis, base)
     solution, _ = fit.solve(stacked)
+    if held:
+        solution[: base.terms.size] = 0.0
     covariance, steps = _with_shapes(fit, pieces, profiles, stacked, solution, c)
     p = base.design.shape[1]
     rows, first = {}, p
