@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+#: P-value of what is counted, not tested: that noise puts every sample on a lattice is out of the question.
+_CERTAIN = 0.0
 #: A data set this many times farther off than 95 % of all others is not of this recording.
 _GROSS = 8.0
 _MOST_BAD_SHARE = 0.03
@@ -100,8 +102,8 @@ def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets
         # It may be no wider than what it is seen to swallow.
         "width_dps": Estimate(reach[0], 0.25 * (reach[1] - reach[0]), "deg/s", reach),
     }
-    place = Located("rate", "mean", "data sets whose output is exactly 0", 1e-12, 1.0)
-    return Finding("dead_zone", statement, parameters, 1e-12, place)
+    place = Located("rate", "mean", "data sets whose output is exactly 0", _CERTAIN, 1.0)
+    return Finding("dead_zone", statement, parameters, _CERTAIN, place)
 
 
 def bad_sets(series: Series) -> tuple[Ints, Floats]:
@@ -140,13 +142,13 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
     ]
     statement = f"Single data sets do not belong to the rest: {'; '.join(names)}. Mislabelled, or disturbed; left out of the fit."
     size = float(1e3 * np.max(np.abs(off_dps)))
-    place = Located("data_set_index", "mean", statement, 1e-12, 1.0)
+    place = Located("data_set_index", "mean", statement, _CERTAIN, 1.0)
     return [
         Finding(
             "bursts",
             statement,
             {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))},
-            1e-12,
+            _CERTAIN,
             place,
         )
     ]
@@ -194,13 +196,13 @@ def step_findings(series: Series) -> list[Finding]:
         return []
     size = 1e3 * step
     statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
-    place = Located("rate", "variance", "every sample lies on a lattice", 1e-12, 0.0)
+    place = Located("rate", "variance", "every sample lies on a lattice", _CERTAIN, 0.0)
     return [
         Finding(
             "quantisation",
             statement,
             {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))},
-            1e-12,
+            _CERTAIN,
             place,
         )
     ]
