@@ -109,7 +109,6 @@ def prepare(series: Series, base: Base) -> Setup:
 
 
 def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
-    """Noise, search, noise again under what was found, until nothing changes."""
     """The better of two searches where the record insists on a rate random walk: with it in the noise, or without.
 
     What wanders slowly can be a law, or noise; the evidence of the whole decides.
@@ -133,10 +132,10 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
         if not walking.walk or p_value > level:
             return found
         best = _search_from(found.setup, walking, level, seed, found.members)
+    if not best.levels.walk:
+        return best
     columns = model_columns(best.setup, best.members)
-    return (
-        replace(best, walk_p=walk_p_value(setup.model, y, columns, best.levels)) if best.levels.walk else best
-    )
+    return replace(best, walk_p=walk_p_value(setup.model, y, columns, best.levels))
 
 
 def _search_from(
