@@ -35,6 +35,8 @@ STRANGE = -3.0
 _POSITIVE = ("sagnac_sine", "saturation", "truncation", "thermal_lag")
 #: Patterns of the reference of which less than this share (of the largest) is left beyond the surface are its own.
 _BEYOND_SURFACE = 1e-3
+#: Parameters of shape along which a grid may become finer.
+REFINED_ON_GRID = ("at_s", "tau_s", "width_c", "phase_rad_per_dps", "knee_dps")
 #: Instants of a jump that are on the grid from the first.
 _JUMP_NET = 48
 #: Same law, other cause: (the same columns explain the data exactly as well).
@@ -79,20 +81,24 @@ class Hypothesis:
     def weights(self) -> Floats:
         """Share of each grid point in the shapes that could be, shape (g,).
 
-        A grid that is finer here than there must not make its law likelier: along one parameter a point stands
-        for half the way to its neighbours, in time itself or in the logarithm of a scale.
+        A grid that is finer here than there must not make its law likelier: along the parameter that is refined a
+        point stands for half the way to its neighbours, in time itself or in the logarithm of a scale.
         """
-        names = {name for shape in self.shapes for name in shape}
-        varied = [name for name in names if len({shape.get(name) for shape in self.shapes}) > 1]
-        if len(varied) != 1 or len(self.shapes) < 3:
+        key = next((name for name in REFINED_ON_GRID if name in self.shapes[0]), None)
+        if key is None:
             return np.full(len(self.shapes), 1.0 / len(self.shapes))
-        x = np.array([shape[varied[0]] for shape in self.shapes])
-        if varied[0] != "at_s" and x.min() > 0:
-            x = np.log(x)
-        order = np.argsort(x)
-        width = np.empty(x.size)
-        width[order] = np.gradient(x[order])
-        return np.asarray(width / width.sum())
+        others = [tuple(sorted((k, v) for k, v in shape.items() if k != key)) for shape in self.shapes]
+        weights = np.empty(len(self.shapes))
+        for other in set(others):
+            rows = np.flatnonzero([o == other for o in others])
+            x = np.array([self.shapes[row][key] for row in rows])
+            x = x if key == "at_s" or x.min() <= 0 else np.log(x)
+            order = np.argsort(x)
+            width = np.ones(x.size)
+            if np.ptp(x) > 0 and x.size > 2:
+                width[order] = np.gradient(x[order])
+            weights[rows] = width / width.sum()
+        return np.asarray(weights / weights.sum())
 
     @property
     def df(self) -> int:
@@ -147,7 +153,7 @@ def two_orders(c: Conditions, shape: Shape) -> Floats:
 def finer_shapes(h: Hypothesis, point: int) -> list[dict[str, float]]:
     """Shapes between a point of a grid and its neighbours; where a jump may be is scanned for (`jumps`)."""
     best = dict(h.shapes[point])
-    for name in ("tau_s", "width_c", "phase_rad_per_dps", "knee_dps"):
+    for name in REFINED_ON_GRID[1:]:
         if best.get(name, 0.0) > 0.0 and "center_dps" not in best:
             grid = np.unique([s[name] for s in h.shapes])
             place = int(np.searchsorted(grid, best[name]))
