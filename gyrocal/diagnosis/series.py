@@ -161,7 +161,7 @@ def series_of_run(run: Run) -> Series:
         notes.append(f"{failed} segments are marked failed in the journal and are left out")
     aside = sum(raw["set_aside"] for raw in raws)
     if aside:
-        notes.append(f"{aside} samples that stand out within {_HEAD_S:g} s of a step of rate are left out")
+        notes.append(f"{aside} samples that stand out right after a step of rate are left out")
     if unusable:
         notes.append(f"{unusable} gyro samples are empty or of bad status and are left out")
     notes += sample_notes(
@@ -196,7 +196,7 @@ def _segment_rows(
     averaging_s = segment.record.averaging_s or step_s
     outlier = outliers(gyro)
     # Right after a step, ringing that samples are too few to follow stands out like a burst and is none.
-    settling = (t - segment.record.t_start_s < _HEAD_S) & (rate != previous_rate)
+    settling = (t - segment.record.t_start_s < max(_HEAD_S, 10.0 * averaging_s)) & (rate != previous_rate)
     bins = _bin_numbers(t, rate, step_s, float(segment.record.t_end_s - segment.record.t_start_s))
     keep = ~outlier
     count = np.bincount(bins[keep], minlength=bins[-1] + 1).astype(np.float64)
