@@ -31,6 +31,9 @@ _ROWS_A_COLUMN = 3
 #: Levels that differ by less are the same.
 _SAME_LEVELS = 0.03
 _ROUNDS = 3
+#: A walk is taken in at this rate of false alarms at the most: the processes that stand for 1/f noise follow it to
+#: some percent only, and a long record would have a walk make up for that.
+_WALK_LEVEL = 1e-6
 #: Rivals that have lost less evidence (nats) get a finer grid before the loss counts.
 _NEAR_NATS = 6.0
 #: Peaks of the scan for jumps that go on the grid, and instants on either side of each.
@@ -114,14 +117,15 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
     What wanders slowly can be a law, or noise; the evidence of the whole decides.
     """
     y, X = setup.base.residual_dps, setup.columns
+    sure = min(level, _WALK_LEVEL)
     surface, saturated = X[:, setup.surface_columns], X[:, _saturating(setup)]
     bare = estimate_levels(setup.model, y, surface)
     still = estimate_levels(setup.model, y, saturated, bare.levels)
     found = _search_from(setup, still.levels, level, seed)
     walking, p_value = look_for_walk(setup.model, y, saturated, still)
-    if p_value > level and any(related(m.hypothesis.coordinate, "time") for m in found.members):
+    if p_value > sure and any(related(m.hypothesis.coordinate, "time") for m in found.members):
         walking, p_value = look_for_walk(setup.model, y, surface, bare)
-    if not walking.walk or p_value > level:
+    if not walking.walk or p_value > sure:
         return found
     best = min((found, _search_from(setup, walking, level, seed)), key=_criterion)
     if best is found:
@@ -135,7 +139,8 @@ def search_setup(setup: Setup, level: float, seed: int) -> Analysis:
     if not best.levels.walk:
         return best
     columns = model_columns(best.setup, best.members)
-    return replace(best, walk_p=walk_p_value(setup.model, y, columns, best.levels))
+    p_value = walk_p_value(setup.model, y, columns, best.levels)
+    return replace(best, walk_p=p_value) if p_value < sure else found
 
 
 def _search_from(

@@ -34,7 +34,7 @@ except ImportError:  # the same functions run as plain Python, on blocks of colu
         return lambda function: function
 
 
-#: Correlation times of the bias noise, s.
+#: Correlation times of the bias noise, s; a record that is longer than the last has more, a decade apart.
 TAUS_S = (2.0, 20.0, 200.0, 2000.0, 20000.0)
 #: Levels below these (flicker and walk in units of the white noise, jitter relative) are none.
 _LOWEST = np.log([1e-5, 1e-8, 1e-7])
@@ -223,7 +223,9 @@ class NoiseModel:
     """
 
     def __init__(self, series: Series) -> None:
-        taus = np.array(TAUS_S)
+        span_s = float(np.ptp(series.t_s))
+        longer = int(np.ceil(np.log10(max(span_s / TAUS_S[-1], 1.0))))
+        taus = np.append(TAUS_S, TAUS_S[-1] * 10.0 ** np.arange(1, longer + 1))
         self.gap_s = np.diff(series.t_s, prepend=series.t_s[0])
         self.decay = np.exp(-self.gap_s[:, None] / taus)
         # A mean over T of an OU process scatters less than its points do; T = 0 reads the process itself.
