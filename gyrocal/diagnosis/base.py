@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,14 @@ def with_coefficients(surface: Surface, terms: Ints, values: Floats) -> Surface:
         surface.temp_center_c,
         surface.temp_scale_c,
     )
+
+
+def raised(surface: Surface, constant_dps: float, share: float = 0.0) -> Surface:
+    """The surface with a constant and a share of the rate more."""
+    c = surface.coefficients_dps.copy()
+    c[0, 0] += constant_dps + share * surface.rate_center_dps
+    c[1, 0] += share * surface.rate_scale_dps
+    return replace(surface, coefficients_dps=c)
 
 
 def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Base:

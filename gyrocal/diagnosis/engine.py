@@ -176,9 +176,8 @@ def _walk_place(analysis: Analysis, level: float) -> list[Located]:
         return []
     series = analysis.setup.series
     wandered = 1e3 * analysis.levels.walk * float(np.sqrt(np.ptp(series.t_s)))
-    where = "time" if series.has_time else "data_set_index"
     region = f"everywhere (the bias walks at random, by {wandered:.2g} mdeg/s over the record)"
-    return [Located(where, "variance", region, analysis.walk_p, 1.0, True)]
+    return [Located(series.time_coordinate, "variance", region, analysis.walk_p, 1.0, True)]
 
 
 def _verdict(effects: tuple[NamedEffect, ...], decided: Gate, remaining: bool, scatter: bool) -> str:

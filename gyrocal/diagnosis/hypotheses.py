@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,7 @@ class Hypothesis:
     #: The law of another hypothesis once more, for a second effect of the kind.
     repeats: str = ""
 
-    @property
+    @cached_property
     def weights(self) -> Floats:
         """Share of each grid point in the shapes that could be, shape (g,).
 

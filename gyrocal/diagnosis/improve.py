@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis
-from gyrocal.diagnosis.base import Base, fit_surface, simulate, with_coefficients
+from gyrocal.diagnosis.base import Base, fit_surface, raised, simulate, with_coefficients
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.gate import Gate
-from gyrocal.diagnosis.intervals import Profile
+from gyrocal.diagnosis.intervals import NORMAL_95, Profile
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.shapes import REFINED, JointFit, Piece, member_columns, refine_shapes
@@ -24,8 +24,6 @@ from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-_NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -164,10 +162,9 @@ def _centred(solved: Solved, series: Series, levels: NoiseLevels) -> Solved:
     mean_dps = float(
         np.average(solved.left_dps, weights=series.averaging_s if series.averaging_s.any() else None)
     )
-    c, covariance = solved.surface.coefficients_dps.copy(), solved.covariance_dps2.copy()
-    c[0, 0] += mean_dps
+    covariance = solved.covariance_dps2.copy()
     covariance[0, 0] += levels.walk**2 * float(np.ptp(series.t_s)) / 3.0
-    return Solved(replace(solved.surface, coefficients_dps=c), covariance, solved.left_dps - mean_dps)
+    return Solved(raised(solved.surface, mean_dps), covariance, solved.left_dps - mean_dps)
 
 
 def _moved(base: Base, solution: Floats) -> Surface:
@@ -281,7 +278,7 @@ def _estimates(
 
 
 def _normal(value: float, std: float, unit: str) -> Estimate:
-    return Estimate(value, std, unit, (value - _NORMAL_95 * std, value + _NORMAL_95 * std))
+    return Estimate(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
 
 
 def _draw_size(analysis: Analysis, columns: Ints, unit: str) -> Estimate:

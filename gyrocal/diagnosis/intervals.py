@@ -21,7 +21,9 @@ _TIE = 1e-3
 #: Shapes at which an amplitude's likelihood is evaluated, and how far beyond the interval of the shape.
 _SHAPES = 15
 _WIDER = 1.4
-_RATIO_95 = 2.0 * 1.959964
+#: Half width of a 95 % interval in standard deviations.
+NORMAL_95 = 1.959964
+_RATIO_95 = 2.0 * NORMAL_95
 
 
 @dataclass(frozen=True)

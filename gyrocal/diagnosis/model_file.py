@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.analysis import Analysis
+from gyrocal.diagnosis.base import raised
 from gyrocal.diagnosis.gate import Gate
 from gyrocal.diagnosis.improve import Refined, Solved
+from gyrocal.diagnosis.intervals import NORMAL_95
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients, Noise, Term, Valid
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.surface import Surface
-
-_NORMAL_95 = 1.959964
 
 
 def surface_coefficients(series: Series, analysis: Analysis, refined: Refined) -> Coefficients:
@@ -46,7 +45,7 @@ def coefficients_of(series: Series, analysis: Analysis, refined: Refined, decide
     solved = refined.named
     for key, effect_dps in refined.effects_dps.items():
         if not CATALOGUE[key].runtime:
-            solved = replace(solved, surface=_raised(solved.surface, *bench_only_mean(series, effect_dps)))
+            solved = replace(solved, surface=raised(solved.surface, *bench_only_mean(series, effect_dps)))
     return _coefficients(series, analysis, solved, terms)
 
 
@@ -57,14 +56,6 @@ def bench_only_mean(series: Series, effect_dps: NDArray[np.float64]) -> tuple[fl
     X = np.column_stack([np.ones(rows.size), series.rate_dps[rows]]) * weight[:, None]
     constant, share = np.linalg.lstsq(X, effect_dps[rows] * weight, rcond=None)[0]
     return float(constant), float(share)
-
-
-def _raised(surface: Surface, constant_dps: float, share: float) -> Surface:
-    """A surface with a constant and a share of the rate more."""
-    c = surface.coefficients_dps.copy()
-    c[0, 0] += constant_dps + share * surface.rate_center_dps
-    c[1, 0] += share * surface.rate_scale_dps
-    return replace(surface, coefficients_dps=c)
 
 
 def _coefficients(series: Series, analysis: Analysis, solved: Solved, terms: Sequence[Term]) -> Coefficients:
@@ -95,7 +86,7 @@ def _noise(series: Series, analysis: Analysis) -> Noise:
     if not np.all(series.averaging_s > 0):
         return Noise()
     walk = analysis.levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
-    spread = _NORMAL_95 / np.sqrt(2.0 * len(series))
+    spread = NORMAL_95 / np.sqrt(2.0 * len(series))
     return Noise(
         angle_random_walk_deg_per_rt_h=(60 * walk, 60 * walk * (1 - spread), 60 * walk * (1 + spread))
     )

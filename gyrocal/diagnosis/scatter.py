@@ -268,14 +268,8 @@ def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[str]]]:
         found.append(("rate", by_size.astype(np.int64), [f"|rate| = {s:g} deg/s" for s in sizes]))
     hours = np.linspace(series.t_s[0], series.t_s[-1], 41)
     by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, 39)
-    where = "time" if series.has_time else "data_set_index"
-    found.append(
-        (
-            where,
-            by_time,
-            [series.when(float(a), float(b)) for a, b in pairwise(hours)],
-        )
-    )
+    stretches = [series.when(float(a), float(b)) for a, b in pairwise(hours)]
+    found.append((series.time_coordinate, by_time, stretches))
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:
         sector = np.floor(np.mod(series.angle_deg, 360.0) / 15.0).astype(np.int64)
         sector = np.where(np.abs(series.rate_dps) > 0, sector, 24)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal.diagnosis.folds import Fold, fold_of
+from gyrocal.diagnosis.intervals import NORMAL_95
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Located, NamedEffect
 from gyrocal.diagnosis.words import (
     coordinate_words,
@@ -22,7 +23,6 @@ from gyrocal.diagnosis.words import (
 )
 from gyrocal.fusion.coefficients import Coefficients
 
-_NORMAL_95 = 1.959964
 _COEFFICIENTS = 12
 #: An interval that includes zero, beside a smaller p than this, is that of an amplitude traded for a shape.
 _SURE = 1e-3
@@ -173,7 +173,7 @@ def traded_sentence(effect: NamedEffect, improved: Coefficients | None) -> str:
     std = None if improved is None else _std_at_the_shape(effect.effect, improved)
     if std is None:
         return f"{text}: each interval allows for the other, and that the effect is there is sure."
-    half = _NORMAL_95 * std
+    half = NORMAL_95 * std
     known = range_text(amplitude.value - half, amplitude.value + half)
     return f"{text}: with {held} the amplitude is {fixed(amplitude.value, decimals(half))} (95 %: {known})."
 

@@ -122,6 +122,11 @@ class Series:
         first, last = (round((t - self.t_s[0]) / SURROGATE_PERIOD_S) + 1 for t in (from_s, to_s))
         return f"data sets {first} to {last}"
 
+    @property
+    def time_coordinate(self) -> str:
+        """The coordinate that stands for time: without times, the number of the data set."""
+        return "time" if self.has_time else "data_set_index"
+
     def take(self, rows: Bools | Ints) -> Series:
         """The same, for some of the rows; the temperature history stays whole."""
         arrays: dict[str, Any] = {

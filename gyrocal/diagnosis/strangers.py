@@ -86,7 +86,7 @@ Enter = Callable[..., None]
 def _in_time(s: Series, enter: Enter) -> None:
     span = float(np.ptp(s.t_s))
     turning = np.ptp(s.rate_dps) > 0
-    where = "time" if s.has_time else "data_set_index"
+    where = s.time_coordinate
     cycles = np.concatenate([np.arange(0.75, 12.0, 0.25), np.arange(12.0, 45.0, 0.75)])
     periods = span / cycles
     periods = periods[periods > 120.0]
@@ -217,7 +217,7 @@ def blocks(series: Series, book: Book) -> list[Block]:
 
     turning = np.ptp(s.rate_dps) > 0
     w = s.rate_dps[:, None] / max(float(np.max(np.abs(s.rate_dps))), 1e-9)
-    when = "time" if s.has_time else "data_set_index"
+    when = s.time_coordinate
     enter(when, "bias", _cosines(s.t_s, 32), (3, 8, 16, 32))
     if turning:
         enter(when, "scale factor", _cosines(s.t_s, 16) * w, (3, 8, 16))
