@@ -12,8 +12,10 @@ Noise       angle random walk N in deg/sqrt(h): the standard deviation of a mean
             N / 60 / sqrt(tau) deg/s (IEEE 952).
 
 Rooms       ``physics`` (catalogue of effects), ``fusion`` (runtime of a robot), ``records`` (files),
-            ``bench`` (table, chamber, gyro), ``calibration`` (fit), ``diagnosis`` (missing physics),
-            ``navigation`` (drive logs), ``report`` (pictures), ``cli`` (commands).
+            ``bench`` (table, chamber, gyro), ``inference`` (noise, likelihoods, tests), ``calibration`` (fit),
+            ``navigation`` (drive logs), ``diagnosis`` (missing physics), ``planning`` (the next experiment),
+            ``trial`` (hidden physics with sealed answers), ``report`` (prose and pictures), ``cli`` (commands);
+            beside them ``units``, ``errors`` and ``extensions`` (what other packages add).
             ``tests/test_architecture.py`` holds who may import whom.
 """
 

@@ -48,6 +48,10 @@ class IncompleteError(GyrocalError):
     """The run ended safely, but segments failed or were skipped; the summary says which."""
 
 
+class OutOfLimitsError(GyrocalError):
+    """A unit was measured, and a figure lies beyond its limit with all of its uncertainty."""
+
+
 class InterruptedRunError(GyrocalError):
     """The operator (Ctrl-C) or the system (SIGTERM, SIGHUP) ended the run; it can be resumed."""
 
@@ -64,6 +68,7 @@ EXIT_CODES: dict[type[GyrocalError], int] = {
     InterlockError: 10,
     StopNotVerifiedError: 11,
     IncompleteError: 12,
+    OutOfLimitsError: 13,
     InterruptedRunError: 130,
 }
 

@@ -19,19 +19,27 @@ class Clock(Protocol):
         ...
 
 
-class RealClock:
-    """Host monotonic time; immune to NTP steps of the wall clock."""
+#: Longest sleep between two looks at what is to be attended to, s.
+_NAP_S = 0.1
 
-    def __init__(self, offset_s: float = 0.0) -> None:
+
+class RealClock:
+    """Host monotonic time; immune to NTP steps of the wall clock. Who sleeps calls `attend`, which may end the sleep."""
+
+    def __init__(self, offset_s: float = 0.0, attend: Callable[[], None] = lambda: None) -> None:
         self._zero_s = time.monotonic() - offset_s
+        self._attend = attend
 
     def now_s(self) -> float:
         """Seconds since the run began."""
         return time.monotonic() - self._zero_s
 
     def sleep(self, duration_s: float) -> None:
-        """Sleep; the only place in the package that does."""
-        time.sleep(max(0.0, duration_s))
+        """Sleep, attending on the way; the only place in the package that does."""
+        deadline_s = time.monotonic() + duration_s
+        while (left_s := deadline_s - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, _NAP_S))
+            self._attend()
 
 
 class VirtualClock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Protocol
 
@@ -44,11 +45,18 @@ class StreamHealth:
 
 @dataclass(frozen=True)
 class TableReading:
-    """Measured rate and unwrapped angle of the table, with the time of the reading."""
+    """Measured rate and unwrapped angle of the table, with the time of the reading, which may be off by `unsure_s`."""
 
     t_s: float
     rate_dps: float
     angle_deg: float
+    unsure_s: float = 0.0
+
+    @classmethod
+    def between(cls, asked_s: float, answered_s: float, rate_dps: float, angle_deg: float) -> TableReading:
+        """A reading taken at some time between question and answer."""
+        middle_s, half_s = 0.5 * (asked_s + answered_s), 0.5 * (answered_s - asked_s)
+        return cls(middle_s, rate_dps, angle_deg, half_s)
 
 
 @dataclass(frozen=True)
@@ -61,13 +69,17 @@ class TableLimits:
 
 @dataclass(frozen=True)
 class ChamberReading:
-    """Measured air temperature and set point of the chamber; `alarms` in the chamber's own words."""
+    """Measured air temperature and set point of the chamber; `alarms` in the chamber's own words.
+
+    `plate_c` is that of the plate under the gyro, where the chamber has a probe there; else NaN.
+    """
 
     t_s: float
     temp_c: float
     setpoint_c: float
     running: bool
     alarms: tuple[str, ...] = ()
+    plate_c: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class Lookout:
         self, bench: Bench, clock: Clock, profile: Profile, interlocks: Interlocks, requests: StopRequests
     ) -> None:
         self._bench, self._clock, self._profile = bench, clock, profile
-        self._interlocks, self._requests = interlocks, requests
+        self._interlocks, self.requests = interlocks, requests
         self._rows: list[BenchRow] = []
         self._temps: deque[tuple[float, float]] = deque()
         self._last_sample_s = clock.now_s()
@@ -58,10 +58,8 @@ class Lookout:
         self._last_sample_s = self._clock.now_s()
         self._last = None
 
-    def look(self, period_s: float, *, abandon: bool = False) -> tuple[TableReading, ChamberReading]:
-        """Let a period pass, read the bench, heed the operator, check the interlocks.
-
-        With `abandon` a first Ctrl-C ends at once too: what is being recorded lasts too long to be finished.
+    def look(self, period_s: float) -> tuple[TableReading, ChamberReading]:
+        """Let a period pass, read the bench, attend to requests, check the interlocks.
 
         Raises
         ------
@@ -73,7 +71,7 @@ class Lookout:
         supply_v = self._bench.supply.read_v()
         self._rows.append(BenchRow(table.t_s, table.rate_dps, table.angle_deg, chamber.temp_c, supply_v))
         self.chamber_c = chamber.temp_c
-        self.heed(2 if not abandon else 1)
+        self.requests.attend()
         self._interlocks.check(table, self._ask(self._bench.table.faults), chamber, self.gyro_temp_c)
         return table, chamber
 
@@ -82,9 +80,13 @@ class Lookout:
         last = self._last
         table = replace(table, angle_deg=table.angle_deg - _DEG_PER_TURN * self._wraps)
         if last is not None and np.isfinite(table.angle_deg - last.angle_deg):
-            led_deg = 0.5 * (last.rate_dps + table.rate_dps) * (table.t_s - last.t_s)
+            since_s = table.t_s - last.t_s
+            led_deg = 0.5 * (last.rate_dps + table.rate_dps) * since_s
+            # Between two rates the table may have changed at once after the one reading, or just before the other.
+            changed_deg = 0.5 * abs(table.rate_dps - last.rate_dps) * since_s
             slip_deg = table.angle_deg - last.angle_deg - led_deg
-            near_deg = _JUMP_DEG + _JUMP_SHARE * abs(led_deg)
+            unsure_deg = max(abs(last.rate_dps), abs(table.rate_dps)) * (last.unsure_s + table.unsure_s)
+            near_deg = _JUMP_DEG + _JUMP_SHARE * abs(led_deg) + changed_deg + unsure_deg
             turns = round(slip_deg / _DEG_PER_TURN) if np.isfinite(slip_deg) else 0
             if turns and abs(slip_deg - _DEG_PER_TURN * turns) <= near_deg:
                 self._wraps += turns
@@ -96,10 +98,6 @@ class Lookout:
             self.turns_cw += max(-turned, 0.0)
         self._last = table
         return table
-
-    def heed(self, level: int) -> None:
-        """End when the operator or the system asked for it with at least this level; raises InterruptedRunError."""
-        self._requests.heed(level)
 
     def drain(self) -> GyroSamples:
         """Samples since the last drain; keeps the history of the gyro's temperature.

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 from gyrocal.bench.gyros.stream import StreamLimits
-from gyrocal.bench.schema import choice, number, read_table, refuse, refuse_key
+from gyrocal.bench.schema import choice, number, raise_all, read_table, refusal, refuse, refuse_key
 from gyrocal.errors import ProfileError
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.records.files import reading
+from gyrocal.records.files import parse_toml, read_text
 
 _DAY_S = 86400.0
 _POLICIES = ("unsettled", "fail")
@@ -58,6 +58,19 @@ class BenchSpec:
     table: str = "unknown"
     chamber: str = "unknown"
     latitude_deg: float | None = number(-90.0, 90.0, "deg", None)
+
+
+@dataclass(frozen=True)
+class IdentitySpec:
+    """What a certificate says of who measured, with what: names and numbers, and dates as 2027-03-31."""
+
+    operator: str | None = None
+    laboratory: str | None = None
+    firmware: str | None = None
+    table_certificate: str | None = None
+    table_due: str | None = None
+    thermometer_certificate: str | None = None
+    thermometer_due: str | None = None
 
 
 @dataclass(frozen=True)
@@ -141,7 +154,9 @@ class RetrySpec:
 class SafeSpec:
     """Where the bench goes at the end, and on every other way out; and what trips the interlocks on the way.
 
-    A gyro that was soaked after the chamber moved has to have moved by `frozen_share` of that; 0: not asked.
+    A gyro that was soaked after the chamber moved has to have moved by `frozen_share` of that; 0: not asked. At rate it
+    has to say what the table does, but for `follow_share` of it; 0: not asked. `no_thermometer` confirms that neither
+    gyro nor chamber sends a temperature, and that somebody watches it.
     """
 
     chamber_c: float = number(-100.0, 200.0, "deg C", 25.0)
@@ -150,6 +165,8 @@ class SafeSpec:
     over_rate_dps: float | None = number(0.001, 20000.0, "deg/s", None)
     gyro_margin_c: float = number(0.0, 50.0, "deg C", 5.0)
     frozen_share: float = number(0.0, 1.0, "", 0.02)
+    follow_share: float = number(0.0, 100.0, "", 0.5)
+    no_thermometer: bool = False
 
 
 @dataclass(frozen=True)
@@ -222,6 +239,7 @@ class Profile:
     table: DeviceSpec = DeviceSpec()
     chamber: ChamberSpec = ChamberSpec()
     bench: BenchSpec = BenchSpec()
+    identity: IdentitySpec = IdentitySpec()
     limits: UserLimits = UserLimits()
     settle: SettleSpec = SettleSpec()
     ramp: RampSpec = RampSpec()
@@ -243,12 +261,17 @@ class Profile:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is allowed, and may still not be what was meant."""
-        if self.plan.rates_dps:
-            return ()
-        return (
-            f"{self.source}: plan.rates_dps is empty, so that no data set is at rate; such a run carries a bias and its "
-            "noise, and no scale factor",
-        )
+        notes = []
+        if not self.plan.rates_dps:
+            notes.append(
+                "plan.rates_dps is empty, so that no data set is at rate; such a run carries a bias and its noise, and no "
+                "scale factor"
+            )
+        if self.safe.no_thermometer:
+            notes.append(
+                "safe.no_thermometer is true: no interlock knows how hot the gyro is, and somebody has to watch it"
+            )
+        return tuple(f"{self.source}: {note}" for note in notes)
 
     def with_seed(self, seed: int) -> Profile:
         """The same profile with another seed of the virtual bench's noise."""
@@ -258,6 +281,31 @@ class Profile:
             {**self.raw, "virtual": virtual},
             self.source,
         )
+
+
+def with_identity(
+    profile: Profile, serial: str | None, operator: str | None, bench_file: Path | None
+) -> Profile:
+    """The same profile with what is known only on the day: serial number, operator, and a file about the bench.
+
+    Raises
+    ------
+    InputError, ProfileError
+        A bench file that cannot be read, or with more in it than the tables `bench` and `identity`.
+    """
+    raw = {key: dict(value) if isinstance(value, Mapping) else value for key, value in profile.raw.items()}
+    if bench_file is not None:
+        about = parse_toml(read_text(bench_file), bench_file.name, ProfileError)
+        for name, table in about.items():
+            if name not in ("bench", "identity"):
+                refuse_key(bench_file.name, name, ["bench", "identity"])
+            if not isinstance(table, Mapping):
+                refuse(bench_file.name, name, table, "a table of keys")
+            raw[name] = {**raw.get(name, {}), **table}
+    for name, key, value in (("sensor", "serial", serial), ("identity", "operator", operator)):
+        if value is not None:
+            raw[name] = {**raw.get(name, {}), key: value}
+    return profile_from_dict(raw, profile.source)
 
 
 def profile_directory() -> Path:
@@ -289,24 +337,18 @@ def load_profile(name: str | Path) -> Profile:
             msg = f"{name}: no such profile. Give the path of a .toml file or one of: {', '.join(shipped)}."
             raise ProfileError(msg)
         path = found
-    with reading(path):
-        text = path.read_text(encoding="utf-8")
-    return parse_profile(text, path.name)
+    return parse_profile(read_text(path), path.name)
 
 
 def parse_profile(text: str, source: str) -> Profile:
     """Read and check a profile's text; `source` stands in the messages."""
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(f"{source}: is not TOML: {error}. Correct that line.") from error
-    return profile_from_dict(raw, source)
+    return profile_from_dict(parse_toml(text, source, ProfileError), source)
 
 
 def profile_from_dict(raw: Mapping[str, Any], source: str) -> Profile:
     """Check a profile that was read already, for example the one in ``run.json``."""
     profile = read_table(Profile, raw, source)
-    _check_consistency(profile, source)
+    raise_all(_inconsistencies(profile, source))
     effects = _effects(profile.virtual.effects, source)
     checked = replace(profile, virtual=replace(profile.virtual, effects=effects))
     return _sealed(checked, raw, source)
@@ -318,31 +360,39 @@ def _sealed(profile: Profile, raw: Mapping[str, Any], source: str) -> Profile:
     return profile
 
 
-def _check_consistency(p: Profile, source: str) -> None:
+def _inconsistencies(p: Profile, source: str) -> list[str]:
     """What no single value can say: pairs in order, lists without repeats, rules that fit each other."""
+    wrong: list[str] = []
+
+    def refuse(key: str, value: Any, allowed: str) -> None:
+        wrong.append(refusal(source, key, value, allowed))
+
     for key, pair in (("rate_range_dps", p.sensor.rate_range_dps), ("temp_range_c", p.sensor.temp_range_c)):
         if pair[0] >= pair[1]:
-            refuse(source, f"sensor.{key}", list(pair), "the lower number first")
+            refuse(f"sensor.{key}", list(pair), "the lower number first")
+    for key in ("table_due", "thermometer_due"):
+        due = getattr(p.identity, key)
+        if due is not None and not _is_date(due):
+            refuse(f"identity.{key}", due, "a date as 2027-03-31")
     if not p.plan.temperatures_c:
-        refuse(source, "plan.temperatures_c", [], "at least one temperature")
+        refuse("plan.temperatures_c", [], "at least one temperature")
     for key, values in (("temperatures_c", p.plan.temperatures_c), ("rates_dps", p.plan.rates_dps)):
         order = p.plan.temperature_order if key == "temperatures_c" else p.plan.rate_order
         if order != "listed" and len(set(values)) < len(values):
             refuse(
-                source,
                 f"plan.{key}",
                 list(values),
                 f'each value once, unless its order is "listed" ({order} repeats by itself)',
             )
     if p.plan.both_signs and any(rate < 0 for rate in p.plan.rates_dps):
-        refuse(source, "plan.rates_dps", list(p.plan.rates_dps), "positive numbers while both_signs is true")
+        refuse("plan.rates_dps", list(p.plan.rates_dps), "positive numbers while both_signs is true")
     if not p.plan.ramp_rates_dps:
-        refuse(source, "plan.ramp_rates_dps", [], "at least one rate; [0] keeps the table at rest")
+        refuse("plan.ramp_rates_dps", [], "at least one rate; [0] keeps the table at rest")
     stray = [t for t in p.plan.static_at_c if t not in p.plan.temperatures_c]
     if stray:
-        refuse(source, "plan.static_at_c", stray[0], "temperatures that stand in plan.temperatures_c")
+        refuse("plan.static_at_c", stray[0], "temperatures that stand in plan.temperatures_c")
     if p.plan.static_at_c and p.plan.static_s == 0:
-        refuse(source, "plan.static_s", p.plan.static_s, "more than 0 s where plan.static_at_c is given")
+        refuse("plan.static_s", p.plan.static_s, "more than 0 s where plan.static_at_c is given")
     if (
         not p.plan.rates_dps
         and not p.plan.zero_first_and_last
@@ -350,25 +400,32 @@ def _check_consistency(p: Profile, source: str) -> None:
         and len(p.plan.temperatures_c) < 2
     ):
         refuse(
-            source,
             "plan.rates_dps",
             [],
             "at least one rate, or static_s, or a second temperature: the plan is empty",
         )
     if p.soak.slope_over_s > max(p.soak.time_s, 10.0):
-        refuse(source, "soak.slope_over_s", p.soak.slope_over_s, f"at most soak.time_s ({p.soak.time_s:g} s)")
+        refuse("soak.slope_over_s", p.soak.slope_over_s, f"at most soak.time_s ({p.soak.time_s:g} s)")
     if p.soak.deadline_s <= p.soak.time_s:
-        refuse(source, "soak.deadline_s", p.soak.deadline_s, f"more than soak.time_s ({p.soak.time_s:g} s)")
+        refuse("soak.deadline_s", p.soak.deadline_s, f"more than soak.time_s ({p.soak.time_s:g} s)")
     if p.settle.deadline_s <= p.settle.hold_s:
         refuse(
-            source,
             "settle.deadline_s",
             p.settle.deadline_s,
             f"more than settle.hold_s ({p.settle.hold_s:g} s)",
         )
     if p.record.averaging_s * p.sensor.sample_rate_hz < 1:
         least = 1 / p.sensor.sample_rate_hz
-        refuse(source, "record.averaging_s", p.record.averaging_s, f"at least one sample ({least:g} s)")
+        refuse("record.averaging_s", p.record.averaging_s, f"at least one sample ({least:g} s)")
+    return wrong
+
+
+def _is_date(text: str) -> bool:
+    try:
+        date.fromisoformat(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _effects(table: Mapping[str, Any], source: str) -> dict[str, dict[str, float]]:

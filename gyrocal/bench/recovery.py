@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Bench
 from gyrocal.bench.looking import Lookout
 from gyrocal.bench.plan import Step
 from gyrocal.bench.profile import Profile
-from gyrocal.bench.safety import Interlocks, stop_table
+from gyrocal.bench.safety import Contact, Interlocks, stop_table, stop_time_s
 from gyrocal.errors import DeviceError
 
 #: Between two tries to reach the devices, s.
 _TRY_PERIOD_S = 1.0
 
 
-def start_devices(bench: Bench, interlocks: Interlocks) -> None:
+def start_devices(bench: Bench, interlocks: Interlocks, contact: Contact) -> None:
     """Start all devices, and set the chamber's own alarms; nothing moves. Raises DeviceError."""
-    for start in (bench.table.start, bench.chamber.start):
-        try:
-            start()
-        except DeviceError:
-            start()  # a program that died may have left half a command before the first one
+    _start(bench.table.start)
+    contact.chamber_started = True
+    _start(bench.chamber.start)
     bench.gyro.start()
     bench.chamber.set_alarm_limits(*interlocks.gyro_range_c)
+
+
+def _start(start: Callable[[], None]) -> None:
+    try:
+        start()
+    except DeviceError:
+        start()  # a program that died may have left half a command before the first one
 
 
 def bring_back(
@@ -43,7 +50,8 @@ def bring_back(
     InterlockError, InterruptedRunError
         From the first look afterwards, and while waiting.
     """
-    standing, _ = stop_table(bench.table, clock, profile)
+    with lookout.requests.sheltered():
+        standing, _ = stop_table(bench.table, clock, profile, stop_time_s(bench.table, profile))
     if not standing:
         raise error
     deadline_s = clock.now_s() + profile.retry.wait_s
@@ -56,7 +64,7 @@ def bring_back(
         except DeviceError:
             if clock.now_s() >= deadline_s:
                 raise
-        lookout.heed(1)
+        lookout.requests.heed(1)
         clock.sleep(_TRY_PERIOD_S)
 
 

@@ -1,73 +1,16 @@
-"""Every device that a profile can name: its options, its driver, and the same wire seen from the device."""
+"""Every device that a profile can name: its options, its driver, and the same wire seen from the device.
+
+Other packages add theirs by entry points (`gyrocal.extensions`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
-
 from gyrocal.bench.chambers import espec, manual, watlow_f4, watlow_f4t, weiss
-from gyrocal.bench.clock import Clock
-from gyrocal.bench.devices import Chamber, RateTable
 from gyrocal.bench.gyros import ascii_line, dsp3000, ecore2000, kvh_frame, vn100
-from gyrocal.bench.gyros.codec import Decoder
+from gyrocal.bench.kinds import ChamberKind, GyroKind, TableKind
 from gyrocal.bench.tables import acutrol, aerosmith, json_lines, zaber
 from gyrocal.bench.tables import manual as manual_table
-from gyrocal.bench.transport import Transport
-
-
-class Responder(Protocol):
-    """The device's side of a request-and-answer wire."""
-
-    def feed(self, data: bytes) -> bytes:
-        """Answers to the requests completed by `data`; called without data as time passes."""
-        ...
-
-
-class Encode(Protocol):
-    """The gyro's side of its wire."""
-
-    def __call__(self, rate_dps: float, temp_c: float, count: int, options: Any, good: bool = True) -> bytes:
-        """What it sends for its sample number `count`; not `good` where its protocol can say so."""
-        ...
-
-
-@dataclass(frozen=True)
-class GyroKind:
-    """A gyro: options, codec, and what it sends; `at_once`: after power-up already, without the commands."""
-
-    options: type[Any]
-    decoder: Callable[[Any], Decoder]
-    encode: Encode
-    baud: int
-    has_temperature: bool
-    commands: tuple[bytes, ...] = ()
-    at_once: bool = True
-
-
-@dataclass(frozen=True)
-class TableKind:
-    """A rate table: driver on a transport, and its responder before another table (None: has no wire)."""
-
-    options: type[Any]
-    driver: Callable[[Transport, Clock, Any], RateTable]
-    responder: Callable[[RateTable, Any], Responder]
-    baud: int
-
-
-@dataclass(frozen=True)
-class ChamberKind:
-    """A chamber: driver on a transport, and its responder before another chamber; `ramps`: it has a ramp of its own.
-
-    `sets_alarms`: its protocol can set its own alarm limits; else the operator does, at its panel.
-    """
-
-    options: type[Any]
-    driver: Callable[[Transport, Clock, Any], Chamber]
-    responder: Callable[[Chamber, Any], Responder]
-    baud: int
-    ramps: bool = False
-    sets_alarms: bool = False
+from gyrocal.extensions import extended
 
 
 def _encode_ecore(
@@ -89,76 +32,97 @@ def _encode_ascii(
     return ascii_line.encode(options, rate=rate_dps, temp=temp_c, status=status, sequence=sequence)
 
 
-GYROS: dict[str, GyroKind] = {
-    "kvh-ecore2000": GyroKind(ecore2000.Options, ecore2000.ECore2000Decoder, _encode_ecore, 9600, False),
-    "kvh-dsp3000": GyroKind(
-        dsp3000.Options,
-        dsp3000.Dsp3000Decoder,
-        lambda rate_dps, temp_c, count, options, good=True: dsp3000.encode(
-            rate_dps, valid=good, options=options
+GYROS: dict[str, GyroKind] = extended(
+    "gyrocal.gyros",
+    GyroKind,
+    {
+        "kvh-ecore2000": GyroKind(ecore2000.Options, ecore2000.ECore2000Decoder, _encode_ecore, 9600, False),
+        "kvh-dsp3000": GyroKind(
+            dsp3000.Options,
+            dsp3000.Dsp3000Decoder,
+            lambda rate_dps, temp_c, count, options, good=True: dsp3000.encode(
+                rate_dps, valid=good, options=options
+            ),
+            38400,
+            False,
+            # No acknowledgement exists, so the mode command goes out three times.
+            (dsp3000.COMMAND_RATE * 3,),
         ),
-        38400,
-        False,
-        # No acknowledgement exists, so the mode command goes out three times.
-        (dsp3000.COMMAND_RATE * 3,),
-    ),
-    "kvh-frame-a": GyroKind(
-        kvh_frame.Options,
-        kvh_frame.KvhFrameDecoder,
-        lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
-            rate_dps, temp_c, count, options, valid=good
+        "kvh-frame-a": GyroKind(
+            kvh_frame.Options,
+            kvh_frame.KvhFrameDecoder,
+            lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
+                rate_dps, temp_c, count, options, valid=good
+            ),
+            921600,
+            True,
         ),
-        921600,
-        True,
-    ),
-    "kvh-frame-b": GyroKind(
-        kvh_frame.Options,
-        kvh_frame.KvhFrameDecoder,
-        lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
-            rate_dps,
-            temp_c,
-            count,
-            options,
-            time_us=round(count * 1e6 / options.data_rate_hz),
-            valid=good,
+        "kvh-frame-b": GyroKind(
+            kvh_frame.Options,
+            kvh_frame.KvhFrameDecoder,
+            lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
+                rate_dps,
+                temp_c,
+                count,
+                options,
+                time_us=round(count * 1e6 / options.data_rate_hz),
+                valid=good,
+            ),
+            921600,
+            True,
         ),
-        921600,
-        True,
-    ),
-    "vn100": GyroKind(
-        vn100.Options,
-        vn100.Vn100Decoder,
-        lambda rate_dps, temp_c, count, options, good=True: vn100.encode(rate_dps, temp_c, options),
-        115200,
-        True,
-        (vn100.command("VNWRG,06,19"),),
-        at_once=False,
-    ),
-    "ascii-line": GyroKind(ascii_line.Options, ascii_line.AsciiLineDecoder, _encode_ascii, 115200, True),
-}
+        "vn100": GyroKind(
+            vn100.Options,
+            vn100.Vn100Decoder,
+            lambda rate_dps, temp_c, count, options, good=True: vn100.encode(rate_dps, temp_c, options),
+            115200,
+            True,
+            (vn100.command("VNWRG,06,19"),),
+            at_once=False,
+        ),
+        "ascii-line": GyroKind(ascii_line.Options, ascii_line.AsciiLineDecoder, _encode_ascii, 115200, True),
+    },
+)
 
-TABLES: dict[str, TableKind] = {
-    "aerosmith": TableKind(aerosmith.Options, aerosmith.AerosmithTable, aerosmith.AerosmithResponder, 9600),
-    "zaber": TableKind(zaber.Options, zaber.ZaberTable, zaber.ZaberResponder, 115200),
-    "acutrol": TableKind(acutrol.Options, acutrol.AcutrolTable, acutrol.AcutrolResponder, 9600),
-    "json-lines": TableKind(
-        json_lines.Options, json_lines.JsonLinesTable, json_lines.JsonLinesResponder, 115200
-    ),
-}
+TABLES: dict[str, TableKind] = extended(
+    "gyrocal.tables",
+    TableKind,
+    {
+        "aerosmith": TableKind(
+            aerosmith.Options, aerosmith.AerosmithTable, aerosmith.AerosmithResponder, 9600
+        ),
+        "zaber": TableKind(zaber.Options, zaber.ZaberTable, zaber.ZaberResponder, 115200),
+        "acutrol": TableKind(acutrol.Options, acutrol.AcutrolTable, acutrol.AcutrolResponder, 9600),
+        "json-lines": TableKind(
+            json_lines.Options, json_lines.JsonLinesTable, json_lines.JsonLinesResponder, 115200
+        ),
+    },
+)
 
-CHAMBERS: dict[str, ChamberKind] = {
-    "espec": ChamberKind(espec.Options, espec.EspecChamber, espec.EspecResponder, 9600, sets_alarms=True),
-    "watlow-f4": ChamberKind(
-        watlow_f4.Options, watlow_f4.WatlowF4Chamber, watlow_f4.watlow_f4_responder, 19200
-    ),
-    "watlow-f4t-scpi": ChamberKind(
-        watlow_f4t.Options, watlow_f4t.WatlowF4tScpiChamber, watlow_f4t.WatlowF4tScpiResponder, 38400, True
-    ),
-    "watlow-f4t-modbus": ChamberKind(
-        watlow_f4t.Options, watlow_f4t.WatlowF4tModbusChamber, watlow_f4t.watlow_f4t_modbus_responder, 38400
-    ),
-    "weiss": ChamberKind(weiss.Options, weiss.WeissChamber, weiss.WeissResponder, 9600),
-}
+CHAMBERS: dict[str, ChamberKind] = extended(
+    "gyrocal.chambers",
+    ChamberKind,
+    {
+        "espec": ChamberKind(espec.Options, espec.EspecChamber, espec.EspecResponder, 9600, sets_alarms=True),
+        "watlow-f4": ChamberKind(
+            watlow_f4.Options, watlow_f4.WatlowF4Chamber, watlow_f4.watlow_f4_responder, 19200
+        ),
+        "watlow-f4t-scpi": ChamberKind(
+            watlow_f4t.Options,
+            watlow_f4t.WatlowF4tScpiChamber,
+            watlow_f4t.WatlowF4tScpiResponder,
+            38400,
+            True,
+        ),
+        "watlow-f4t-modbus": ChamberKind(
+            watlow_f4t.Options,
+            watlow_f4t.WatlowF4tModbusChamber,
+            watlow_f4t.watlow_f4t_modbus_responder,
+            38400,
+        ),
+        "weiss": ChamberKind(weiss.Options, weiss.WeissChamber, weiss.WeissResponder, 9600),
+    },
+)
 
 #: Devices without a wire: a person reads and sets them.
 MANUAL_TABLE = (manual_table.Options, manual_table.ManualTable)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from gyrocal.bench.plan import Plan, Step, ramp_time_s
 from gyrocal.bench.profile import Profile
 from gyrocal.bench.recorder import Recorder
 from gyrocal.bench.recovery import bring_back, start_devices
-from gyrocal.bench.safety import Interlocks, StopRequests, kept_safe
+from gyrocal.bench.safety import Contact, Interlocks, StopRequests, kept_safe
+from gyrocal.bench.watching import Progress, SteadyWatch, Summary, Watch
 from gyrocal.errors import DeviceError, GyrocalError, IncompleteError, OutputError
 from gyrocal.records.journal import RunWriter, SegmentWriter
 from gyrocal.units import S_PER_MIN
@@ -26,54 +27,6 @@ _SLOW_DRAIN_S = 10.0
 #: Between two looks while the table comes to rate, s.
 _SETTLE_PERIOD_S = 0.5
 _PROGRESS_PERIOD_S = 30.0
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a run is."""
-
-    share: float
-    left_s: float
-    step: Step
-    chamber_c: float
-    gyro_c: float
-
-
-class Watch(Protocol):
-    """Who looks on: a progress bar, a log, nobody."""
-
-    def progress(self, progress: Progress) -> None:
-        """A step has begun, or goes on."""
-        ...
-
-    def say(self, text: str) -> None:
-        """Something happened that the operator should know."""
-        ...
-
-
-@dataclass
-class Summary:
-    """What came of a run, this start and those before it. Entries are the steps in words, with the reason where known.
-
-    `seed` is that of the virtual bench's noise; None on a real bench.
-    """
-
-    recorded: int = 0
-    unsettled: list[str] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
-    skipped: list[str] = field(default_factory=list)
-    retried: list[str] = field(default_factory=list)
-    before: int = 0
-    samples: int = 0
-    bench_time_s: float = 0.0
-    turns_ccw: float = 0.0
-    turns_cw: float = 0.0
-    seed: int | None = None
-
-    @property
-    def complete(self) -> bool:
-        """Whether every step was recorded, unsettled ones included."""
-        return not self.failed and not self.skipped
 
 
 class Runner:
@@ -93,12 +46,15 @@ class Runner:
         highest_id: int = 0,
     ) -> None:
         self._bench, self._clock, self._profile, self._plan = bench, clock, profile, plan
-        self._writer, self._requests, self._watch = writer, requests, watch
+        self._writer, self._requests, self._watch = writer, requests, SteadyWatch(watch, self._note)
         self._sealed = sealed or {}
         self._next_extra_id = max(highest_id, len(plan.steps)) + 1
+        self._contact = Contact()
         self._interlocks = Interlocks(profile, plan.limits)
         self._lookout = Lookout(bench, clock, profile, self._interlocks, requests)
         self._tally = StreamTally(profile.sensor.sample_rate_hz)
+        #: Rates of the table in the segment at hand.
+        self._turned_dps: list[float] = []
         self.summary = Summary(seed=profile.virtual.seed if bench.describe == "virtual" else None)
         # where the bench is
         self._rate_dps = 0.0
@@ -127,7 +83,9 @@ class Runner:
         """
         began_s = self._clock.now_s()
         try:
-            with kept_safe(self._bench, self._clock, self._profile, self._note):
+            with kept_safe(
+                self._bench, self._clock, self._profile, self._note, self._requests, self._contact
+            ):
                 self._note(opening, **details)
                 self._start_devices()
                 for step in self._plan.steps:
@@ -158,7 +116,7 @@ class Runner:
         return s
 
     def _start_devices(self) -> None:
-        start_devices(self._bench, self._interlocks)
+        start_devices(self._bench, self._interlocks, self._contact)
         self._lookout.forget()
         table, chamber = self._lookout.look(_SETTLE_PERIOD_S)
         # Before anything moves the interlocks know the gyro's temperature too.
@@ -172,7 +130,7 @@ class Runner:
             self.summary.before += 1
             self._count(step, outcome)
             return
-        self._lookout.heed(1)
+        self._requests.heed(1)
         policy = self._profile.retry
         for left in range(policy.attempts, -1, -1):
             try:
@@ -244,8 +202,11 @@ class Runner:
     def _perform(self, step: Step, left: int = 0) -> bool:
         """Do a step and seal its segment; False when its stream was too bad and it is to be done again."""
         self._step_began_s, self._why = self._clock.now_s(), None
+        # What lasts long is not worth its end to somebody who wants to go.
+        self._requests.ends_at = 2 if step.kind == "rate" else 1
         self._tell(step, now=True)
         self._tally = StreamTally(self._profile.sensor.sample_rate_hz)
+        self._turned_dps = []
         settled = self._bring_to_rate(step)
         segment = self._writer.begin_segment(step.id, step.kind, step.rate_dps, step.chamber_c)
         recorder = Recorder(segment, self._profile.record.averaging_s if self._slow(step) else None)
@@ -263,6 +224,9 @@ class Runner:
             if verdict is not None and left and not self._slow(step):
                 self._failed(step, verdict, left)
                 return False
+            if outcome == "ok" and verdict is None and step.kind == "rate":
+                turned_dps = float(np.mean(self._turned_dps))
+                self._interlocks.check_gyro_follows(self._clock.now_s(), turned_dps, self._tally.mean_dps())
             self._seal(step, segment, recorder, "failed" if verdict else outcome)
         finally:
             segment.abandon()
@@ -328,6 +292,7 @@ class Runner:
         """Command the rate and wait until the measured one holds; the samples of the wait are counted, not kept."""
         spec = self._profile.settle
         began_s = self._clock.now_s()
+        self._contact.table_moved = True
         rate_dps = self._bench.table.set_rate(step.rate_dps)
         change_dps, self._rate_dps = abs(rate_dps - self._rate_dps), rate_dps
         spin_s = change_dps / self._plan.limits.max_acceleration_dps2.value
@@ -426,8 +391,9 @@ class Runner:
         worst_dps, worst_c, worst = 0.0, -1.0, None
         while worst is None or until_s - self._clock.now_s() > 1e-9:
             period_s = min(self._profile.record.bench_period_s, max(until_s - self._clock.now_s(), 1e-3))
-            table, chamber = self._lookout.look(period_s, abandon=step.kind != "rate")
+            table, chamber = self._lookout.look(period_s)
             self._acknowledge(step)
+            self._turned_dps.append(table.rate_dps)
             worst_dps = max(worst_dps, _finite_or_far(table.rate_dps - self._rate_dps))
             off_c = _finite_or_far(chamber.temp_c - step.chamber_c)
             if off_c >= worst_c:

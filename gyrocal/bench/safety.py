@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -18,14 +19,27 @@ from gyrocal.errors import InterlockError, InterruptedRunError, StopNotVerifiedE
 
 T = TypeVar("T")
 
-#: Between two stop commands, and between the two readings that have to agree, s.
+#: Between two stop commands, s.
 _STOP_PERIOD_S = 0.5
+#: A table that stands does so over this time, in so many readings: the slowest turning that counts as one then shows
+#: in the angle.
+_STANDING_S, _STANDING_READINGS = 2.0, 3
+#: A table that was given no rate is looked at for so long at most.
+_GLANCE_S = 5.0
+#: More than anybody can ask for.
+_NEVER = 3
 #: How often the chamber is told its safe set point at most.
 _CHAMBER_TOLD = 3
 #: An encoder's own unrest between two readings at rest, deg.
 _ENCODER_UNREST_DEG = 1e-3
+#: Below this share of the highest rate a gyro's bias may hide what it says.
+_TELLING_SHARE = 0.05
 #: A move of the chamber after which a soaked gyro's thermometer must have moved too, deg C.
 _TELLING_C = 5.0
+
+
+#: Signals that a run takes for requests; not every system has all.
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 
 
 class Note(Protocol):
@@ -38,12 +52,18 @@ class Note(Protocol):
 class StopRequests:
     """What the operator or the system asked for: 0 nothing, 1 end after the data set at hand, 2 end now.
 
-    `prompting`: the program waits for the operator's answer, and a request ends that wait.
+    Attributes
+    ----------
+    prompting : bool
+        The program waits for the operator's answer, and a request ends that wait.
+    ends_at : int
+        Level that ends what is being done now: 2 while a data set is recorded, which is worth its end.
     """
 
     level: int = 0
     reason: str = ""
     prompting: bool = False
+    ends_at: int = 1
 
     def ask(self, level: int, reason: str) -> None:
         """Ask; a request is never taken back."""
@@ -55,6 +75,19 @@ class StopRequests:
         if self.level >= level:
             msg = f"Ended by {self.reason}; what was sealed is kept, and --resume carries on."
             raise InterruptedRunError(msg)
+
+    def attend(self) -> None:
+        """Called by whoever waits for a device or a time, often; raises InterruptedRunError to end what is being done."""
+        self.heed(self.ends_at)
+
+    @contextlib.contextmanager
+    def sheltered(self) -> Iterator[None]:
+        """Let nothing end what is done within: making safe, which every request would lead to."""
+        before, self.ends_at = self.ends_at, _NEVER
+        try:
+            yield
+        finally:
+            self.ends_at = before
 
     def heeding(self, prompt: Callable[[str], str]) -> Callable[[str], str]:
         """`prompt`, ended by a signal that comes while it waits: else nobody would look at that before an answer."""
@@ -71,7 +104,10 @@ class StopRequests:
 
 @contextlib.contextmanager
 def listening(requests: StopRequests) -> Iterator[None]:
-    """Turn signals into requests: Ctrl-C once, Ctrl-C twice, SIGTERM, SIGHUP. Nothing is interrupted half-way but a prompt."""
+    """Turn signals into requests: Ctrl-C once, Ctrl-C twice, and those that end a program.
+
+    Nothing is interrupted half-way but a prompt: whoever waits attends to the requests.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -85,7 +121,7 @@ def listening(requests: StopRequests) -> Iterator[None]:
         if requests.prompting:
             requests.heed(1)
 
-    numbers = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+    numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
     before = [(number, signal.signal(number, handle)) for number in numbers]
     try:
         yield
@@ -100,11 +136,15 @@ class Interlocks:
     def __init__(self, profile: Profile, limits: Limits) -> None:
         low, high = profile.sensor.temp_range_c
         margin = profile.safe.gyro_margin_c
-        #: Gyro temperatures that are still tolerated, deg C; the chamber's own alarms get the same.
+        #: Temperatures of the gyro, or of the plate under it, that are still tolerated, deg C; the chamber's own alarms
+        #: get the same.
         self.gyro_range_c = (low - margin, high + margin)
+        #: And of the chamber's air: many gyros have no thermometer, and a chamber that runs away is seen there first.
+        self.air_range_c = (limits.min_temp_c.value - margin, limits.max_temp_c.value + margin)
         top = max(limits.max_rate_dps.value, -limits.min_rate_dps.value)
         self.over_rate_dps = profile.safe.over_rate_dps or 1.1 * top
-        self._frozen_share = profile.safe.frozen_share
+        self._frozen_share, self._follow_share = profile.safe.frozen_share, profile.safe.follow_share
+        self._telling_dps = _TELLING_SHARE * top
         self.tripped: str | None = None
 
     def check(
@@ -137,6 +177,23 @@ class Interlocks:
         if self.tripped is not None:
             raise InterlockError(_trip_text(t_s, self.tripped))
 
+    def check_gyro_follows(self, t_s: float, table_dps: float, gyro_dps: float) -> None:
+        """A data set is over; raise when the gyro did not say what the table did, or something has tripped before.
+
+        Raises
+        ------
+        InterlockError
+        """
+        share = self._follow_share
+        off_dps = abs(gyro_dps - table_dps)
+        if share and abs(table_dps) >= self._telling_dps and not off_dps <= share * abs(table_dps):
+            self.tripped = self.tripped or (
+                f"the table turned at {table_dps:.4g} deg/s and the gyro said {gyro_dps:.4g}: its mode (increments in the "
+                "place of rates?), its sign, scale or axis is wrong (safe.follow_share = 0 for a gyro that need not follow)"
+            )
+        if self.tripped is not None:
+            raise InterlockError(_trip_text(t_s, self.tripped))
+
     def _reason(
         self, table: TableReading, faults: tuple[str, ...], chamber: ChamberReading, gyro_temp_c: float
     ) -> str | None:
@@ -148,9 +205,15 @@ class Interlocks:
             return f"the chamber reports {', '.join(chamber.alarms)}"
         if not chamber.running:
             return "the chamber is not running"
-        low, high = self.gyro_range_c
-        if gyro_temp_c < low or gyro_temp_c > high:
-            return f"the gyro is at {gyro_temp_c:.1f} °C, outside {low:g} to {high:g} °C"
+        for what, temp_c, (low, high) in (
+            ("the gyro", gyro_temp_c, self.gyro_range_c),
+            ("the plate under the gyro", chamber.plate_c, self.gyro_range_c),
+            ("the chamber's air", chamber.temp_c, self.air_range_c),
+        ):
+            if temp_c < low or temp_c > high:
+                return f"{what} is at {temp_c:.1f} °C, outside {low:g} to {high:g} °C"
+        if math.isnan(gyro_temp_c) and math.isnan(chamber.temp_c):
+            return "neither gyro nor chamber says how warm it is"
         return None
 
 
@@ -158,8 +221,18 @@ def _trip_text(t_s: float, reason: str) -> str:
     return f"Interlock at {t_s:.1f} s: {reason}. The bench was made safe; find the cause, then --resume."
 
 
+@dataclass
+class Contact:
+    """What this start has done to the bench: making safe undoes that and no more."""
+
+    table_moved: bool = False
+    chamber_started: bool = False
+
+
 @contextlib.contextmanager
-def kept_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> Iterator[None]:
+def kept_safe(
+    bench: Bench, clock: Clock, profile: Profile, note: Note, requests: StopRequests, contact: Contact
+) -> Iterator[None]:
     """Make safe on every way out of the block.
 
     Raises
@@ -174,34 +247,43 @@ def kept_safe(bench: Bench, clock: Clock, profile: Profile, note: Note) -> Itera
         cause = error
         raise
     finally:
-        make_safe(bench, clock, profile, note, cause)
+        with requests.sheltered():
+            make_safe(bench, clock, profile, note, contact, cause)
 
 
 def make_safe(
-    bench: Bench, clock: Clock, profile: Profile, note: Note, cause: BaseException | None = None
+    bench: Bench,
+    clock: Clock,
+    profile: Profile,
+    note: Note,
+    contact: Contact,
+    cause: BaseException | None = None,
 ) -> None:
     """Stop the table and verify it, then chamber to the safe set point, then close all; each whatever the others do.
 
-    `cause` is what went wrong before; it stands in the error when the table is not seen to stand.
+    `cause` is what went wrong before; it stands in the error when the table is not seen to stand. A table that was
+    given no rate and says nothing is no emergency; one that is seen to turn is, whoever set it going.
     """
-    standing, rate_dps = stop_table(bench.table, clock, profile)
-    told_s = profile.safe.stop_deadline_s + braking_time_s(bench.table)
-    chamber_error = _chamber_to_safe(bench, clock, profile)
+    within_s = stop_time_s(bench.table, profile) if contact.table_moved else _GLANCE_S
+    standing, rate_dps = stop_table(bench.table, clock, profile, within_s)
+    chamber_error = _chamber_to_safe(bench, clock, profile) if contact.chamber_started else None
     for device in (bench.gyro, bench.chamber, bench.table):
         _attempt(device.close)
+    told_c = profile.safe.chamber_c if contact.chamber_started and chamber_error is None else None
     _, journal_error = _attempt(
         lambda: note(
             "make_safe",
+            table_moved=contact.table_moved,
             table_stopped=standing,
             table_rate_dps=rate_dps,
-            chamber_setpoint_c=None if chamber_error else profile.safe.chamber_c,
+            chamber_setpoint_c=told_c,
             chamber_error=str(chamber_error) if chamber_error else None,
         )
     )
-    if not standing:
+    if not standing and (contact.table_moved or rate_dps is not None):
         last = "nothing" if rate_dps is None else f"{rate_dps:.4g} deg/s"
         msg = (
-            f"THE TABLE MAY STILL BE TURNING: it was told to stop for {told_s:.0f} s, and "
+            f"THE TABLE MAY STILL BE TURNING: it was told to stop for {within_s:.0f} s, and "
             f"its last read-back was {last}. Use its emergency stop now."
             + (f" What went wrong before: {cause}" if cause else "")
         )
@@ -210,20 +292,24 @@ def make_safe(
         raise journal_error
 
 
-def braking_time_s(table: RateTable) -> float:
-    """Time in which the table can come to rest from its highest rate; 0 where it cannot be asked."""
+def stop_time_s(table: RateTable, profile: Profile) -> float:
+    """Time in which the table can come to rest from its highest rate and be seen to stand."""
+    _attempt(table.send_stop)  # first of all: asking the table for its limits may take time
     limits, _ = _attempt(table.limits)
-    return limits.max_rate_dps / limits.max_acceleration_dps2 if limits else 0.0
+    braking_s = limits.max_rate_dps / limits.max_acceleration_dps2 if limits else 0.0
+    return profile.safe.stop_deadline_s + braking_s
 
 
-def stop_table(table: RateTable, clock: Clock, profile: Profile) -> tuple[bool, float | None]:
-    """Send stops until two readings in a row, of rate and of angle, show a table at rest; ``(standing, last rate)``.
+def stop_table(
+    table: RateTable, clock: Clock, profile: Profile, within_s: float
+) -> tuple[bool, float | None]:
+    """Send stops until rate and angle both show a table at rest for a while; ``(standing, last rate)``.
 
-    Never raises: a port that is gone is tried again until the deadline.
+    The two are independent: a late answer cannot pass for either, and a turning that one of them hides moves the
+    other. Never raises: a port that is gone is tried again until the deadline.
     """
-    _attempt(table.send_stop)  # first of all; asking the table for its limits may take time
-    deadline_s = clock.now_s() + profile.safe.stop_deadline_s + braking_time_s(table)
-    before: TableReading | None = None
+    deadline_s = clock.now_s() + within_s
+    seen: list[TableReading] = []
     last_dps: float | None = None
     while True:
         _attempt(table.send_stop)
@@ -232,14 +318,23 @@ def stop_table(table: RateTable, clock: Clock, profile: Profile) -> tuple[bool, 
         reading, _ = _attempt(table.read)
         if reading is not None and reading.t_s >= sent_s:
             last_dps = reading.rate_dps
-            if not abs(reading.rate_dps) <= profile.safe.standing_dps:
-                before = None
-            elif before is not None and _stands(before, reading, profile.safe.standing_dps):
+            seen.append(reading)
+            while not _together_at_rest(seen, profile.safe.standing_dps):
+                del seen[0]
+            if len(seen) >= _STANDING_READINGS and seen[-1].t_s - seen[0].t_s >= _STANDING_S:
                 return True, last_dps
-            else:
-                before = reading
         if clock.now_s() >= deadline_s:
             return False, last_dps
+
+
+def _together_at_rest(seen: list[TableReading], standing_dps: float) -> bool:
+    """Whether readings show no rate, and angles that stayed where they were; no reading is at rest too."""
+    if not seen:
+        return True
+    angles_deg = [reading.angle_deg for reading in seen]
+    allowed_deg = standing_dps * (seen[-1].t_s - seen[0].t_s) + _ENCODER_UNREST_DEG
+    slow = all(abs(reading.rate_dps) <= standing_dps for reading in seen)
+    return slow and max(angles_deg) - min(angles_deg) <= allowed_deg and all(map(math.isfinite, angles_deg))
 
 
 def _chamber_to_safe(bench: Bench, clock: Clock, profile: Profile) -> Exception | None:
@@ -251,13 +346,6 @@ def _chamber_to_safe(bench: Bench, clock: Clock, profile: Profile) -> Exception 
             break
         clock.sleep(_STOP_PERIOD_S)
     return error
-
-
-def _stands(before: TableReading, after: TableReading, standing_dps: float) -> bool:
-    """Whether the angle confirms what the rate says; a table without an angle (NaN) cannot contradict."""
-    moved_deg = abs(after.angle_deg - before.angle_deg)
-    allowed_deg = standing_dps * (after.t_s - before.t_s) + _ENCODER_UNREST_DEG
-    return not moved_deg > allowed_deg
 
 
 def _attempt(action: Callable[[], T]) -> tuple[T | None, Exception | None]:

@@ -17,6 +17,9 @@ _MISSING: Any = dataclasses.MISSING
 _WORDS: dict[type, str] = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
 _PLURALS: dict[type, str] = {str: "texts", int: "whole numbers", float: "numbers"}
 
+#: Larger numbers have no meaning in a profile, and a float may not hold them.
+_LARGEST = 1e300
+
 
 def number(low: float, high: float, unit: str = "", default: Any = _MISSING) -> Any:
     """Field for a number, or for a list of numbers each from `low` to `high`."""
@@ -28,9 +31,20 @@ def choice(*allowed: str, default: Any = _MISSING) -> Any:
     return dataclasses.field(default=default, metadata={"choices": allowed})
 
 
+def refusal(source: str, key: str, value: Any, allowed: str) -> str:
+    """The one sentence of every bad value: file, key, value and what is allowed."""
+    return f"{source}: {key} is {_shown(value)}, and allowed is {allowed}."
+
+
 def refuse(source: str, key: str, value: Any, allowed: str) -> NoReturn:
-    """Raise the one sentence of every bad value: file, key, value and what is allowed."""
-    raise ProfileError(f"{source}: {key} is {_shown(value)}, and allowed is {allowed}.")
+    """Raise that sentence."""
+    raise ProfileError(refusal(source, key, value, allowed))
+
+
+def raise_all(sentences: list[str]) -> None:
+    """Raise everything that is wrong at once, a line each; nothing where nothing is."""
+    if sentences:
+        raise ProfileError("\n".join(sentences))
 
 
 def refuse_key(source: str, key: str, allowed: list[str]) -> NoReturn:
@@ -48,31 +62,44 @@ def read_table(cls: type[T], table: Any, source: str, path: str = "") -> T:
     Raises
     ------
     ProfileError
-        An unknown or missing key, a wrong type, an empty text, or a value out of its range.
+        Unknown or missing keys, wrong types, empty texts, values out of their ranges: all that is wrong, a line each.
     """
     if not isinstance(table, Mapping):
         refuse(source, path, table, "a table of keys")
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
     prefix = f"{path}." if path else ""
-    for key in table:
-        if key not in fields:
-            refuse_key(source, prefix + key, sorted(fields))
     hints = get_type_hints(cls)
     values: dict[str, Any] = {}
-    for name, field in fields.items():
-        if name in table:
-            values[name] = _value(hints[name], table[name], field.metadata, source, prefix + name)
-            if values[name] == "" and field.default != "":
-                refuse(source, prefix + name, "", "a text that is not empty")
-        elif field.default is _MISSING and field.default_factory is _MISSING:
-            msg = f"{source}: {prefix}{name} is missing; it wants {_allowed(hints[name], field.metadata)}."
-            raise ProfileError(msg)
+    wrong: list[str] = []
+    for name in [*table, *(name for name in fields if name not in table)]:
+        try:
+            if name not in fields:
+                refuse_key(source, prefix + name, sorted(fields))
+            if name in table:
+                values[name] = _given(hints[name], table[name], fields[name], source, prefix + name)
+            elif _is_required(fields[name]):
+                allowed = allowed_values(hints[name], fields[name].metadata)
+                raise ProfileError(f"{source}: {prefix}{name} is missing; it wants {allowed}.")
+        except ProfileError as error:
+            wrong += str(error).splitlines()
+    raise_all(wrong)
     return cls(**values)
+
+
+def _given(hint: Any, value: Any, field: dataclasses.Field[Any], source: str, key: str) -> Any:
+    checked = _value(hint, value, field.metadata, source, key)
+    if checked == "" and field.default != "":
+        refuse(source, key, "", "a text that is not empty")
+    return checked
+
+
+def _is_required(field: dataclasses.Field[Any]) -> bool:
+    return field.default is _MISSING and field.default_factory is _MISSING
 
 
 def _value(hint: Any, value: Any, meta: Mapping[str, Any], source: str, key: str) -> Any:
     kind = _bare(hint)
-    allowed = _allowed(hint, meta)
+    allowed = allowed_values(hint, meta)
     if dataclasses.is_dataclass(kind):
         return read_table(kind, value, source, key)  # type: ignore[arg-type]
     if get_origin(kind) is tuple:
@@ -104,13 +131,14 @@ def _bare(hint: Any) -> Any:
 def _fits(kind: Any, value: Any, meta: Mapping[str, Any]) -> bool:
     if kind in (int, float):
         whole = isinstance(value, int) and not isinstance(value, bool)
-        if not (whole or (kind is float and isinstance(value, float))) or not math.isfinite(value):
+        if not (whole or (kind is float and isinstance(value, float))) or not abs(value) < _LARGEST:
             return False
         return bool(meta.get("low", -math.inf) <= value <= meta.get("high", math.inf))
     return isinstance(value, kind) and value in meta.get("choices", (value,))
 
 
-def _allowed(hint: Any, meta: Mapping[str, Any]) -> str:
+def allowed_values(hint: Any, meta: Mapping[str, Any]) -> str:
+    """What a key may hold, in words."""
     kind = _bare(hint)
     if "choices" in meta:
         return "one of " + ", ".join(f'"{word}"' for word in meta["choices"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from gyrocal.bench.capture import RawCapture
 from gyrocal.bench.clock import Clock, RealClock
 from gyrocal.bench.devices import Bench
 from gyrocal.bench.plan import Plan, make_plan, narrowest
-from gyrocal.bench.profile import Profile, load_profile, profile_from_dict
-from gyrocal.bench.runner import Runner, Summary, Watch
+from gyrocal.bench.profile import Profile, load_profile, profile_from_dict, with_identity
+from gyrocal.bench.runner import Runner
 from gyrocal.bench.safety import StopRequests, listening
+from gyrocal.bench.transport import Attend, nobody_asks
 from gyrocal.bench.virtual.devices import virtual_bench
+from gyrocal.bench.watching import Summary, Watch
 from gyrocal.bench.wiring import ROLES, Prompt, is_virtual, open_bench
 from gyrocal.errors import InputError, InterruptedRunError, OutputError
 from gyrocal.records.journal import Recovered, RunWriter, create_run, is_stillborn, resume_run
@@ -28,6 +30,8 @@ from gyrocal.records.run import SCHEMA, Run, Sensor, read_run
 _VIRTUAL_UTC = "2000-01-01T00:00:00Z"
 #: Bench time between the last thing a dead run wrote and its next start on the virtual bench.
 _VIRTUAL_PAUSE_S = 60.0
+#: Nobody carries a run on after a longer pause: by then it is the wall clock that jumped.
+_LONGEST_PAUSE_S = 30 * 86400.0
 _DEVICES = tuple(f"{role}.device" for role in ROLES)
 
 
@@ -46,6 +50,9 @@ class AcquireConfig:
     resume: bool = False
     raw: bool = False
     prompt: Prompt = _nobody
+    serial: str | None = None
+    operator: str | None = None
+    bench_file: Path | None = None
 
 
 def connect(
@@ -56,8 +63,11 @@ def connect(
     restarts: int = 0,
     prompt: Prompt = _nobody,
     raw: bool = False,
+    attend: Attend = nobody_asks,
 ) -> tuple[Bench, Clock, RawCapture | None]:
     """The bench that a profile names, the clock that goes with it, and with `raw` the capture of its ports.
+
+    Whoever waits for its real devices, or for time to pass, calls `attend`.
 
     Raises
     ------
@@ -67,9 +77,9 @@ def connect(
     if simulate or is_virtual(profile):
         bench, virtual_clock, _ = virtual_bench(profile, start_s=start_s, restarts=restarts)
         return bench, virtual_clock, None
-    clock = RealClock(start_s)
+    clock = RealClock(start_s, attend)
     capture = RawCapture(clock) if raw else None
-    return open_bench(profile, clock, prompt, capture), clock, capture
+    return open_bench(profile, clock, prompt, capture, attend=attend), clock, capture
 
 
 @contextlib.contextmanager
@@ -84,7 +94,8 @@ def _capturing(capture: RawCapture | None, out: Path, watch: Watch) -> Iterator[
     finally:
         capture.close()
         if capture.failure is not None:
-            watch.say(f"the raw capture is incomplete: {capture.failure}")
+            with contextlib.suppress(OSError):  # nobody looks on any more
+                watch.say(f"the raw capture is incomplete: {capture.failure}")
 
 
 def plan_of(profile: Profile, bench: Bench) -> Plan:
@@ -124,7 +135,11 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
             raise OutputError(msg)
         profile = _profile(config, None)
         bench, clock, capture = connect(
-            profile, simulate=config.simulate, prompt=requests.heeding(config.prompt), raw=config.raw
+            profile,
+            simulate=config.simulate,
+            prompt=requests.heeding(config.prompt),
+            raw=config.raw,
+            attend=requests.attend,
         )
         plan = plan_of(profile, bench)
         for note in profile.notes:
@@ -160,6 +175,7 @@ def _run_rest(
         restarts=found.resumed + 1,
         prompt=requests.heeding(config.prompt),
         raw=config.raw,
+        attend=requests.attend,
     )
     if before.bench.get("devices", bench.describe) != bench.describe:
         msg = f"{config.out}: was begun on a {before.bench['devices']} bench, and this one is {bench.describe}. Use the same devices."
@@ -197,13 +213,16 @@ def _start_again_s(config: AcquireConfig, profile: Profile, before: Run, found: 
     earliest_s = math.ceil(found.last_t_s) + _VIRTUAL_PAUSE_S
     if config.simulate or is_virtual(profile) or before.created_utc is None:
         return earliest_s
-    began = datetime.fromisoformat(before.created_utc)
-    return max(earliest_s, (datetime.now(UTC) - began).total_seconds())
+    by_clock_s = (datetime.now(UTC) - datetime.fromisoformat(before.created_utc)).total_seconds()
+    # A computer without a battery clock begins in 1970, or when its system was made.
+    believed = found.last_t_s <= by_clock_s <= found.last_t_s + _LONGEST_PAUSE_S
+    return max(earliest_s, by_clock_s) if believed else earliest_s
 
 
 def _profile(config: AcquireConfig, before: Run | None) -> Profile:
     """The profile with its seed: the command line's, else that of the run to be carried on, else its own."""
     profile = load_profile(config.profile)
+    profile = with_identity(profile, config.serial, config.operator, config.bench_file)
     if config.seed is not None:
         return profile.with_seed(config.seed)
     if before is not None and before.profile is not None and "seed" in before.profile.get("virtual", {}):
@@ -254,7 +273,7 @@ def _head(profile: Profile, bench: Bench) -> dict[str, Any]:
     """Contents of ``run.json``."""
     virtual = bench.describe == "virtual"
     spec = profile.sensor
-    serial = f"virtual-{profile.virtual.unit_seed}" if virtual else spec.serial
+    serial = f"virtual-{spec.serial or profile.virtual.unit_seed}" if virtual else spec.serial
     sensor = Sensor(spec.model, serial, spec.rate_range_dps, spec.temp_range_c, spec.sample_rate_hz)
     head: dict[str, Any] = {
         "schema": SCHEMA,
@@ -266,6 +285,8 @@ def _head(profile: Profile, bench: Bench) -> dict[str, Any]:
             "chamber": "virtual" if virtual else _named(profile.bench.chamber, profile.chamber.device),
             "latitude_deg": profile.bench.latitude_deg,
         },
+        "identity": {key: value for key, value in asdict(profile.identity).items() if value is not None},
+        "simulated": virtual,
         "profile": profile.raw,
         "profile_sha256": profile.sha256,
         "software": {"gyrocal": gyrocal.__version__},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,8 +11,9 @@ from typing import Any
 
 from gyrocal.bench.plan import Bound, Limits, make_plan
 from gyrocal.bench.profile import Profile, profile_from_dict
-from gyrocal.errors import GyrocalError, InputError
+from gyrocal.errors import GyrocalError
 from gyrocal.records.files import reading
+from gyrocal.records.run import read_run
 
 #: How much of the end of a segment that is being recorded is looked at.
 _TAIL_BYTES = 65536
@@ -72,22 +72,18 @@ def read_status(path: Path, now: datetime | None = None) -> Status:
     Raises
     ------
     InputError
-        `path` holds no run.
+        `path` holds no run, or its head or journal is damaged.
     """
-    with reading(path / "run.json"):
-        head = json.loads((path / "run.json").read_text(encoding="utf-8"))
-    if not isinstance(head, dict):
-        raise InputError(f"{path}/run.json: is not the head of a run. Check the path.")
-    events = _events(path / "journal.jsonl")
-    sealed = {e["id"]: str(e["outcome"]) for e in events if e.get("event") == "segment"}
+    run = read_run(path)
+    events = [dict(event) for event in run.events]
+    sealed = {record.id: record.outcome for record in run.segments}
     part = max((path / "data").glob("*.part"), key=lambda p: p.stat().st_mtime, default=None)
-    files = [str(e["file"]) for e in events if e.get("event") == "segment"]
-    last = part or (path / files[-1] if files else None)
+    last = part or (path / run.segments[-1].file if run.segments else None)
     readings = _last_readings(last) if last else {}
     changed_s = max(p.stat().st_mtime for p in (path / "run.json", path / "journal.jsonl", last) if p)
     quiet_s = (now or datetime.now(UTC)).timestamp() - changed_s
     state, reason = _state(events, held=_is_held(path / "journal.jsonl"))
-    steps, left_s = _plan_left(head.get("profile"), sealed, events)
+    steps, left_s = _plan_left(run.profile, sealed, events)
     return Status(
         state=state,
         reason=reason,
@@ -104,21 +100,6 @@ def read_status(path: Path, now: datetime | None = None) -> Status:
         quiet_s=max(quiet_s, 0.0),
         events=tuple(events[-_LAST_EVENTS:]),
     )
-
-
-def _events(journal: Path) -> list[dict[str, Any]]:
-    """Whole lines of the journal; the one that is being written is not read."""
-    with reading(journal):
-        text = journal.read_text(encoding="utf-8", errors="replace")
-    found = []
-    for line in text.splitlines(keepends=True):
-        try:
-            event = json.loads(line) if line.endswith("\n") else None
-        except json.JSONDecodeError:
-            continue
-        if isinstance(event, dict):
-            found.append(event)
-    return found
 
 
 def _state(events: list[dict[str, Any]], *, held: bool | None) -> tuple[str, str | None]:

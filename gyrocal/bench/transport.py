@@ -1,4 +1,4 @@
-"""A port to a device: serial line, socket or anything pyserial has a URL for; every read and write has a deadline."""
+"""A port to a device: serial line, socket or anything pyserial has a URL for; every wait has a deadline."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,12 +21,21 @@ try:
 except ImportError:  # a system without POSIX locks
     fcntl = None  # type: ignore[assignment]
 
-#: Longest wait inside one look at the port; deadlines are made of such looks.
+#: Longest wait inside one look at the port; deadlines are made of such looks, and between two of them who waits attends.
 _LOOK_S = 0.02
-#: No device here says more at once.
-_LONGEST_ANSWER = 8192
-#: Most that is read from a socket in one look.
+#: Most that is read in one look.
 _BLOCK = 1 << 16
+#: A line that takes no byte for so long takes none: short, because nothing is attended to meanwhile.
+_WRITE_S = 0.25
+#: Longest wait for a port of the network to open, and for any to close.
+_OPEN_S, _CLOSE_S = 10.0, 1.0
+
+#: Called by whoever waits, at least every tenth of a second; raises to end the wait.
+Attend = Callable[[], None]
+
+
+def nobody_asks() -> None:
+    """Attend to nothing."""
 
 
 class Transport(Protocol):
@@ -43,27 +53,38 @@ class Transport(Protocol):
         """Bytes that have come, after waiting at most `wait_s` for the first of them; empty when none came."""
         ...
 
-    def clear_input(self) -> None:
-        """Forget what came before."""
-        ...
-
     def close(self) -> None:
         """Close; never raises."""
         ...
 
 
 class SerialTransport:
-    """A pyserial port. `tap`, when given, sees all bytes with their direction: ``tap(b"<" or b">", data)``."""
+    """A pyserial port.
+
+    Parameters
+    ----------
+    tap : callable, optional
+        Sees all bytes with their direction: ``tap(b"<" or b">", data)``.
+    attend : callable
+        Called between two looks at the port.
+    """
 
     def __init__(
-        self, url: str, baud: int, *, rtscts: bool = False, tap: Callable[[bytes, bytes], None] | None = None
+        self,
+        url: str,
+        baud: int,
+        *,
+        rtscts: bool = False,
+        tap: Callable[[bytes, bytes], None] | None = None,
+        attend: Attend = nobody_asks,
     ):
         self.url = url
         self._tap = tap
+        self._attend = attend
         self._lock = _lock_network_port(url)
         try:
             self._port = serial.serial_for_url(
-                url, baudrate=baud, timeout=_LOOK_S, write_timeout=1.0, rtscts=rtscts, do_not_open=True
+                url, baudrate=baud, timeout=_LOOK_S, write_timeout=_WRITE_S, rtscts=rtscts, do_not_open=True
             )
             if "://" not in url:
                 # A log viewer left open on the port steals bytes; only tty devices know the lock.
@@ -94,40 +115,38 @@ class SerialTransport:
     def read_available(self, wait_s: float) -> bytes:
         """Bytes that have come, after waiting at most `wait_s` for the first of them."""
         deadline_s = time.monotonic() + wait_s
-        while True:
-            try:
-                data: bytes = self._port.read(1)
-                # A socket:// port reports at most 1 waiting byte, so ask for a block there and take what comes.
-                waiting = self._port.in_waiting if "://" not in self.url else _BLOCK
-                if data and waiting:
-                    data += self._port.read(waiting) if "://" not in self.url else self._rest()
-            except (serial.SerialException, OSError) as error:
-                raise DeviceError(
-                    f"{self.url}: the port is gone while reading ({error}). Check the cable."
-                ) from error
-            if data:
-                if self._tap is not None:
-                    self._tap(b"<", data)
-                return data
-            if time.monotonic() >= deadline_s:
-                return b""
+        try:
+            data = self._there()
+            while not data and time.monotonic() < deadline_s:
+                self._attend()
+                data = self._port.read(1)
+                data += self._there() if data else b""
+        except (serial.SerialException, OSError) as error:
+            raise DeviceError(
+                f"{self.url}: the port is gone while reading ({error}). Check the cable."
+            ) from error
+        if data and self._tap is not None:
+            self._tap(b"<", data)
+        return data
 
-    def _rest(self) -> bytes:
+    def _there(self) -> bytes:
+        """What has come already. A socket:// port reports at most 1 waiting byte: there a block is asked for."""
+        if "://" not in self.url:
+            waiting = self._port.in_waiting
+            return bytes(self._port.read(waiting)) if waiting else b""
         self._port.timeout = 0
         try:
-            rest: bytes = self._port.read(_BLOCK)
+            return bytes(self._port.read(_BLOCK))
         finally:
             self._port.timeout = _LOOK_S
-        return rest
-
-    def clear_input(self) -> None:
-        """Forget what came before."""
-        with contextlib.suppress(DeviceError):
-            while self.read_available(0.0):
-                pass
 
     def close(self) -> None:
-        """Close; never raises."""
+        """Close; never raises. A port that hangs in it is left to itself."""
+        closing = threading.Thread(target=self._close, name=f"close {self.url}", daemon=True)
+        closing.start()
+        closing.join(_CLOSE_S)
+
+    def _close(self) -> None:
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
         self._unlock()
@@ -138,6 +157,69 @@ class SerialTransport:
             os.close(lock)
 
 
+def opened_within(url: str, open_port: Callable[[], Transport], attend: Attend) -> Transport:
+    """Open a port, attending meanwhile: a host of the network that does not answer lets one wait.
+
+    Raises
+    ------
+    DeviceError
+        The port cannot be opened, or not in time. One that opens later is closed again.
+    """
+    if "://" not in url:
+        return open_port()
+    opening = _Opening(open_port)
+    deadline_s = time.monotonic() + _OPEN_S
+    try:
+        while opening.is_alive() and time.monotonic() < deadline_s:
+            opening.join(_LOOK_S)
+            attend()
+    except BaseException:
+        opening.give_up()
+        raise
+    return opening.result(f"{url}: did not open within {_OPEN_S:g} s. Check the address and the network.")
+
+
+class _Opening(threading.Thread):
+    """A port that is being opened, and closed again where nobody waits for it any more."""
+
+    def __init__(self, open_port: Callable[[], Transport]) -> None:
+        super().__init__(name="open a port", daemon=True)
+        self._open = open_port
+        self._port: Transport | None = None
+        self._error: Exception | None = None
+        self._given_up = False
+        self._guard = threading.Lock()
+        self.start()
+
+    def run(self) -> None:
+        """Open."""
+        try:
+            port = self._open()
+        except Exception as error:  # noqa: BLE001
+            self._error = error
+            return
+        with self._guard:
+            self._port = port
+            if self._given_up:
+                port.close()
+
+    def give_up(self) -> None:
+        """Nobody waits any more."""
+        with self._guard:
+            self._given_up = True
+            if self._port is not None:
+                self._port.close()
+
+    def result(self, late: str) -> Transport:
+        """The port, or why there is none."""
+        if self.is_alive():
+            self.give_up()
+            raise DeviceError(late)
+        if self._port is None:
+            raise self._error or DeviceError(late)
+        return self._port
+
+
 def _lock_network_port(url: str) -> int | None:
     """Hold a port of the network for this program, as the tty lock does for others: a converter may let two in.
 
@@ -146,16 +228,32 @@ def _lock_network_port(url: str) -> int | None:
     if fcntl is None or not url.startswith(("socket://", "rfc2217://")):
         return None
     name = hashlib.sha256(url.encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"gyrocal-{name}.lock"
     try:
-        lock = os.open(Path(tempfile.gettempdir()) / f"gyrocal-{name}.lock", os.O_RDONLY | os.O_CREAT, 0o644)
+        lock = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
     except OSError:
         return None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(lock)
-        raise DeviceError(f"{url}: another gyrocal holds the port. Wait for it, or end it first.") from error
+        msg = f"{url}: another gyrocal holds the port{_holders(path)}. Wait for it, or end it first."
+        raise DeviceError(msg) from error
     return lock
+
+
+def _holders(path: Path) -> str:
+    """Programs that have a file open, as the kernel lists them: `` (pid 12: python -m gyrocal ...)``; empty: not known."""
+    wanted = os.path.realpath(path)
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        if process.name == str(os.getpid()):
+            continue
+        with contextlib.suppress(OSError):  # of another user, or gone by now
+            if any(os.path.realpath(fd) == wanted for fd in (process / "fd").iterdir()):
+                words = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                found.append(f"pid {process.name}: {words.strip()[:80]}")
+    return f" ({'; '.join(found)})" if found else ""
 
 
 class ReopeningTransport:
@@ -179,11 +277,6 @@ class ReopeningTransport:
         with self._lost_on_error() as port:
             return port.read_available(wait_s)
 
-    def clear_input(self) -> None:
-        """Forget what came before; a port that is gone has nothing to forget."""
-        if self._port is not None:
-            self._port.clear_input()
-
     def close(self) -> None:
         """Close; never raises. The next use opens it again."""
         port, self._port = self._port, None
@@ -206,7 +299,7 @@ def _open_failed(url: str, error: Exception) -> str:
     if isinstance(error, ValueError):
         return f"{url}: is no port that can be opened ({text}). Give a device path or a URL such as socket://host:port."
     if "exclusively lock" in text or "busy" in text.lower():
-        return f"{url}: another program holds the port. Close it and try again."
+        return f"{url}: another program holds the port{_holders(Path(url))}. Close it and try again."
     if getattr(error, "errno", None) == 2 or "No such file" in text:
         return f"{url}: there is no such port. Check the cable and the name (ls /dev/serial/by-id)."
     if "Permission" in text:
@@ -216,66 +309,3 @@ def _open_failed(url: str, error: Exception) -> str:
             f"{url}: nobody listens there (connection refused). Check the address and that the device is on."
         )
     return f"{url}: cannot be opened ({text})."
-
-
-class Conversation:
-    """Request and answer over a transport, matched by a terminator, with a deadline on each."""
-
-    def __init__(self, transport: Transport, name: str, terminator: bytes, timeout_s: float) -> None:
-        self.transport = transport
-        self._name = name
-        self._terminator = terminator
-        self._timeout_s = timeout_s
-        self._buffer = b""
-
-    def number(self, text: str, command: str) -> float:
-        """The number that `text` is, the answer to `command`; DeviceError where it is none."""
-        try:
-            return float(text)
-        except ValueError as error:
-            msg = f"{self._name}: answered {text!r} to {command!r}, and a number is wanted."
-            raise DeviceError(msg) from error
-
-    def send(self, data: bytes) -> None:
-        """Send without waiting for an answer."""
-        self.transport.write(data)
-
-    def clear(self) -> None:
-        """Forget every byte that came before."""
-        self._buffer = b""
-        self.transport.clear_input()
-
-    def ask(self, request: bytes) -> bytes:
-        """Send `request` and return the answer without its terminator; old bytes are forgotten first."""
-        self.clear()
-        self.transport.write(request)
-        return self.receive(request)
-
-    def receive(self, request: bytes = b"") -> bytes:
-        """The next answer, without its terminator."""
-        deadline_s = self.transport.now_s() + self._timeout_s
-        while self._terminator not in self._buffer:
-            left_s = deadline_s - self.transport.now_s()
-            if left_s <= 0:
-                said = f"half an answer ({self._buffer[:40]!r})" if self._buffer else "no answer"
-                msg = f"{self._name}: {said} to {request!r} within {self._timeout_s:g} s. Check power, cable, baud rate and address."
-                raise DeviceError(msg)
-            self._buffer += self.transport.read_available(min(left_s, 0.1))
-            if len(self._buffer) > _LONGEST_ANSWER:
-                msg = f"{self._name}: {len(self._buffer)} bytes came and no end of an answer to {request!r}. Check the baud rate."
-                raise DeviceError(msg)
-        answer, self._buffer = self._buffer.split(self._terminator, 1)
-        return answer
-
-    def receive_exactly(self, count: int, request: bytes) -> bytes:
-        """The next `count` bytes of a binary answer."""
-        deadline_s = self.transport.now_s() + self._timeout_s
-        while len(self._buffer) < count:
-            left_s = deadline_s - self.transport.now_s()
-            if left_s <= 0:
-                said = f"{len(self._buffer)} of {count} bytes" if self._buffer else "no answer"
-                msg = f"{self._name}: {said} to {request.hex(' ')} within {self._timeout_s:g} s. Check power, cable, baud rate and address."
-                raise DeviceError(msg)
-            self._buffer += self.transport.read_available(min(left_s, 0.1))
-        answer, self._buffer = self._buffer[:count], self._buffer[count:]
-        return answer

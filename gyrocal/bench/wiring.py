@@ -12,19 +12,18 @@ from gyrocal.bench.chambers.stepped import AlarmsByHand, SteppedChamber
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Bench, Chamber, RateTable
 from gyrocal.bench.gyros.stream import StreamSpec, WireGyro
+from gyrocal.bench.kinds import ChamberKind, GyroKind, TableKind
 from gyrocal.bench.profile import DeviceSpec, Profile
-from gyrocal.bench.registry import (
-    CHAMBERS,
-    GYROS,
-    MANUAL_CHAMBER,
-    MANUAL_TABLE,
-    TABLES,
-    ChamberKind,
-    GyroKind,
-    TableKind,
-)
+from gyrocal.bench.registry import CHAMBERS, GYROS, MANUAL_CHAMBER, MANUAL_TABLE, TABLES
 from gyrocal.bench.schema import read_table, refuse
-from gyrocal.bench.transport import ReopeningTransport, SerialTransport, Transport
+from gyrocal.bench.transport import (
+    Attend,
+    ReopeningTransport,
+    SerialTransport,
+    Transport,
+    nobody_asks,
+    opened_within,
+)
 from gyrocal.errors import ProfileError
 
 #: Asks the operator of a manual table or chamber; the command line supplies it.
@@ -171,6 +170,13 @@ def _check_together(profile: Profile, wires: Mapping[str, Wire]) -> None:
             f"is dead. Set them to {low_c - margin_c:g} and {high_c + margin_c:g} °C at its panel and say own_alarms_set = true in [chamber]."
         )
         raise ProfileError(msg)
+    if chamber.kind == MANUAL and not (_sends_temperature(wires["gyro"]) or profile.safe.no_thermometer):
+        msg = (
+            f"{profile.source}: a {wires['gyro'].kind} sends no temperature and a manual chamber has no thermometer that this "
+            "program reads, so that no interlock keeps the gyro from harm. Watch its temperature yourself and say "
+            "no_thermometer = true in [safe], or use a chamber with a link."
+        )
+        raise ProfileError(msg)
     watchdog_s = getattr(wires["table"].options, "watchdog_s", math.inf)
     period_s = profile.record.bench_period_s
     if period_s > _WATCHDOG_SHARE * watchdog_s:
@@ -181,17 +187,28 @@ def _check_together(profile: Profile, wires: Mapping[str, Wire]) -> None:
         raise ProfileError(msg)
 
 
+def _sends_temperature(wire: Wire) -> bool:
+    """Whether a gyro's frames carry a temperature with these options: by what its own codec makes of some."""
+    kind = GYROS[wire.kind]
+    data = b"".join(kind.encode(0.0, 20.0, number, wire.options) for number in range(3))
+    frames = kind.decoder(wire.options).feed(data)
+    return any(math.isfinite(frame.temp_c) for frame in frames) if frames else kind.has_temperature
+
+
 def open_bench(
     profile: Profile,
     clock: Clock,
     prompt: Prompt,
     capture: RawCapture | None = None,
     open_port: OpenPort | None = None,
+    attend: Attend = nobody_asks,
 ) -> Bench:
     """The devices that a profile names. Ports are opened at their first use.
 
     Parameters
     ----------
+    attend : callable
+        Called while a port is waited for; may end the wait.
     prompt : callable
         Asks the operator of a manual table or chamber.
     capture : RawCapture, optional
@@ -209,7 +226,16 @@ def open_bench(
     taps = {
         role: capture.tap(role, w.kind, w.plain_options) for role, w in wires.items() if capture and w.url
     }
-    opening = open_port or (lambda role, wire: SerialTransport(wire.url, wire.baud, tap=taps.get(role)))
+
+    def serial_port(role: str, wire: Wire) -> Transport:
+        # The gyro is read by a thread of its own, which nobody has to end.
+        ends = nobody_asks if role == "gyro" else attend
+        tap = taps.get(role)
+        return opened_within(
+            wire.url, lambda: SerialTransport(wire.url, wire.baud, tap=tap, attend=ends), attend
+        )
+
+    opening = open_port or serial_port
 
     def transport(role: str) -> Transport:
         return ReopeningTransport(lambda: opening(role, wires[role]))

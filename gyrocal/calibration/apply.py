@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
 from gyrocal.errors import CoefficientError, DataError, OutputError
-from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, load_coefficients
+from gyrocal.fusion.coefficients import (
+    FLAG_NOT_FINITE,
+    FLAG_RATE,
+    FLAG_TEMPERATURE,
+    FLAG_TERM,
+    Coefficients,
+    load_coefficients,
+)
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.files import check_output_file, writing_atomically
@@ -23,18 +30,21 @@ Floats = NDArray[np.float64]
 COLUMNS = ("segment", "t_s", "gyro_dps", "temp_c", "corrected_dps", "sigma_dps", "flag")
 _ROW = "%d,%.6f,%.9g,%.6g,%.9f,%.3e,%d\n"
 
-#: Flags of this file beside those of `Coefficients.flags` (1 rate, 2 temperature, 4 not finite).
+#: Flags of this file beside those of `Compensator.evaluate` (1 rate, 2 temperature, 4 not finite, 32 term).
 FLAG_STATUS = 8
 FLAG_HELD = 16
 FLAGS = {
     FLAG_RATE: "rate outside the valid range",
     FLAG_TEMPERATURE: "temperature outside the valid range",
-    FLAG_NOT_FINITE: "not finite",
+    FLAG_NOT_FINITE: "not finite, or no rate has this output",
     FLAG_STATUS: "bad status of the gyro",
     FLAG_HELD: "temperature held from an earlier sample",
+    FLAG_TERM: "beyond what a term was fitted to",
 }
 
 _CHUNK_ROWS = 100_000
+#: Entry of the provenance: seconds that stood for a data set where a table without times was diagnosed.
+SECONDS_A_DATA_SET = "seconds_a_data_set"
 
 
 @dataclass(frozen=True)
@@ -117,7 +127,7 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     coefficients = load_coefficients(config.coefficients)
     with naming(config.coefficients):
         compensator = Compensator(coefficients)
-    names = tuple(term.effect.id for term in compensator.terms)
+    names = tuple(term.name for term in compensator.terms)
     applied = Applied(config.output, terms=names, not_applied=compensator.not_applied)
     if config.recording.is_dir():
         if config.counts_per_dps is not None:
@@ -131,7 +141,7 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     else:
         table = read_data_sets(config.recording, config.counts_per_dps)
         _check_times(table, compensator)
-        sensor, power_on_t_s, blocks = {}, None, iter([_block_of_table(table)])
+        sensor, power_on_t_s, blocks = {}, None, iter([_block_of_table(table, coefficients)])
         applied.segments = table.rate_dps.size
     applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
     with writing_atomically(config.output) as file:
@@ -182,15 +192,17 @@ def _blocks_of_run(run: Run, report: Callable[[float, str], None]) -> Iterator[_
     report(1.0, "")
 
 
-def _block_of_table(table: DataSetTable) -> _Block:
+def _block_of_table(table: DataSetTable, coefficients: Coefficients) -> _Block:
+    """Rows of a table; where neither it nor the table of the coefficients has times, the order stands for time."""
     n = table.rate_dps.size
-    t_s = np.full(n, np.nan) if table.t_s is None else table.t_s
+    each_s = float(coefficients.provenance.get(SECONDS_A_DATA_SET, np.nan))
+    t_s: Floats = each_s * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s
     return _Block(np.arange(1, n + 1), t_s, table.gyro_dps, table.temp_c, np.zeros(n, dtype=np.bool_))
 
 
 def _check_times(table: DataSetTable, compensator: Compensator) -> None:
-    timed = [term.effect.id for term in compensator.terms if term.effect.has_memory]
-    if timed and table.t_s is None:
+    timed = [term.name for term in compensator.terms if term.has_memory]
+    if timed and table.t_s is None and SECONDS_A_DATA_SET not in compensator.coefficients.provenance:
         raise CoefficientError(
             f"{table.source}: has no t_s, and {timed[0]} of the coefficients depends on what went before. "
             "Add the times, or use coefficients without that term."

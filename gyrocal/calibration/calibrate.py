@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 import gyrocal
 from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface
+from gyrocal.calibration.choice import BIAS, PAPER, Choice, ChosenFit, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.covariance import PARTS
-from gyrocal.calibration.crossval import CrossValidation, cross_validate
+from gyrocal.calibration.crossval import CrossValidation
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
-from gyrocal.calibration.figures import merit_figures
-from gyrocal.calibration.fit import ALL_TERMS, BIAS_TERMS, SurfaceFit, Weights, fit_surface, rms
+from gyrocal.calibration.figures import BeforeAfter, merit_figures
+from gyrocal.calibration.fit import SurfaceFit, Weights, rms
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
 from gyrocal.calibration.provenance import refuse_compensated
 from gyrocal.calibration.residuals import (
@@ -29,6 +30,7 @@ from gyrocal.calibration.residuals import (
 )
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
+from gyrocal.physics.surface import Direction
 
 Floats = NDArray[np.float64]
 
@@ -47,15 +49,21 @@ class FitConfig:
     ----------
     exclude : tuple of int
         Segment ids (row numbers of a table, counted from 1) that the user leaves out.
+    weights, direction : str, optional
+        Chosen by the error left out where they are not given.
     force : bool
         Fit data that are doubtful (saturated, stuck, coarse temperature); what is missing stays an error.
+    paper : bool
+        The paper's twelve terms in the gyro's output, whatever does better.
     """
 
     counts_per_dps: float | None = None
-    weights: Weights = "gls"
+    weights: Weights | None = None
     bias_only: bool = False
     exclude: tuple[int, ...] = ()
     force: bool = False
+    direction: Direction | None = None
+    paper: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,13 +80,18 @@ class Calibration:
         What the noise of the samples alone leaves in the means.
     outliers, structure
         Structure is tested without the outliers of the mean; the fit has them in, unless excluded by the user.
+    choice : Choice
+        Direction, terms and weights, and why.
     cross_validation, cross_validation_ols
         Of the weights used, and of equal weights.
+    merit : dict
+        Figures of merit before compensation, and of what is left on data left out.
     """
 
     recording: Recording
     config: FitConfig
     fit: SurfaceFit
+    choice: Choice
     before_dps: float
     after_dps: float
     ols_dps: float
@@ -89,6 +102,7 @@ class Calibration:
     cross_validation: tuple[CrossValidation, ...]
     cross_validation_ols: tuple[CrossValidation, ...]
     noise: NoiseFigures
+    merit: dict[str, BeforeAfter]
     excluded_by_user: tuple[int, ...]
     notes: tuple[str, ...]
     coefficients: Coefficients
@@ -127,9 +141,15 @@ def calibrate(path: Path, config: FitConfig) -> Calibration:
         sets, block = coarsen(sets, MOST_DATA_SETS)
         notes += [_averaged_note(len(recording.sets), block)] if block > 1 else []
         notes += check_surface(recording, sets, force=config.force)
-    fit = fit_surface(sets, config.weights, BIAS_TERMS if config.bias_only else ALL_TERMS, recording.rest)
-    notes += check_rounding(recording, fit, force=config.force)
-    return _assess(recording, config, fit, tuple(notes))
+    chosen = fit_chosen(
+        sets,
+        recording.rest,
+        model=BIAS if config.bias_only else PAPER if config.paper else None,
+        direction=config.direction,
+        weights=config.weights,
+    )
+    notes += check_rounding(recording, chosen.fit, force=config.force)
+    return _assess(recording, config, chosen, tuple(notes))
 
 
 def _without(recording: Recording, exclude: tuple[int, ...]) -> DataSets:
@@ -189,17 +209,20 @@ def _at_one_rate(recording: Recording, sets: DataSets) -> tuple[DataSets, list[s
     return coarse, notes
 
 
-def _assess(recording: Recording, config: FitConfig, fit: SurfaceFit, notes: tuple[str, ...]) -> Calibration:
-    sets = fit.sets
+def _assess(
+    recording: Recording, config: FitConfig, chosen: ChosenFit, notes: tuple[str, ...]
+) -> Calibration:
+    fit, sets = chosen.fit, chosen.fit.sets
     outliers, kept, scatter = find_outliers(sets, fit.scatter)
     line = np.polynomial.polynomial.polyvander(sets.gyro_dps, 0 if config.bias_only else 1)
     before = sets.error_dps - line @ np.linalg.lstsq(line, sets.error_dps, rcond=None)[0]
     known = np.isfinite(sets.mean_variance_dps2)
-    noise = noise_figures(recording, fit.surface)
+    noise = noise_figures(recording)
     calibration = Calibration(
         recording=recording,
         config=config,
         fit=fit,
+        choice=chosen.choice,
         before_dps=rms(before),
         after_dps=rms(fit.residual_dps),
         ols_dps=rms(fit.ols_residual_dps),
@@ -207,12 +230,13 @@ def _assess(recording: Recording, config: FitConfig, fit: SurfaceFit, notes: tup
         outliers=outliers,
         structure=structure_tests(sets.select(kept), scatter),
         scatter_by_rate=scatter_by_rate(sets, fit.residual_dps, np.random.default_rng(_SEED)),
-        cross_validation=cross_validate(fit, "gls" if config.weights == "gls" else "ols"),
-        cross_validation_ols=cross_validate(fit, "ols"),
+        cross_validation=chosen.left_out,
+        cross_validation_ols=chosen.equal,
         noise=noise,
+        merit=merit_figures(fit, next((v.error_dps for v in chosen.left_out if v.left_out == "time"), None)),
         excluded_by_user=tuple(sorted(config.exclude)),
         notes=notes,
-        coefficients=_coefficients(recording, config, fit, noise),
+        coefficients=_coefficients(recording, config, chosen, noise),
     )
     coefficients = replace(calibration.coefficients, figures=_figures(calibration))
     return replace(calibration, coefficients=coefficients)
@@ -232,14 +256,17 @@ def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
 
 
 def _coefficients(
-    recording: Recording, config: FitConfig, fit: SurfaceFit, noise: NoiseFigures
+    recording: Recording, config: FitConfig, chosen: ChosenFit, noise: NoiseFigures
 ) -> Coefficients:
+    fit = chosen.fit
     provenance: dict[str, Any] = {
         "software": f"gyrocal {gyrocal.__version__}",
         "source": recording.source.name,
         "source_sha256": recording.sha256,
         "fit": "bias over temperature" if config.bias_only else "surface",
-        "weights": config.weights,
+        "weights": chosen.choice.weights,
+        "model": str(chosen.choice.model),
+        "model_chosen_because": chosen.choice.reason,
         "counts_per_dps": recording.counts_per_dps,
         "excluded_by_user": sorted(config.exclude),
         "forced": config.force,
@@ -266,9 +293,13 @@ def _coefficients(
 
 def _figures(c: Calibration) -> dict[str, Any]:
     """The ``figures`` entry: merit of the gyro, and how well the fit describes it."""
-    scatter, file = c.fit.scatter, c.coefficients
+    scatter = c.fit.scatter
     return {
-        "gyro": merit_figures(file.surface, file.covariance_dps2, file.valid, bias_only=c.config.bias_only),
+        "gyro": {
+            name: {"before": pair.before.to_json(), "after": pair.after.to_json()}
+            for name, pair in c.merit.items()
+        },
+        "noise": {name: figure.to_json() for name, figure in c.noise.figures.items()},
         "fit": {
             "error_before_rms_dps": c.before_dps,
             "error_after_rms_dps": c.after_dps,

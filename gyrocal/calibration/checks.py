@@ -48,7 +48,8 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
     if rates == 1:
         raise DataError(
             f"{source}: a recording at one rate ({sets.rate_dps[0]:+.4g} deg/s) carries no surface. "
-            "Record at least 4 rates of both signs, or take it as bias over temperature with --bias-only."
+            "Record at least 4 rates of both signs, take it as bias over temperature with --bias-only, or take noise and "
+            f"bias of a gyro at rest with gyrocal noise {source}."
         )
     if len(sets) <= TERMS:
         raise DataError(
@@ -171,7 +172,8 @@ def check_bias(recording: Recording, sets: DataSets) -> None:
     if len(sets) <= TEMPERATURE_ORDER + 1:
         raise DataError(
             f"{recording.source}: {len(sets)} data sets at one rate are too few for a bias of order "
-            f"{TEMPERATURE_ORDER} in temperature. Record at least {TEMPERATURE_ORDER + 2}, spread over temperature."
+            f"{TEMPERATURE_ORDER} in temperature. Record at least {TEMPERATURE_ORDER + 2}, spread over temperature; what a "
+            f"record at rest says of noise and bias is gyrocal noise {recording.source}."
         )
     _check_temperatures(recording, sets, "bias")
 

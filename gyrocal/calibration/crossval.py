@@ -10,8 +10,7 @@ from scipy import linalg
 
 from gyrocal.calibration.covariance import projection
 from gyrocal.calibration.fit import SurfaceFit, Weights, gls_gain, rms
-from gyrocal.calibration.groups import rate_groups, temperature_groups, time_groups
-from gyrocal.calibration.residuals import STRETCHES
+from gyrocal.calibration.groups import left_out_groups
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,7 +29,7 @@ class CrossValidation:
         ``rate``, ``temperature`` or ``time``.
     folds : int
     error_dps : ndarray, shape (n,)
-        Error of each data set minus its prediction; NaN where the rest cannot carry the surface.
+        Error of each corrected rate by the surface of all others; NaN where the rest cannot carry the surface.
     rms_dps : float or None
         None when a fold cannot be predicted: too few levels.
     """
@@ -53,20 +52,21 @@ def cross_validate(fit: SurfaceFit, weights: Weights | None = None) -> tuple[Cro
     matrix = fit.scatter.matrix if (weights or fit.weights) == "gls" else np.eye(len(sets))
     p, _ = projection(matrix, fit.design)
     gain = gls_gain(matrix, fit.design)
-    groups = {
-        "temperature": temperature_groups(sets.temp_c),
-        "rate": rate_groups(sets.rate_dps),
-        "time": time_groups(len(sets), STRETCHES),
-    }
+    # The fit rests on predicted outputs; what corrects a rate is the output that was measured.
+    measured, unit = fit.design, np.ones(len(sets))
+    if fit.surface.direction == "output":
+        measured = fit.surface.design(sets.gyro_dps, sets.temp_c)[:, fit.terms]
+    else:
+        unit = 1.0 + fit.surface.slope_per_dps(sets.rate_dps, sets.temp_c)
     return tuple(
-        _leave_out(name, g, p, gain, fit.design, sets.error_dps)
-        for name, g in groups.items()
+        _leave_out(name, g, p, gain, measured, sets.error_dps, unit)
+        for name, g in left_out_groups(sets).items()
         if np.unique(g).size > 1
     )
 
 
 def _leave_out(
-    name: str, groups: Ints, p: Floats, gain: Floats, design: Floats, error_dps: Floats
+    name: str, groups: Ints, p: Floats, gain: Floats, design: Floats, error_dps: Floats, unit: Floats
 ) -> CrossValidation:
     """Fits without each group, from the whole fit: a data set of its own unknown offset is a data set left out."""
     py = p @ error_dps
@@ -81,6 +81,7 @@ def _leave_out(
         if values[0] < _DETERMINED * scale:
             continue
         offset = vectors @ ((vectors.T @ py[rows]) / values)
-        errors[rows] = error_dps[rows] - design[rows] @ (coefficients - gain[:, rows] @ offset)
+        wrong = error_dps[rows] - design[rows] @ (coefficients - gain[:, rows] @ offset)
+        errors[rows] = wrong / unit[rows]
     whole = bool(np.isfinite(errors).all())
     return CrossValidation(name, int(labels.size), errors, rms(errors) if whole else None)

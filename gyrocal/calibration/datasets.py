@@ -18,7 +18,6 @@ Which one was taken stands in `DataSets.reference`.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -30,9 +29,9 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.flicker import Rest, RestWindows, merge_rest
 from gyrocal.calibration.moments import EMPTY, SegmentSums, sums_of_block
+from gyrocal.calibration.provenance import source_sha256
 from gyrocal.errors import DataError, InputError
 from gyrocal.records.datasets import DataSetTable, read_data_sets
-from gyrocal.records.files import reading, sha256_of_file
 from gyrocal.records.run import Run, Segment, SegmentRecord, read_run
 
 Floats = NDArray[np.float64]
@@ -230,7 +229,7 @@ def _from_table(table: DataSetTable) -> Recording:
     notes = tuple(f"the table does not say {name}" for name, values in optional.items() if values is None)
     return Recording(
         source=table.source,
-        sha256=sha256_of_file(table.source),
+        sha256=source_sha256(table.source),
         sensor={"model": "unknown"},
         sets=sets,
         saturated=_saturated_means(table.rate_dps, table.gyro_dps),
@@ -283,12 +282,13 @@ def _from_run(run: Run) -> Recording:
         rows.append((record, sums, rate_dps, reference))
     if not rows:
         reasons = f" ({len(excluded)} were left out: {excluded[0].reason})" if excluded else ""
-        msg = f"{run.path}: holds no usable data set{reasons}. Record segments of kind rate, one a rate and temperature."
+        msg = f"{run.path}: holds no usable data set{reasons}. Record segments of kind rate, one a rate and temperature; "
+        msg += f"what a gyro at rest says of noise and bias is gyrocal noise {run.path}."
         raise DataError(msg)
     saturated, at_rail = _saturated_sums([sums for _, sums, _, _ in rows])
     return Recording(
         source=run.path,
-        sha256=_sha256_of_run(run.path),
+        sha256=source_sha256(run.path),
         sensor=run.sensor.to_json(),
         sets=_sets_of(rows),
         saturated=saturated,
@@ -392,11 +392,3 @@ def _sets_of(rows: Sequence[tuple[SegmentRecord, SegmentSums, float, str]]) -> D
         kind=np.array([r.kind for r in records]),
         reference=np.array(references),
     )
-
-
-def _sha256_of_run(path: Path) -> str:
-    digest = hashlib.sha256()
-    for name in ("run.json", "journal.jsonl"):
-        with reading(path / name):
-            digest.update((path / name).read_bytes())
-    return digest.hexdigest()

@@ -29,7 +29,7 @@ from gyrocal.calibration.export_terms import TermSource, term_source
 from gyrocal.errors import InputError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, Coefficients
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.terms import RuntimeTerm, runtime_term
+from gyrocal.physics.terms import Part
 from gyrocal.records.files import write_atomically
 
 Floats = NDArray[np.float64]
@@ -38,6 +38,8 @@ CType = Literal["both", "float", "double"]
 
 #: Steps of the temperature about which the float polynomial is expanded, deg C: a number that a float holds.
 _CENTER_STEP_C = 0.125
+#: Calls into the mathematics library.
+_MATHEMATICS = re.compile(r"\b(?:expm?1?|log1p|fabs|fmax|asinh)(?:@f@|f)?\(")
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
         raise InputError(
             f"--prefix is {prefix!r}; a C identifier of small letters, digits and underscores is wanted."
         )
-    terms = tuple(runtime_term(t.effect, t.parameters) for t in coefficients.terms if t.runtime)
+    terms = coefficients.runtime_terms()
     parts = [_DOCUMENT, _GUARD]
     functions: list[str] = []
     for kind, suffix in (("double", ""), ("float", "f")):
@@ -91,13 +93,14 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
             parts += [state] * (state != "" and not functions)
             parts.append(text)
             functions += [f"{prefix}_{name}{suffix}" for name in ("error", "correct", "flags")]
-    libm = any(t.effect.has_memory or "since_power_on_s" in t.effect.needs for t in terms)
+    libm = any(_MATHEMATICS.search(part) for part in parts)
+    solved = any("NAN" in part for part in parts)
     digest = json.loads(coefficients.to_text())["sha256"]
     head = {
-        "terms": _comment(", ".join(t.effect.id for t in terms) or "none beside the surface"),
+        "terms": _comment(", ".join(t.name for t in terms) or "none beside the surface"),
         "library": "the mathematics library (-lm)" if libm else "no library",
-        "math": "#include <math.h>\n" if libm else "",
-        "more": _MORE if terms else "",
+        "math": "#include <math.h>\n" if libm or solved else "",
+        "more": _SOLVED * solved + _MORE * bool(terms),
         "version": __version__,
         "sensor": _comment(json.dumps(dict(coefficients.sensor), sort_keys=True)),
         "sha256": digest,
@@ -107,25 +110,25 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
         "temp_high": f"{coefficients.valid.temp_c[1]:g}",
     }
     text = _fill("\n".join([*parts, _END]), head).replace("PREFIX", prefix).replace("GUARD", prefix.upper())
-    bench = tuple(term.effect for term in coefficients.terms if not term.runtime)
+    bench = tuple(term.name for term in coefficients.terms if not term.runtime)
     return Export(
-        text, tuple(functions), tuple(t.effect.id for t in terms), bench, digest, dict(coefficients.sensor)
+        text, tuple(functions), tuple(t.name for t in terms), bench, digest, dict(coefficients.sensor)
     )
 
 
 def _functions(
-    coefficients: Coefficients, terms: tuple[RuntimeTerm, ...], kind: str, suffix: str
+    coefficients: Coefficients, terms: tuple[Part, ...], kind: str, suffix: str
 ) -> tuple[str, str]:
     """C of the state, which both types share, and of the functions in one type."""
     surface = _DOUBLE if kind == "double" else _FLOAT
     pair = "@real@ gyro_dps, @real@ temp_c"
     source = TermSource("", "", pair, "gyro_dps, temp_c")
-    if terms:
-        number, tolerance = (_double, "1e-11") if kind == "double" else (_float, "1e-5f")
-        source = term_source(terms, number, tolerance)
+    solved = bool(terms) or coefficients.surface.direction == "input"
+    if solved:
+        source = term_source(coefficients.surface, terms, _double if kind == "double" else _float, kind)
     template = "\n".join(part for part in (surface, source.text, _FLAGS) if part)
     names = {
-        "surface": "surface" if terms else "error",
+        "surface": "surface" if solved else "error",
         "parameters": source.parameters,
         "arguments": source.arguments,
     }
@@ -140,8 +143,8 @@ def _fill(template: str, values: dict[str, str]) -> str:
 
 
 def _comment(text: str) -> str:
-    """`text`, unable to end the comment that it stands in."""
-    return text.replace("*/", "* /").replace("\\", "/")
+    """`text`, unable to end the comment that it stands in, or to begin another."""
+    return text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
 
 
 def _numbers(coefficients: Coefficients, kind: str) -> dict[str, str]:
@@ -205,7 +208,14 @@ def power_of_two_surface(surface: Surface) -> Surface:
         temp_scale / surface.temp_scale_c,
         (temp_center - surface.temp_center_c) / surface.temp_scale_c,
     )
-    return Surface(by_rate.T @ surface.coefficients_dps @ by_temp, 0.0, rate_scale, temp_center, temp_scale)
+    return Surface(
+        by_rate.T @ surface.coefficients_dps @ by_temp,
+        0.0,
+        rate_scale,
+        temp_center,
+        temp_scale,
+        surface.direction,
+    )
 
 
 def _substitution(size: int, factor: float, offset: float) -> Floats:
@@ -239,6 +249,10 @@ _DOCUMENT = """\
  * In float the surface is exact to its last digit; the corrected rate has the steps of a float
  * (7.6e-6 deg/s at 100 deg/s). Who integrates over hours adds up output and error apart.
  */"""
+
+_SOLVED = """\
+ * Where no rate has this output, error and correct are not a number.
+"""
 
 _MORE = """\
  * dt_s     time since the sample before, s (0 for the first); call error or correct once a sample

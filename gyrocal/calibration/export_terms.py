@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gyrocal.errors import CoefficientError
-from gyrocal.physics.effect import MDPS, PPM
-from gyrocal.physics.rate import ROUNDS
-from gyrocal.physics.terms import RuntimeTerm
-from gyrocal.physics.thermal import SMOOTHING_S
-from gyrocal.units import S_PER_MIN
-
-#: Writes a number in the C type of the function.
-Number = Callable[[float], str]
+from gyrocal.physics.c_text import CMemory, Number
+from gyrocal.physics.inverse import FIRST_STEP, GROWTH, HALVINGS, SECANTS, STEPS
+from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import Part
 
 
 @dataclass(frozen=True)
@@ -36,102 +31,6 @@ class TermSource:
     parameters: str
     arguments: str
 
-
-@dataclass(frozen=True)
-class _Memory:
-    """Time constants (s) and half widths of plays (deg C) that the state keeps, in the order of their index."""
-
-    tau_s: list[float]
-    width_c: list[float]
-
-    def lag(self, tau_s: float) -> str:
-        self.tau_s.append(tau_s)
-        return f"(@real@)s->behind_c[{len(self.tau_s) - 1}]"
-
-    def play(self, width_c: float) -> str:
-        self.width_c.append(width_c)
-        return f"s->play_c[{len(self.width_c) - 1}]"
-
-
-def _law(effect_id: str, p: Mapping[str, float], n: Number, memory: _Memory) -> str:
-    """The effect's error as a C expression of ``w`` (rate), ``temp_c`` and the state."""
-    a = p["amplitude"]
-    if effect_id == "scale_asymmetry":
-        return f"(w > 0 ? {n(PPM * a)} * w : 0)"
-    if effect_id == "truncation":
-        return f"{n(MDPS * a)} * (@real@)((w < 0) - (w > 0))"
-    if effect_id == "sagnac_sine":
-        return f"{n(a)} * w * PREFIX_sine_loss@f@({n(p['phase_rad_per_dps'])} * w)"
-    if effect_id == "saturation":
-        knee, k = n(p["knee_dps"]), n(a)
-        return f"(w > {knee} ? {k} * ({knee} - w) : w < -{knee} ? -{k} * ({knee} + w) : 0)"
-    if effect_id == "rate_order":
-        return f"{n(MDPS * a)} * PREFIX_power@f@(w / {n(p['scale_dps'])}, {round(p['order'])})"
-    if effect_id == "temperature_order":
-        v = f"(temp_c - ({n(p['center_c'])})) / {n(p['scale_c'])}"
-        return f"{n(MDPS * a)} * PREFIX_power@f@({v}, {round(p['order'])})"
-    if effect_id == "fit_direction":
-        return f"{n(a)} * PREFIX_direction@f@(w, temp_c)"
-    if effect_id == "shupe":
-        return f"{n(MDPS * a * S_PER_MIN / SMOOTHING_S)} * {memory.lag(SMOOTHING_S)}"
-    if effect_id == "shupe_gradient":
-        return f"{n(MDPS * a)} * {memory.lag(p['tau_s'])}"
-    if effect_id == "thermal_lag":
-        return f"{n(a)} * PREFIX_lagged@f@(w, temp_c, {memory.lag(p['tau_s'])})"
-    if effect_id == "thermal_hysteresis":
-        return f"{n(MDPS * a)} * (@real@)({memory.play(p['width_c'])} - temp_c)"
-    if effect_id == "warm_up":
-        return f"{n(MDPS * a)} * exp@f@(-since_power_on_s / {n(p['tau_s'])})"
-    raise CoefficientError(
-        f"The coefficients hold the term {effect_id}, which cannot be written in C: the surface alone would be wrong. "
-        "Use gyrocal.fusion.Compensator on the robot, or export the coefficients from before diagnose."
-    )
-
-
-#: Helpers by the effect that calls them.
-_HELPERS = {
-    "sagnac_sine": """\
-/* sin(x)/x - 1 by its series: the difference of nearly equal numbers would lose digits */
-static inline @real@ PREFIX_sine_loss@f@(@real@ x)
-{
-    @real@ loss = 0;
-    int k;
-    for (k = 14; k > 0; k--) {
-        loss = -x * x / (@real@)(2 * k * (2 * k + 1)) * (1 + loss);
-    }
-    return loss;
-}
-""",
-    "power": """\
-static inline @real@ PREFIX_power@f@(@real@ x, int order)
-{
-    @real@ power = 1;
-    while (order-- > 0) {
-        power *= x;
-    }
-    return power;
-}
-""",
-    "fit_direction": """\
-static inline @real@ PREFIX_direction@f@(@real@ w, @real@ temp_c)
-{
-    @real@ output = w;
-    int i;
-    for (i = 0; i < @rounds@; i++) {
-        output = w + PREFIX_surface@f@(output, temp_c);
-    }
-    return PREFIX_surface@f@(w, temp_c) - PREFIX_surface@f@(output, temp_c);
-}
-""",
-    "thermal_lag": """\
-static inline @real@ PREFIX_lagged@f@(@real@ w, @real@ temp_c, @real@ behind_c)
-{
-    const @real@ output = w + PREFIX_surface@f@(w, temp_c);
-    return PREFIX_surface@f@(output, temp_c - behind_c) - PREFIX_surface@f@(output, temp_c);
-}
-""",
-}
-_HELPER_OF = {"rate_order": "power", "temperature_order": "power"}
 
 _STATE = """\
 /* What the error remembers. Set all members to zero before the first sample. */
@@ -185,69 +84,149 @@ static inline @real@ PREFIX_terms@f@(@term_parameters@)
 @sum@
 }
 
-/* Rate w of the output: (output - terms at w) goes through the surface */
-static inline @real@ PREFIX_error@f@(@parameters@)
+/* What is too much in `left`, the output minus the surface's own rate; and the error of the gyro with it */
+static inline @real@ PREFIX_miss@f@(@real@ left, @miss_parameters@, @real@ *error)
 {
-    @real@ w = gyro_dps - PREFIX_surface@f@(gyro_dps, temp_c), error = 0;
+    const @real@ own = gyro_dps - left, surface = PREFIX_surface@f@(own, temp_c);
+@miss@}
+
+/* Moves an end of the interval outward, as far as the output rises there or until it holds the solution */
+static inline @real@ PREFIX_follow@f@(@real@ *end, @real@ step, @miss_parameters@)
+{
+    @real@ error, miss = PREFIX_miss@f@(*end, @miss_arguments@, &error);
     int i;
-@remember@    for (i = 0; i < 60; i++) {
-        const @real@ before = w, terms = PREFIX_terms@f@(@term_arguments@);
-        error = terms + PREFIX_surface@f@(gyro_dps - terms, temp_c);
-        w = gyro_dps - error;
-        if (w - before <= @tolerance@ && before - w <= @tolerance@) {
+    for (i = 0; i < @steps@ && (step > 0 ? miss < 0 : miss > 0); i++) {
+        const @real@ ahead = PREFIX_miss@f@(*end + step, @miss_arguments@, &error);
+        if (!(step > 0 ? ahead > miss : ahead < miss)) {
             break;
         }
+        *end += step;
+        miss = ahead;
+        step *= @growth@;
+    }
+    return miss;
+}
+
+/* Secants inside an interval that holds the solution, and halving where they are slow */
+static inline @real@ PREFIX_error@f@(@parameters@)
+{
+    @real@ low = gyro_dps - (@own_high@), high = gyro_dps - (@own_low@);
+    const @real@ step = (high - low) * @first_step@;
+    @real@ at_low, at_high, left, slope, before = 0, miss_before = 0, error = 0;
+    int i;
+@remember@    at_low = PREFIX_follow@f@(&low, -step, @miss_arguments@);
+    at_high = PREFIX_follow@f@(&high, step, @miss_arguments@);
+    if (!(at_low <= 0 && at_high >= 0)) {
+        return (@real@)NAN;
+    }
+    left = low > 0 ? low : high < 0 ? high : 0;
+    slope = (at_high - at_low) / (high - low);
+    for (i = 0; i < @rounds@; i++) {
+        const @real@ miss = PREFIX_miss@f@(left, @miss_arguments@, &error);
+        const @real@ tolerance = @tolerance@ + @digits@ * fabs@f@(left);
+        @real@ ahead;
+        if (fabs@f@(miss) <= tolerance || (i > 0 && fabs@f@(left - before) <= tolerance)) {
+            break;
+        }
+        if (miss < 0) {
+            low = left;
+        } else {
+            high = left;
+        }
+        if (i > 0) {
+            slope = (miss - miss_before) / (left - before);
+        }
+        ahead = left - miss / slope;
+        if (!(i < @secants@ && ahead >= low && ahead <= high)) {
+            ahead = low + (high - low) / 2;
+        }
+        before = left;
+        miss_before = miss;
+        left = ahead;
     }
     return error;
 }
 """
 
+#: What follows the surface in ``PREFIX_miss``, by the surface's direction.
+_MISS = {
+    "output": """\
+    *error = left + surface;
+    return left - PREFIX_terms@f@(@term_call@);
+""",
+    "input": """\
+    *error = left;
+    return left - (surface + PREFIX_terms@f@(@term_call@));
+""",
+}
+_RATE = {"output": "own - surface", "input": "own"}
+_OWN = {"output": "w + PREFIX_surface@f@(w, temp_c)", "input": "w"}
+_TURN = {"output": "", "input": "-"}
 
-def term_source(terms: tuple[RuntimeTerm, ...], number: Number, tolerance: str) -> TermSource:
-    """C of the runtime terms; @real@, @f@ and PREFIX are left for who puts the header together.
+#: Tolerance and last digits of a solution in each C type.
+_PRECISION = {"double": ("1e-12", "4.4e-16"), "float": ("1e-8f", "1.2e-7f")}
+
+
+def term_source(surface: Surface, terms: Sequence[Part], number: Number, kind: str) -> TermSource:
+    """C of the runtime terms and of the solution for the rate, in the C type `kind`.
+
+    @real@, @f@ and PREFIX are left for who puts the header together.
 
     Raises
     ------
     CoefficientError
         An effect that has no C.
     """
-    memory = _Memory([], [])
-    laws = [_law(t.effect.id, t.parameters, number, memory) for t in terms]
-    helpers = dict.fromkeys(_HELPER_OF.get(t.effect.id, t.effect.id) for t in terms)
+    memory = CMemory()
+    sources = [term.c_laws(number, memory) for term in terms]
+    helpers = dict.fromkeys(helper for _, called in sources for helper in called)
     remembers = bool(memory.tau_s or memory.width_c)
-    since = any("since_power_on_s" in t.effect.needs for t in terms)
-    last = ["@real@ since_power_on_s"] if since else []
-    first = ["PREFIX_state *s", "@real@ dt_s"] if remembers else []
-    term_first = ["const PREFIX_state *s"] if remembers else []
-    parameters = [*first, "@real@ gyro_dps", "@real@ temp_c", *last]
+    last = ["@real@ since_power_on_s"] * any("since_power_on_s" in term.channels for term in terms)
+    state = ["const PREFIX_state *s"] * remembers
+    parameters = [*["PREFIX_state *s", "@real@ dt_s"] * remembers, "@real@ gyro_dps", "@real@ temp_c", *last]
+    of_miss = [*state, "@real@ gyro_dps", "@real@ temp_c", *last]
+    of_terms = [*state, "@real@ w", "@real@ temp_c", *last]
     body = [
         "    @real@ e = 0;",
-        *(f"    e += {law};" for law in laws),
-        "    (void)w;",
-        "    (void)temp_c;",
+        *(f"    e += {law};" for laws, _ in sources for law in laws),
+        *(f"    (void){name};" for name in _names(of_terms)),
         "    return e;",
     ]
-    error = {
+    tolerance, digits = _PRECISION[kind]
+    values = {
+        "miss": _MISS[surface.direction],
         "sum": "\n".join(body),
-        "term_parameters": ", ".join([*term_first, "@real@ w", "@real@ temp_c", *last]),
-        "term_arguments": ", ".join(_names([*term_first, "@real@ w", "@real@ temp_c", *last])),
+        "term_parameters": ", ".join(of_terms),
+        "term_call": ", ".join(_RATE[surface.direction] if x == "w" else x for x in _names(of_terms)),
+        "miss_parameters": ", ".join(of_miss),
+        "miss_arguments": ", ".join(_names(of_miss)),
         "parameters": ", ".join(parameters),
         "remember": "    PREFIX_remember(s, dt_s, temp_c);\n" if remembers else "",
+        "own_low": number(surface.rate_center_dps - surface.rate_scale_dps),
+        "own_high": number(surface.rate_center_dps + surface.rate_scale_dps),
+        "first_step": number(FIRST_STEP),
+        "growth": number(GROWTH),
+        "steps": str(STEPS),
+        "secants": str(SECANTS),
+        "rounds": str(SECANTS + HALVINGS),
         "tolerance": tolerance,
+        "digits": digits,
+        "own": _OWN[surface.direction],
+        "turn": _TURN[surface.direction],
     }
-    parts = [_HELPERS[name].replace("@rounds@", str(ROUNDS)) for name in helpers if name in _HELPERS]
-    text = _ERROR
-    for name, value in error.items():
+    text = "\n".join([*helpers, _ERROR])
+    for name, value in values.items():
         text = text.replace(f"@{name}@", value)
-    state = _state(memory) if remembers else ""
-    return TermSource("\n".join([*parts, text]), state, ", ".join(parameters), ", ".join(_names(parameters)))
+    return TermSource(
+        text, _state(memory) if remembers else "", ", ".join(parameters), ", ".join(_names(parameters))
+    )
 
 
 def _names(parameters: list[str]) -> list[str]:
     return [parameter.replace("*", " ").split()[-1] for parameter in parameters]
 
 
-def _state(memory: _Memory) -> str:
+def _state(memory: CMemory) -> str:
     lags, plays = len(memory.tau_s), len(memory.width_c)
     arrays = (f", behind_c[{lags}]" if lags else "") + (f", play_c[{plays}]" if plays else "")
     constants = [

@@ -1,115 +1,362 @@
-"""Figures of merit of a calibrated gyro, named after IEEE Std 952 (fiber-optic gyro test procedures).
+"""Figures of merit of a gyro, named after IEEE Std 952 (fiber-optic gyro test procedures): the one place that makes them.
 
-Each figure is ``{"value", "std", "unit", "meaning"}``; standard deviations carry the covariance of the
-coefficients through the figure's slope, found by differences.
+The error of the data sets is described by a polynomial in the true rate and the temperature, by generalised least
+squares under the scatter that the fit has estimated; each figure is a functional of that description. Its interval
+is that of draws of the coefficients: reversed about the estimate, so that what noise adds to a range or a root mean
+square is taken off again (Davison and Hinkley, Bootstrap Methods and their Application, 1997, 5.2). The same is done
+with the error that is left on data which the fit has not seen: the figure after compensation.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from gyrocal.fusion.coefficients import Valid
-from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.calibration.datasets import DataSets
+from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.fit import SurfaceFit, gls_gain
+from gyrocal.calibration.groups import distinct, temperature_groups
+from gyrocal.physics.surface import SHAPE
 from gyrocal.units import DPS_TO_DPH
 
 Floats = NDArray[np.float64]
 
-_GRID = 81
 _PPM = 1e6
+_RATES, _TEMPS = 161, 9
+_DRAWS = 1500
+_SEED = 952
+#: Rates below this share of the largest carry no nonlinearity in ppm of the rate: it would be the bias over nothing.
+_LEAST_RATE = 0.1
+#: A reversal of the rate needs both ways of coming to it at so many data sets.
+_LEAST_WAYS = 8
+
+_METHOD = "polynomial in rate and temperature, weighted by the scatter of the data sets; reversed bootstrap"
 
 
-#: Unit, meaning, and the figure as a function of the surface.
-Law = tuple[str, str, Callable[[Surface], float]]
+@dataclass(frozen=True)
+class Curves:
+    """The described error on a grid.
+
+    Attributes
+    ----------
+    rate_dps, temp_c : ndarray, shapes (r,) and (t,)
+    error_dps : ndarray, shape (r, t, draws)
+        The first draw is the estimate itself.
+    """
+
+    rate_dps: Floats
+    temp_c: Floats
+    error_dps: Floats
+
+    @property
+    def full_dps(self) -> float:
+        """The largest rate."""
+        return float(np.max(np.abs(self.rate_dps)))
+
+    @property
+    def middle(self) -> Floats:
+        """Error at the middle temperature, shape (r, draws)."""
+        return np.asarray(self.error_dps[:, self.temp_c.size // 2])
+
+    def at_rest(self) -> Floats:
+        """Error at zero rate (or the rate nearest to it), shape (t, draws)."""
+        return np.asarray(self.error_dps[int(np.argmin(np.abs(self.rate_dps)))])
+
+    def slope(self, rows: NDArray[np.bool_] | None = None) -> Floats:
+        """Slope of the error over the rate, by least squares with a free offset, shape (t, draws)."""
+        use = np.ones(self.rate_dps.size, dtype=bool) if rows is None else rows
+        w = self.rate_dps[use] - self.rate_dps[use].mean()
+        return np.asarray(np.einsum("r,rtd->td", w, self.error_dps[use]) / (w @ w))
+
+    def off_line(self) -> Floats:
+        """Error less its straight line over the rate, at the middle temperature, shape (r, draws)."""
+        line = np.linalg.qr(np.vander(self.rate_dps, 2))[0]
+        return np.asarray(self.middle - line @ (line.T @ self.middle))
+
+    def temperature_slope(self, values: Floats) -> Floats:
+        """Slope of (t, draws) over the temperature, shape (draws,)."""
+        v = self.temp_c - self.temp_c.mean()
+        return np.asarray(v @ values / (v @ v))
 
 
-def merit_figures(
-    surface: Surface, covariance_dps2: Floats, valid: Valid, *, bias_only: bool = False
-) -> dict[str, dict[str, Any]]:
-    """Figures of merit over the valid range of rate and temperature; `bias_only` leaves out the scale factor's."""
-    middle = 0.5 * (valid.temp_c[0] + valid.temp_c[1])
-    laws = _bias_laws(valid, middle) | ({} if bias_only else _scale_factor_laws(valid, middle))
-    figures = {}
-    for name, (unit, meaning, law) in laws.items():
-        value, std = _propagated(law, surface, covariance_dps2)
-        figures[name] = {"value": value, "std": std, "unit": unit, "meaning": meaning}
-    return figures
+@dataclass(frozen=True)
+class Law:
+    """How a figure comes from the curves: its unit, definition, what the record must vary, and the functional."""
+
+    unit: str
+    definition: str
+    needs: frozenset[str]
+    of: Callable[[Curves], Floats]
 
 
-def _bias_laws(valid: Valid, middle_c: float) -> dict[str, Law]:
-    temps = np.linspace(*valid.temp_c, _GRID)
-    return {
-        "bias": (
-            "deg/h",
-            f"error at zero output, {middle_c:.1f} °C",
-            lambda s: float(s.error_dps(0.0, middle_c)) * DPS_TO_DPH,
-        ),
-        "bias_over_temperature": (
-            "deg/h peak to peak",
-            "range of the error at zero output",
-            lambda s: float(np.ptp(s.error_dps(0.0, temps))) * DPS_TO_DPH,
-        ),
+def _law(unit: str, definition: str, needs: str, of: Callable[[Curves], Floats]) -> Law:
+    return Law(unit, definition, frozenset(needs.split()), of)
+
+
+LAWS: Mapping[str, Law] = {
+    "scale_factor_error": _law(
+        "ppm",
+        "slope of the error over the rate, middle temperature",
+        "rate",
+        lambda c: _PPM * _mid(c.slope()),
+    ),
+    "scale_factor_temperature_sensitivity": _law(
+        "ppm/°C",
+        "slope of that slope over the temperature",
+        "rate temperature",
+        lambda c: _PPM * c.temperature_slope(c.slope()),
+    ),
+    "scale_factor_over_temperature": _law(
+        "ppm peak to peak",
+        "range of that slope over the temperatures",
+        "rate temperature",
+        lambda c: _PPM * np.ptp(c.slope(), axis=0),
+    ),
+    "scale_factor_nonlinearity_rms": _law(
+        "ppm of full scale",
+        "rms of the error less its straight line, middle temperature",
+        "rate",
+        lambda c: _PPM * np.sqrt(np.mean(c.off_line() ** 2, axis=0)) / c.full_dps,
+    ),
+    "scale_factor_nonlinearity_max": _law(
+        "ppm of full scale",
+        "largest error less its straight line, middle temperature",
+        "rate",
+        lambda c: _PPM * np.max(np.abs(c.off_line()), axis=0) / c.full_dps,
+    ),
+    "scale_factor_nonlinearity_of_rate": _law(
+        "ppm of the rate",
+        f"largest error less its line, over the rate, above {_LEAST_RATE:.0%} of full scale",
+        "rate",
+        lambda c: _PPM * _largest_share(c),
+    ),
+    "scale_factor_asymmetry": _law(
+        "ppm",
+        "slope for positive less that for negative rates, middle temperature",
+        "rate signs",
+        lambda c: _PPM * (_mid(c.slope(c.rate_dps > 0)) - _mid(c.slope(c.rate_dps < 0))),
+    ),
+    "bias": _law(
+        "deg/h",
+        "error at zero rate, middle temperature (earth rate within it)",
+        "rest",
+        lambda c: DPS_TO_DPH * _mid(c.at_rest()),
+    ),
+    "bias_temperature_sensitivity": _law(
+        "deg/h/°C",
+        "slope of the bias over the temperature",
+        "rest temperature",
+        lambda c: DPS_TO_DPH * c.temperature_slope(c.at_rest()),
+    ),
+    "bias_over_temperature": _law(
+        "deg/h peak to peak",
+        "range of the bias over the temperatures",
+        "rest temperature",
+        lambda c: DPS_TO_DPH * np.ptp(c.at_rest(), axis=0),
+    ),
+}
+
+_LACKING = {
+    "rate": "the recording is at a single rate",
+    "signs": "the recording turns one way only",
+    "temperature": "the recording is at a single temperature",
+    "rest": "zero rate lies outside the recording",
+}
+
+
+def _mid(values: Floats) -> Floats:
+    return np.asarray(values[values.shape[0] // 2])
+
+
+def _largest_share(c: Curves) -> Floats:
+    fast = np.abs(c.rate_dps) >= _LEAST_RATE * c.full_dps
+    return np.asarray(np.max(np.abs(c.off_line()[fast] / c.rate_dps[fast, None]), axis=0))
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """A figure before compensation, and of what compensation leaves on data that the fit has not seen."""
+
+    before: Figure
+    after: Figure
+
+
+def merit_figures(fit: SurfaceFit, left_out_dps: Floats | None) -> dict[str, BeforeAfter]:
+    """Figures of merit before and after compensation.
+
+    Parameters
+    ----------
+    left_out_dps : ndarray, shape (n,), or None
+        Error of each data set with its stretch of time left out of the fit; None where that cannot be had.
+    """
+    sample = f"{len(fit.sets)} data sets"
+    before = error_figures(fit, fit.sets.error_dps, sample)
+    if left_out_dps is None or not np.isfinite(left_out_dps).all():
+        reason = "the record is too small to leave a part of it out"
+        after = {n: replace(f, value=None, low=None, high=None, reason=reason) for n, f in before.items()}
+    else:
+        after = error_figures(fit, left_out_dps, f"{sample}, each left out of the fit in its turn")
+    pairs = {name: BeforeAfter(before[name], after[name]) for name in before}
+    # What a surface of rate and temperature does not follow is the same before and after it.
+    for figure in history_figures(fit, fit.residual_dps, sample):
+        pairs[figure.name] = BeforeAfter(figure, figure)
+    return pairs
+
+
+def error_figures(fit: SurfaceFit, error_dps: Floats, sample: str) -> dict[str, Figure]:
+    """Figures of one error series, shape (n,), under the scatter of `fit`."""
+    sets = fit.sets
+    there = _varied(sets)
+    curves = _curves(fit, error_dps)
+    found = {}
+    for name, law in LAWS.items():
+        lacking = sorted(law.needs - there)
+        if lacking:
+            found[name] = Figure(name, law.unit, law.definition, reason=_LACKING[lacking[0]], sample=sample)
+        else:
+            found[name] = _figure(name, law, law.of(curves), sample)
+    return found
+
+
+def _varied(sets: DataSets) -> frozenset[str]:
+    low, high = float(sets.rate_dps.min()), float(sets.rate_dps.max())
+    there = {
+        "rate": high > low and distinct(sets.rate_dps) > 2,
+        "signs": low < 0 < high,
+        "temperature": bool(np.ptp(sets.temp_c) > 1.0),
+        "rest": low <= 0 <= high,
     }
+    return frozenset(name for name, holds in there.items() if holds)
 
 
-def _scale_factor_laws(valid: Valid, middle_c: float) -> dict[str, Law]:
-    """Laws of the slope of the error over the output, by least squares over both signs or one."""
-    rates = np.linspace(*valid.rate_dps, _GRID)
-    temps = np.linspace(*valid.temp_c, 13)
-    full = max(abs(valid.rate_dps[0]), abs(valid.rate_dps[1]))
+def _curves(fit: SurfaceFit, error_dps: Floats) -> Curves:
+    """The description on a grid, with draws of its coefficients under the scatter and its degrees of freedom."""
+    sets = fit.sets
+    rates = np.linspace(float(sets.rate_dps.min()), float(sets.rate_dps.max()), _RATES)
+    rates[np.argmin(np.abs(rates))] = 0.0 if rates[0] <= 0 <= rates[-1] else rates[np.argmin(np.abs(rates))]
+    temps = np.linspace(float(sets.temp_c.min()), float(sets.temp_c.max()), _TEMPS)
+    orders = (_order(sets.rate_dps, SHAPE[0]), _order(sets.temp_c, SHAPE[1]))
+    design = _columns(sets.rate_dps, sets.temp_c, sets, orders)
+    gain = gls_gain(fit.scatter.matrix, design)
+    covariance = gain @ fit.scatter.matrix @ gain.T
+    rng = np.random.default_rng(_SEED)
+    dof = float(np.median(fit.dof[fit.terms]))
+    scale = np.sqrt(dof / rng.chisquare(dof, _DRAWS))
+    factor = np.linalg.cholesky(covariance + 1e-15 * np.trace(covariance) * np.eye(len(covariance)))
+    draws = (factor @ rng.standard_normal((len(covariance), _DRAWS))) * scale
+    coefficients = (gain @ error_dps)[:, None] + np.column_stack([np.zeros(len(covariance)), draws])
+    grid_rate, grid_temp = (g.ravel() for g in np.meshgrid(rates, temps, indexing="ij"))
+    grid = _columns(grid_rate, grid_temp, sets, orders)
+    return Curves(rates, temps, (grid @ coefficients).reshape(_RATES, _TEMPS, -1))
 
-    def slope(s: Surface, temp_c: float, sign: int = 0) -> float:
-        g = rates if sign == 0 else rates[rates * sign > 0]
-        return float(np.polyfit(g, s.error_dps(g, temp_c), 1)[0])
 
-    def slope_range(s: Surface) -> float:
-        slopes = [slope(s, float(t)) for t in temps]
-        return max(slopes) - min(slopes)
+def _order(values: Floats, most: int) -> int:
+    """Coefficients that the levels of a variable determine."""
+    return min(most, distinct(values)) if np.ptp(values) > 0 else 1
 
-    def off_line(s: Surface) -> float:
-        e = s.error_dps(rates, middle_c)
-        return float(np.sqrt(np.mean((e - np.polyval(np.polyfit(rates, e, 1), rates)) ** 2)))
 
-    at = f"{middle_c:.1f} °C"
-    return {
-        "scale_factor_error": (
-            "ppm",
-            f"slope of the error over the output, {at}",
-            lambda s: slope(s, middle_c) * _PPM,
+def _columns(rate_dps: Floats, temp_c: Floats, sets: DataSets, orders: tuple[int, int]) -> Floats:
+    def scaled(values: Floats, of: Floats) -> Floats:
+        half = 0.5 * float(np.ptp(of)) or 1.0
+        return np.asarray((values - 0.5 * (of.max() + of.min())) / half)
+
+    u = np.polynomial.legendre.legvander(scaled(rate_dps, sets.rate_dps), orders[0] - 1)
+    v = np.polynomial.legendre.legvander(scaled(temp_c, sets.temp_c), orders[1] - 1)
+    return np.asarray((u[:, :, None] * v[:, None, :]).reshape(u.shape[0], -1))
+
+
+def _figure(name: str, law: Law, values: Floats, sample: str) -> Figure:
+    """Value and interval, reversed about the estimate; a size that noise alone may be is only bounded."""
+    blank = Figure(name, law.unit, law.definition, method=_METHOD, sample=sample)
+    estimate, drawn = float(values[0]), values[1:]
+    low, high = (2.0 * estimate - float(q) for q in np.percentile(drawn, [97.5, 2.5]))
+    if "peak" not in law.unit and "nonlinearity" not in name:
+        return replace(blank, value=estimate, low=low, high=high)
+    value = max(2.0 * estimate - float(drawn.mean()), 0.0)
+    if low <= 0.0:
+        bound = max(high, float(np.percentile(np.abs(drawn - estimate), 95)))
+        return replace(
+            blank, high=bound, reason=f"not told from noise: less than {bound:.3g} {law.unit} with 95 %"
+        )
+    return replace(blank, value=value, low=low, high=max(high, value))
+
+
+def history_figures(fit: SurfaceFit, rest_dps: Floats, sample: str) -> list[Figure]:
+    """What depends on where rate and temperature came from, from the error that the fit leaves, shape (n,)."""
+    sets = fit.sets
+    full = float(np.max(np.abs(sets.rate_dps))) or 1.0
+    return [
+        _beside(
+            fit,
+            rest_dps,
+            0.5 * np.sign(np.diff(sets.rate_dps, prepend=sets.rate_dps[0])),
+            Figure(
+                "rate_hysteresis",
+                "ppm of full scale",
+                "error at a rate that was reached from below, less when from above",
+                sample=sample,
+            ),
+            _PPM / full,
         ),
-        "scale_factor_over_temperature": (
-            "ppm peak to peak",
-            "range of that slope",
-            lambda s: slope_range(s) * _PPM,
+        _beside(
+            fit,
+            rest_dps,
+            0.5 * _branch(sets),
+            Figure(
+                "thermal_hysteresis",
+                "deg/h",
+                "error at a temperature that was reached from below, less when from above",
+                sample=sample,
+            ),
+            DPS_TO_DPH,
         ),
-        "scale_factor_asymmetry": (
-            "ppm",
-            f"slope for positive less that for negative rates, {at}",
-            lambda s: (slope(s, middle_c, 1) - slope(s, middle_c, -1)) * _PPM,
+        _beside(
+            fit,
+            rest_dps,
+            sets.temp_rate_c_per_min,
+            Figure(
+                "bias_temperature_rate_sensitivity",
+                "deg/h per °C/min",
+                "slope of the error over the temperature rate",
+                sample=sample,
+            ),
+            DPS_TO_DPH,
         ),
-        "scale_factor_nonlinearity": (
-            "% of full scale rms",
-            f"error less its straight line, {at}",
-            lambda s: off_line(s) / full * 100.0,
-        ),
-    }
+    ]
 
 
-def _propagated(
-    law: Callable[[Surface], float], surface: Surface, covariance_dps2: Floats
-) -> tuple[float, float]:
-    """Value of a figure and its standard deviation to first order."""
-    value = law(surface)
-    c = surface.coefficients_dps.ravel()
-    steps = np.sqrt(np.diag(covariance_dps2))
-    slopes = np.zeros(c.size)
-    for k in np.flatnonzero(steps > 0):
-        moved = c.copy()
-        moved[k] += steps[k]
-        slopes[k] = (law(replace(surface, coefficients_dps=moved.reshape(SHAPE))) - value) / steps[k]
-    return value, math.sqrt(max(float(slopes @ covariance_dps2 @ slopes), 0.0))
+def _branch(sets: DataSets) -> Floats:
+    """Whether the temperature of each data set was reached by heating (1) or cooling (-1)."""
+    visit = temperature_groups(sets.temp_c)
+    level = np.array([sets.temp_c[visit == k].mean() for k in range(int(visit.max()) + 1)])[visit]
+    way, last = np.zeros(len(sets)), 0.0
+    for k in range(1, len(sets)):
+        last = float(np.sign(level[k] - level[k - 1])) if visit[k] != visit[k - 1] else last
+        way[k] = last
+    return way
+
+
+def _beside(fit: SurfaceFit, rest_dps: Floats, column: Floats, blank: Figure, unit: float) -> Figure:
+    """Coefficient of a column beside the description, by generalised least squares."""
+    sets = fit.sets
+    blank = replace(blank, method="a column beside the description, weighted by the scatter of the data sets")
+    if not np.isfinite(column).all():
+        return replace(blank, reason="the recording does not say it of every data set")
+    both = [int(np.count_nonzero(column * sign > 1e-3 * np.max(np.abs(column)))) for sign in (1, -1)]
+    if min(both) < _LEAST_WAYS:
+        return replace(blank, reason=f"it was not reached both ways by {_LEAST_WAYS} data sets or more")
+    orders = (_order(sets.rate_dps, SHAPE[0]), _order(sets.temp_c, SHAPE[1]))
+    design = np.column_stack([_columns(sets.rate_dps, sets.temp_c, sets, orders), column])
+    if np.linalg.matrix_rank(design) < design.shape[1]:
+        return replace(
+            blank, reason="it goes with rate or temperature in this recording and cannot be told from them"
+        )
+    gain = gls_gain(fit.scatter.matrix, design)[-1]
+    value = float(gain @ rest_dps)
+    dof = float(np.median(fit.dof[fit.terms]))
+    half = float(stats.t.ppf(0.975, dof) * np.sqrt(gain @ fit.scatter.matrix @ gain))
+    return replace(blank, value=unit * value, low=unit * (value - half), high=unit * (value + half))

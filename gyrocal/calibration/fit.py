@@ -1,10 +1,9 @@
 """The paper's least squares on data-set means: eqs. 1 to 5, weighted by what the data say about their scatter.
 
-The error of each data set (eq. 1) is regressed on powers of its mean output and mean temperature (eqs. 2, 3, 5),
-both centred and scaled. Regressing on an output that carries noise pulls the slope towards zero by the share
-``variance of a mean / variance of the outputs`` (attenuation). For means of 20 s against rates of +-100 deg/s that
-is 1e-11, far below any uncertainty; for samples at low rates it is not: that is why data sets are reduced to means
-first. ``tests/calibration/test_fit.py`` measures both.
+The error of each data set (eq. 1) is regressed on powers of its output and mean temperature (eqs. 2, 3, 5), both
+centred and scaled. The output in the regressors is the one that the surface itself predicts at the true rate, not the
+one that was measured: a measured output carries the noise that is to be explained, and beside columns in the true
+rate (`residuals.structure_tests`) it explains it altogether.
 
 ``gls`` (the default) weights by the inverse of the estimated covariance (`covariance.Scatter`): scatter that grows
 with the rate, or that is common to neighbours in time, then counts for what it is worth. ``ols`` gives every data
@@ -24,7 +23,8 @@ from scipy import linalg, stats
 from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection, times
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.flicker import Rest
-from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.errors import DataError
+from gyrocal.physics.surface import SHAPE, Direction, Surface
 
 Floats = NDArray[np.float64]
 Weights = Literal["gls", "ols"]
@@ -34,6 +34,7 @@ TERMS = SHAPE[0] * SHAPE[1]
 ALL_TERMS = np.ones(TERMS, dtype=np.bool_)
 BIAS_TERMS = np.arange(TERMS) < SHAPE[1]
 
+_ROUNDS = 3
 #: As good as a normal law.
 _MOST_DOF = 1e6
 
@@ -44,27 +45,32 @@ class SurfaceFit:
 
     Attributes
     ----------
+    terms : ndarray of bool, shape (12,)
+        Those that were fitted.
+    own_dps : ndarray
+        What the powers are of: the output as the surface predicts it, or the true rate.
     covariance_dps2 : ndarray, shape (12, 12), (deg/s)^2
         Of the coefficients, row-major over (i, j); for the weights used, under the estimated scatter.
     dof : ndarray, shape (12,)
         Degrees of freedom of each standard error, more than 4, for Student intervals.
-    predicted_dps, residual_dps : ndarray
-        Fitted error, and error minus fitted error.
+    residual_dps : ndarray
+        Corrected rate minus true rate.
     studentised : ndarray
         Residual of each data set as predicted by all others, in its standard deviations.
     ols : Surface
-        The paper's fit with equal weights, whatever the weights used.
+        The same terms with equal weights, whatever the weights used.
     ols_residual_dps : ndarray
     """
 
     sets: DataSets
     surface: Surface
     weights: Weights
+    terms: NDArray[np.bool_]
+    own_dps: Floats
     covariance_dps2: Floats
     dof: Floats
     scatter: Scatter
     design: Floats
-    predicted_dps: Floats
     residual_dps: Floats
     studentised: Floats
     ols: Surface
@@ -87,17 +93,19 @@ class SurfaceFit:
         return float(np.linalg.cond(self.design))
 
 
-def scaled_surface(sets: DataSets, coefficients_dps: Floats | None = None) -> Surface:
+def scaled_surface(
+    sets: DataSets, coefficients_dps: Floats | None = None, direction: Direction = "output"
+) -> Surface:
     """A surface centred on and scaled to the data: both variables run over [-1, 1]."""
-    g, t = sets.gyro_dps, sets.temp_c
 
     def middle_and_half(values: Floats) -> tuple[float, float]:
         low, high = float(values.min()), float(values.max())
         return 0.5 * (low + high), max(0.5 * (high - low), np.finfo(float).tiny)
 
-    rate, temp = middle_and_half(g), middle_and_half(t)
+    rate = middle_and_half(sets.gyro_dps if direction == "output" else sets.rate_dps)
+    temp = middle_and_half(sets.temp_c)
     c = np.zeros(SHAPE) if coefficients_dps is None else coefficients_dps.reshape(SHAPE)
-    return Surface(c, *rate, *temp)
+    return Surface(c, *rate, *temp, direction)
 
 
 def rms(values: Floats) -> float:
@@ -110,6 +118,9 @@ def fit_surface(
     weights: Weights = "gls",
     terms: NDArray[np.bool_] = ALL_TERMS,
     rest: Rest | None = None,
+    *,
+    direction: Direction = "output",
+    scatter: Scatter | None = None,
 ) -> SurfaceFit:
     """Fit the twelve terms to data sets that `checks.check_surface` has passed.
 
@@ -121,30 +132,55 @@ def fit_surface(
         Terms to fit, row-major over (i, j); the others are zero. `BIAS_TERMS` is the bias over temperature.
     rest : Rest, optional
         What the run's records at rest say about drift (`Recording.rest`): better intervals, the same surface.
+    direction : {"output", "input"}
+        What the powers are of: the gyro's output, as in the paper, or the true rate.
+    scatter : Scatter, optional
+        Estimated before beside the same terms.
     """
-    design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)[:, terms]
-    scatter = estimate_scatter(sets, design, rest)
+    own = predicted_output(sets, terms) if direction == "output" else sets.rate_dps
+    design = scaled_surface(sets, direction=direction).design(own, sets.temp_c)[:, terms]
+    scatter = estimate_scatter(sets, design, rest) if scatter is None else scatter
     error_dps = sets.error_dps
     ols_gain: Floats = np.asarray(np.linalg.pinv(design), dtype=np.float64)
     gain: Floats = gls_gain(scatter.matrix, design) if weights == "gls" else ols_gain
     place = np.eye(TERMS)[:, terms]
-    surface = scaled_surface(sets, place @ gain @ error_dps)
-    ols = scaled_surface(sets, place @ ols_gain @ error_dps)
-    predicted = surface.error_dps(sets.gyro_dps, sets.temp_c)
+    surface = scaled_surface(sets, place @ gain @ error_dps, direction)
+    ols = scaled_surface(sets, place @ ols_gain @ error_dps, direction)
     return SurfaceFit(
         sets=sets,
         surface=surface,
         weights=weights,
+        terms=terms,
+        own_dps=own,
         covariance_dps2=place @ gain @ scatter.matrix @ gain.T @ place.T,
         dof=place @ _degrees_of_freedom(scatter, gain) + _MOST_DOF * ~terms,
         scatter=scatter,
         design=design,
-        predicted_dps=predicted,
-        residual_dps=error_dps - predicted,
+        residual_dps=surface.rate_dps(sets.gyro_dps, sets.temp_c) - sets.rate_dps,
         studentised=studentised_residuals(scatter, error_dps),
         ols=ols,
-        ols_residual_dps=error_dps - ols.error_dps(sets.gyro_dps, sets.temp_c),
+        ols_residual_dps=ols.rate_dps(sets.gyro_dps, sets.temp_c) - sets.rate_dps,
     )
+
+
+def predicted_output(sets: DataSets, terms: NDArray[np.bool_] = ALL_TERMS) -> Floats:
+    """Output of each data set as the surface predicts it at the true rate, shape (n,), deg/s: free of its noise.
+
+    Two rounds of equal weights: the noise of the outputs is far below what moves the surface's columns.
+    """
+    output = sets.gyro_dps
+    for _ in range(_ROUNDS):
+        design = scaled_surface(sets).design(output, sets.temp_c)[:, terms]
+        coefficients = np.eye(TERMS)[:, terms] @ np.linalg.lstsq(design, sets.error_dps, rcond=None)[0]
+        try:
+            output = scaled_surface(sets, coefficients).output_dps(sets.rate_dps, sets.temp_c)
+        except DataError:
+            # Beyond a turning point of the cubic: a polynomial in the true rate always has an output.
+            columns = scaled_surface(sets).design(sets.rate_dps, sets.temp_c)[:, terms]
+            return np.asarray(
+                sets.rate_dps + columns @ np.linalg.lstsq(columns, sets.error_dps, rcond=None)[0]
+            )
+    return output
 
 
 def gls_gain(matrix: Floats, design: Floats) -> Floats:

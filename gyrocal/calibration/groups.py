@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.datasets import DataSets
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -15,6 +17,8 @@ _LEVEL_GAP = 0.05
 #: Where values have no levels, or too many, this many groups of equal size stand for them.
 MOST_GROUPS = 24
 _STRETCHES = 6
+#: Stretches of time order in the test of structure and in cross-validation.
+STRETCHES = 12
 
 
 def distinct(values: Floats) -> int:
@@ -55,6 +59,16 @@ def time_groups(size: int, parts: int) -> Ints:
     for number, rows in enumerate(np.array_split(np.arange(size), parts)):
         groups[rows] = number
     return groups
+
+
+def left_out_groups(sets: DataSets) -> dict[str, Ints]:
+    """Groups that are left out together, by kind: whole temperatures, whole rates, stretches of time."""
+    groups = {
+        "temperature": temperature_groups(sets.temp_c),
+        "rate": rate_groups(sets.rate_dps),
+        "time": time_groups(len(sets), STRETCHES),
+    }
+    return {name: g for name, g in groups.items() if np.unique(g).size > 1}
 
 
 def equal_groups(values: Floats, parts: int) -> Ints:

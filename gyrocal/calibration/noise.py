@@ -1,54 +1,52 @@
-"""Noise figures from the record at rest: Allan deviation, angle random walk, bias instability.
+"""Noise figures of a record at rest: one function for all who print them.
 
-Estimators of the Allan variance and their degrees of freedom are allantools'. Gaps and bad samples split a record
-into pieces; no estimate bridges them, and the pieces' variances are pooled. The figures come from one model,
-
-``avar(tau) = 3 Q^2/tau^2 + N^2/tau + (2 ln 2/pi) B^2 + K^2 tau/3``   (IEEE 952, annex C)
-
-with quantisation Q, angle random walk N, bias instability B and rate random walk K, by maximum likelihood of the
-chi-square law of each estimate; intervals are profile likelihoods. A part that the record does not resolve is
-None, never a number.
+The Allan variance is taken as the samples are read (`inference.allan`), the figures come from a model whose fit is
+tested (`inference.allan_model`). What temperature does to the bias is taken off first, by an ordinary fit to the same
+recording, so that the figures are the recording's own whatever coefficients it is looked at with.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-import allantools
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import ndimage, stats
 
 from gyrocal.calibration.datasets import Recording
-from gyrocal.physics.surface import Surface
+from gyrocal.calibration.figure import Figure, Interval
+from gyrocal.inference.allan import AllanCurve, AllanSums
+from gyrocal.inference.allan_model import FLICKER, NoiseModel, Part, fit_noise
 from gyrocal.records.run import Run, SegmentRecord
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH
 
 Floats = NDArray[np.float64]
-Interval = tuple[float, float, float]
 
-_FLICKER = 2.0 * np.log(2.0) / np.pi
-_SHORTEST_PIECE = 32
-#: Longer segments are averaged down to about this many samples: memory stays flat.
-_MOST_SAMPLES = 1 << 21
 #: A step between samples beyond this many sample times is a gap.
 _GAP = 1.5
-#: An estimate over tau needs at least this many times tau of record.
-_SPANS = 4
+#: Samples on either side by which a late one is told from a missing one.
+_WINDOW = 33
+#: The bias over temperature is taken off where the records at rest span as many degrees.
+_LEAST_SPAN_C = 3.0
+_TEMPERATURE_ORDER = 2
 
-
-@dataclass(frozen=True)
-class Piece:
-    """Samples at rest without a gap: sample time (s) and output (deg/s), shape (n,)."""
-
-    dt_s: float
-    gyro_dps: Floats
+_METHOD = "fit to overlapping Allan variances and their covariance"
 
 
 @dataclass(frozen=True)
 class AllanPoints:
-    """Pooled Allan deviations of one sample time, shape (m,), with 95 % intervals and degrees of freedom."""
+    """Allan deviations of one sample time, shape (m,), with 95 % intervals under the fitted noise.
+
+    Attributes
+    ----------
+    dof : ndarray
+        Degrees of freedom of each Allan variance.
+    used : ndarray of bool
+        Whether the figures rest on it.
+    misfit : ndarray
+        Distance from the model in standard deviations; NaN without a model.
+    """
 
     dt_s: float
     tau_s: Floats
@@ -56,277 +54,245 @@ class AllanPoints:
     low_dps: Floats
     high_dps: Floats
     dof: Floats
+    used: NDArray[np.bool_]
+    misfit: Floats
 
 
 @dataclass(frozen=True)
 class NoiseFigures:
-    """Noise at rest; each figure ``(value, low, high)`` with a 95 % interval, or None.
+    """Noise at rest.
 
     Attributes
     ----------
+    figures : mapping of str to Figure
+        By name: ``angle_random_walk``, ``bias_instability``, ``rate_random_walk``, ``quantisation``, ``allan_floor``.
     statement : str
         What the record says about bias instability, in words.
-    model : ndarray, shape (4,), or None
-        ``3 Q^2``, ``N^2``, ``(2 ln 2/pi) B^2``, ``K^2/3`` in (deg/s)^2 and seconds.
+    fit_statement : str
+        How well the model fits, and which averaging times it rests on.
     """
 
-    angle_random_walk_deg_per_rt_h: Interval | None
-    bias_instability_deg_per_h: Interval | None
+    figures: Mapping[str, Figure]
     statement: str
-    points: tuple[AllanPoints, ...]
-    model: Floats | None
-    record_s: float
+    fit_statement: str = ""
+    points: tuple[AllanPoints, ...] = ()
+    model: NoiseModel | None = field(default=None)
+    record_s: float = 0.0
+
+    @property
+    def angle_random_walk_deg_per_rt_h(self) -> Interval | None:
+        """Value and 95 % interval, or None."""
+        return self.figures["angle_random_walk"].interval
+
+    @property
+    def bias_instability_deg_per_h(self) -> Interval | None:
+        """Value and 95 % interval, or None."""
+        return self.figures["bias_instability"].interval
 
     def model_dps(self, tau_s: Floats) -> Floats:
-        """Allan deviation of the fitted model, deg/s."""
+        """Allan deviation of the fitted model, deg/s; NaN without one or where it is none."""
         if self.model is None:
             return np.full(np.shape(tau_s), np.nan)
-        return np.asarray(np.sqrt(_powers(tau_s) @ self.model))
+        avar = self.model.avar(tau_s)
+        return np.sqrt(np.where(avar > 0, avar, np.nan))
 
 
-def noise_figures(recording: Recording, surface: Surface | None = None) -> NoiseFigures:
-    """Noise figures of a recording's segments at rest; `surface` removes what temperature does to the bias."""
+#: Name, unit, definition, and the factor from the root of the model's coefficient to the figure.
+_PARTS = (
+    ("quantisation", "arcsec", "Q of the part 3 Q²/τ² of the Allan variance", 3600.0 / np.sqrt(3.0)),
+    ("angle_random_walk", "deg/√h", "N of the part N²/τ", 1.0 / DEG_PER_RT_H_TO_DPS_PER_RT_HZ),
+    ("bias_instability", "deg/h", "B of the flat part (2 ln 2/π) B²", DPS_TO_DPH / np.sqrt(FLICKER)),
+    ("rate_random_walk", "deg/h/√h", "K of the part K² τ/3", 60.0 * DPS_TO_DPH * np.sqrt(3.0)),
+)
+
+
+def noise_figures(recording: Recording) -> NoiseFigures:
+    """Noise figures of a recording's segments at rest."""
     run = recording.run
     if run is None:
-        return NoiseFigures(None, None, "a table of data sets holds no samples at rest", (), None, 0.0)
-    pieces = [
-        piece
-        for record in run.segments
-        if record.outcome != "failed" and record.kind in ("static", "rate") and record.rate_dps == 0.0
-        for piece in pieces_of(run, record, surface)
-    ]
-    return allan_figures(pieces)
+        return _nothing("a table of data sets holds no samples at rest")
+    return figures_of(curves_at_rest(run, bias_over_temperature(recording)))
 
 
-def pieces_of(run: Run, record: SegmentRecord, surface: Surface | None = None) -> list[Piece]:
-    """The good samples of a segment, cut at every gap; a long one is averaged down as it is read."""
-    average = max(1, -(-record.n // _MOST_SAMPLES))
-    dt_s = record.averaging_s
-    pieces: list[Piece] = []
-    chunks: list[Floats] = []
-    rest = np.empty(0)
-    last_s = np.nan
+def bias_over_temperature(recording: Recording) -> Floats:
+    """Polynomial of the bias in °C, highest power first, from the data sets at rest; a constant where they do not say."""
+    sets = recording.sets
+    rest = sets.rate_dps == 0.0
+    temp_c, error_dps = sets.temp_c[rest], sets.error_dps[rest]
+    if temp_c.size <= _TEMPERATURE_ORDER + 1 or not np.ptp(temp_c) > _LEAST_SPAN_C:
+        return np.zeros(1)
+    order = min(_TEMPERATURE_ORDER, np.unique(np.round(temp_c)).size - 1)
+    rising = np.polynomial.Polynomial.fit(temp_c, error_dps, order).convert().coef
+    return np.asarray(rising[::-1], dtype=np.float64)
 
-    def close() -> None:
-        whole = np.concatenate([*chunks, _averaged(rest, average)[0]]) if chunks or rest.size else rest
-        if whole.size >= _SHORTEST_PIECE and dt_s is not None:
-            pieces.append(Piece(dt_s * average, whole))
-        chunks.clear()
 
+def curves_at_rest(run: Run, bias: Floats) -> list[AllanCurve]:
+    """Allan curves of the segments at rest, one for each sample time; `bias` is taken off the output."""
+    sums: dict[float, AllanSums] = {}
+    for record in run.segments:
+        if record.outcome != "failed" and record.kind in ("static", "rate") and record.rate_dps == 0.0:
+            _add_segment(sums, run, record, bias)
+    return [sums[dt_s].curve() for dt_s in sorted(sums)]
+
+
+def _add_segment(sums: dict[float, AllanSums], run: Run, record: SegmentRecord, bias: Floats) -> None:
+    """The good samples of a segment, cut at every gap."""
+    dt_s, tail = record.averaging_s, np.empty(0)
     for block in run.iterate_segment(record):
         good = block.good
-        t_s, gyro_dps = block.t_s[good], block.gyro_dps[good]
-        if surface is not None:
-            gyro_dps = gyro_dps - _bias_over_temperature(surface, block.gyro_temp_c[good], record.chamber_c)
-        if t_s.size < 2:
-            continue
+        t_s, gyro_dps, temp_c = block.t_s[good], block.gyro_dps[good], block.gyro_temp_c[good]
         if dt_s is None:
+            if t_s.size < 2:
+                continue
             # Six digits: the last ones differ from segment to segment, and like samples belong together.
             dt_s = float(f"{np.median(np.diff(t_s)):.6g}")
-        cuts = np.flatnonzero(np.diff(t_s, prepend=last_s) > _GAP * dt_s)
-        for number, part in enumerate(np.split(gyro_dps, cuts)):
-            if number:
-                close()
-                rest = np.empty(0)
-            done, rest = _averaged(np.concatenate([rest, part]), average)
-            chunks.append(done)
-        last_s = float(t_s[-1])
-    close()
-    return pieces
+        total = sums.setdefault(dt_s, AllanSums(dt_s))
+        known = np.where(np.isfinite(temp_c), temp_c, record.chamber_c)
+        gyro_dps = gyro_dps - np.polyval(bias, known)
+        cuts, tail = gaps(tail, t_s, dt_s)
+        add_pieces(total, np.split(gyro_dps, cuts))
+    if dt_s is not None and dt_s in sums:
+        sums[dt_s].cut()
 
 
-def _bias_over_temperature(surface: Surface, temp_c: Floats, about_c: float) -> Floats:
-    known = np.where(np.isfinite(temp_c), temp_c, about_c)
-    return surface.error_dps(0.0, known) - surface.error_dps(0.0, about_c)
+def gaps(tail: Floats, t_s: Floats, dt_s: float) -> tuple[NDArray[np.int64], Floats]:
+    """Where samples are missing in `t_s`, shape (n,), that follow `tail`; and the tail for what follows.
 
-
-def _averaged(values: Floats, average: int) -> tuple[Floats, Floats]:
-    """Means of `average` values in a row, and the values left over."""
-    whole = values.size // average * average
-    return values[:whole].reshape(-1, average).mean(axis=1), values[whole:]
-
-
-def allan_figures(pieces: Sequence[Piece]) -> NoiseFigures:
-    """Noise figures of gapless pieces."""
-    record_s = float(sum(p.gyro_dps.size * p.dt_s for p in pieces))
-    points = tuple(
-        _pooled([p for p in pieces if p.dt_s == dt_s]) for dt_s in sorted({p.dt_s for p in pieces})
-    )
-    points = tuple(p for p in points if p.tau_s.size)
-    if not points:
-        return NoiseFigures(None, None, "no record at rest is long enough", (), None, record_s)
-    tau, avar, dof = (
-        np.concatenate(v) for v in zip(*((p.tau_s, p.adev_dps**2, p.dof) for p in points), strict=True)
-    )
-    if not np.all(avar > 0):
-        return NoiseFigures(None, None, "the output at rest does not move at all", points, None, record_s)
-    model, cost = _fit_model(tau, avar, dof, np.ones(4, dtype=np.bool_))
-    arw = _profile(tau, avar, dof, 1, model, cost)
-    flicker = _profile(tau, avar, dof, 2, model, cost)
-    to_bias = DPS_TO_DPH / np.sqrt(_FLICKER)
-    bias = None if flicker is None else tuple(float(np.sqrt(v) * to_bias) for v in flicker)
-    walk = None if arw is None else tuple(float(np.sqrt(v) / DEG_PER_RT_H_TO_DPS_PER_RT_HZ) for v in arw)
-    white_only = _fit_model(tau, avar, dof, np.array([True, True, False, False]))[1]
-    seen = 2.0 * (white_only - cost) > stats.chi2.ppf(0.99, 2)
-    return NoiseFigures(
-        (walk[0], walk[1], walk[2]) if walk else None,
-        (bias[0], bias[1], bias[2]) if bias else None,
-        _statement(bias is not None, bool(seen), float(tau.max())),
-        points,
-        model,
-        record_s,
-    )
-
-
-def _statement(separable: bool, seen: bool, longest_s: float) -> str:
-    if separable:
-        return f"resolved up to {longest_s:.0f} s"
-    if seen:
-        return f"seen but not separable from drift within {longest_s:.0f} s: record hours at rest (static_allan profile)"
-    return f"not seen within {longest_s:.0f} s: record hours at rest (static_allan profile)"
-
-
-def _pooled(pieces: Sequence[Piece]) -> AllanPoints:
-    """Overlapping Allan variances at octaves, pooled over pieces by their degrees of freedom."""
-    dt_s = pieces[0].dt_s
-    sums: dict[int, tuple[float, float]] = {}
-    for piece in pieces:
-        octaves = [1 << k for k in range(40) if _SPANS << k <= piece.gyro_dps.size]
-        # Removing the mean changes no Allan variance and keeps the digits of the running sums.
-        centred = piece.gyro_dps - piece.gyro_dps.mean()
-        taus, adev, _, _ = allantools.oadev(
-            centred, rate=1.0 / dt_s, data_type="freq", taus=[m * dt_s for m in octaves]
-        )
-        for tau, deviation in zip(taus, adev, strict=True):
-            m = round(tau / dt_s)
-            dof = _degrees_of_freedom(m, piece.gyro_dps.size)
-            total, weight = sums.get(m, (0.0, 0.0))
-            sums[m] = (total + dof * deviation**2, weight + dof)
-    ms = sorted(sums)
-    freedom = np.array([sums[m][1] for m in ms])
-    adev_dps = np.sqrt(np.array([sums[m][0] for m in ms]) / freedom)
-    return AllanPoints(
-        dt_s=dt_s,
-        tau_s=np.array(ms) * dt_s,
-        adev_dps=adev_dps,
-        low_dps=adev_dps * np.sqrt(freedom / stats.chi2.ppf(0.975, freedom)),
-        high_dps=adev_dps * np.sqrt(freedom / stats.chi2.ppf(0.025, freedom)),
-        dof=freedom,
-    )
-
-
-def _degrees_of_freedom(m: int, size: int) -> float:
-    """Of an overlapping Allan variance of white rate noise; with few spans flicker noise gives the same."""
-    return max(float(allantools.edf_greenhall(0, 2, m, size + 1, overlapping=True, modified=False)), 1.0)
-
-
-def _powers(tau_s: Floats) -> Floats:
-    tau = np.asarray(tau_s, dtype=np.float64)
-    return np.stack([tau**-2.0, tau**-1.0, np.ones_like(tau), tau], axis=-1)
-
-
-def _fit_model(
-    tau: Floats,
-    avar: Floats,
-    dof: Floats,
-    free: NDArray[np.bool_],
-    fixed: tuple[int, float] | None = None,
-    near: Floats | None = None,
-) -> tuple[Floats, float]:
-    """Parts of the model by maximum likelihood, and minus the log-likelihood; parts not `free` are 0 or `fixed`."""
-    powers = _powers(tau)
-    largest = avar.max() / powers.max(axis=0)
-    index = np.flatnonzero(free)
-    base = np.zeros(4)
-    if fixed is not None:
-        base[fixed[0]] = fixed[1]
-        index = index[index != fixed[0]]
-
-    def cost(log_share: Floats) -> tuple[float, Floats]:
-        model = base.copy()
-        model[index] = largest[index] * np.exp(log_share)
-        predicted = np.maximum(powers @ model, 1e-300)
-        value = float(np.sum(0.5 * dof * (np.log(predicted) + avar / predicted)))
-        slope = (0.5 * dof * (1.0 - avar / predicted) / predicted) @ powers
-        return value, slope[index] * model[index]
-
-    best: tuple[float, Floats] | None = None
-    starts = [np.full(index.size, share) for share in (-2.0, -9.0)]
-    if near is not None:
-        starts = [np.log(np.clip(near[index] / largest[index], 1e-12, 10.0))]
-    for start in starts:
-        found = optimize.minimize(
-            cost,
-            start,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(-30.0, 3.0)] * index.size,
-            options={"ftol": 1e-13, "gtol": 1e-9, "maxiter": 500},
-        )
-        if best is None or found.fun < best[0]:
-            best = float(found.fun), found.x
-    model = base.copy()
-    if best is None:
-        return model, np.inf
-    model[index] = largest[index] * np.exp(best[1])
-    return model, best[0]
-
-
-def _profile(
-    tau: Floats, avar: Floats, dof: Floats, part: int, model: Floats, cost: float
-) -> Interval | None:
-    """95 % profile-likelihood interval of one part of the model; None when it may as well be nothing.
-
-    Estimates at neighbouring tau share samples; the threshold is widened by as much as that costs in variance.
+    A host that is late with a sample and then catches up leaves no gap: the times of samples run from a missing one on
+    behind those of a regular clock for good, which the earliest of the next and of the last samples show.
     """
-    free = np.ones(4, dtype=np.bool_)
-    widening = _variance_ratio(tau, dof, model)[part]
-    threshold = cost + 0.5 * widening * float(stats.chi2.ppf(0.95, 1))
-    without = free.copy()
-    without[part] = False
-    if (
-        not _fit_model(tau, avar, dof, without)[1] > threshold
-        or not _fit_model(tau, avar, dof, without, None, model)[1] > threshold
-    ):
-        return None
-
-    def excess(log_value: float) -> float:
-        return float(_fit_model(tau, avar, dof, free, (part, float(np.exp(log_value))), model)[1] - threshold)
-
-    center = float(np.log(model[part]))
-    ends = []
-    for sign in (-1.0, 1.0):
-        step = 0.1
-        while excess(center + sign * step) < 0:
-            step *= 2.0
-            if step > 20.0:
-                return None
-        ends.append(float(optimize.brentq(excess, center, center + sign * step, xtol=1e-3)))
-    return float(model[part]), float(np.exp(ends[0])), float(np.exp(ends[1]))
+    whole = np.concatenate([tail, t_s])
+    behind = whole - dt_s * np.arange(whole.size)
+    before = ndimage.minimum_filter1d(behind, _WINDOW, origin=_WINDOW // 2, mode="nearest")
+    after = ndimage.minimum_filter1d(behind, _WINDOW, origin=-(_WINDOW // 2), mode="nearest")
+    late = (np.diff(whole) > _GAP * dt_s) & (after[1:] - before[:-1] > 0.5 * _GAP * dt_s)
+    cuts = [0]
+    for i in (np.flatnonzero(late) + 1).tolist():
+        # Behind a gap the times before it say nothing any more.
+        if after[i] - behind[max(cuts[-1], i - _WINDOW) : i].min() > 0.5 * _GAP * dt_s:
+            cuts.append(i)
+    found = np.array(cuts[1:], dtype=np.int64) - tail.size
+    return found[found >= 0], whole[-_WINDOW:]
 
 
-def _variance_ratio(tau: Floats, dof: Floats, model: Floats) -> Floats:
-    """Variance of each part's logarithm over what independent estimates would give (Godambe), shape (4,).
+def add_pieces(total: AllanSums, pieces: Iterable[Floats]) -> None:
+    """Go on with the first piece, and begin anew with every other."""
+    for number, piece in enumerate(pieces):
+        if number:
+            total.cut()
+        total.add(piece)
 
-    The correlation of two Allan variances is that of their filtered squares,
-    ``int |H_a|^2 |H_b|^2 S^2 df``, with ``|H|^2 = 2 sin^4(pi f tau) / (pi f tau)^2``.
-    """
-    # S(f), two-sided as in IEEE 952: 3 Q^2 -> (2 pi f)^2 Q^2, N^2, B^2 / (2 pi f), K^2 / (2 pi f)^2.
-    f = np.geomspace(0.02 / tau.max(), 0.5 / tau.min(), 20000)
-    w = 2.0 * np.pi * f
-    density = (
-        np.stack([w**2 * tau.min() / 3.0, np.ones_like(f), 1.0 / (w * _FLICKER), 3.0 / w**2], axis=1) @ model
+
+def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
+    """Noise figures of Allan curves in (deg/s)^2, one for each sample time."""
+    record_s = sum(c.record_s for c in curves)
+    curves = [c for c in curves if c.factor.size]
+    if not curves:
+        return _nothing("no record at rest is long enough")
+    if not all(np.all(c.avar > 0) for c in curves):
+        return _nothing("the output at rest does not move at all")
+    model = fit_noise(curves)
+    points = _points(curves, model)
+    longest_s = max(float(c.tau_s[-1]) for c in curves)
+    if model is None:
+        said = f"not to be had from {record_s:.3g} s at rest: record an hour or more (static_allan profile)"
+        return NoiseFigures(_refused(said) | _floor(points), said, said, points, None, record_s)
+    used_s = np.concatenate([p.tau_s for p in points])[model.used]
+    span = f"averaging times from {used_s.min():.3g} to {used_s.max():.3g} s"
+    if not model.fits:
+        said = f"not to be had: no stretch of averaging times follows the model (best {span}, p = {model.p_value:.1g})"
+        return NoiseFigures(_refused(said) | _floor(points), said, said, points, None, record_s)
+    figures = {
+        name: _figure(name, unit, definition, factor, part, span)
+        for (name, unit, definition, factor), part in zip(_PARTS, model.parts, strict=True)
+    }
+    fit = f"the model fits {span} (p = {model.p_value:.2g}); {_left_out(points, model)}"
+    bias = figures["bias_instability"]
+    statement = f"resolved up to {longest_s:.0f} s" if bias.interval else bias.reason
+    return NoiseFigures(figures | _floor(points), statement, fit, points, model, record_s)
+
+
+def _figure(name: str, unit: str, definition: str, factor: float, part: Part, span: str) -> Figure:
+    """A part of the model as a figure, or why it is none."""
+    low, value, high = (factor * float(np.sqrt(max(v, 0.0))) for v in (part.low, part.value, part.high))
+    blank = Figure(name, unit, definition, method=_METHOD, sample=span)
+    if part.low > 0.0:
+        return replace(blank, value=value, low=low, high=high)
+    if part.high <= 0.0:
+        return replace(
+            blank, reason="the output is low-passed: short averaging times show less noise, not more"
+        )
+    if not np.isfinite(high):
+        return replace(blank, reason=f"not resolved within {span}, and not bounded")
+    return replace(
+        blank, high=high, reason=f"not resolved within {span}: less than {high:.3g} {unit} with 95 %"
     )
-    gain = 2.0 * np.sin(np.pi * f * tau[:, None]) ** 4 / (np.pi * f * tau[:, None]) ** 2
-    filtered = gain * density * np.sqrt(np.gradient(f))
-    overlap = filtered @ filtered.T
-    correlation = overlap / np.sqrt(np.outer(np.diag(overlap), np.diag(overlap)))
-    slopes = _powers(tau) * model / (_powers(tau) @ model)[:, None]
-    present = slopes.max(axis=0) > 1e-3
-    d = slopes[:, present]
-    independent = np.linalg.pinv(d.T @ (0.5 * dof[:, None] * d), hermitian=True)
-    score = d.T @ (0.5 * np.sqrt(np.outer(dof, dof)) * correlation) @ d
-    ratio = np.ones(4)
-    actual = np.diag(independent @ score @ independent)
-    ratio[present] = np.maximum(actual / np.maximum(np.diag(independent), 1e-300), 1.0)
-    return ratio
+
+
+def _left_out(points: Sequence[AllanPoints], model: NoiseModel) -> str:
+    tau = np.concatenate([p.tau_s for p in points])
+    short = tau[~model.used & (tau < tau[model.used].min())]
+    long = tau[~model.used & (tau > tau[model.used].max())]
+    said = (
+        [f"shorter ones, from {short.min():.3g} s, are left out (the sensor's bandwidth)"]
+        if short.size
+        else []
+    )
+    said += [f"longer ones, to {long.max():.3g} s, are left out (other than noise)"] if long.size else []
+    return "; ".join(said) or "none is left out"
+
+
+def _floor(points: Sequence[AllanPoints]) -> dict[str, Figure]:
+    """The lowest Allan deviation with its interval: what the curve itself says, whatever the model."""
+    tau, adev, low, high = (
+        np.concatenate(v)
+        for v in zip(*((p.tau_s, p.adev_dps, p.low_dps, p.high_dps) for p in points), strict=True)
+    )
+    k = int(np.argmin(adev))
+    return {
+        "allan_floor": Figure(
+            name="allan_floor",
+            unit="deg/h",
+            definition=f"lowest Allan deviation, at {tau[k]:.3g} s",
+            method="overlapping Allan deviation",
+            sample=f"averaging times from {tau.min():.3g} to {tau.max():.3g} s",
+            value=float(adev[k]) * DPS_TO_DPH,
+            low=float(low[k]) * DPS_TO_DPH,
+            high=float(high[k]) * DPS_TO_DPH,
+        )
+    }
+
+
+def _refused(reason: str) -> dict[str, Figure]:
+    return {
+        name: Figure(name=name, unit=unit, definition=definition, method=_METHOD, reason=reason)
+        for name, unit, definition, _ in _PARTS
+    }
+
+
+def _nothing(reason: str) -> NoiseFigures:
+    return NoiseFigures(_refused(reason), reason)
+
+
+def _points(curves: Sequence[AllanCurve], model: NoiseModel | None) -> tuple[AllanPoints, ...]:
+    """Curves with intervals; without a model the noise is taken for white."""
+    found, first = [], 0
+    for c in curves:
+        rows = slice(first, first + c.factor.size)
+        first += c.factor.size
+        spans = (c.repeats @ np.maximum(c.lengths[:, None] - 2 * c.factor + 1, 0)) / c.factor
+        dof = np.maximum(spans, 1.0) if model is None else model.dof[rows]
+        adev_dps = np.sqrt(c.avar)
+        found.append(
+            AllanPoints(
+                dt_s=c.dt_s,
+                tau_s=c.tau_s,
+                adev_dps=adev_dps,
+                low_dps=adev_dps * np.sqrt(dof / stats.chi2.ppf(0.975, dof)),
+                high_dps=adev_dps * np.sqrt(dof / stats.chi2.ppf(0.025, dof)),
+                dof=dof,
+                used=np.zeros(dof.size, dtype=np.bool_) if model is None else model.used[rows],
+                misfit=np.full(dof.size, np.nan) if model is None else model.misfit[rows],
+            )
+        )
+    return tuple(found)

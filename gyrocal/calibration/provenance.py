@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gyrocal.errors import CoefficientError, DataError
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.records.files import reading, sha256_of_file
 from gyrocal.records.run import Run
 
 #: What a table of data sets, which does not name its sensor, is filed under.
@@ -79,3 +83,20 @@ def check_sensor(
             f"whether this is the same gyro was not checked by {' and '.join(unknown)}: not stated in both files"
         )
     return tuple(notes)
+
+
+def source_sha256(path: Path) -> str:
+    """Checksum of a recording: of the table's bytes, or of ``run.json`` and the journal, which holds that of each segment."""
+    if not path.is_dir():
+        return sha256_of_file(path)
+    digest = hashlib.sha256()
+    for name in ("run.json", "journal.jsonl"):
+        with reading(path / name):
+            digest.update((path / name).read_bytes())
+    return digest.hexdigest()
+
+
+def fitted_to(coefficients: Coefficients, path: Path) -> Coefficients:
+    """The coefficients with the recording that they were fitted to in their provenance."""
+    source = {"source": path.name, "source_sha256": source_sha256(path)}
+    return replace(coefficients, provenance=dict(coefficients.provenance) | source)

@@ -15,14 +15,12 @@ from scipy import linalg, stats
 from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.fit import studentised_residuals
-from gyrocal.calibration.groups import indicators, rate_groups, temperature_groups, time_groups
+from gyrocal.calibration.groups import STRETCHES, indicators, rate_groups, temperature_groups, time_groups
 
 Floats = NDArray[np.float64]
 
 #: False-alarm rate of each family of tests in a recording that has nothing to find.
 ALARM_RATE = 0.01
-#: Stretches of time order in the test of structure and in cross-validation.
-STRETCHES = 12
 _OUTLIER_ROUNDS = 5
 _PERMUTATIONS = 9999
 _SMALLEST_GROUP = 4

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from gyrocal.calibration.calibrate import Calibration
-from gyrocal.calibration.fit import BIAS_TERMS, TERMS
+from gyrocal.calibration.choice import PAPER
+from gyrocal.calibration.figure import Figure
 from gyrocal.physics.surface import SHAPE
 from gyrocal.units import DPS_TO_DPH
 
@@ -71,7 +72,7 @@ def _p(value: float) -> str:
 
 def remarks(c: Calibration) -> tuple[str, ...]:
     """Sentences beside the verdict: weights, scatter, outliers, noise, notes."""
-    lines = [_weights_line(c), _scatter_line(c), *_rest_line(c)]
+    lines = [_choice_line(c), *_undetermined_line(c), _scatter_line(c), *_rest_line(c)]
     lines += _odd_rates(c)
     lines.append(
         f"{len(c.outliers)} outliers, listed and kept in the fit (leave out with --exclude)"
@@ -81,6 +82,7 @@ def remarks(c: Calibration) -> tuple[str, ...]:
     if c.excluded_by_user:
         lines.append(f"left out by --exclude: {', '.join(map(str, c.excluded_by_user))}")
     lines.append(f"bias instability: {c.noise.statement}")
+    lines += [f"Allan deviation: {c.noise.fit_statement}"] if c.noise.fit_statement else []
     valid = c.coefficients.valid
     lines.append(
         f"valid from {valid.rate_dps[0]:+.4g} to {valid.rate_dps[1]:+.4g} deg/s and "
@@ -89,27 +91,25 @@ def remarks(c: Calibration) -> tuple[str, ...]:
     return (*lines, *c.notes)
 
 
-def _weights_line(c: Calibration) -> str:
-    ols = next((v.rms_dps for v in c.cross_validation_ols if v.left_out == "time"), None)
-    equal = (
-        f"ordinary least squares {dph(c.ols_dps)} deg/h rms (leave-a-twelfth-out in time order {dph(ols)})"
-    )
-    if c.config.weights == "ols":
-        return f"equal weights, as in the paper: {equal}"
-    gls = next((v.rms_dps for v in c.cross_validation if v.left_out == "time"), None)
-    used, moved = _difference(c)
-    return (
-        f"{equal}; weighted by the scatter {dph(c.after_dps)} ({dph(gls)}): data sets that scatter more count for "
-        f"less, which moves the surface by up to {dph(used)} deg/h, {moved:.2g} of its standard errors"
-    )
+def _choice_line(c: Calibration) -> str:
+    paper = next((x for x in c.choice.candidates if x.model == PAPER), None)
+    if paper is None or c.choice.model == PAPER:
+        return c.choice.reason
+    return f"{c.choice.reason}; --paper keeps the paper's"
 
 
-def _difference(c: Calibration) -> tuple[float, float]:
-    """Largest difference of the two surfaces over the data sets, and in standard errors of the weighted one."""
-    g, t = c.fit.sets.gyro_dps, c.fit.sets.temp_c
-    difference = np.abs(c.fit.surface.error_dps(g, t) - c.fit.ols.error_dps(g, t))
-    sigma = np.maximum(c.coefficients.sigma_dps(g, t), np.finfo(float).tiny)
-    return float(difference.max()), float((difference / sigma).max())
+def _undetermined_line(c: Calibration) -> list[str]:
+    """Where the coefficients say little beyond what was visited."""
+    if c.fit.terms.all() or c.config.bias_only:
+        return []
+    valid = c.coefficients.valid
+    g, t = (a.ravel() for a in np.meshgrid(np.linspace(*valid.rate_dps, 9), np.linspace(*valid.temp_c, 9)))
+    sigma = c.coefficients.sigma_dps(g, t)
+    k = int(np.argmax(sigma))
+    return [
+        f"{int((~c.fit.terms).sum())} terms that the recording does not determine are nothing in the surface and something "
+        f"in its band: ± {dph(1.96 * float(sigma[k]))} deg/h (95 %) at {g[k]:+.4g} deg/s and {t[k]:.1f} °C, where it is widest"
+    ]
 
 
 def _scatter_line(c: Calibration) -> str:
@@ -170,7 +170,7 @@ def tables(c: Calibration) -> tuple[Table, ...]:
 def _coefficient_table(c: Calibration) -> Table:
     s = c.fit.surface
     half = c.fit.half_width_dps()
-    shown = BIAS_TERMS if c.config.bias_only else np.ones(TERMS, dtype=np.bool_)
+    shown = c.fit.terms
     rows = tuple(
         (
             f"u^{i} v^{j}",
@@ -181,29 +181,40 @@ def _coefficient_table(c: Calibration) -> Table:
         for i, j in np.ndindex(SHAPE)
         if shown[i * SHAPE[1] + j]
     )
+    what = "gyro" if s.direction == "output" else "true rate"
     title = (
-        f"Error in mdeg/s: u = (gyro {-s.rate_center_dps:+.6g}) / {s.rate_scale_dps:.6g} deg/s, "
+        f"Error in mdeg/s: u = ({what} {-s.rate_center_dps:+.6g}) / {s.rate_scale_dps:.6g} deg/s, "
         f"v = (temperature {-s.temp_center_c:+.6g}) / {s.temp_scale_c:.6g} °C"
     )
     return Table(title, ("term", "coefficient", "std. error", "± 95 %"), rows)
 
 
 def _figure_table(c: Calibration) -> Table:
-    rows = [
-        (name.replace("_", " "), f"{f['value']:.4g}", f"{1.96 * f['std']:.2g}", f["unit"], f["meaning"])
-        for name, f in c.coefficients.figures["gyro"].items()
-    ]
-    for name, interval, unit in (
-        ("angle random walk", c.noise.angle_random_walk_deg_per_rt_h, "deg/sqrt(h)"),
-        ("bias instability", c.noise.bias_instability_deg_per_h, "deg/h"),
-    ):
-        if interval is None:
-            rows.append((name, "-", "-", unit, "not resolved"))
-        else:
-            rows.append(
-                (name, f"{interval[0]:.3g}", f"{interval[1]:.3g} .. {interval[2]:.3g}", unit, "at rest")
-            )
-    return Table("Figures (IEEE 952)", ("figure", "value", "± 95 %", "unit", "meaning"), tuple(rows))
+    """Figures before and after compensation; a reason stands where there is no number."""
+    rows = [figure_row(pair.before, pair.after) for pair in c.merit.values()]
+    rows += [figure_row(figure, None) for figure in c.noise.figures.values()]
+    return Table(
+        "Figures (named after IEEE 952), with 95 % intervals; after: on data left out",
+        ("figure", "before", "after", "unit", "definition"),
+        tuple(rows),
+    )
+
+
+def figure_row(before: Figure, after: Figure | None) -> tuple[str, ...]:
+    """Name, before, after, unit, definition; noise is the same before and after."""
+    left = "" if after is None else said(after)
+    why = f"{before.definition} ({before.reason})" if before.reason else before.definition
+    return before.title, said(before), left, before.unit, why
+
+
+def said(figure: Figure) -> str:
+    """Value and interval, a bound, or a dash."""
+    if figure.interval is not None:
+        value, low, high = figure.interval
+        if low == high:
+            return f"{value:.4g}"
+        return f"{value:.4g} ({low:.4g} to {high:.4g})"
+    return "-" if figure.high is None else f"< {figure.high:.3g}"
 
 
 def _left_out_table(c: Calibration) -> Table:
@@ -265,6 +276,15 @@ def to_json(c: Calibration) -> dict[str, Any]:
     return {
         "verdict": verdict(c),
         "remarks": list(remarks(c)),
+        "chosen": c.choice.reason,
+        "candidates": [
+            {
+                "direction": x.model.direction,
+                "temperature_orders": list(x.model.orders),
+                "left_out_rms_dps": x.left_out_rms_dps,
+            }
+            for x in c.choice.candidates
+        ],
         "factor": c.factor,
         "structured_in": list(c.structured),
         "figures": dict(file.figures),

@@ -5,6 +5,7 @@ Commands are imported when they run, so that ``gyrocal --help`` answers at once.
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import os
 import signal
@@ -21,13 +22,20 @@ from gyrocal.errors import GyrocalError, InterruptedRunError, exit_code
 #: Command name -> (module of this package, one line for --help). In the order of the work.
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("demo", "The whole main job on the virtual bench, in a minute."),
+    "profile": ("profile", "The profiles that ship, and a commented one to begin from."),
     "acquire": ("acquire", "Run a profile on the bench and record every data set."),
     "fit": ("fit", "Fit the error surface and write a coefficient file."),
     "apply": ("apply", "Correct a recording with a coefficient file, to CSV."),
     "export": ("export", "Export coefficients for a robot's firmware."),
+    "noise": ("noise", "Allan curve, noise figures and bias of a gyro that stands."),
     "report": ("report", "Draw the figures and tables of a calibration."),
     "diagnose": ("diagnose", "Find, name and model the physics that a calibration lacks."),
+    "certify": ("certify", "The certificate of one unit: figures, limits, what was not tested."),
+    "compare": ("compare", "Runs of one unit beside each other: what changed."),
+    "fleet": ("fleet", "Many units beside each other: spread, who is out of line, what drifts."),
     "blind": ("blind", "Prove diagnose on your own profile: hidden physics, sealed answers."),
+    "turn": ("turn", "Scale factor without a table: rests and whole turns on a mark."),
+    "umbmark": ("umbmark", "Wheels and track of a robot from squares driven both ways."),
     "replay": ("replay", "Dead reckoning of drive logs, with and without calibration and filter."),
     "simulate": ("simulate", "Simulate robot drives with the virtual gyro."),
     "probe": ("probe", "Say what is on a port: nothing, unknown bytes, or which gyro."),
@@ -86,17 +94,27 @@ def main(arguments: list[str] | None = None) -> None:
         # --debug may stand anywhere, since it is added to a command that has just failed.
         gyrocal_command(args=[word for word in given if word != "--debug"], prog_name="gyrocal")
     except GyrocalError as error:
-        if debug:
-            traceback.print_exc()
-        click.echo(f"gyrocal: {error}", err=True)
+        from gyrocal.cli.console import to_whoever_listens
+
+        with to_whoever_listens():
+            if debug:
+                traceback.print_exc()
+            click.echo(f"gyrocal: {error}", err=True)
         sys.exit(exit_code(error))
 
 
 def _as_a_program(debug: bool) -> None:
     """What holds for the process, and not for a caller within Python: signals, and how a bug is said."""
     signal.signal(signal.SIGTERM, _terminated)
+    atexit.register(_drop_what_nobody_reads)
     if not debug:
         sys.excepthook = _say_bug
+
+
+def _drop_what_nobody_reads() -> None:
+    from gyrocal.cli.console import drop_what_nobody_reads
+
+    drop_what_nobody_reads()
 
 
 def _terminated(number: int, frame: FrameType | None) -> NoReturn:

@@ -31,8 +31,8 @@ def command(trials: int, seed: int, out: Path, profile: str, as_json: bool) -> N
 
     Example: gyrocal blind --trials 20 --seed 1 --out blind
     """
-    from gyrocal.diagnosis.blind import BlindConfig
     from gyrocal.report.diagnosis_blind import write_blind
+    from gyrocal.trial.blind import BlindConfig
 
     config = BlindConfig(trials, seed, profile)
     with progress("blind", quiet=as_json) as tell:

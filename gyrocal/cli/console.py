@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import click
@@ -21,6 +22,29 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the o
 
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
+
+
+@contextmanager
+def to_whoever_listens() -> Iterator[None]:
+    """Print within; where nobody reads it any more (a viewer that was killed, a closed terminal) it is lost, and no more."""
+    try:
+        yield
+    except OSError:
+        drop_what_nobody_reads()
+
+
+def drop_what_nobody_reads() -> None:
+    """Send the rest of what a broken stdout or stderr still holds to nowhere: else it changes the exit code at the end."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:  # closed before the program began
+            continue
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, stream.fileno())
+                os.close(nowhere)
 
 
 def emit_json(data: Mapping[str, Any]) -> None:
@@ -94,10 +118,15 @@ def _rich_bar(title: str, *, still: bool) -> Iterator[Report]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[what]}"),
     )
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=not still) as bar:
+    bar = Progress(*columns, console=Console(stderr=True), auto_refresh=not still)
+    bar.start()
+    try:
         task = bar.add_task(title, total=1.0, what="")
 
         def report(share: float, what: str) -> None:
             bar.update(task, completed=min(share, 1.0), what=what, refresh=still)
 
         yield report
+    finally:
+        with suppress(OSError):  # the terminal may be gone, and whoever reports knows it by now
+            bar.stop()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.drive_options import drive_options
 
 if TYPE_CHECKING:
     from gyrocal.report.diagnosis_build import DiagnoseResult
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 @click.command("diagnose")
 @click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("others", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--coefficients",
     "-c",
@@ -23,6 +25,11 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--robot", type=click.Path(path_type=Path), help="Robot file: RECORDING is a drive log, not a bench run."
+)
+@click.option(
+    "--simulation",
+    type=click.Path(path_type=Path),
+    help="What your own simulator wrote of the same plan (a run, a table), or another recording to compare with.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the results.")
 @click.option(
@@ -39,53 +46,90 @@ if TYPE_CHECKING:
     "--seed", type=int, default=0, show_default=True, help="Of the Monte Carlo nulls and bootstraps."
 )
 @click.option("--force-sensor", is_flag=True, help="Accept coefficients of another model or serial number.")
+@drive_options
 @json_option
 def command(
     recording: Path,
+    others: tuple[Path, ...],
     coefficients: Path | None,
     robot: Path | None,
+    simulation: Path | None,
     out: Path,
     counts_per_dps: float | None,
     bench_hours: float,
     seed: int,
     force_sensor: bool,
+    columns: Path | None,
+    topics: dict[str, str],
+    axis: str,
     as_json: bool,
 ) -> None:
     """Compare RECORDING with its simulation and name what is missing.
 
-    RECORDING is a run directory, a table of data sets or, with --robot, a drive log.
+    RECORDING is a run directory, a table of data sets or, with --robot, a drive log; OTHERS are drive logs of the
+    same robot, on which is shown what the first one told.
 
     Writes diagnosis.json, diagnosis.html with pictures, surface.json (the model before), improved.json where
-    physics was found (a coefficient file with that physics as terms), and next_experiment.toml where an
-    experiment would settle a doubt.
+    physics was found (a coefficient file with that physics as terms), next_experiment.toml where an experiment
+    would settle a doubt, and of a drive improved_robot.toml where it tells the robot something.
+
+    With --simulation the difference of the two is examined instead, and law.json and law.py say what to add to
+    that simulation; law.py is written where it helps on data left out.
 
     Example: gyrocal diagnose run --out diagnosis
+    Example: gyrocal diagnose run --simulation simulated.csv --out versus
     """
+    from gyrocal.records.drive_source import Reading
     from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
+    from gyrocal.report.sentences import document
 
     config = DiagnoseConfig(
-        recording, out, coefficients, robot, counts_per_dps, bench_hours, seed, force_sensor
+        recording,
+        out,
+        coefficients,
+        robot,
+        counts_per_dps,
+        bench_hours,
+        seed,
+        force_sensor,
+        others=others,
+        reading=Reading(columns, topics, axis),
+        simulation=simulation,
     )
     with progress("diagnose", quiet=as_json) as tell:
         result = write_diagnosis(config, tell)
     if as_json:
-        emit_json(result.diagnosis.to_json())
+        emit_json(document(result.diagnosis))
         return
     _say(result)
 
 
 def _say(result: DiagnoseResult) -> None:
-    from gyrocal.report.diagnosis import plain_sentences, tables
+    from gyrocal.report.diagnosis import tables
+    from gyrocal.report.sentences import plain_sentences
 
     found = result.diagnosis
-    for sentence in plain_sentences(found):
+    for sentence in dict.fromkeys([*result.told, *plain_sentences(found)]):
         click.echo(f"- {sentence}")
     for table in tables(found):
-        if table.rows and table.name in ("located", "effects", "alternatives", "improvement", "noise"):
+        if table.rows and table.name in (
+            "estimates",
+            "located",
+            "effects",
+            "alternatives",
+            "improvement",
+            "noise",
+        ):
             click.echo("")
             emit_table(table.columns, table.rows, table.title)
+    if "law.py" in result.files:
+        click.echo(f"\nAdd to the simulation: {result.out / 'law.py'}")
     click.echo(f"\nPictures and numbers: open {result.out / 'diagnosis.html'}")
     if "improved.json" in result.files:
-        click.echo(f"Coefficients with the named physics: {result.out / 'improved.json'}")
+        click.echo(
+            f"Coefficients with what was found and stays with the gyro, named or not: {result.out / 'improved.json'}"
+        )
+    if "improved_robot.toml" in result.files:
+        click.echo(f"Robot file with what this drive tells: {result.out / 'improved_robot.toml'}")
     if "next_experiment.toml" in result.files:
         click.echo(f"Measure next: gyrocal acquire {result.out / 'next_experiment.toml'} --out RUN")

@@ -11,6 +11,8 @@ from gyrocal.cli.console import overwrite_option
 
 if TYPE_CHECKING:
     from gyrocal.calibration.export import CType
+    from gyrocal.calibration.export_others import Axis
+    from gyrocal.fusion.coefficients import Coefficients
 
 
 @click.command("export")
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["c-header"]),
+    type=click.Choice(["c-header", "kalibr", "px4", "ardupilot"]),
     default="c-header",
     show_default=True,
     help="What to write.",
@@ -35,6 +37,19 @@ if TYPE_CHECKING:
 @click.option(
     "--prefix", default="gyrocal", show_default=True, help="First part of every name in the header."
 )
+@click.option(
+    "--axis",
+    type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
+    default="-z",
+    show_default=True,
+    help="px4, ardupilot: axis of the vehicle (z down) about which the gyro's output is positive.",
+)
+@click.option(
+    "--instance", type=click.IntRange(0, 3), default=0, show_default=True, help="px4, ardupilot: which gyro."
+)
+@click.option(
+    "--rate-hz", type=click.FloatRange(0.1), help="kalibr: sample rate, if the file does not say it."
+)
 @overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was exported as JSON on stdout; needs -o.")
 def command(
@@ -43,12 +58,16 @@ def command(
     output: Path | None,
     ctype: CType,
     prefix: str,
+    axis: Axis,
+    instance: int,
+    rate_hz: float | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write COEFFICIENTS as a C99 header without dependencies.
+    """Write COEFFICIENTS as a C99 header without dependencies, or what other programs take of them.
 
-    It holds PREFIX_error, PREFIX_correct and PREFIX_flags in double, and the same ending in f in float. The
+    kalibr: imu.yaml with the gyro's noise. px4, ardupilot: parameters with the bias over temperature; they have no place
+    for the rest. The header holds PREFIX_error, PREFIX_correct and PREFIX_flags in double, and the same ending in f in float. The
     error in float is within 1e-6 deg/s of the coefficient file's; the corrected rate in float has the steps
     of a float besides (7.6e-6 deg/s at 100 deg/s).
 
@@ -62,25 +81,39 @@ def command(
     from gyrocal.cli.console import emit_json
     from gyrocal.errors import OutputError
     from gyrocal.fusion.coefficients import load_coefficients
-    from gyrocal.records.files import check_output_file
+    from gyrocal.records.files import check_output_file, write_atomically
 
     if as_json and output is None:
-        raise click.UsageError("--json prints what was exported; say with -o where the header itself goes.")
+        raise click.UsageError("--json prints what was exported; say with -o where the file itself goes.")
     loaded = load_coefficients(coefficients)
     with naming(coefficients):
-        export = export_c_header(loaded, ctype, prefix)
+        made = None if form == "c-header" else _other(loaded, form, axis, instance, rate_hz)
+        export = None if made is not None else export_c_header(loaded, ctype, prefix)
     if output is None:
-        click.echo(export.text, nl=False)
+        click.echo(made if export is None else export.text, nl=False)
         return
     if output.resolve() == coefficients.resolve():
         raise OutputError(f"{output}: is the coefficient file itself. Choose another --output.")
     check_output_file(output, overwrite=overwrite)
-    write_header(export, output)
+    if export is None:
+        write_atomically(output, made or "")
+        about = {"format": form, "sensor": dict(loaded.sensor)}
+    else:
+        write_header(export, output)
+        about = export.to_json()
     if as_json:
-        emit_json(export.to_json() | {"output": str(output)})
+        emit_json(about | {"output": str(output)})
         return
-    click.echo(f"{output}: {', '.join(export.functions)}.")
-    if export.terms:
+    click.echo(f"{output}: {', '.join(export.functions) if export else form}.")
+    if export and export.terms:
         click.echo(f"Terms beside the surface: {', '.join(export.terms)}.")
-    if export.not_exported:
+    if export and export.not_exported:
         click.echo(f"Terms of the bench, not exported: {', '.join(export.not_exported)}.")
+
+
+def _other(file: Coefficients, form: str, axis: Axis, instance: int, rate_hz: float | None) -> str:
+    from gyrocal.calibration.export_others import ardupilot, kalibr, px4
+
+    if form == "kalibr":
+        return kalibr(file, rate_hz)
+    return (px4 if form == "px4" else ardupilot)(file, axis, instance)

@@ -29,10 +29,15 @@ def _ids(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) 
 @click.option(
     "--weights",
     type=click.Choice(["gls", "ols"]),
-    default="gls",
-    show_default=True,
-    help="gls: weigh data sets by their estimated scatter. ols: equal weights, as in the paper.",
+    help="gls: weigh data sets by their estimated scatter. ols: equal weights, as in the paper. "
+    "Without it, what does better on data left out.",
 )
+@click.option(
+    "--direction",
+    type=click.Choice(["output", "input"]),
+    help="Powers of the gyro's output, as in the paper, or of the true rate. Without it, what does better.",
+)
+@click.option("--paper", is_flag=True, help="The paper's twelve terms in the output, whatever does better.")
 @click.option(
     "--bias-only", is_flag=True, help="Bias over temperature, from a recording at one rate or at rest."
 )
@@ -50,7 +55,9 @@ def command(
     recording: Path,
     output: Path,
     counts_per_dps: float | None,
-    weights: Literal["gls", "ols"],
+    weights: Literal["gls", "ols"] | None,
+    direction: Literal["output", "input"] | None,
+    paper: bool,
     bias_only: bool,
     exclude: tuple[int, ...],
     force: bool,
@@ -61,6 +68,7 @@ def command(
 
     Prints one line of verdict first, then coefficients with their uncertainties, figures of merit,
     cross-validation, structure of the residual and outliers. Nothing is dropped unless --exclude says so.
+    Direction, terms and weights are those that predict best what is left out; a line says which, and why.
 
     Example: gyrocal fit run -o fog.json
     """
@@ -70,7 +78,9 @@ def command(
     from gyrocal.records.files import check_output_file, write_atomically
 
     check_output_file(output, overwrite=overwrite)
-    result = calibrate(recording, FitConfig(counts_per_dps, weights, bias_only, exclude, force))
+    result = calibrate(
+        recording, FitConfig(counts_per_dps, weights, bias_only, exclude, force, direction, paper)
+    )
     write_atomically(output, result.coefficients.to_text())
     if as_json:
         emit_json({"output": output.name} | to_json(result))

@@ -7,13 +7,7 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import json_option
-
-
-def _pairs(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    pairs = dict(v.split("=", 1) for v in values if "=" in v)
-    if len(pairs) < len(values):
-        raise click.BadParameter("give PURPOSE=TOPIC, such as wheels=/odom")
-    return pairs
+from gyrocal.cli.drive_options import drive_options
 
 
 @click.command("replay")
@@ -31,26 +25,23 @@ def _pairs(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> di
     "--out", required=True, type=click.Path(path_type=Path), help="Directory to write; new or empty."
 )
 @click.option(
-    "--columns",
-    type=click.Path(path_type=Path),
-    help="TOML that maps a foreign log's columns, units and signs.",
-)
-@click.option(
     "--align",
     type=click.Choice(["start", "positions"]),
     help="How truth and estimate are laid on each other; default: by the start pose where its heading is known.",
 )
 @click.option(
+    "--filter",
+    "kind",
+    type=click.Choice(["model", "paper"]),
+    default="model",
+    show_default=True,
+    help="The drive model, or the paper's nine states with white measurement noise.",
+)
+@click.option(
     "--returns", is_flag=True, help="The robot came back to its start: without truth, that is the error."
 )
 @click.option("--power-on-s", type=float, help="When the gyro was switched on, on the log's clock.")
-@click.option(
-    "--topic",
-    "topics",
-    multiple=True,
-    callback=_pairs,
-    help="ROS bags: imu=, wheels=, temperature= or truth=TOPIC.",
-)
+@drive_options
 @json_option
 def command(
     logs: tuple[Path, ...],
@@ -59,9 +50,11 @@ def command(
     out: Path,
     columns: Path | None,
     align: str | None,
+    kind: str,
     returns: bool,
     power_on_s: float | None,
     topics: dict[str, str],
+    axis: str,
     as_json: bool,
 ) -> None:
     """Dead reckoning of drive logs with and without calibration, with and without the Kalman filter.
@@ -74,9 +67,11 @@ def command(
     """
     from gyrocal.cli.console import emit_json, emit_table, progress
     from gyrocal.navigation.table import HEADINGS
-    from gyrocal.report.navigation import ReplayRequest, replay_to_directory, verdict
+    from gyrocal.records.drive_source import Reading
+    from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 
-    request = ReplayRequest(logs, robot, out, coefficients, columns, align, returns, power_on_s, topics)
+    reading = Reading(columns, topics, axis)
+    request = ReplayRequest(logs, robot, out, coefficients, reading, align, returns, power_on_s, kind)
     with progress("replay", quiet=as_json) as report:
         result = replay_to_directory(request, report)
     if as_json:
@@ -87,7 +82,7 @@ def command(
     if result.table.measure == "end":
         emit_table(result.errors.columns, result.errors.rows, result.errors.title)
         click.echo("")
-    click.echo(verdict(result.table))
+    click.echo(result.verdict)
     for remark in result.remarks:
         click.echo(f"Note: {remark}")
     click.echo(f"Page, figures and trajectories: {out}/replay.html")

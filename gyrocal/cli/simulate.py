@@ -79,10 +79,19 @@ def drive(
     show_default=True,
     help="Experiments with each physical input changed; 0: none.",
 )
+@click.option(
+    "--world",
+    type=click.Choice(["full-scale", "rate", "paper"]),
+    default="full-scale",
+    show_default=True,
+    help="What the data sheet's nonlinearity of 0.5 % is a share of; paper: what would give the paper's table.",
+)
 @_SEED
 @_OUT
 @json_option
-def table2(experiments: int, workers: int | None, what_if: int, seed: int, out: Path, as_json: bool) -> None:
+def table2(
+    experiments: int, workers: int | None, what_if: int, world: str, seed: int, out: Path, as_json: bool
+) -> None:
     """The paper's Table II and how its three improvement factors scatter over units, days and robots.
 
     Each experiment draws an RD2100, calibrates it on a simulated bench, draws a robot and a day, drives ten
@@ -95,7 +104,7 @@ def table2(experiments: int, workers: int | None, what_if: int, seed: int, out: 
     from gyrocal.report.navigation_table2 import Table2Request, table2_to_directory
 
     with progress("simulate", quiet=as_json) as report:
-        result = table2_to_directory(Table2Request(out, experiments, what_if, seed, workers), report)
+        result = table2_to_directory(Table2Request(out, experiments, what_if, seed, workers, world), report)
     if as_json:
         emit_json(result.summary)
         return

@@ -63,13 +63,7 @@ def with_coefficients(surface: Surface, terms: Ints, values: Floats) -> Surface:
     """The surface with some of its coefficients replaced."""
     c = surface.coefficients_dps.ravel().copy()
     c[terms] = values
-    return Surface(
-        c.reshape(SHAPE),
-        surface.rate_center_dps,
-        surface.rate_scale_dps,
-        surface.temp_center_c,
-        surface.temp_scale_c,
-    )
+    return replace(surface, coefficients_dps=c.reshape(SHAPE))
 
 
 def raised(surface: Surface, constant_dps: float, share: float = 0.0) -> Surface:
@@ -84,9 +78,7 @@ def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Bas
     """Recording minus what `surface` predicts at the recorded rates and temperatures."""
     terms = carried_terms(series) if terms is None else terms
     output = surface.output_dps(series.rate_dps, series.temp_c)
-    # What the output gains from a coefficient: the surface is a function of the output itself (eq. 5).
-    slope = 1.0 - surface.slope_per_dps(output, series.temp_c)
-    design = surface.design(output, series.temp_c)[:, terms] / slope[:, None]
+    design = surface.output_design(series.rate_dps, series.temp_c)[:, terms]
     return Base(surface, series.gyro_dps - output, design, terms)
 
 

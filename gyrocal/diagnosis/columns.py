@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.effect import Conditions
+from gyrocal.physics.offer import Offer
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-
-@dataclass(frozen=True)
-class RowConditions(Conditions):
-    """Conditions of rows that are means over a while.
-
-    ``row_s``, shape (n,), says over how long; ``sample_std_dps`` is the noise of the samples in them, 0 if unknown.
-    """
-
-    row_s: Floats = field(default_factory=lambda: np.empty(0))
-    sample_std_dps: float = 0.0
+#: More instants of a change of scale factor than this are not tried.
+_MOST_STARTS = 400
 
 
-def conditions_of(series: Series) -> RowConditions:
+def conditions_of(series: Series) -> Conditions:
     """What the laws of the catalogue may depend on, row by row.
 
     Where it is not known when the gyro was switched on, that is when the record begins: a warm-up has the same
@@ -34,7 +27,7 @@ def conditions_of(series: Series) -> RowConditions:
     since_on = series.since_power_on_s
     if since_on is None and series.has_time:
         since_on = series.t_s - series.t_s[0]
-    return RowConditions(
+    return Conditions(
         t_s=series.t_s,
         rate_dps=series.rate_dps,
         temp_c=series.temp_c,
@@ -50,6 +43,44 @@ def conditions_of(series: Series) -> RowConditions:
         if series.is_table
         else float(np.max(series.white_std_dps[series.is_set], initial=0.0)),
     )
+
+
+def offer_of(series: Series) -> Offer:
+    """What a record offers the effects of the catalogue."""
+    c, since_on = conditions_of(series), series.since_power_on_s
+    return Offer(
+        t_s=(float(series.t_s[0]), float(series.t_s[-1])),
+        rates_dps=np.unique(np.round(series.rate_dps, 3)),
+        largest_rate_dps=float(np.max(np.abs(series.rate_dps))),
+        temp_c=(float(series.temp_c.min()), float(series.temp_c.max())),
+        temp_span_c=float(np.ptp(series.history.temp_c)),
+        turn_starts_s=_between_turns(series),
+        since_power_on_s=None if since_on is None else float(since_on.min()),
+        has_time=series.has_time,
+        channels=frozenset(f.name for f in fields(c) if getattr(c, f.name) is not None),
+        lacking=series.untestable,
+    )
+
+
+def _set_starts(series: Series) -> Floats:
+    first = np.flatnonzero(np.diff(series.set_index, prepend=-1))
+    starts = series.t_s[first]
+    if starts.size > _MOST_STARTS:
+        starts = starts[:: int(np.ceil(starts.size / _MOST_STARTS))]
+    return starts[1:] - 0.5
+
+
+def _between_turns(series: Series) -> Floats:
+    """Beginnings of data sets between the first and the last two turns of the table."""
+    turning = np.flatnonzero(np.abs(series.rate_dps) > 0)
+    if turning.size == 0:
+        return np.empty(0)
+    starts = _set_starts(series)
+    sets = np.unique(series.set_index[turning])
+    edge = min(2, sets.size // 4)
+    first = series.t_s[np.flatnonzero(series.set_index == sets[edge])[0]]
+    last = series.t_s[np.flatnonzero(series.set_index == sets[-1 - edge])[-1]]
+    return np.asarray(starts[(starts > first - 1.0) & (starts < last)])
 
 
 @dataclass

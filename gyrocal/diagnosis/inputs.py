@@ -72,7 +72,7 @@ def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | N
                 f"{_not_of(series, coefficients)}: it has no output at all for some of the rates. {_OTHER}"
             ) from error
         raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.") from error
-    corrected = series.gyro_dps - coefficients.surface.error_dps(series.gyro_dps, series.temp_c)
+    corrected = coefficients.surface.rate_dps(series.gyro_dps, series.temp_c)
     still = odd_output(series.rate_dps, corrected)
     if still is None:
         return

@@ -28,11 +28,22 @@ class Located:
     coordinate, statistic : str
         A coordinate of formats.md; ``mean`` or ``variance``.
     region : str
-        Where on the coordinate, in words with units.
+        Where, in words, for a place on a drive.
     share : float
         Part of the excess over noise that a curve on this coordinate takes up (parts may overlap).
     remains : bool
         Whether it is still there after the named effects are modelled.
+    low, high : float, optional
+        The stretch of the coordinate where it is, in `unit`; None: all along.
+    target : str
+        What departs, or what it follows there: ``bias``, ``scale factor``, ``surface``, ``samples``, the name of
+        a generic curve; empty: nobody can say.
+    rms_dps : float, optional
+        Size of the departure over the whole record, deg/s.
+    times_given : float, optional
+        Noise there over what was given for it.
+    finding : str
+        Effect that was found there by a test of its own, and says the rest.
     """
 
     coordinate: str
@@ -41,13 +52,25 @@ class Located:
     p_value: float
     share: float
     remains: bool = False
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    target: str = ""
+    rms_dps: float | None = None
+    times_given: float | None = None
+    finding: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``located``."""
         return {
             "coordinate": self.coordinate,
             "statistic": self.statistic,
-            "region": self.region,
+            "from": _finite(self.low),
+            "to": _finite(self.high),
+            "unit": self.unit,
+            "target": self.target,
+            "rms_dps": _finite(self.rms_dps),
+            "times_given": _finite(self.times_given),
             "p_value": _finite(self.p_value),
             "share": _finite(self.share),
             "remains": self.remains,
@@ -129,6 +152,80 @@ class Improvement:
 
 
 @dataclass(frozen=True)
+class Layer:
+    """A step of the staircase: errors on data left out with everything down to this layer in the model.
+
+    Attributes
+    ----------
+    name : str
+        Effect or block that this step adds; empty for the surface alone.
+    heldout_rms_dps, noise_floor_dps : float
+        Of data sets left out; what noise alone would leave.
+    logloss : float
+        Nats a data set.
+    """
+
+    name: str
+    heldout_rms_dps: float
+    noise_floor_dps: float
+    logloss: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry of ``layers``."""
+        return {
+            "layer": self.name or "surface",
+            "heldout_rms_dps": _finite(self.heldout_rms_dps),
+            "noise_floor_dps": _finite(self.noise_floor_dps),
+            "logloss_nats": _finite(self.logloss),
+        }
+
+
+@dataclass(frozen=True)
+class UnnamedPart:
+    """Structure that no law of the catalogue takes; it is in the correction where a robot knows its coordinate.
+
+    Attributes
+    ----------
+    coordinate, family : str
+    evidence_nats : float
+        What it is worth to the model.
+    low, high : float
+        The stretch of the coordinate where it is largest, in `unit`.
+    nearest : mapping
+        Laws to how much evidence they leave of it, nats.
+    corrected : bool
+        Whether the improved coefficients take it away.
+    """
+
+    coordinate: str
+    family: str
+    evidence_nats: float
+    rms_dps: float
+    low: float | None
+    high: float | None
+    unit: str
+    nearest: Mapping[str, float]
+    corrected: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry of ``unnamed``."""
+        return {
+            "coordinate": self.coordinate,
+            "family": self.family,
+            "evidence_nats": _finite(self.evidence_nats),
+            "rms_dps": _finite(self.rms_dps),
+            "from": _finite(self.low),
+            "to": _finite(self.high),
+            "unit": self.unit,
+            "nearest": [
+                {"effect": e, "left_nats": _finite(n)}
+                for e, n in sorted(self.nearest.items(), key=lambda item: item[1])
+            ],
+            "corrected": self.corrected,
+        }
+
+
+@dataclass(frozen=True)
 class NamedEffect:
     """Physics that the model lacked, named."""
 
@@ -140,6 +237,8 @@ class NamedEffect:
     alternatives: tuple[Alternative, ...]
     improvement: Improvement | None
     runtime: bool
+    #: Share of the evidence for structure of its kind that the law takes; below one the law fits with a lack.
+    share: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``effects``."""
@@ -152,6 +251,7 @@ class NamedEffect:
             "alternatives": [a.to_json() for a in self.alternatives],
             "improvement": None if self.improvement is None else self.improvement.to_json(),
             "runtime": self.runtime,
+            "share_of_evidence": _finite(self.share),
         }
 
 
@@ -210,7 +310,7 @@ class Diagnosis:
     verdict : str
         One of `VERDICTS`.
     sentences : tuple of str
-        What there is to say, plainly, in order.
+        What is said of a drive, plainly, in order; of a recording `gyrocal.report.sentences` makes them.
     surface : Coefficients
         The model before: the coefficients given, or fitted here.
     improved : Coefficients or None
@@ -218,9 +318,11 @@ class Diagnosis:
     rows : Rows or None
         What pictures need; not part of the JSON.
     next_experiment : mapping or None
-        Filled by `gyrocal.diagnosis.next_experiment`.
+        Filled by `gyrocal.planning.next_experiment`.
     counted_in : str
-        What log-losses are counted in where the rows do not tell, as of a drive; not part of the JSON.
+        What log-losses are counted in where the rows do not tell; not part of the JSON.
+    drive : mapping or None
+        Of a drive log: every estimate with the metres that it costs, and position errors before and after.
     """
 
     recording: str
@@ -237,21 +339,26 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     next_experiment: Mapping[str, Any] | None = None
     counted_in: str = ""
+    drive: Mapping[str, Any] | None = None
+    layers: tuple[Layer, ...] = ()
+    unnamed: tuple[UnnamedPart, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """The document that `diagnose` writes; plain, finite JSON values."""
+        """All but the words of the document that `diagnose` writes; plain, finite JSON values."""
         return {
             "schema": SCHEMA,
             "recording": self.recording,
             "verdict": self.verdict,
             "located": [place.to_json() for place in self.located],
             "effects": [effect.to_json() for effect in self.effects],
+            "unnamed": [part.to_json() for part in self.unnamed],
+            "layers": [layer.to_json() for layer in self.layers],
             "improvement": None if self.improvement is None else self.improvement.to_json(),
             "not_testable": dict(self.not_testable),
             "noise": None if self.noise is None else self.noise.to_json(),
-            "statements": list(self.sentences),
             "notes": list(self.notes),
             "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),
+            **({} if self.drive is None else {"drive": dict(self.drive)}),
         }
 
 

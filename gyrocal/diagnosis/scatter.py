@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from gyrocal.diagnosis.analysis import Analysis, model_columns
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.gram import holm
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.series import FEWEST_OUTLIERS, Series, set_means
+from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel
+from gyrocal.physics.rate import DEAD_ZONE
+from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -102,8 +105,8 @@ def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets
         # It may be no wider than what it is seen to swallow.
         "width_dps": Estimate(reach[0], 0.25 * (reach[1] - reach[0]), "deg/s", reach),
     }
-    place = Located("rate", "mean", "data sets whose output is exactly 0", _CERTAIN, 1.0)
-    return Finding("dead_zone", statement, parameters, _CERTAIN, place)
+    place = Located("rate", "mean", "", _CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
+    return Finding(DEAD_ZONE.id, statement, parameters, _CERTAIN, place)
 
 
 def bad_sets(series: Series) -> tuple[Ints, Floats]:
@@ -142,10 +145,10 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
     ]
     statement = f"Single data sets do not belong to the rest: {'; '.join(names)}. Mislabelled, or disturbed; left out of the fit."
     size = float(1e3 * np.max(np.abs(off_dps)))
-    place = Located("data_set_index", "mean", statement, _CERTAIN, 1.0)
+    place = Located("data_set_index", "mean", "", _CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
     return [
         Finding(
-            "bursts",
+            BURSTS.id,
             statement,
             {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))},
             _CERTAIN,
@@ -168,16 +171,19 @@ def outlier_findings(series: Series) -> list[Finding]:
     place = Located(
         "data_set_index",
         "variance",
-        f"single samples, {series.when(float(times.min()), float(times.max()))}",
+        "",
         p,
         0.0,
+        **_when(series, float(times.min()), float(times.max())),
+        target="samples",
+        finding=BURSTS.id,
     )
     spread = size / np.sqrt(2.0 * count)
     low = float(chi2.ppf(0.025, 2 * count)) / 2.0 / series.raw.samples
     high = float(chi2.ppf(0.975, 2 * count + 2)) / 2.0 / series.raw.samples
     return [
         Finding(
-            "bursts",
+            BURSTS.id,
             statement,
             {
                 "amplitude": Estimate(size, spread, "mdeg/s", (size - 1.96 * spread, size + 1.96 * spread)),
@@ -196,10 +202,10 @@ def step_findings(series: Series) -> list[Finding]:
         return []
     size = 1e3 * step
     statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
-    place = Located("rate", "variance", "every sample lies on a lattice", _CERTAIN, 0.0)
+    place = Located("rate", "variance", "", _CERTAIN, 0.0, target="samples", finding=QUANTISATION.id)
     return [
         Finding(
-            "quantisation",
+            QUANTISATION.id,
             statement,
             {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))},
             _CERTAIN,
@@ -218,24 +224,27 @@ def clock_findings(series: Series) -> list[Finding]:
         return []
     p = float(2.0 * norm.sf(min(abs(ppm) / std_ppm, 37.0)))
     statement = f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the sample clock is off, and an output that is an angle per sample is scaled by as much."
-    place = Located("rate", "mean", "arrival times of all samples", p, 0.0)
+    place = Located("rate", "mean", "", p, 0.0, target="sample times", finding=TIME_BASE.id)
     value = Estimate(ppm, std_ppm, "ppm", (ppm - 1.96 * std_ppm, ppm + 1.96 * std_ppm))
-    return [Finding("time_base", statement, {"amplitude": value}, p, place)]
+    return [Finding(TIME_BASE.id, statement, {"amplitude": value}, p, place)]
 
 
-def variance_places(analysis: Analysis, level: float) -> list[Located]:
+def variance_places(
+    series: Series, model: NoiseModel, levels: NoiseLevels, left_dps: Floats, level: float
+) -> list[Located]:
     """Where the innovations scatter more than the noise model says: by rate, angle, time and data set.
 
     Each group's sum of squares is compared with the others', with the kurtosis that the innovations have, so
     that heavy tails alone raise no alarm. Holm over all groups of all coordinates.
+
+    Parameters
+    ----------
+    left_dps : ndarray, shape (n,)
+        What the model of the mean leaves of every row.
     """
-    setup, series = analysis.setup, analysis.setup.series
-    columns = np.column_stack([setup.base.residual_dps, model_columns(setup, analysis.members)])
-    white = setup.model.whiten(analysis.levels, columns)[0]
-    solution = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=1e-10)[0]
-    squares = (white[:, 0] - white[:, 1:] @ solution) ** 2
-    found: list[tuple[str, str, float, float]] = []
-    for coordinate, groups, labels in _groupings(series):
+    squares = model.whiten(levels, left_dps[:, None])[0][:, 0] ** 2
+    found: list[tuple[str, Mapping[str, Any], float, float]] = []
+    for coordinate, groups, stretches in _groupings(series):
         count = np.bincount(groups).astype(np.float64)
         total = np.bincount(groups, weights=squares)
         usable = np.flatnonzero(count >= 20)
@@ -245,7 +254,7 @@ def variance_places(analysis: Analysis, level: float) -> list[Located]:
             # A sum of squares is skewed: the cube root of a chi-square is nearly normal (Wilson and Hilferty).
             df = 2.0 * count[g] * mean**2 / spread**2
             p = float(chi2.sf(df + z * np.sqrt(2.0 * df), df))
-            found.append((coordinate, labels[g], min(1.0, 2.0 * p), total[g] - count[g] * mean))
+            found.append((coordinate, stretches[g], min(1.0, 2.0 * p), total[g] - count[g] * mean))
     if not found:
         return []
     p_values = np.array([f[2] for f in found])
@@ -254,28 +263,40 @@ def variance_places(analysis: Analysis, level: float) -> list[Located]:
     excess = max(
         float(np.sum(squares)) * 1e-3, sum(max(f[3], 0.0) for f, ok in zip(found, passed, strict=True) if ok)
     )
-    for (coordinate, label, p, more), ok in zip(found, passed, strict=True):
+    for (coordinate, stretch, p, more), ok in zip(found, passed, strict=True):
         if ok and (coordinate not in best or p < best[coordinate].p_value):
             share = float(np.clip(more / excess, 0.0, 1.0))
-            best[coordinate] = Located(coordinate, "variance", label, min(1.0, p * len(found)), share, True)
+            p_all = min(1.0, p * len(found))
+            best[coordinate] = Located(coordinate, "variance", "", p_all, share, True, **stretch)
     return sorted(best.values(), key=lambda place: place.p_value)
 
 
-def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[str]]]:
-    found: list[tuple[str, Ints, Sequence[str]]] = []
+def _when(series: Series, from_s: float, to_s: float) -> dict[str, Any]:
+    """A stretch of the record, in time or, where there is none, in data sets."""
+    if series.has_time:
+        return {"low": from_s, "high": to_s, "unit": "s"}
+    return {"low": series.data_set_at(from_s), "high": series.data_set_at(to_s), "unit": "data set"}
+
+
+def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[Mapping[str, Any]]]]:
+    """Coordinates, the group of each row, and where each group is."""
+    found: list[tuple[str, Ints, Sequence[Mapping[str, Any]]]] = []
     sizes, by_size = np.unique(np.round(np.abs(series.rate_dps), 2), return_inverse=True)
     if 2 < sizes.size <= 60:
-        found.append(("rate", by_size.astype(np.int64), [f"|rate| = {s:g} deg/s" for s in sizes]))
+        at = [{"low": float(s), "high": float(s), "unit": "deg/s"} for s in sizes]
+        found.append(("rate", by_size.astype(np.int64), at))
     hours = np.linspace(series.t_s[0], series.t_s[-1], 41)
     by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, 39)
-    stretches = [series.when(float(a), float(b)) for a, b in pairwise(hours)]
-    found.append((series.time_coordinate, by_time, stretches))
+    found.append(
+        (series.time_coordinate, by_time, [_when(series, float(a), float(b)) for a, b in pairwise(hours)])
+    )
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:
         sector = np.floor(np.mod(series.angle_deg, 360.0) / 15.0).astype(np.int64)
         sector = np.where(np.abs(series.rate_dps) > 0, sector, 24)
-        names = [f"table angle {15 * k} to {15 * k + 15} deg" for k in range(24)] + ["table at rest"]
-        found.append(("table_angle", sector, names))
+        at = [{"low": 15.0 * k, "high": 15.0 * (k + 1), "unit": "deg"} for k in range(24)]
+        found.append(("table_angle", sector, [*at, {"target": "rest"}]))
     if not series.is_table:
         last = int(series.set_index.max()) + 1
-        found.append(("data_set_index", series.set_index, [f"segment {k + 1}" for k in range(last)]))
+        at = [{"low": k + 1.0, "high": k + 1.0, "unit": "data set"} for k in range(last)]
+        found.append(("data_set_index", series.set_index, at))
     return found

@@ -115,12 +115,9 @@ class Series:
             return int(sets)
         return max(10, int(np.ptp(self.t_s) / 60.0))
 
-    def when(self, from_s: float, to_s: float) -> str:
-        """A stretch of the record in words: hours, or numbers of data sets where there is no time."""
-        if self.has_time:
-            return f"{from_s / 3600.0:.2f} to {to_s / 3600.0:.2f} h"
-        first, last = (round((t - self.t_s[0]) / SURROGATE_PERIOD_S) + 1 for t in (from_s, to_s))
-        return f"data sets {first} to {last}"
+    def data_set_at(self, t_s: float) -> float:
+        """Number of the data set, from 1, at a stand-in time."""
+        return float(round((t_s - self.t_s[0]) / SURROGATE_PERIOD_S) + 1)
 
     @property
     def time_coordinate(self) -> str:

@@ -9,7 +9,7 @@ one pass; the restricted likelihood of its innovations gives the levels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -421,12 +421,6 @@ def look_for_walk(model: NoiseModel, y: Floats, X: Floats, without: Likelihood) 
         return without.levels, 1.0
     found = _climb(model, yX, trials[int(np.argmax(likelihoods))], 0.3)
     return found.levels, _walk_p_value(found, without)
-
-
-def walk_p_value(model: NoiseModel, y: Floats, X: Floats, levels: NoiseLevels) -> float:
-    """P-value of the walk in `levels`, beside a model that was found with it."""
-    without = estimate_levels(model, y, X, replace(levels, walk=0.0))
-    return _walk_p_value(estimate_levels(model, y, X, levels), without)
 
 
 def _walk_p_value(found: Likelihood, without: Likelihood) -> float:

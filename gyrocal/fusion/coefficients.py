@@ -1,11 +1,11 @@
-"""The coefficient file, ``gyrocal-coefficients/1``: what `fit` writes and the runtime reads."""
+"""The coefficient file, ``gyrocal-coefficients/1`` or ``/2``: what `fit` and `diagnose` write and the runtime reads."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.errors import CoefficientError, InputError
+from gyrocal.physics.effect import Conditions
+from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Surface
+from gyrocal.physics.terms import Part, Term, read_term, sensitivity, solve_rate
 
 Floats = NDArray[np.float64]
 
 SCHEMA_NAME = "gyrocal-coefficients"
-SCHEMA_VERSION = 1
+#: The version read; a file that programs of version 1 understand is written as one.
+SCHEMA_VERSION = 2
 
-#: Flags of `Coefficients.flags`: 0 is inside the valid range.
+#: Flags of `Coefficients.flags` and `Compensator`: 0 is inside the valid range. Not finite is also a rate that no
+#: solution has; FLAG_TERM is a term beyond what it was fitted to (8 and 16 are those of a recording's samples).
 FLAG_RATE = 1
 FLAG_TEMPERATURE = 2
 FLAG_NOT_FINITE = 4
+FLAG_TERM = 32
 
 _TERMS = SHAPE[0] * SHAPE[1]
 
@@ -45,15 +51,6 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Term:
-    """Physics that `diagnose` added to the surface: an effect of the catalogue with its parameters."""
-
-    effect: str
-    parameters: Mapping[str, Mapping[str, Any]]
-    runtime: bool
-
-
-@dataclass(frozen=True)
 class Coefficients:
     """A calibration: surface, its covariance, where it holds, and where it comes from.
 
@@ -68,7 +65,7 @@ class Coefficients:
     covariance_dps2: Floats
     valid: Valid
     noise: Noise = Noise()
-    terms: tuple[Term, ...] = ()
+    terms: tuple[Term | SmoothTerm, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -79,29 +76,42 @@ class Coefficients:
             raise ValueError(msg)
         object.__setattr__(self, "covariance_dps2", covariance)
 
+    def runtime_terms(self) -> tuple[Part, ...]:
+        """The terms that a robot evaluates; CoefficientError where it cannot."""
+        return tuple(term.part() for term in self.terms if term.runtime)
+
     def correct(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
-        """Corrected rate ``gyro - error`` by the surface (paper eqs. 1 and 5), deg/s; scalar in, float out.
+        """Corrected rate (paper eqs. 1 and 5), deg/s; scalar in, float out. NaN where no rate has this output.
 
         Runtime terms without memory are applied too; CoefficientError where one needs `Compensator`.
         """
-        if any(term.runtime for term in self.terms):
-            from gyrocal.fusion.compensation import correct_without_history
-
-            return correct_without_history(self, gyro_dps, temp_c)
-        gyro = np.asarray(gyro_dps, dtype=np.float64)
-        corrected = gyro - self.surface.error_dps(gyro, temp_c)
+        gyro, temp = np.broadcast_arrays(np.asarray(gyro_dps, float), np.asarray(temp_c, float))
+        terms = self.runtime_terms()
+        for term in terms:
+            if term.has_memory or "since_power_on_s" in term.channels:
+                raise CoefficientError(
+                    f"The coefficients hold {term.name}, which depends on time: use gyrocal.fusion.Compensator."
+                )
+        g = gyro.ravel()
+        c = Conditions(np.zeros(g.size), g, temp.ravel())
+        corrected = solve_rate(self.surface, terms, [None] * len(terms), g, c).rate_dps.reshape(gyro.shape)
         return float(corrected) if corrected.ndim == 0 else corrected
 
     def sigma_dps(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
-        """Standard deviation of the predicted error (coefficient uncertainty only), deg/s."""
+        """Standard deviation of the rate corrected by the surface (coefficient uncertainty only), deg/s."""
         gyro, temp = np.broadcast_arrays(np.asarray(gyro_dps, float), np.asarray(temp_c, float))
-        design = self.surface.design(gyro.ravel(), temp.ravel())
-        variance = ((design @ self.covariance_dps2) * design).sum(axis=1)
+        by = self.sensitivity(gyro.ravel(), temp.ravel())
+        variance = ((by @ self.covariance_dps2) * by).sum(axis=1)
         sigma = np.sqrt(np.maximum(variance, 0.0)).reshape(gyro.shape)
         return float(sigma) if sigma.ndim == 0 else sigma
 
+    def sensitivity(self, gyro_dps: Floats, temp_c: Floats) -> Floats:
+        """Derivatives of the rate corrected by the surface by its coefficients, shape (n, 12)."""
+        c = Conditions(np.zeros(gyro_dps.size), gyro_dps, temp_c)
+        return sensitivity(self.surface, (), (), solve_rate(self.surface, (), (), gyro_dps, c), c, ())
+
     def flags(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> NDArray[np.int64]:
-        """Bits: 1 rate outside the valid range, 2 temperature outside, 4 not finite. 0 is good."""
+        """Bits: 1 output outside the valid range, 2 temperature outside, 4 not finite. 0 is good."""
         gyro, temp = np.broadcast_arrays(np.asarray(gyro_dps, float), np.asarray(temp_c, float))
         rate = (gyro < self.valid.rate_dps[0]) | (gyro > self.valid.rate_dps[1])
         temperature = (temp < self.valid.temp_c[0]) | (temp > self.valid.temp_c[1])
@@ -110,14 +120,18 @@ class Coefficients:
             FLAG_RATE * rate + FLAG_TEMPERATURE * temperature + FLAG_NOT_FINITE * ~finite, dtype=np.int64
         )
 
+    def _version(self) -> int:
+        smooth = any(isinstance(term, SmoothTerm) for term in self.terms)
+        return 2 if smooth or self.surface.direction == "input" else 1
+
     def to_text(self) -> str:
         """The file's text, indented for people, with the sha256 over its canonical form."""
         body: dict[str, Any] = {
-            "schema": f"{SCHEMA_NAME}/{SCHEMA_VERSION}",
+            "schema": f"{SCHEMA_NAME}/{self._version()}",
             "sensor": dict(self.sensor),
             "surface": self.surface.to_json() | {"covariance_dps2": self.covariance_dps2.tolist()},
             "valid": {"rate_dps": list(self.valid.rate_dps), "temp_c": list(self.valid.temp_c)},
-            "terms": [asdict(term) for term in self.terms],
+            "terms": [term.to_json() for term in self.terms],
             "noise": {name: _interval_to_json(value) for name, value in vars(self.noise).items()},
             "figures": dict(self.figures),
             "provenance": dict(self.provenance),
@@ -205,6 +219,7 @@ def _decode(body: dict[str, Any]) -> Coefficients:
         float(raw["rate"]["scale_dps"]),
         float(raw["temperature"]["center_c"]),
         float(raw["temperature"]["scale_c"]),
+        raw.get("direction", "output"),
     )
     noise = dict(body.get("noise") or {})
     return Coefficients(
@@ -213,9 +228,7 @@ def _decode(body: dict[str, Any]) -> Coefficients:
         covariance_dps2=np.array(raw["covariance_dps2"], dtype=np.float64).reshape(_TERMS, _TERMS),
         valid=Valid(_pair(body["valid"]["rate_dps"]), _pair(body["valid"]["temp_c"])),
         noise=Noise(**{f.name: _interval_from_json(noise.get(f.name)) for f in fields(Noise)}),
-        terms=tuple(
-            Term(t["effect"], dict(t["parameters"]), bool(t["runtime"])) for t in body.get("terms", [])
-        ),
+        terms=tuple(read_term(entry) for entry in body.get("terms", [])),
         figures=dict(body.get("figures") or {}),
         provenance=dict(body.get("provenance") or {}),
     )

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.errors import CoefficientError
-from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, Coefficients
+from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_TERM, Coefficients
 from gyrocal.physics.effect import Conditions, Memory
-from gyrocal.physics.terms import gradients, joint_covariance, runtime_term, solve_rate
+from gyrocal.physics.terms import Solution, joint_covariance, sensitivity, solve_rate
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Corrected:
-    """Corrected rates, standard deviations of the error that was taken away, deg/s, and flags; shape (n,)."""
+    """Corrected rates, their standard deviations by the calibration, deg/s, and flags; shape (n,)."""
 
     rate_dps: Floats
     sigma_dps: Floats
@@ -32,9 +32,9 @@ class Compensator:
 
     Attributes
     ----------
-    terms : tuple of RuntimeTerm
+    terms : tuple of Part
     not_applied : tuple of str
-        Effects of the bench (``runtime: false``), which a robot does not see.
+        Terms that a robot does not see: effects of the bench (``runtime: false``).
 
     Raises
     ------
@@ -44,13 +44,11 @@ class Compensator:
 
     def __init__(self, coefficients: Coefficients) -> None:
         self.coefficients = coefficients
-        self.terms = tuple(
-            runtime_term(term.effect, term.parameters) for term in coefficients.terms if term.runtime
-        )
-        self.not_applied = tuple(term.effect for term in coefficients.terms if not term.runtime)
+        self.terms = coefficients.runtime_terms()
+        self.not_applied = tuple(term.name for term in coefficients.terms if not term.runtime)
         self._covariance = joint_covariance(coefficients.covariance_dps2, self.terms)
         self._memories: list[Memory] = [None] * len(self.terms)
-        self._tangents: list[Memory] = [None] * sum(len(term.covariance) for term in self.terms)
+        self._courses: list[Memory] = [None] * len(self.terms)
 
     def correct(
         self,
@@ -66,7 +64,8 @@ class Compensator:
         CoefficientError
             A term needs the time since power-on, and it was not given.
         """
-        rate, _ = self._solve(*self._channels(t_s, gyro_dps, temp_c, since_power_on_s))
+        gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
+        rate = self._solve(gyro, c).rate_dps
         return float(rate[0]) if np.ndim(gyro_dps) == 0 else rate
 
     def evaluate(
@@ -78,29 +77,29 @@ class Compensator:
     ) -> Corrected:
         """`correct`, with standard deviations and the flags of `Coefficients.flags`.
 
-        The standard deviation is that of the predicted error: covariance of surface and terms where the file has
-        it, otherwise the uncertainty of each amplitude by itself. The noise of the sample is not in it.
+        The standard deviation is that of the rate by the uncertainty of surface and terms: their joint covariance
+        where the file has it, otherwise that of each term by itself. The noise of the sample is not in it.
         """
         gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
-        rate, errors = self._solve(gyro, c)
-        surface = self.coefficients.surface
+        before = self._memories
+        solved = self._solve(gyro, c)
+        at_rate = replace(c, rate_dps=solved.rate_dps)
+        surface, flags = self.coefficients.surface, self.coefficients.flags(gyro, c.temp_c)
+        flags = flags | np.where(np.isfinite(solved.rate_dps), 0, FLAG_NOT_FINITE)
+        tangents = []
         with np.errstate(over="ignore", invalid="ignore"):
-            slopes, self._tangents = gradients(
-                surface, self.terms, self._tangents, errors, replace(c, rate_dps=rate)
-            )
-            design = np.column_stack([surface.design(gyro - sum(errors), c.temp_c), slopes])
-            variance = ((design @ self._covariance) * design).sum(axis=1)
-            for error, term in zip(errors, self.terms, strict=True):
-                if not term.covariance:
-                    variance = variance + (error * term.relative_sigma) ** 2
-            sigma = np.sqrt(np.maximum(variance, 0.0))
-        flags = self.coefficients.flags(gyro, c.temp_c) | np.where(np.isfinite(rate), 0, FLAG_NOT_FINITE)
-        return Corrected(rate, sigma, flags)
+            for k, (term, error) in enumerate(zip(self.terms, solved.errors_dps, strict=True)):
+                tangent, self._courses[k] = term.tangent(at_rate, surface, error, self._courses[k])
+                tangents.append(tangent)
+                flags = flags | FLAG_TERM * term.beyond(tangent)
+            by = sensitivity(surface, self.terms, tangents, solved, c, before)
+            sigma = np.sqrt(np.maximum(((by @ self._covariance) * by).sum(axis=1), 0.0))
+        return Corrected(solved.rate_dps, sigma, flags)
 
     def _channels(
         self, t_s: ArrayLike, gyro_dps: ArrayLike, temp_c: ArrayLike, since_power_on_s: ArrayLike | None
     ) -> tuple[Floats, Conditions]:
-        missing = [t.effect.id for t in self.terms if "since_power_on_s" in t.effect.needs]
+        missing = [t.name for t in self.terms if "since_power_on_s" in t.channels]
         if since_power_on_s is None and missing:
             raise CoefficientError(
                 f"The coefficients hold {missing[0]}, which needs the time since power-on: give it, or remove the term."
@@ -111,19 +110,7 @@ class Compensator:
         )
         return gyro, Conditions(t, gyro, temp, since_power_on_s=since)
 
-    def _solve(self, gyro: Floats, c: Conditions) -> tuple[Floats, list[Floats]]:
-        rate, errors, self._memories = solve_rate(
-            self.coefficients.surface, self.terms, self._memories, gyro, c
-        )
-        return rate, errors
-
-
-def correct_without_history(coefficients: Coefficients, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Any:
-    """Corrected rate from output and temperature alone; refuses terms that need more."""
-    compensator = Compensator(coefficients)
-    for term in compensator.terms:
-        if term.effect.has_memory or "since_power_on_s" in term.effect.needs:
-            raise CoefficientError(
-                f"The coefficients hold {term.effect.id}, which depends on time: use gyrocal.fusion.Compensator."
-            )
-    return compensator.correct(0.0, gyro_dps, temp_c)
+    def _solve(self, gyro: Floats, c: Conditions) -> Solution:
+        solved = solve_rate(self.coefficients.surface, self.terms, self._memories, gyro, c)
+        self._memories = solved.memories
+        return solved

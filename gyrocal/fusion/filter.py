@@ -24,13 +24,21 @@ from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 # Navigation states; the first nine stand at the index of their errors. The constants are what eqs. 10 and 6 use:
 # B_rb, B_s, 1/(1 + S_R), 1/(1 + S_L), D.
 X, Y, PSI, PHI, BIAS, SCALE, RIGHT, LEFT, WIDTH = range(9)
-# Memory: last speed and rate, running median of the time step, the last row, steps without encoders.
-SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND = range(9, 16)
-NAVIGATION_SIZE = 16
+# Memory: last speed and rate, running median of the time step, the last row, steps without encoders, the last
+# temperature, whether the robot has moved.
+SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND, LAST_TEMP, MOVED = range(9, 18)
+MEMORY_SIZE = 18
 
 # Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
-# static bias in deg/s; D of the robot file.
-SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, FILE_WIDTH = range(9)
+# bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved; the constants D,
+# 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
+SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, SLOPE, TEMP, STEP = range(11)
+FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(11, 15)
+#: A wheel that goes further in a row moves, m: above the rounding of a log in metres, below any tick.
+MOVED_M = 1e-6
+
+# Columns of what is reported: nine states, their standard deviations from here on, innovation and its deviation.
+STD, NU, COLUMNS = 9, 18, 20
 
 # What is counted.
 ROWS, UPDATES, GATED, GAPS, DUPLICATES, REPEATED, NO_ENCODERS, NO_GYRO = range(8)
@@ -71,7 +79,7 @@ def whole(function: Any) -> Any:
 
 
 @part
-def _usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float) -> Any:
+def usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float) -> Any:
     """What may be used of a row: (anything, encoders, gyro)."""
     first = counts[ROWS] == 0
     counts[ROWS] += 1
@@ -97,6 +105,19 @@ def _usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: 
         counts[NO_GYRO] += 1
     nav[LAST_LEFT], nav[LAST_RIGHT], nav[LAST_GYRO] = left, right, gyro
     return True, encoders, finite and not gap
+
+
+@part
+def rate_of(nav: Any, figures: Any, gyro: float, temp: float, left: float, right: float) -> Any:
+    """The gyro's rate in rad/s without the bias that the robot file knows."""
+    if math.isfinite(temp):
+        nav[LAST_TEMP] = temp
+    if abs(left) > MOVED_M or abs(right) > MOVED_M:
+        nav[MOVED] = 1.0
+    known = (
+        figures[STATIC_BIAS] + figures[SLOPE] * (nav[LAST_TEMP] - figures[TEMP]) + figures[STEP] * nav[MOVED]
+    )
+    return (gyro - known) * DEG_TO_RAD
 
 
 @part
@@ -253,42 +274,68 @@ def _measure(nav: Any, m: Any, figures: Any, counts: Any) -> Any:
 
 
 @part
-def _report(nav: Any, m: Any, figures: Any, states: Any, std: Any, k: int, filtering: bool) -> None:
+def _report(nav: Any, m: Any, figures: Any, out: Any, k: int, filtering: bool) -> None:
     """States and standard deviations in the paper's order (eq. 12), degrees; errors of the assumed figures."""
-    states[k, 0], states[k, 1], states[k, 2] = nav[X], nav[Y], nav[PSI] * RAD_TO_DEG
-    states[k, 3], states[k, 4] = 1.0 / nav[RIGHT] - 1.0, 1.0 / nav[LEFT] - 1.0
-    states[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
-    states[k, 6], states[k, 7], states[k, 8] = (
+    out[k, 0], out[k, 1], out[k, 2] = nav[X], nav[Y], nav[PSI] * RAD_TO_DEG
+    out[k, 3] = figures[FILE_RIGHT] / nav[RIGHT] - 1.0
+    out[k, 4] = figures[FILE_LEFT] / nav[LEFT] - 1.0
+    out[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
+    out[k, 6], out[k, 7], out[k, 8] = (
         nav[PHI] * RAD_TO_DEG,
-        1.0 - nav[SCALE],
+        figures[FILE_SCALE] - nav[SCALE],
         0.0 - nav[BIAS] * RAD_TO_DEG,
     )
     for c in range(_N if filtering else 0):
         variance = m[D, PLACE[c]]
         for j in range(PLACE[c] + 1, _N):
             variance += m[PLACE[c], j] * m[PLACE[c], j] * m[D, j]
-        std[k, c] = UNIT[c] * math.sqrt(variance)
+        out[k, STD + c] = UNIT[c] * math.sqrt(variance)
+
+
+def covariance(m: Any) -> Any:
+    """Covariance of the errors in the paper's order, radians, shape (9, 9)."""
+    half = m[PLACE, :] * m[D] ** 0.5
+    return half @ half.T
+
+
+@part
+def _take(
+    nav: Any, m: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float, temp: float,
+    out: Any, k: int, filtering: bool,
+) -> None:  # fmt: skip
+    """One row, and what is reported of it."""
+    some, encoders, good = usable(nav, figures, counts, dt, left, right, gyro)
+    if some:
+        rate = rate_of(nav, figures, gyro, temp, left, right)
+        _advance(nav, m, figures, dt, left, right, rate, encoders, good, filtering)
+    for c in range(STD, COLUMNS):
+        out[k, c] = math.nan
+    if filtering and some and encoders and good and dt > 0.0:
+        out[k, NU] = (nav[PSI] - nav[PHI]) * RAD_TO_DEG
+        out[k, NU + 1] = math.sqrt(_measure(nav, m, figures, counts)) * RAD_TO_DEG
+    _report(nav, m, figures, out, k, filtering)
 
 
 @whole
 def navigate(
-    nav: Any, m: Any, figures: Any, counts: Any, dt: Any, left: Any, right: Any, gyro: Any, states: Any, std: Any,
-    innovation: Any, filtering: bool,
+    nav: Any, m: Any, figures: Any, counts: Any, dt: Any, left: Any, right: Any, gyro: Any, temp: Any, smooth: Any,
+    out: Any, filtering: bool,
 ) -> None:  # fmt: skip
     """Run rows through odometry and filter; `nav`, `m` and `counts` carry what is known to the next block.
 
-    `dt`, `left`, `right`, `gyro` have shape (n,), in s, m, m, deg/s. Out: `states`, and with the filter `std`, both of
-    shape (n, 9) in the paper's order, and `innovation` (n, 2): psi - phi before the update and its standard deviation,
-    deg, NaN where nothing was measured. Not `filtering`: heading from the gyro alone, no covariance.
+    `dt`, `left`, `right`, `gyro`, `temp` have shape (n,), in s, m, m, deg/s, deg C; `smooth` is for the model. Out, shape
+    (n, `COLUMNS`): states in the paper's order, their standard deviations, psi - phi before the update and its
+    standard deviation, deg, NaN where nothing was measured. Not `filtering`: heading from the gyro alone.
     """
     for k in range(dt.size):
-        some, encoders, usable = _usable(nav, figures, counts, dt[k], left[k], right[k], gyro[k])
-        if some:
-            rate = (gyro[k] - figures[STATIC_BIAS]) * DEG_TO_RAD
-            _advance(nav, m, figures, dt[k], left[k], right[k], rate, encoders, usable, filtering)
-        if filtering:
-            innovation[k, 0] = innovation[k, 1] = math.nan
-            if some and encoders and usable and dt[k] > 0.0:
-                innovation[k, 0] = (nav[PSI] - nav[PHI]) * RAD_TO_DEG
-                innovation[k, 1] = math.sqrt(_measure(nav, m, figures, counts)) * RAD_TO_DEG
-        _report(nav, m, figures, states, std, k, filtering)
+        _take(nav, m, figures, counts, dt[k], left[k], right[k], gyro[k], temp[k], out, k, filtering)
+
+
+@whole
+def step(
+    nav: Any, m: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float, temp: float,
+    smooth: float, out: Any, filtering: bool,
+) -> Any:  # fmt: skip
+    """`navigate` for a single row: the same numbers; whether they are finite."""
+    _take(nav, m, figures, counts, dt, left, right, gyro, temp, out, 0, filtering)
+    return math.isfinite(nav[X] + nav[Y] + nav[PSI] + nav[PHI])

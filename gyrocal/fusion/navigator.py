@@ -13,9 +13,16 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, Coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.fusion.robot import RobotParameters
+from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD
 
 Floats = NDArray[np.float64]
+
+#: The bias of a rest is where the model starts; the rows of the rest then settle it.
+_REST_STD_DPS = 0.05
+_NOT_FINITE = "position or heading is no longer finite: check units and scale of distances and gyro."
+#: Spacing of the model's nodes, s, where the encoders are not smoothed over longer.
+NODE_S = 0.1
 
 #: The nine states in the paper's order (eq. 12): pose by encoders, errors of S_R, S_L and D, heading by the gyro,
 #: errors of B_s and B_rb. An error is the assumed figure (0, 0, the robot file's D, 1, 0) minus the truth.
@@ -44,7 +51,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the robot was (x forward, y left, counter-clockwise; REP 103): shape (n,), or () from `step`.
+    """Where the robot was (x forward, y left, counter-clockwise; REP 103): shape (n,).
 
     `states` and `std` have another axis, of 9, in the order of `STATES`; without the filter the errors stay zero
     and `std` and innovation are NaN.
@@ -62,39 +69,106 @@ class Trajectory:
     counts: Counts  # since the navigator was made, at the last row
 
 
+class Row:
+    """One row of a `Trajectory`, from `step`: the same names, single numbers and arrays of nine; no counts."""
+
+    __slots__ = ("_heading", "_values", "flags", "t_s")
+
+    def __init__(self, t_s: float, values: Floats, heading: int, flags: int) -> None:
+        self.t_s, self._values, self._heading, self.flags = t_s, values, heading, flags
+
+    @property
+    def x_m(self) -> float:
+        """Forward."""
+        return float(self._values[0, 0])
+
+    @property
+    def y_m(self) -> float:
+        """To the left."""
+        return float(self._values[0, 1])
+
+    @property
+    def heading_deg(self) -> float:
+        """What the position follows."""
+        return float(self._values[0, self._heading])
+
+    @property
+    def states(self) -> Floats:
+        """In the order of `STATES`."""
+        return self._values[0, :9]
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of `states`."""
+        return self._values[0, 9:18]
+
+    @property
+    def innovation_deg(self) -> float:
+        """Before the update; NaN where nothing was measured."""
+        return float(self._values[0, 18])
+
+    @property
+    def innovation_sigma_deg(self) -> float:
+        """What the filter expects of it."""
+        return float(self._values[0, 19])
+
+
 class Navigator:
     """Dead reckoning of a robot, row by row (`step`) or block by block (`run`), through one compiled loop.
 
     The calibration corrects the gyro first, then the static bias is subtracted: that is the mean of *compensated*
     rates at rest (`static_bias`).
 
-    With `coefficients` the filter does not estimate the scale factor, without them it does (`estimate_scale`
-    overrides). Without `filtering`: orientation from the gyro alone, distance from the encoders. `power_on_t_s`, when
-    the gyro was switched on, is for calibrations that know its warm-up.
+    What the robot file knows of the gyro's bias, slope and scale is of its raw output: a calibration stands in their
+    place, and only the step of the bias in motion holds beside it. `static_bias_dps` replaces the file's bias, and
+    `static_temp_c`, the temperature of that rest, the one where it holds. Delay and encoder window are the business
+    of `gyrocal.fusion.Aligner`, which comes before.
+
+    Parameters
+    ----------
+    kind : {'model', 'paper'}
+        The drive model (`gyrocal.fusion.model`), or the paper's nine states and its white measurement noise.
+    filtering : bool
+        False: orientation from the gyro alone, distance from the encoders; with the model, bias from every rest.
+    estimate_scale : bool, optional
+        In the paper's filter: whether the gyro's scale factor is estimated; None: where there are no `coefficients`.
+    power_on_t_s : float, optional
+        When the gyro was switched on, for calibrations that know its warm-up.
     """
 
     def __init__(
-        self, robot: RobotParameters, coefficients: Coefficients | None = None, *, filtering: bool = True,
-        static_bias_dps: float = 0.0, estimate_scale: bool | None = None, power_on_t_s: float | None = None,
+        self, robot: RobotParameters, coefficients: Coefficients | None = None, *, kind: str = "model",
+        filtering: bool = True, static_bias_dps: float | None = None, static_temp_c: float | None = None,
+        estimate_scale: bool | None = None, power_on_t_s: float | None = None,
     ) -> None:  # fmt: skip
         # numba takes a while to load, and who only reads coefficients needs none of it.
-        from gyrocal.fusion import filter as loop
+        from gyrocal.fusion import filter as paper
+        from gyrocal.fusion import model
 
-        if not math.isfinite(static_bias_dps):
+        if static_bias_dps is not None and not math.isfinite(static_bias_dps):
             raise DataError(f"the static bias is {static_bias_dps} deg/s; take it from a record at rest.")
-        self.robot, self.coefficients, self.filtering = robot, coefficients, filtering
-        self.t_s, self._loop = math.nan, loop
+        self.robot, self.coefficients, self.filtering, self.kind = robot, coefficients, filtering, kind
+        loop = model if kind == "model" else paper
+        self.t_s, self._loop, self._unit = math.nan, loop, np.array(paper.UNIT)
         self._compensator = None if coefficients is None else Compensator(coefficients)
         self._power_on_t_s, self._temp_c = power_on_t_s, math.nan
-        self._counts, self._flagged = np.zeros(loop.COUNTS_SIZE, dtype=np.int64), np.zeros(3, dtype=np.int64)
-        self._nav = np.zeros(loop.NAVIGATION_SIZE)
-        self._nav[[loop.RIGHT, loop.LEFT, loop.SCALE]] = 1.0
-        self._nav[loop.WIDTH] = robot.wheel_separation_m
-        self._figures = _figures(robot, static_bias_dps)
-        self._matrix = np.eye(loop.MATRIX_ROWS, 9)
-        self._matrix[loop.D, loop.PLACE] = (np.array(astuple(robot.initial_std)) / loop.UNIT) ** 2
-        if not (coefficients is None if estimate_scale is None else estimate_scale):
-            self._matrix[loop.D, loop.SCALE] = 0.0
+        self._counts, self._flagged = np.zeros(paper.COUNTS_SIZE, dtype=np.int64), np.zeros(3, dtype=np.int64)
+        self._figures = _figures(robot, coefficients is not None, static_bias_dps, static_temp_c)
+        self._nav = np.zeros(loop.MEMORY_SIZE)
+        constants = [paper.WIDTH, paper.RIGHT, paper.LEFT, paper.SCALE]
+        self._nav[constants] = self._figures[paper.FILE_WIDTH : paper.FILE_SCALE + 1]
+        self._nav[paper.LAST_TEMP] = self._figures[paper.TEMP]
+        self._out = np.full((1, paper.COLUMNS), math.nan)
+        self._heading = 2 if filtering and kind == "paper" else 6
+        std = np.array(astuple(robot.initial_std)) / paper.UNIT
+        if kind == "model":
+            std[STATES.index("gyro_bias_error_dps")] = DEG_TO_RAD * _bias_std_dps(robot, static_bias_dps)
+            self._matrix = model.initial_covariance(std, self._figures)
+        else:
+            self._matrix = np.eye(paper.MATRIX_ROWS, 9)
+            self._matrix[paper.D, paper.PLACE] = std**2
+            if not (coefficients is None if estimate_scale is None else estimate_scale):
+                self._matrix[paper.D, paper.SCALE] = 0.0
 
     @property
     def counts(self) -> Counts:
@@ -105,60 +179,75 @@ class Navigator:
     def covariance(self) -> Floats:
         """Covariance of (estimate - truth) of `STATES`, in their units, shape (9, 9)."""
         # What is left of a constant's error is the truth of `STATES` minus its estimate: the other sign.
-        sign = np.array([1, 1, 1, -1, -1, -1, 1, -1, -1])
-        rows = self._matrix[self._loop.PLACE, :] * (sign * self._loop.UNIT)[:, None]
-        half = rows * np.sqrt(self._matrix[self._loop.D])
-        return np.asarray(half @ half.T)
+        unit = np.array([1, 1, 1, -1, -1, -1, 1, -1, -1]) * self._unit
+        return np.asarray(self._loop.covariance(self._matrix) * np.outer(unit, unit))
 
     def run(
         self, t_s: ArrayLike, left_m: ArrayLike, right_m: ArrayLike, gyro_dps: ArrayLike,
-        temp_c: ArrayLike | None = None,
+        temp_c: ArrayLike | None = None, smooth_dps: ArrayLike = 0.0,
     ) -> Trajectory:  # fmt: skip
         """Take the next rows, arrays of shape (n,); a log in blocks of any size gives the same numbers.
 
         `left_m` and `right_m` are the distances of the wheels since the row before, `gyro_dps` is the raw output.
+        `smooth_dps` is what smoothing the gyro as the encoders are smoothed would add (`Aligner`), for the model.
         DataError where time is not finite or goes back, lengths differ, or the result is no longer finite.
         """
         t = np.array(t_s, dtype=np.float64, ndmin=1)
         dt = np.diff(t, prepend=t[:1] if math.isnan(self.t_s) else self.t_s)
-        return self._run(t, dt, left_m, right_m, gyro_dps, temp_c)
+        return self._run(t, dt, left_m, right_m, gyro_dps, temp_c, smooth_dps)
 
     def step(
-        self, dt_s: float, left_m: float, right_m: float, gyro_dps: float, temp_c: float | None = None
-    ) -> Trajectory:
-        """Take one row, `dt_s` after the row before (0 for the very first); returns that row, without an axis."""
-        t = np.array([dt_s if math.isnan(self.t_s) else self.t_s + dt_s])
-        row = self._run(t, np.array([float(dt_s)]), left_m, right_m, gyro_dps, temp_c)
-        return Trajectory(**{k: v if k == "counts" else v[0] for k, v in vars(row).items()})
+        self, dt_s: float, left_m: float, right_m: float, gyro_dps: float, temp_c: float | None = None,
+        smooth_dps: float = 0.0,
+    ) -> Row:  # fmt: skip
+        """Take one row, `dt_s` after the row before (0 for the very first); the same numbers as by `run`.
+
+        Give floats: an integer in the place of one makes numba compile once more.
+        """
+        if not 0.0 <= dt_s < math.inf:
+            self._refuse_time(np.array([dt_s]))
+        flags = 0
+        if self._compensator is not None:
+            t = dt_s if math.isnan(self.t_s) else self.t_s + dt_s
+            rates, flagged = self._compensate(np.array([t]), np.array([float(gyro_dps)]), temp_c)
+            gyro_dps, flags = float(rates[0]), int(flagged[0])
+        warm = math.nan if temp_c is None else temp_c
+        finite = self._loop.step(
+            self._nav, self._matrix, self._figures, self._counts, dt_s, left_m, right_m, gyro_dps, warm, smooth_dps,
+            self._out, self.filtering,
+        )  # fmt: skip
+        if not finite:
+            raise DataError(_NOT_FINITE)
+        self.t_s = dt_s if self.t_s != self.t_s else self.t_s + dt_s
+        return Row(self.t_s, self._out.copy(), self._heading, flags)
+
+    def _refuse_time(self, dt: Floats) -> None:
+        k = int(np.argmin((dt >= 0.0) & np.isfinite(dt)))
+        msg = f"row {self._counts[0] + k}: the time step is {dt[k]:g} s; times must be finite and in order: mend the log."
+        raise DataError(msg)
 
     def _run(
-        self, t: Floats, dt: Floats, left: ArrayLike, right: ArrayLike, gyro: ArrayLike, temp: ArrayLike | None
+        self, t: Floats, dt: Floats, left: ArrayLike, right: ArrayLike, gyro: ArrayLike, temp: ArrayLike | None,
+        smooth: ArrayLike,
     ) -> Trajectory:  # fmt: skip
         if not (dt >= 0.0).all() or np.isinf(dt).any():
-            k = int(np.argmin((dt >= 0.0) & np.isfinite(dt)))
-            msg = f"row {self._counts[0] + k}: the time step is {dt[k]:g} s; times must be finite and in order: mend the log."
-            raise DataError(msg)
+            self._refuse_time(dt)
         left, right, gyro = (np.array(a, dtype=np.float64, ndmin=1) for a in (left, right, gyro))
         if not left.shape == right.shape == gyro.shape == t.shape:
             msg = "time, distances and gyro differ in their number of rows: give one of each in a row."
             raise DataError(msg)
         rate, flags = self._compensate(t, gyro, temp)
-        states, nothing = np.empty((t.size, 9)), np.broadcast_to(math.nan, (t.size, 9))
-        std, innovation = nothing, nothing[:, :2]
-        outputs = (states, states, states)
-        if self.filtering:
-            std, innovation = np.empty((t.size, 9)), np.empty((t.size, 2))
-            outputs = (states, std, innovation)
+        warm = np.array(np.broadcast_to(math.nan if temp is None else temp, t.shape), dtype=np.float64)
+        added = np.array(np.broadcast_to(smooth, t.shape), dtype=np.float64)
+        out = np.empty((t.size, self._out.shape[1]))
         carried = (self._nav, self._matrix, self._figures, self._counts)
-        self._loop.navigate(*carried, dt, left, right, rate, *outputs, self.filtering)
+        self._loop.navigate(*carried, dt, left, right, rate, warm, added, out, self.filtering)
         if not np.isfinite(self._nav[:9]).all():
-            msg = "position or heading is no longer finite: check units and scale of distances and gyro."
-            raise DataError(msg)
+            raise DataError(_NOT_FINITE)
         self.t_s = float(t[-1]) if t.size else self.t_s
-        x, y, heading = (states[:, k] for k in (0, 1, 2 if self.filtering else 6))
-        return Trajectory(
-            t, x, y, heading, states, std, innovation[:, 0], innovation[:, 1], flags, self.counts
-        )
+        states, std = out[:, : len(STATES)], out[:, len(STATES) : 2 * len(STATES)]
+        x, y, heading = (states[:, k] for k in (0, 1, self._heading))
+        return Trajectory(t, x, y, heading, states, std, out[:, -2], out[:, -1], flags, self.counts)
 
     def _compensate(
         self, t: Floats, gyro: Floats, temp_c: ArrayLike | None
@@ -180,11 +269,37 @@ class Navigator:
         return self._compensator.correct(t, gyro, temp[1:], since), flags
 
 
-def _figures(robot: RobotParameters, static_bias_dps: float) -> Floats:
-    """Figures of the compiled loop: variances in metres, radians and seconds, and limits."""
-    slip, turn, walk, bias_walk, heading = astuple(robot.noise)
-    walk *= DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+def _figures(
+    robot: RobotParameters, calibrated: bool, static_bias_dps: float | None, static_temp_c: float | None
+) -> Floats:
+    """Figures of the compiled loops: variances in metres, radians and seconds, limits, and what the file knows."""
+    noise, gyro, wheels, slip = robot.noise, robot.gyro, robot.encoders, robot.slip
+    walk = noise.angle_random_walk_deg_per_rt_h * DEG_PER_RT_H_TO_DPS_PER_RT_HZ
     # Turning by a radian is turning by 57.3 deg: deg^2/deg times pi/180 is rad^2/rad.
-    in_radians = [turn / math.sqrt(DEG_TO_RAD), walk, bias_walk, heading]
-    squared = np.array([slip, *(DEG_TO_RAD * v for v in in_radians), robot.gate_sigma]) ** 2
-    return np.append(squared, [robot.gap_factor, static_bias_dps, robot.wheel_separation_m])
+    turn = noise.turn_slip_deg_per_rt_deg / math.sqrt(DEG_TO_RAD)
+    in_radians = [DEG_TO_RAD * v for v in (turn, walk, noise.bias_walk_dps_per_rt_s, noise.heading_noise_deg)]
+    squared = np.array([noise.wheel_slip_m_per_rt_m, *in_radians, robot.gate_sigma]) ** 2
+    raw = 0.0 if calibrated else 1.0
+    bias = static_bias_dps if static_bias_dps is not None else raw * gyro.bias_dps
+    temp = gyro.temp_c if static_temp_c is None else static_temp_c
+    known = [robot.gap_factor, bias, raw * gyro.bias_slope_dps_per_c, temp, gyro.bias_motion_dps]
+    scales = [1.0 / (1.0 + s) for s in (wheels.right_scale, wheels.left_scale, raw * gyro.scale)]
+    # A tick is rounded evenly, on both wheels.
+    ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
+    in_motion = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, gyro.bias_motion_dps_std * DEG_TO_RAD]
+    model = [
+        NODE_S if robot.encoders.window_s < NODE_S else robot.encoders.window_s,
+        ticks,
+        noise.jitter_s**2,
+        *(v * v for v in in_motion),
+    ]
+    law = [float(SLIP_LAWS.index(slip.law)), slip.amplitude, slip.shape]
+    return np.concatenate([squared, known, [robot.wheel_separation_m, *scales], model, law])
+
+
+def _bias_std_dps(robot: RobotParameters, static_bias_dps: float | None) -> float:
+    """What is known of the bias at the start."""
+    if static_bias_dps is not None:
+        return _REST_STD_DPS
+    known = math.hypot(robot.gyro.bias_dps_std, robot.gyro.repeatability_dps)
+    return known if known > 0.0 else float(robot.initial_std.gyro_bias_dps or 0.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import gyrocal
-from gyrocal.navigation.montecarlo import World, simulate_drives, unit_of
-from gyrocal.navigation.simulate import CCW, CW, draw_day, draw_robot, robot_figures
+from gyrocal.navigation.montecarlo import World, simulate_drives, simulated_robot_file, unit_of
+from gyrocal.navigation.simulate import CCW, CW, draw_day, draw_robot
 from gyrocal.records.drive import format_drive_log
 from gyrocal.records.files import make_output_directory, write_atomically
 from gyrocal.records.robot import format_robot
@@ -61,7 +61,7 @@ def simulated_files(request: DriveRequest) -> tuple[dict[str, str], dict[str, An
         ],
     }
     files = {f"{run.name}.csv": format_drive_log(run.log, run.metres_per_tick) for run in runs}
-    files["robot.toml"] = format_robot(**robot_figures(world.spread, world.static_s))
+    files["robot.toml"] = format_robot(simulated_robot_file(world))
     files["simulation.json"] = json.dumps(note, indent=1) + "\n"
     return files, note
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,26 +12,20 @@ from numpy.typing import NDArray
 from gyrocal.errors import DataError
 from gyrocal.fusion import (
     Coefficients,
-    Compensator,
-    Counts,
-    FilterNoise,
-    InitialStd,
     Navigator,
-    RobotParameters,
-    StaticBias,
-    Trajectory,
-    static_bias,
 )
 from gyrocal.navigation.align import (
-    Alignment,
     PositionErrors,
     align_positions,
     align_start,
     position_errors,
 )
+from gyrocal.navigation.equip import DriveSource, aligned, equip
+from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
 from gyrocal.navigation.observability import Observability, observability
+from gyrocal.navigation.sanity import truth_fault
 from gyrocal.navigation.survey import Survey, check, survey
-from gyrocal.records.drive import DriveBlock, cut, join
+from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
 from gyrocal.records.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -45,71 +39,10 @@ MAX_OUTSIDE_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Condition:
-    """One of the paper's four ways to navigate."""
-
-    id: str
-    label: str
-    calibrated: bool
-    filtering: bool
-
-
-CONDITIONS = (
-    Condition("uncalibrated", "no calibration, no filter", False, False),
-    Condition("uncalibrated_filter", "no calibration, filter", False, True),
-    Condition("calibrated", "calibration, no filter", True, False),
-    Condition("calibrated_filter", "calibration, filter", True, True),
-)
-
-
-@dataclass(frozen=True)
-class DriveSource:
-    """A drive log that can be read more than once: `blocks()` starts from the beginning."""
-
-    name: str
-    blocks: Callable[[], Iterator[DriveBlock]]
-
-
-@dataclass(frozen=True)
-class Track:
-    """A log navigated in one condition, at the kept rows.
-
-    Attributes
-    ----------
-    x_m, y_m, heading_deg : ndarray, shape (k,)
-        Start at the origin along +x (REP 103).
-    states, std : ndarray, shape (k, 9)
-        In the order of `gyrocal.fusion.STATES`; NaN without the filter.
-    innovation_deg, innovation_sigma_deg : ndarray, shape (k,)
-    covariance : ndarray, shape (9, 9)
-        Of the state errors at the end.
-    nis, nis_rows : float, int
-        Mean of the squared normalised innovations over all rows (1 when consistent), and how many there were.
-    alignment, errors : None where there is no truth
-    """
-
-    condition: Condition
-    x_m: Floats
-    y_m: Floats
-    heading_deg: Floats
-    states: Floats
-    std: Floats
-    innovation_deg: Floats
-    innovation_sigma_deg: Floats
-    covariance: Floats
-    counts: Counts
-    nis: float
-    nis_rows: int
-    bias: StaticBias | None
-    alignment: Alignment | None = None
-    errors: PositionErrors | None = None
-
-
-@dataclass(frozen=True)
 class LogReplay:
     """A log in every condition that is possible; `notes` says what is not, and why.
 
-    `observability` says, for each condition with the filter, which constants this log can tell apart; `truth` holds x, y, heading at the kept rows, shape (k, 3), NaN where the log has none.
+    `observability` says, for each condition with the filter, which constants this log can tell apart, and `judgements` whether the filter describes the log; `truth` holds x, y, heading at the kept rows, shape (k, 3), NaN where the log has none.
     """
 
     name: str
@@ -120,17 +53,12 @@ class LogReplay:
     tracks: tuple[Track, ...]
     observability: Mapping[str, Observability]
     notes: tuple[str, ...]
+    judgements: Mapping[str, Judgement]
+    kind: str
 
     def track(self, condition_id: str) -> Track | None:
         """The track of a condition, None where that was not possible."""
         return next((t for t in self.tracks if t.condition.id == condition_id), None)
-
-
-def parameters_of(robot: Robot) -> RobotParameters:
-    """What the filter takes, from the robot file."""
-    return RobotParameters(
-        robot.wheel_separation_m, InitialStd(**robot.initial_std), FilterNoise(**robot.noise)
-    )
 
 
 def replay_log(
@@ -138,6 +66,7 @@ def replay_log(
     robot: Robot,
     coefficients: Coefficients | None = None,
     *,
+    kind: str = "model",
     method: str | None = None,
     returns: bool = False,
     power_on_t_s: float | None = None,
@@ -148,6 +77,9 @@ def replay_log(
     ----------
     coefficients : Coefficients, optional
         None: only the conditions without calibration.
+    kind : {'model', 'paper'}
+        Which filter (`Navigator`), and with the model the bias of every rest without it too. Noise that the robot
+        file does not give is estimated on the log for the model.
     method : {'start', 'positions'}, optional
         How truth and estimate are aligned; None: by the start pose where the truth has headings there.
     returns : bool
@@ -164,101 +96,66 @@ def replay_log(
     found = survey(source.name, source.blocks())
     check(found, robot.wheel_separation_m)
     notes = list(found.notes())
-    usable = _calibration_usable(found, coefficients, notes)
-    conditions = [c for c in CONDITIONS if usable or not c.calibrated]
-    biases = _biases(source, robot, conditions, coefficients, power_on_t_s, notes)
-    navigators = [
-        Navigator(
-            parameters_of(robot),
-            coefficients if c.calibrated else None,
-            filtering=c.filtering,
-            static_bias_dps=b.bias_dps if (b := biases[c.calibrated]) else 0.0,
-            power_on_t_s=power_on_t_s,
-        )
+    conditions = _possible(found, robot, coefficients, notes)
+    equipped = {
+        c.calibrated: equip(source, robot, kind, coefficients if c.calibrated else None, power_on_t_s)
         for c in conditions
-    ]
-    t_s, truth, recorders = _run(source, navigators, found)
-    tracks = []
+    }
+    navigators = [equipped[c.calibrated].navigator(filtering=c.filtering) for c in conditions]
+    t_s, truth, recorders = _run(source, robot, navigators, found)
+    tracks = {}
     for condition, navigator, recorder in zip(conditions, navigators, recorders, strict=True):
-        track = recorder.track(condition, navigator, biases[condition.calibrated])
+        tracks[condition] = recorder.track(condition, navigator, equipped[condition.calibrated].rest)
         _check_validity(found, navigator, notes)
-        tracks.append(_compare(track, truth, found, method, returns))
-    return LogReplay(
-        source.name,
-        _direction(tracks[0]),
-        found,
-        t_s,
-        truth,
-        tuple(tracks),
-        _seen(robot, tracks),
-        tuple(dict.fromkeys(notes)),
-    )
+    judgements = _judge(tracks, kind)
+    _check_truth(found, next(iter(tracks.values())), truth)
+    compared = tuple(_compare(track, truth, found, method, returns) for track in tracks.values())
+    said, seen = tuple(dict.fromkeys(notes)), _seen(compared, kind)
+    direction = _direction(compared[0])
+    return LogReplay(source.name, direction, found, t_s, truth, compared, seen, said, judgements, kind)
 
 
-def _calibration_usable(found: Survey, coefficients: Coefficients | None, notes: list[str]) -> bool:
-    if coefficients is None:
-        return False
-    if found.temp_rows == 0:
-        notes.append(
-            "the log has no gyro temperature, so the calibration cannot be used: only the conditions without it"
-        )
-        return False
-    return True
-
-
-def _head(source: DriveSource, static_s: float, notes: list[str]) -> DriveBlock | None:
-    """Rows of the rest at the start; None where the robot file says that there is none."""
-    if static_s == 0.0:
+def _possible(
+    found: Survey, robot: Robot, coefficients: Coefficients | None, notes: list[str]
+) -> list[Condition]:
+    """The conditions that log and calibration allow; what is missing goes into the notes."""
+    if robot.static_s == 0.0:
         notes.append(
             "static_s = 0: the robot does not stand at the start, so no static bias was taken; its error is left to the filter"
         )
-        return None
-    parts: list[DriveBlock] = []
-    for block in source.blocks():
-        start_s = parts[0].t_s[0] if parts else block.t_s[0]
-        rows = int(np.searchsorted(block.t_s, start_s + static_s, side="right"))
-        parts.append(cut(block, slice(rows)))
-        if rows < len(block):
-            break
-    return join(parts)
+    if coefficients is not None and found.temp_rows == 0:
+        notes.append(
+            "the log has no gyro temperature, so the calibration cannot be used: only the conditions without it"
+        )
+    usable = coefficients is not None and found.temp_rows > 0
+    if found.speed_only:
+        notes.append(
+            "the log has one speed and no sides, which tell nothing of turns: the heading is the gyro's alone, without the filter"
+        )
+    return [c for c in CONDITIONS if (usable or not c.calibrated) and not (found.speed_only and c.filtering)]
 
 
-def _held(values: Floats) -> Floats:
-    """The last finite value in the place of those that are not, as the navigator does with a missing temperature."""
-    return values[np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))]
+def _judge(tracks: dict[Condition, Track], kind: str) -> dict[str, Judgement]:
+    """Judge every filter by the gyro alone; the model's heading is left to the gyro where that is better."""
+    found = {}
+    for condition, track in tracks.items():
+        if condition.filtering:
+            alone = next(
+                t for c, t in tracks.items() if c.calibrated == condition.calibrated and not c.filtering
+            )
+            found[condition.id] = judge(alone, track)
+            if kind == "model" and found[condition.id].left_to_gyro:
+                tracks[condition] = left_to_gyro(alone, track)
+    return found
 
 
-def _biases(
-    source: DriveSource,
-    robot: Robot,
-    conditions: list[Condition],
-    coefficients: Coefficients | None,
-    power_on_t_s: float | None,
-    notes: list[str],
-) -> dict[bool, StaticBias | None]:
-    """Static bias of the raw rates (False) and of the compensated ones (True), as far as the conditions need them."""
-    head = _head(source, robot.static_s, notes)
-    biases: dict[bool, StaticBias | None] = {}
-    for calibrated in sorted({c.calibrated for c in conditions}):
-        if head is None:
-            biases[calibrated] = None
-            continue
-        rate = head.gyro_dps
-        if calibrated and coefficients is not None:
-            since_s = None if power_on_t_s is None else head.t_s - power_on_t_s
-            rate = Compensator(coefficients).correct(head.t_s, rate, _held(head.gyro_temp_c), since_s)
-        try:
-            biases[calibrated] = static_bias(head.t_s, head.left_m, head.right_m, rate, robot.static_s)
-        except DataError as error:
-            raise DataError(f"{source.name}: {error}") from error
-    return biases
-
-
-def _seen(robot: Robot, tracks: list[Track]) -> dict[str, Observability]:
-    parameters = parameters_of(robot)
+def _seen(tracks: tuple[Track, ...], kind: str) -> dict[str, Observability]:
     return {
         t.condition.id: observability(
-            parameters, t.covariance, t.heading_deg, estimate_scale=not t.condition.calibrated
+            t.robot,
+            t.covariance,
+            t.heading_deg,
+            estimate_scale=kind == "paper" and not t.condition.calibrated,
         )
         for t in tracks
         if t.condition.filtering
@@ -266,77 +163,32 @@ def _seen(robot: Robot, tracks: list[Track]) -> dict[str, Observability]:
 
 
 def _run(
-    source: DriveSource, navigators: list[Navigator], found: Survey
-) -> tuple[Floats, Floats, list[_Recorder]]:
+    source: DriveSource, robot: Robot, navigators: list[Navigator], found: Survey
+) -> tuple[Floats, Floats, list[Recorder]]:
     """All conditions over the log, block by block."""
     stride = math.ceil(found.rows / KEPT_ROWS)
     truth_stride = max(1, math.ceil(found.truth_rows / KEPT_ROWS))
-    recorders = [_Recorder() for _ in navigators]
+    recorders = [Recorder() for _ in navigators]
     kept: list[Floats] = []
     row = truth_row = 0
-    for block in source.blocks():
-        index = np.arange(row, row + len(block))
-        with_truth = np.isfinite(block.truth_x_m + block.truth_y_m)
+    for rows, truth in aligned(source, robot.parameters):
+        index = np.arange(row, row + rows.t_s.size)
+        with_truth = np.isfinite(truth[:, 0] + truth[:, 1])
         order = truth_row + np.cumsum(with_truth) - 1
         wanted = (order % truth_stride == 0) | (order == found.truth_rows - 1)
         keep = (index % stride == 0) | (index == found.rows - 1) | (with_truth & wanted)
-        columns = (block.t_s, block.truth_x_m, block.truth_y_m, block.truth_heading_deg)
-        kept.append(np.stack(columns)[:, keep])
+        kept.append(np.column_stack([rows.t_s, truth])[keep])
         for navigator, recorder in zip(navigators, recorders, strict=True):
             recorder.add(
-                navigator.run(block.t_s, block.left_m, block.right_m, block.gyro_dps, block.gyro_temp_c),
+                navigator.run(
+                    rows.t_s, rows.left_m, rows.right_m, rows.gyro_dps, rows.temp_c, rows.smooth_dps
+                ),
                 keep,
             )
-        row += len(block)
+        row += rows.t_s.size
         truth_row += int(np.count_nonzero(with_truth))
-    t_s, *truth = np.concatenate(kept, axis=1)
-    return t_s, np.stack(truth, axis=1), recorders
-
-
-class _Recorder:
-    """Kept rows of one condition, and sums over all rows."""
-
-    def __init__(self) -> None:
-        self._parts: list[list[Floats]] = []
-        self._nis_sum, self._nis_rows = 0.0, 0
-
-    def add(self, t: Trajectory, keep: NDArray[np.bool_]) -> None:
-        arrays = (
-            t.x_m,
-            t.y_m,
-            t.heading_deg,
-            t.states,
-            t.std,
-            t.innovation_deg,
-            t.innovation_sigma_deg,
-        )
-        self._parts.append([a[keep] for a in arrays])
-        nis = (t.innovation_deg / t.innovation_sigma_deg) ** 2
-        measured = np.isfinite(nis)
-        self._nis_sum += float(nis[measured].sum())
-        self._nis_rows += int(np.count_nonzero(measured))
-
-    def track(self, condition: Condition, navigator: Navigator, bias: StaticBias | None) -> Track:
-        """What was recorded."""
-        x, y, heading, states, std, z, sigma = (
-            np.concatenate(parts) for parts in zip(*self._parts, strict=True)
-        )
-        nis = self._nis_sum / self._nis_rows if self._nis_rows else math.nan
-        return Track(
-            condition,
-            x,
-            y,
-            heading,
-            states,
-            std,
-            z,
-            sigma,
-            navigator.covariance,
-            navigator.counts,
-            nis,
-            self._nis_rows,
-            bias,
-        )
+    t_s, *known = np.concatenate(kept).T
+    return t_s, np.stack(known, axis=1), recorders
 
 
 def _check_validity(found: Survey, navigator: Navigator, notes: list[str]) -> None:
@@ -378,6 +230,12 @@ def _compare(track: Track, truth: Floats, found: Survey, method: str | None, ret
     aligned = np.stack(alignment.apply(track.x_m[rows], track.y_m[rows]), axis=1)
     errors = position_errors(aligned, truth[rows, :2], found.distance_m)
     return replace(track, alignment=alignment, errors=errors)
+
+
+def _check_truth(found: Survey, track: Track, truth: Floats) -> None:
+    fault = truth_fault(np.stack([track.x_m, track.y_m, track.heading_deg], axis=1), truth)
+    if fault:
+        raise DataError(f"{found.source}: {fault}")
 
 
 def _direction(track: Track) -> str:

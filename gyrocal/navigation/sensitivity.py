@@ -80,6 +80,7 @@ class _Drives:
         rest = path.t_s <= _STATIC_S
         navigator = Navigator(
             self.parameters,
+            kind="paper",
             filtering=filtering,
             static_bias_dps=float(np.mean(gyro[rest])),
             estimate_scale=False,

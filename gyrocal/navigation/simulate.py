@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 
 CW, CCW = -1, 1
 
+#: Standard deviation of 1/f noise of instability 1 in a decade of frequency (its density is 1 / (2 pi f)).
+_PER_DECADE = (np.log(10.0) / (2.0 * np.pi)) ** 0.5
 #: Length of a run, s.
 _RUN_S = 180.0
 
@@ -178,7 +180,7 @@ def encoder_steps(path: TruePath, robot: SimulatedRobot, rng: np.random.Generato
 def robot_figures(
     spread: Spread, static_s: float, gyro_scale: float = 0.02, bias_instability_deg_per_h: float = 1.8
 ) -> dict[str, Any]:
-    """Arguments of `gyrocal.records.robot.format_robot` for a robot of this spread.
+    """Keys of a robot file for a robot of this spread.
 
     One set of figures for every condition: what the builder of the robot knows (`Spread`), the gyro's data sheet
     (angle random walk, bias stability, and `gyro_scale`: a cubic of 0.5 % rms of full scale about its best line
@@ -189,7 +191,7 @@ def robot_figures(
     tick_deg = spread.metres_per_tick / spread.wheel_separation_m * RAD_TO_DEG
     return {
         "wheel_separation_m": spread.wheel_separation_m,
-        "metres_per_tick": (spread.metres_per_tick, spread.metres_per_tick),
+        "metres_per_tick": spread.metres_per_tick,
         "static_s": static_s,
         "initial_std": {
             "x_m": 0.0,
@@ -209,5 +211,9 @@ def robot_figures(
             "angle_random_walk_deg_per_rt_h": 5.0 / 60.0,
             "bias_walk_dps_per_rt_s": walk,
             "heading_noise_deg": tick_deg,
+            "tick_m": spread.metres_per_tick,
+            "jitter_s": 0.0,
+            "flicker_dps": _PER_DECADE * bias_instability_deg_per_h * DPH_TO_DPS,
+            "track_wander": 0.0,
         },
     }

@@ -27,8 +27,8 @@ MIN_TURN_DEG = 20.0
 _CORRELATION_BAD, _CORRELATION_GOOD = 0.3, 0.7
 #: deg/s logged as rad/s (or the reverse) changes the ratio by 57.3; half of that on a log scale is the border.
 _UNIT_BORDER = RAD_TO_DEG**0.5
-#: Faster than any robot that this is for.
-_MAX_SPEED_MPS = 30.0
+#: Faster than any robot that this is for, and than any vehicle with one speed.
+_MAX_SPEED_MPS, _MAX_VEHICLE_MPS = 30.0, 100.0
 _MAX_BAD_SHARE = 0.05
 #: A gyro with coarse bits repeats itself by chance: 5 equal rows at the extreme came up once in 4,000 sound logs.
 _SATURATED_ROWS = 10
@@ -58,6 +58,10 @@ class Survey:
         Sums over the bins.
     bad_gyro, bad_encoder, duplicates, gaps : int
         Rows with an empty cell; rows with the time of the row before; steps above 5 times the usual one.
+    said : tuple of str
+        What the reader bridged, closed or left out.
+    speed_only : bool
+        One speed of the vehicle: left and right are both its way, and tell nothing of turns.
     """
 
     source: str
@@ -81,6 +85,8 @@ class Survey:
     max_speed_mps: float
     longest_extreme: int
     longest_same_s: float
+    said: tuple[str, ...] = ()
+    speed_only: bool = False
 
     @property
     def duration_s(self) -> float:
@@ -100,7 +106,7 @@ class Survey:
             (self.duplicates, "rows with the time of the row before"),
             (self.gaps, "gaps of more than 5 usual steps"),
         )
-        return tuple(f"{count} {what}" for count, what in found if count)
+        return (*self.said, *(f"{count} {what}" for count, what in found if count))
 
 
 def survey(source: str, blocks: Iterable[DriveBlock]) -> Survey:
@@ -125,10 +131,14 @@ class _Tally:
         self.extreme_rows: dict[float, int] = {}
         self.windows: list[Floats] = []
         self.open_index, self.open_sum = -1, np.zeros(4)
+        self.said: list[str] = []
+        self.speed_only = False
         self.first_steps, self.long_steps = np.empty(0), np.empty(0)
 
     def add(self, block: DriveBlock) -> None:
         t_s = block.t_s
+        self.said += block.notes
+        self.speed_only = block.speed_only
         first = self.rows == 0
         if first:
             self.t_start_s = self.t_end_s = float(t_s[0])
@@ -211,6 +221,8 @@ class _Tally:
             if self.rows > self.bad_gyro
             else 0,
             self.longest_same_s,
+            tuple(self.said),
+            self.speed_only,
         )
 
 
@@ -239,11 +251,13 @@ def check(found: Survey, wheel_separation_m: float) -> None:
             raise DataError(msg)
     if found.duration_s <= 0:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
-    if found.max_speed_mps > _MAX_SPEED_MPS:
-        msg = f"{name}: the encoders say {found.max_speed_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
+    if found.max_speed_mps > (_MAX_VEHICLE_MPS if found.speed_only else _MAX_SPEED_MPS):
+        what = "speed_m is the distance" if found.speed_only else "left_m and right_m are distances"
+        msg = f"{name}: the encoders say {found.max_speed_mps:.3g} m/s; {what} since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
         raise DataError(msg)
     _check_stuck(found, wheel_separation_m)
-    _check_turns(found, wheel_separation_m)
+    if not found.speed_only:
+        _check_turns(found, wheel_separation_m)
 
 
 def _check_stuck(found: Survey, separation_m: float) -> None:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from gyrocal.navigation.replay import CONDITIONS, LogReplay
+from gyrocal.navigation.replay import LogReplay
+from gyrocal.navigation.track import CONDITIONS
 
 #: Blocks of the table, in the paper's order; "mixed" has neither direction.
 DIRECTIONS = {"cw": "clockwise", "ccw": "counter-clockwise", "mixed": "turns both ways"}

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, choice, memoryless
+from gyrocal.physics.fold import on_turn_with_rate
+from gyrocal.physics.offer import table_turns
+from gyrocal.physics.search import Search, with_phase
 from gyrocal.physics.surface import Surface
 from gyrocal.units import ARCSEC_TO_DEG, DEG_TO_RAD
 
-_PHASE = shape("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "table angle of the maximum")
+_PHASE = choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "table angle of the maximum")
 
 
 def _once_a_turn(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -38,6 +41,7 @@ EARTH_RATE_TILT = Effect(
     reference="IEEE Std 952, Earth rate on a tilted table; physics-report.md B1",
     runtime=False,
     error_dps=memoryless(_once_a_turn),
+    search=Search(columns=with_phase, requires=(table_turns,)),
 )
 
 MAGNETIC = Effect(
@@ -52,6 +56,15 @@ MAGNETIC = Effect(
     reference="Hotate and Tabe: drift of a fiber gyro by the Faraday effect",
     runtime=False,
     error_dps=memoryless(_once_a_turn),
+    search=Search(
+        columns=with_phase,
+        requires=(table_turns,),
+        twin_of="earth_rate_tilt",
+        told_apart={
+            "earth_rate_tilt": "turn the bench by 90 degrees, or put a magnet beside the gyro: the line follows "
+            "the field, not the bench"
+        },
+    ),
 )
 
 G_SENSITIVITY = Effect(
@@ -66,6 +79,16 @@ G_SENSITIVITY = Effect(
     reference="physics-report.md G15",
     runtime=False,
     error_dps=memoryless(_once_a_turn),
+    search=Search(
+        columns=with_phase,
+        requires=(table_turns,),
+        twin_of="earth_rate_tilt",
+        told_apart={
+            "earth_rate_tilt": "tilt the table by another, known angle: gravity and earth rate grow with it by "
+            "different known amounts",
+            "magnetic": "tilt the table by another, known angle: only gravity follows",
+        },
+    ),
 )
 
 TABLE_ECCENTRICITY = Effect(
@@ -75,8 +98,8 @@ TABLE_ECCENTRICITY = Effect(
     statement="The table's angle reference is off centre, so that the reference rate is wrong once or twice a turn.",
     parameters=(
         amplitude("arcsec", 3600.0, 5.0, "error of the reference angle"),
-        shape("harmonic", "1", 1.0, 64.0, 1.0, "periods a turn"),
-        shape("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "phase phi"),
+        choice("harmonic", "1", 1.0, 64.0, 1.0, "periods a turn"),
+        choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "phase phi"),
     ),
     needs=("angle_deg", "rate_dps"),
     seen_in="table_angle",
@@ -84,6 +107,11 @@ TABLE_ECCENTRICITY = Effect(
     reference="physics-report.md B3",
     runtime=False,
     error_dps=memoryless(_eccentricity),
+    acts_on="reference",
+    search=Search(
+        grid=lambda offer: [{"harmonic": 1.0}, {"harmonic": 2.0}], columns=with_phase, requires=(table_turns,)
+    ),
+    fold=on_turn_with_rate,
 )
 
 EFFECTS = (EARTH_RATE_TILT, MAGNETIC, G_SENSITIVITY, TABLE_ECCENTRICITY)

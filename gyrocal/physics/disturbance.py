@@ -6,7 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, choice, memoryless, shape
+from gyrocal.physics.hiding import Hiding, usual_draw
+from gyrocal.physics.offer import Offer, steps_of_rate
+from gyrocal.physics.search import Search, Shape, one_column, with_phase
 from gyrocal.physics.surface import Surface
 
 #: The customary step of rate in the amplitude of `step_response`, deg/s.
@@ -24,6 +27,29 @@ def _supply(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> F
     return np.asarray(MDPS * p["amplitude"] * (c.need("supply_v") - p["nominal_v"]))
 
 
+def _creep_and_ringing(offer: Offer) -> list[dict[str, float]]:
+    """Creeps, and ringing over frequencies and dampings (a servo rings a few times, not for ever)."""
+    creep = [{"tau_s": float(t), "frequency_hz": 0.0} for t in (0.3, 0.7, 1.5, 3.0, 6.0)]
+    ring = [
+        {"tau_s": float(1.0 / (2 * np.pi * f * damping)), "frequency_hz": float(f)}
+        for f in np.geomspace(0.1, 4.2, 32)
+        for damping in (0.1, 0.25, 0.6)
+    ]
+    return creep + [s for s in ring if 0.15 < s["tau_s"] < 12.0]
+
+
+def _step_columns(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+    # A creep has no phase.
+    return (with_phase if given["frequency_hz"] > 0.0 else one_column)(effect, c, given, surface)
+
+
+def _draw_step(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    p = usual_draw(effect, offer, rng)
+    if rng.random() < 0.5:
+        return p | {"frequency_hz": float(rng.uniform(0.2, 0.8))}
+    return p | {"frequency_hz": 0.0, "phase_rad": 0.0}
+
+
 STEP_RESPONSE = Effect(
     id="step_response",
     family="step",
@@ -32,8 +58,8 @@ STEP_RESPONSE = Effect(
     parameters=(
         amplitude("mdeg/s per 10 deg/s", 10000.0, 5.0, "size at the step"),
         shape("tau_s", "s", 0.01, 600.0, 3.0, "decay time"),
-        shape("frequency_hz", "Hz", 0.0, 100.0, 0.0, "frequency of the ringing; 0: exponential"),
-        shape("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "phase"),
+        choice("frequency_hz", "Hz", 0.0, 100.0, 0.0, "frequency of the ringing; 0: exponential"),
+        choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "phase"),
     ),
     needs=("since_step_s", "step_dps"),
     seen_in="time_since_step",
@@ -41,6 +67,14 @@ STEP_RESPONSE = Effect(
     reference="second-order step response; physics-report.md G11",
     runtime=False,
     error_dps=memoryless(_step_response),
+    search=Search(
+        grid=_creep_and_ringing,
+        columns=_step_columns,
+        refined=("tau_s", "frequency_hz"),
+        requires=(steps_of_rate,),
+    ),
+    # The data set that a bench records begins after the step.
+    hiding=Hiding(_draw_step, own_zero=False),
 )
 
 SUPPLY_VOLTAGE = Effect(

@@ -11,14 +11,17 @@ import numpy as np
 from gyrocal.errors import DataError, InputError
 from gyrocal.physics.effect import MDPS, PPM, Described, Floats, Memory, Parameter, amplitude, shape
 from gyrocal.physics.kernels import normal, uniform
+from gyrocal.physics.slip import SLIP_LAWS, slip_shape
 from gyrocal.units import DEG_TO_RAD
 
 DRIVE_FAMILIES = ("wheel slip", "wheel geometry", "gyro", "timing", "encoding")
 
 _PERCENT = 1e-2
 _SAME_TIME_S = 1e-6
-#: The customary turn rate in the amplitude of `skid_slip`, deg/s.
-_TURN_DPS = 30.0
+#: Memories of the gyro's 1/f noise on the robot, equally strong, and of the track's wandering, s: the state space of
+#: diagnosis and filter alike.
+FLICKER_TAUS_S = (6.0, 60.0, 600.0)
+WANDER_TAU_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,10 @@ def _last(values: Floats, memory: Any) -> Any:
 
 
 def _skid_slip(c: DriveConditions, p: Mapping[str, float]) -> DriveChange:
-    wider = _PERCENT * p["amplitude"] * (np.abs(c.gyro_dps) / _TURN_DPS) ** p["exponent"]
+    speed = np.divide(c.distance_m, c.dt_s, out=np.zeros(len(c)), where=c.dt_s > 0)
+    law = SLIP_LAWS[int(p["law"])]
+    share = slip_shape(law, c.gyro_dps, speed, c.wheel_separation_m, p["shape"])
+    wider = _PERCENT * p["amplitude"] * share
     zero = np.zeros(len(c))
     return DriveChange(wider * c.encoder_yaw_rad, zero, zero)
 
@@ -236,11 +242,14 @@ DRIVE_EFFECTS = (
     DriveEffect(
         "skid_slip",
         "wheel slip",
-        "D_eff = D (1 + k (|w|/30 deg/s)^n)",
+        "D_eff = D (1 + k f), f = (|w|/30 deg/s)^n, or q, or q/(q + q0), with q = |w| D/(2 |v|)",
         "In turns the wheels skid, so that the robot turns as if its wheels stood wider apart.",
         (
-            amplitude("%", 300.0, 5.0, "widening at 30 deg/s"),
-            shape("exponent", "1", 0.0, 3.0, 1.0, "power of the turn rate"),
+            amplitude("%", 300.0, 5.0, "widening at f = 1"),
+            shape("law", "1", 0.0, 2.0, 0.0, "0 by turn rate, 1 by curvature, 2 by curvature that saturates"),
+            shape(
+                "shape", "1", 0.0, 10.0, 1.0, "power n of the turn rate, or curvature q0 of half saturation"
+            ),
         ),
         _YAW,
         "turn_rate",

@@ -10,12 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import DataError, InputError
+from gyrocal.physics.c_text import CText
+from gyrocal.physics.fold import BY_COORDINATE, Fold, FoldAxis
+from gyrocal.physics.hiding import Hiding
+from gyrocal.physics.offer import Offer
+from gyrocal.physics.search import Search, Shape
 from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -38,11 +43,16 @@ MDPS = 1e-3
 PPM = 1e-6
 
 
+#: Channels of `Conditions` that a robot has.
+ROBOT_CHANNELS = frozenset({"t_s", "rate_dps", "temp_c", "since_power_on_s"})
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A parameter of an effect: unit, physical bounds, and the size that is usual for an RD2100-class gyro.
 
     `linear`: the error is proportional to it. The linear strength is always called ``amplitude``.
+    `choice`: another value may describe the same error, so that no interval is held against a known one.
     """
 
     name: str
@@ -52,6 +62,7 @@ class Parameter:
     typical: float
     linear: bool
     meaning: str
+    choice: bool = False
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,8 @@ class Conditions:
     command_dps : commanded rate, where it differs from `rate_dps`, deg/s
     temp_rate_c_per_s : temperature rate, where the record states it; otherwise the effects derive it
     data_set_index : number of the data set in the record
+    row_s : averaging time of each row, where rows are means over a while, s
+    sample_std_dps : white noise of the samples that such rows are means of, deg/s; 0: not known
     """
 
     t_s: Floats
@@ -90,6 +103,8 @@ class Conditions:
     command_dps: Floats | None = None
     temp_rate_c_per_s: Floats | None = None
     data_set_index: Floats | None = None
+    row_s: Floats | None = None
+    sample_std_dps: float = 0.0
 
     def __len__(self) -> int:
         return int(self.t_s.size)
@@ -113,6 +128,12 @@ class Conditions:
         if values is None:
             raise DataError(f"The effect depends on {channel}, and this record does not have it.")
         return values
+
+    def since(self, at_s: float) -> Floats:
+        """Share of each row that is behind an instant."""
+        if self.row_s is None:
+            return np.asarray(self.t_s >= at_s, dtype=np.float64)
+        return np.asarray(np.clip((self.t_s - at_s) / self.row_s + 0.5, 0.0, 1.0))
 
 
 #: What an effect remembers between blocks of samples (low-passed temperature, play positions, ...).
@@ -183,6 +204,11 @@ class Described:
     reference: str
     runtime: bool
 
+    @property
+    def positive(self) -> bool:
+        """Whether the amplitude is positive by its nature."""
+        return self.parameter("amplitude").low >= 0.0
+
     def typical(self) -> dict[str, float]:
         """The usual size of each parameter."""
         return {p.name: p.typical for p in self.parameters}
@@ -213,7 +239,7 @@ class Described:
 
 @dataclass(frozen=True)
 class Effect(Described):
-    """An effect on the bench.
+    """An effect on the bench: all that is known of it.
 
     Attributes
     ----------
@@ -221,17 +247,58 @@ class Effect(Described):
         ``(error in deg/s, memory)`` of a block; `memory` None at the start.
     has_memory : bool
         Whether the error depends on earlier samples.
+    acts_on : str
+        What it changes: the gyro's own output; the reference, whose servo follows its encoder, so that the true
+        rate bears the error; or the converter, which comes last and takes the place of the unit's own bits.
+    search : Search
+        How `diagnose` looks for it.
+    hiding : Hiding
+        How a blind trial draws it.
+    fold : Fold, optional
+        The coordinate on which its residual is folded; by `seen_in` where it has none of its own.
+    c_text : CText, optional
+        Its law as C; None: there is none.
     """
 
     error_dps: Response = field(repr=False)
     has_memory: bool = False
+    acts_on: Literal["gyro", "reference", "converter"] = "gyro"
+    search: Search = field(default_factory=Search, repr=False)
+    hiding: Hiding = field(default_factory=Hiding, repr=False)
+    fold: Fold | None = field(default=None, repr=False)
+    c_text: CText | None = field(default=None, repr=False)
+
+    def unit_dps(self, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+        """Its error at unit amplitude, shape (n,), deg/s; what `shape` does not say has its usual size."""
+        return self.error_dps(c, {**self.typical(), **shape, "amplitude": 1.0}, surface, None)[0]
+
+    def columns(self, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+        """Columns at unit amplitude in which it is linear, shape (n, k), deg/s."""
+        return self.search.columns(self, c, shape, surface)
+
+    def why_not(self, offer: Offer) -> str | None:
+        """Why a record cannot show it; None if it can."""
+        reasons = (offer.why_unseen(self.seen_in), *(need(offer) for need in self.search.requires))
+        lacking = (f"the record has no {need}" for need in self.needs if need not in offer.channels)
+        return next((reason for reason in (*reasons, *lacking) if reason is not None), None)
+
+    def fold_axis(self, c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
+        """Where rows lie on its coordinate, given its parameters and what it adds to them, shape (n,), deg/s."""
+        return (self.fold or BY_COORDINATE[self.seen_in])(c, p, error_dps)
 
 
-def amplitude(unit: str, bound: float, typical: float, meaning: str, *, linear: bool = True) -> Parameter:
-    """The strength of an effect, of either sign."""
-    return Parameter("amplitude", unit, -bound, bound, typical, linear, meaning)
+def amplitude(
+    unit: str, bound: float, typical: float, meaning: str, *, linear: bool = True, positive: bool = False
+) -> Parameter:
+    """The strength of an effect, of either sign unless it is positive by its nature."""
+    return Parameter("amplitude", unit, 0.0 if positive else -bound, bound, typical, linear, meaning)
 
 
 def shape(name: str, unit: str, low: float, high: float, typical: float, meaning: str) -> Parameter:
     """A parameter in which the error is not linear."""
     return Parameter(name, unit, low, high, typical, False, meaning)
+
+
+def choice(name: str, unit: str, low: float, high: float, typical: float, meaning: str) -> Parameter:
+    """A parameter of shape of which another value may describe the same error: a phase, an order, a draw."""
+    return Parameter(name, unit, low, high, typical, False, meaning, choice=True)

@@ -7,6 +7,7 @@ in the same order and so the same numbers.
 from __future__ import annotations
 
 import functools
+import math
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -65,8 +66,8 @@ def lag(
     """How far a first-order lag follows behind: ``x - y`` with ``tau dy/dt = x - y``.
 
     Exact for an input that is linear between samples, whatever their spacing; so it is right for samples at
-    100 Hz and for a table with a row a minute alike. At rest at the start. NaN values are passed over (NaN
-    out), and the recursion goes on at the next good one.
+    100 Hz and for a table with a row a minute alike. At rest at the start. Values and times that are not finite
+    are passed over (NaN out), and the recursion goes on at the next good one.
 
     Parameters
     ----------
@@ -79,6 +80,7 @@ def lag(
     behind : ndarray, shape (n,)
     memory : for the next block
     """
+    values = np.where(np.isfinite(values) & np.isfinite(t_s), values, np.nan)
     good = np.flatnonzero(~np.isnan(values))
     if good.size == 0:
         return np.full(values.size, np.nan), memory
@@ -106,8 +108,9 @@ def _play_loop(values: Floats, half_width: float, position: float, out: Floats) 
 def play(values: Floats, half_width: float, position: float | None) -> tuple[Floats, float | None]:
     """Play operator (backlash) of the given half width, at rest in its middle at the start.
 
-    NaN values are passed over, as in `lag`. Returns the positions, shape (n,), and the last one.
+    Values that are not finite are passed over, as in `lag`. Returns the positions, shape (n,), and the last one.
     """
+    values = np.where(np.isfinite(values), values, np.nan)
     good = np.flatnonzero(~np.isnan(values))
     if good.size == 0:
         return np.full(values.size, np.nan), position
@@ -135,3 +138,8 @@ def normal(seed: float, stream: int, keys: Floats) -> Floats:
     """A standard normal draw for each key, by Box and Muller's transform of two `uniform` ones."""
     radius = np.sqrt(-2.0 * np.log(uniform(seed, 2 * stream, keys)))
     return np.asarray(radius * np.cos(2.0 * np.pi * uniform(seed, 2 * stream + 1, keys)))
+
+
+def erf(x: Floats) -> Floats:
+    """The error function, element by element: numpy has none, and a robot has no scipy."""
+    return np.fromiter(map(math.erf, x.tolist()), dtype=np.float64, count=x.size)

@@ -6,19 +6,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gyrocal.physics.c_text import POWER, CMemory, CText, Number
 from gyrocal.physics.effect import (
     MDPS,
     PPM,
     Conditions,
     Effect,
     Floats,
-    Parameter,
     amplitude,
+    choice,
     memoryless,
     need_surface,
     shape,
 )
-from gyrocal.physics.kernels import normal
+from gyrocal.physics.hiding import Hiding, usual_draw
+from gyrocal.physics.kernels import erf, normal
+from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates
+from gyrocal.physics.search import Search, Shape
 from gyrocal.physics.surface import Surface
 
 #: Two commanded rates nearer than this are the same rate, deg/s.
@@ -29,7 +33,7 @@ _SAME_TIME_S = 1e-6
 #: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
 ROUNDS = 10
 
-_SEED = shape("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
+_SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
 
 def _asymmetry(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -42,11 +46,23 @@ def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     if c.gyro_dps is None:
-        return np.asarray(-MDPS * p["amplitude"] * np.sign(c.rate_dps))
+        return np.asarray(-MDPS * p["amplitude"] * _cut_sign(c, p, surface))
     step_dps = 2.0 * MDPS * p["amplitude"]
     if step_dps == 0.0:
         return np.zeros(len(c))
     return np.asarray(np.trunc(c.gyro_dps / step_dps) * step_dps - c.gyro_dps)
+
+
+def _cut_sign(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    """Sign of what is cut: of the rate, or (``of_output``) of the output, whose sign at rest is that of the bias.
+
+    In a row that is a mean, the samples' noise lets it have that sign only so often.
+    """
+    if surface is None or not p.get("of_output"):
+        return np.sign(c.rate_dps)
+    output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
+    noise = c.sample_std_dps
+    return erf(output / (np.sqrt(2.0) * noise)) if noise > 0 else np.sign(output)
 
 
 def _sagnac_sine(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -55,8 +71,17 @@ def _sagnac_sine(c: Conditions, p: Mapping[str, float], surface: Surface | None)
 
 
 def _saturation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    above = np.maximum(np.abs(c.rate_dps) - p["knee_dps"], 0.0)
-    return np.asarray(-p["amplitude"] * above * np.sign(c.rate_dps))
+    return np.asarray(-p["amplitude"] * beyond_knee_dps(c.rate_dps, p["knee_dps"], p["softness_dps"]))
+
+
+def beyond_knee_dps(rate_dps: Floats, knee_dps: float, softness_dps: float) -> Floats:
+    """Part of a rate beyond a knee of either sign, shape (n,); where the knee is soft it begins gradually."""
+    size = np.abs(rate_dps)
+    if softness_dps > 0:
+        above = softness_dps * np.logaddexp(0.0, (size - knee_dps) / softness_dps)
+    else:
+        above = np.maximum(size - knee_dps, 0.0)
+    return np.asarray(above * np.sign(rate_dps))
 
 
 def _rate_order(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -65,13 +90,15 @@ def _rate_order(c: Conditions, p: Mapping[str, float], surface: Surface | None) 
 
 def _fit_direction(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     surface = need_surface(surface, "fit_direction")
+    # Of a surface in the input it is the other way: the error is a cubic of the output.
+    sign = 1.0 if surface.direction == "output" else -1.0
     output = c.rate_dps
     # A fixed number of rounds, never a test of the whole block: a wild sample must not stop its neighbours.
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(ROUNDS):
             output = c.rate_dps + surface.error_dps(output, c.temp_c)
         error = surface.error_dps(c.rate_dps, c.temp_c) - surface.error_dps(output, c.temp_c)
-    return np.asarray(p["amplitude"] * error)
+    return np.asarray(sign * p["amplitude"] * error)
 
 
 def _resonance(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -87,6 +114,124 @@ def _reference(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
     return np.asarray(PPM * p["amplitude"] * relative * c.rate_dps)
 
 
+def _dead_widths(offer: Offer) -> list[dict[str, float]]:
+    small = offer.sizes_dps[offer.sizes_dps <= 10.0]
+    if small.size == 0 or small[0] > 0.01:
+        return []
+    widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
+    last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
+    return [{"width_dps": float(x)} for x in (*widths, last)]
+
+
+def _rate_or_output(offer: Offer) -> list[dict[str, float]]:
+    return [{"of_output": 0.0}, {"of_output": 1.0}]
+
+
+def _phases(offer: Offer) -> list[dict[str, float]]:
+    full = offer.largest_rate_dps
+    return [{"phase_rad_per_dps": x / full} for x in (0.2, 0.5, 0.8, 1.2, 1.6)] if full else []
+
+
+def _knees(offer: Offer) -> list[dict[str, float]]:
+    full = offer.largest_rate_dps
+    return [
+        {"knee_dps": float(x) * full, "softness_dps": soft * full}
+        for soft in (0.0, 0.04)
+        for x in np.linspace(0.45, 0.95, 11)
+    ]
+
+
+def _orders(offer: Offer) -> list[dict[str, float]]:
+    scale = {"scale_dps": offer.largest_rate_dps or 1.0}
+    return [
+        *({"order": order, **scale} for order in (4.0, 5.0, 6.0)),
+        {"order": 5.0, "order_2": 4.0, **scale},
+    ]
+
+
+def _order_columns(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+    orders = [given[name] for name in ("order", "order_2") if name in given]
+    return np.column_stack([effect.unit_dps(c, {**given, "order": order}, surface) for order in orders])
+
+
+def _resonances(offer: Offer) -> list[dict[str, float]]:
+    return [
+        {"center_dps": float(center), "width_dps": width * offer.largest_rate_dps, "scatter": 0.0}
+        # At the largest rate a peak would be no more than a bend.
+        for center in offer.sizes_dps[offer.sizes_dps > 0][:-1]
+        for width in (0.02, 0.06, 0.12)
+    ]
+
+
+def _each_rate(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+    """A column for each size of rate, with an error of 1 ppm there."""
+    size = np.round(np.abs(c.rate_dps), 3)
+    sizes = np.unique(size[size > 0])
+    each = [np.where(np.abs(np.abs(c.rate_dps) - s) < _SAME_RATE_DPS, c.rate_dps * PPM, 0.0) for s in sizes]
+    return np.column_stack(each) if each else np.zeros((len(c), 1))
+
+
+def _draw_order(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    p = usual_draw(effect, offer, rng)
+    return p | {"order": float(rng.integers(4, 6)), "scale_dps": float(offer.sizes_dps[-1])}
+
+
+def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"(w > 0 ? {n(PPM * p['amplitude'])} * w : 0)"
+
+
+def _truncation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'])} * (@real@)((w < 0) - (w > 0))"
+
+
+def _sagnac_sine_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(p['amplitude'])} * w * PREFIX_sine_loss@f@({n(p['phase_rad_per_dps'])} * w)"
+
+
+def _saturation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    knee, k, soft = n(p["knee_dps"]), n(p["amplitude"]), p["softness_dps"]
+    if soft > 0:
+        # log(1 + exp(x)) from the side where exp cannot overflow
+        x = f"(fabs@f@(w) - {knee}) / {n(soft)}"
+        above = f"(fmax@f@({x}, 0) + log1p@f@(exp@f@(-fabs@f@({x}))))"
+        return f"{k} * {n(soft)} * (@real@)((w < 0) - (w > 0)) * {above}"
+    return f"(w > {knee} ? {k} * ({knee} - w) : w < -{knee} ? -{k} * ({knee} + w) : 0)"
+
+
+def _rate_order_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'])} * PREFIX_power@f@(w / {n(p['scale_dps'])}, {round(p['order'])})"
+
+
+def _fit_direction_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(p['amplitude'])} * PREFIX_direction@f@(w, temp_c)"
+
+
+_SINE_LOSS = """\
+/* sin(x)/x - 1 by its series: the difference of nearly equal numbers would lose digits */
+static inline @real@ PREFIX_sine_loss@f@(@real@ x)
+{
+    @real@ loss = 0;
+    int k;
+    for (k = 14; k > 0; k--) {
+        loss = -x * x / (@real@)(2 * k * (2 * k + 1)) * (1 + loss);
+    }
+    return loss;
+}
+"""
+
+_DIRECTION = f"""\
+static inline @real@ PREFIX_direction@f@(@real@ w, @real@ temp_c)
+{{
+    @real@ output = w;
+    int i;
+    for (i = 0; i < {ROUNDS}; i++) {{
+        output = w + PREFIX_surface@f@(output, temp_c);
+    }}
+    return @turn@(PREFIX_surface@f@(w, temp_c) - PREFIX_surface@f@(output, temp_c));
+}}
+"""
+
+
 SCALE_ASYMMETRY = Effect(
     id="scale_asymmetry",
     family="rate shape",
@@ -99,6 +244,8 @@ SCALE_ASYMMETRY = Effect(
     reference="IEEE Std 952, scale factor asymmetry",
     runtime=True,
     error_dps=memoryless(_asymmetry),
+    search=Search(requires=(many_rates, both_ways)),
+    c_text=CText(_asymmetry_c),
 )
 
 DEAD_ZONE = Effect(
@@ -116,6 +263,13 @@ DEAD_ZONE = Effect(
     reference="IEEE Std 952, dead band",
     runtime=False,
     error_dps=memoryless(_dead_zone),
+    search=Search(
+        grid=_dead_widths,
+        requires=(many_rates, data_at_rest),
+        # A table at rest keeps one phase of what turns with it, and nobody has logged which.
+        alike_without={"table_angle": "earth_rate_tilt"},
+        scatters=True,
+    ),
 )
 
 TRUNCATION = Effect(
@@ -123,13 +277,21 @@ TRUNCATION = Effect(
     family="rate shape",
     equation="e = -k sign(w), k = q/2",
     statement="The output is cut toward zero instead of rounded, which leaves half a step of either sign.",
-    parameters=(Parameter("amplitude", "mdeg/s", 0.0, 1000.0, 1.5, True, "half the output's step"),),
+    parameters=(amplitude("mdeg/s", 1000.0, 1.5, "half the output's step", positive=True),),
     needs=("rate_dps",),
     seen_in="rate",
     looks_like=("dead_zone", "rate_order"),
     reference="conversion to integers in C (ISO/IEC 9899, 6.3.1.4)",
     runtime=True,
     error_dps=memoryless(_truncation),
+    acts_on="converter",
+    search=Search(
+        grid=_rate_or_output,
+        requires=(many_rates, both_ways),
+        scatters=True,
+        accounts_for=("quantisation",),
+    ),
+    c_text=CText(_truncation_c),
 )
 
 SAGNAC_SINE = Effect(
@@ -138,7 +300,7 @@ SAGNAC_SINE = Effect(
     equation="e = a (sin(K w)/K - w), K the Sagnac phase per rate",
     statement="The open-loop output follows the sine of the Sagnac phase, with odd orders above the third.",
     parameters=(
-        amplitude("1", 3.0, 0.5, "share of the sine in the output"),
+        amplitude("1", 3.0, 0.5, "share of the sine in the output", positive=True),
         shape("phase_rad_per_dps", "rad per deg/s", 5e-4, 0.03, 0.004, "Sagnac phase per rate"),
     ),
     needs=("rate_dps",),
@@ -147,16 +309,19 @@ SAGNAC_SINE = Effect(
     reference="Lefevre, The Fiber-Optic Gyroscope: open-loop response",
     runtime=True,
     error_dps=memoryless(_sagnac_sine),
+    search=Search(grid=_phases, refined=("phase_rad_per_dps",), requires=(many_rates,)),
+    c_text=CText(_sagnac_sine_c, (_SINE_LOSS,)),
 )
 
 SATURATION = Effect(
     id="saturation",
     family="rate shape",
-    equation="e = -a (|w| - w_k) sign(w) for |w| > w_k",
+    equation="e = -a s log(1 + exp((|w| - w_k)/s)) sign(w); s = 0: -a (|w| - w_k) sign(w) for |w| > w_k",
     statement="The gain falls above a knee, near the end of the range.",
     parameters=(
-        amplitude("1", 1.0, 0.01, "share of the gain that is lost above the knee"),
+        amplitude("1", 1.0, 0.01, "share of the gain that is lost above the knee", positive=True),
         shape("knee_dps", "deg/s", 1.0, 1000.0, 80.0, "knee w_k"),
+        shape("softness_dps", "deg/s", 0.0, 1000.0, 0.0, "width s over which it begins; 0: at once"),
     ),
     needs=("rate_dps",),
     seen_in="rate",
@@ -164,6 +329,8 @@ SATURATION = Effect(
     reference="physics-report.md G8",
     runtime=True,
     error_dps=memoryless(_saturation),
+    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates,)),
+    c_text=CText(_saturation_c),
 )
 
 RATE_ORDER = Effect(
@@ -173,8 +340,8 @@ RATE_ORDER = Effect(
     statement="The error bends more with rate than a cubic can; no mechanism is claimed.",
     parameters=(
         amplitude("mdeg/s", 10000.0, 5.0, "size at w_s"),
-        shape("order", "1", 4.0, 9.0, 5.0, "power"),
-        shape("scale_dps", "deg/s", 1.0, 10000.0, 100.0, "scale w_s"),
+        choice("order", "1", 4.0, 9.0, 5.0, "power"),
+        choice("scale_dps", "deg/s", 1.0, 10000.0, 100.0, "scale w_s"),
     ),
     needs=("rate_dps",),
     seen_in="rate",
@@ -182,6 +349,9 @@ RATE_ORDER = Effect(
     reference="next orders of the paper's eq. 2",
     runtime=True,
     error_dps=memoryless(_rate_order),
+    search=Search(grid=_orders, columns=_order_columns, requires=(many_rates,), prior_nats=-1.0),
+    hiding=Hiding(_draw_order),
+    c_text=CText(_rate_order_c, (POWER,)),
 )
 
 FIT_DIRECTION = Effect(
@@ -189,13 +359,20 @@ FIT_DIRECTION = Effect(
     family="rate shape",
     equation="e = a (S(w, T) - S(g, T)), g - S(g, T) = w",
     statement="Not physics: the error is a cubic of the input rate and was fitted as one of the output.",
-    parameters=(amplitude("1", 3.0, 1.0, "1: cubic in the input, 0: cubic in the output"),),
+    parameters=(
+        amplitude(
+            "1", 3.0, 1.0, "1: cubic in the input, 0: in the output; for a surface in the input the reverse"
+        ),
+    ),
     needs=("rate_dps", "temp_c"),
     seen_in="rate",
     looks_like=("rate_order", "sagnac_sine"),
     reference="physics-report.md G26",
     runtime=True,
     error_dps=memoryless(_fit_direction),
+    search=Search(requires=(many_rates,), prior_nats=-1.0),
+    hiding=Hiding(free_size=False),
+    c_text=CText(_fit_direction_c, (_DIRECTION,)),
 )
 
 MECHANICAL_RESONANCE = Effect(
@@ -207,7 +384,7 @@ MECHANICAL_RESONANCE = Effect(
         amplitude("mdeg/s", 1000.0, 5.0, "mean shift at resonance"),
         shape("center_dps", "deg/s", 0.0, 10000.0, 60.0, "rate w_r of the resonance"),
         shape("width_dps", "deg/s", 0.01, 1000.0, 5.0, "half width b"),
-        shape("scatter", "1", 0.0, 100.0, 0.5, "scatter as a share of the shift"),
+        choice("scatter", "1", 0.0, 100.0, 0.5, "scatter as a share of the shift"),
         _SEED,
     ),
     needs=("rate_dps",),
@@ -216,6 +393,13 @@ MECHANICAL_RESONANCE = Effect(
     reference="vibration rectification; physics-report.md G19",
     runtime=False,
     error_dps=memoryless(_resonance),
+    search=Search(
+        grid=_resonances,
+        refined=("center_dps", "width_dps"),
+        requires=(many_rates,),
+        prior_nats=-1.0,
+        scatters=True,
+    ),
 )
 
 REFERENCE_RATE_ERROR = Effect(
@@ -230,6 +414,10 @@ REFERENCE_RATE_ERROR = Effect(
     reference="physics-report.md B2",
     runtime=False,
     error_dps=memoryless(_reference),
+    acts_on="reference",
+    search=Search(columns=_each_rate, draws=True),
+    # A draw of relative errors has a size of its own.
+    hiding=Hiding(own_zero=False),
 )
 
 EFFECTS = (

@@ -14,10 +14,13 @@ from gyrocal.physics.effect import (
     Floats,
     Parameter,
     amplitude,
+    choice,
     memoryless,
     shape,
 )
+from gyrocal.physics.hiding import Hiding
 from gyrocal.physics.kernels import normal, uniform
+from gyrocal.physics.search import Search
 from gyrocal.physics.surface import Surface
 
 #: Two samples nearer than this are the same sample, s.
@@ -53,6 +56,9 @@ QUANTISATION = Effect(
     reference="IEEE Std 952, quantisation noise (Allan slope -1)",
     runtime=False,
     error_dps=memoryless(_quantisation),
+    acts_on="converter",
+    search=Search(by_columns=False, scatters=True),
+    hiding=Hiding(free_size=False, always_there=True),
 )
 
 TIME_BASE = Effect(
@@ -67,6 +73,8 @@ TIME_BASE = Effect(
     reference="physics-report.md B8",
     runtime=False,
     error_dps=memoryless(_time_base),
+    search=Search(by_columns=False),
+    hiding=Hiding(free_size=False),
 )
 
 BURSTS = Effect(
@@ -78,7 +86,7 @@ BURSTS = Effect(
         amplitude("mdeg/s", 1e6, 50.0, "standard deviation inside a burst"),
         shape("share", "1", 0.0, 1.0, 0.005, "share of time inside bursts"),
         shape("duration_s", "s", 0.001, 3600.0, 0.5, "length of a burst"),
-        shape("seed", "1", 0.0, 2.0**52, 1.0, "which draw"),
+        choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw"),
     ),
     needs=("t_s",),
     seen_in="data_set_index",
@@ -86,6 +94,8 @@ BURSTS = Effect(
     reference="physics-report.md B6, G23",
     runtime=False,
     error_dps=memoryless(_bursts),
+    search=Search(by_columns=False, scatters=True),
+    hiding=Hiding(free_size=False),
 )
 
 EFFECTS = (QUANTISATION, TIME_BASE, BURSTS)

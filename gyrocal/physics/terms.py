@@ -1,25 +1,74 @@
-"""Terms of a coefficient file as effects that a robot evaluates, and the inverse of a gyro that has them."""
+"""Terms of a coefficient file as a robot evaluates them, and the inverse of a gyro that has them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from math import isfinite
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal.errors import CoefficientError, InputError
+from gyrocal.physics.c_text import CMemory, Number
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import Conditions, Effect, Floats, Memory
+from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions, Effect, Floats, Memory
+from gyrocal.physics.smooth import SmoothTerm, smooth_term
 from gyrocal.physics.surface import Surface
 
-#: The rate at which effects are evaluated is solved to this, deg/s, in at most so many rounds.
-_TOLERANCE_DPS = 1e-11
-_ROUNDS = 60
+#: Step of the rate for the slope of the terms, as a share of the rate scale.
+_SLOPE_STEP = 1e-5
 
-#: Channels of `Conditions` that a robot has.
-ROBOT_CHANNELS = frozenset({"t_s", "rate_dps", "temp_c", "since_power_on_s"})
+#: A term's error in deg/s, and its memory for the next block, as functions of the true rate.
+AtRate = Callable[[Floats], tuple[Floats, Memory]]
+
+
+class Part(Protocol):
+    """What the runtime needs of a term, named (`RuntimeTerm`) or not (`smooth.SmoothTerm`)."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        ...
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Fields of the conditions that it cannot do without."""
+        ...
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether it depends on earlier samples."""
+        ...
+
+    @property
+    def linked(self) -> bool:
+        """Whether `rows` are rows of the joint covariance of surface and terms; else they are its own alone."""
+        ...
+
+    @property
+    def rows(self) -> Floats:
+        """Covariance of its k parameters, shape (k, k), or (k, m) where it is linked."""
+        ...
+
+    def c_laws(self, number: Number, memory: CMemory) -> tuple[list[str], tuple[str, ...]]:
+        """C expressions that add up to its error (`c_text`), and the functions that they call."""
+        ...
+
+    def at(self, c: Conditions, surface: Surface, memory: Memory) -> AtRate:
+        """The term under these conditions, whose ``rate_dps`` is not read."""
+        ...
+
+    def tangent(
+        self, c: Conditions, surface: Surface, error_dps: Floats, memory: Memory
+    ) -> tuple[Floats, Memory]:
+        """Derivatives of its error by its k parameters, shape (n, k), and a memory of their own."""
+        ...
+
+    def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
+        """Which samples lie outside what it was fitted to, shape (n,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -39,6 +88,115 @@ class RuntimeTerm:
     parameters: Mapping[str, float]
     relative_sigma: float
     covariance: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The effect's id."""
+        return self.effect.id
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """What the effect needs."""
+        return frozenset(self.effect.needs)
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether it depends on earlier samples."""
+        return self.effect.has_memory
+
+    @property
+    def linked(self) -> bool:
+        """Whether the file has its covariance with the surface."""
+        return bool(self.covariance)
+
+    @property
+    def rows(self) -> Floats:
+        """Of the parameters in `covariance`; without it, of the amplitude as a share of itself."""
+        if not self.covariance:
+            return np.array([[self.relative_sigma**2]])
+        return np.array(list(self.covariance.values()))
+
+    def c_laws(self, number: Number, memory: CMemory) -> tuple[list[str], tuple[str, ...]]:
+        """The effect's C; CoefficientError where it has none."""
+        c = self.effect.c_text
+        if c is None:
+            raise CoefficientError(
+                f"The coefficients hold the term {self.name}, which cannot be written in C: the surface alone would "
+                "be wrong. Use gyrocal.fusion.Compensator on the robot, or export the coefficients from before "
+                "diagnose."
+            )
+        return [c.law(self.parameters, number, memory)], c.helpers
+
+    def at(self, c: Conditions, surface: Surface, memory: Memory) -> AtRate:
+        """The effect's law with these parameters."""
+        return lambda rate: self.effect.error_dps(replace(c, rate_dps=rate), self.parameters, surface, memory)
+
+    def tangent(
+        self, c: Conditions, surface: Surface, error_dps: Floats, memory: Memory
+    ) -> tuple[Floats, Memory]:
+        """Exact for amplitudes, by a step of a thousandth for others, each of which remembers its own course."""
+        if not self.covariance:
+            return error_dps[:, None], None
+        columns: list[Floats] = []
+        after: list[Memory] = []
+        for k, name in enumerate(self.covariance):
+            value, course = self.parameters[name], memory[k] if memory else None
+            if self.effect.parameter(name).linear and value != 0.0:
+                columns.append(error_dps / value)
+            else:
+                step = 1e-3 * (abs(value) or 1.0)
+                stepped = {**self.parameters, name: value + step}
+                ahead, course = self.effect.error_dps(c, stepped, surface, course)
+                columns.append((ahead - error_dps) / step)
+            after.append(course)
+        return np.column_stack(columns), after
+
+    def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
+        """Nowhere: a law holds beyond the record that showed it, as far as the surface does."""
+        return np.zeros(len(tangent), dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class Term:
+    """Physics that `diagnose` added to the surface: an effect of the catalogue with its parameters.
+
+    Attributes
+    ----------
+    parameters : mapping
+        Each parameter's ``value``, ``std`` and ``unit``, and its ``covariance`` (as in `RuntimeTerm`) if known.
+    runtime : bool
+        Whether a robot takes it off.
+    """
+
+    effect: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    runtime: bool
+
+    @property
+    def name(self) -> str:
+        """The effect's id."""
+        return self.effect
+
+    def part(self) -> Part:
+        """The term as a robot evaluates it; CoefficientError where it cannot (`runtime_term`)."""
+        return runtime_term(self.effect, self.parameters)
+
+    def error_dps(self, c: Conditions, surface: Surface) -> Floats:
+        """Its error over a whole record whose true rates are known, of the bench or not, shape (n,)."""
+        effect = find_effect(self.effect)
+        values = effect.typical() | {name: float(p["value"]) for name, p in self.parameters.items()}
+        return effect.error_dps(c, values, surface, None)[0]
+
+    def to_json(self) -> dict[str, Any]:
+        """The entry of the coefficient file's ``terms``."""
+        return asdict(self)
+
+
+def read_term(entry: Mapping[str, Any]) -> Term | SmoothTerm:
+    """An entry of the coefficient file's ``terms``; KeyError, TypeError or ValueError where it is none."""
+    if entry["effect"] is None:
+        return smooth_term(entry)
+    return Term(entry["effect"], dict(entry["parameters"]), bool(entry["runtime"]))
 
 
 def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) -> RuntimeTerm:
@@ -87,96 +245,114 @@ def _value(effect: Effect, name: str, entry: Mapping[str, Any]) -> float:
     return value
 
 
-def solve_rate(
-    surface: Surface,
-    terms: Sequence[RuntimeTerm],
-    memories: Sequence[Memory],
-    gyro_dps: Floats,
-    c: Conditions,
-) -> tuple[Floats, list[Floats], list[Memory]]:
-    """Rate that gave the output `gyro_dps`: ``w = (g - e) - S(g - e, T)`` with ``e = sum e(w, T, ...)``.
+@dataclass(frozen=True)
+class Solution:
+    """The rate that gave an output; arrays of shape (n,), NaN where nothing solves it.
 
-    Solved by iteration, each sample for itself: who has converged stays as he is, so that neighbours in a
-    block cannot change him.
+    Attributes
+    ----------
+    rate_dps : true rate
+    own_dps : the surface's own rate (by its direction)
+    errors_dps : each term's error
+    memories : what each term hands to the next block
+    """
+
+    rate_dps: Floats
+    own_dps: Floats
+    errors_dps: list[Floats]
+    memories: list[Memory]
+
+
+def solve_rate(
+    surface: Surface, terms: Sequence[Part], memories: Sequence[Memory], gyro_dps: Floats, c: Conditions
+) -> Solution:
+    """Rate w that gave the output `gyro_dps`: ``g = g0 + sum e(w, T, ...)``, g0 the output by the surface alone.
 
     Parameters
     ----------
     memories : what the call before returned; None for each term at the start
     c : Conditions, whose ``rate_dps`` is not read
-
-    Returns
-    -------
-    rate_dps : ndarray, shape (n,); NaN where nothing solves it
-    errors_dps : a list with each term's share, shape (n,)
-    memories : for the next block
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # a wild sample diverges to NaN, alone
-        rate = gyro_dps - surface.error_dps(gyro_dps, c.temp_c)
-        if not terms:
-            return rate, [], []
-        errors, after = [np.zeros(rate.shape) for _ in terms], list(memories)
-        moving = np.ones(rate.shape, dtype=bool)
-        for _ in range(_ROUNDS):
-            now = replace(c, rate_dps=rate)
-            new = [
-                t.effect.error_dps(now, t.parameters, surface, m)
-                for t, m in zip(terms, memories, strict=True)
-            ]
-            errors = [np.where(moving, e, old) for (e, _), old in zip(new, errors, strict=True)]
-            after = [memory for _, memory in new]
-            alone = gyro_dps - np.sum(errors, axis=0)
-            before, rate = rate, np.where(moving, alone - surface.error_dps(alone, c.temp_c), rate)
-            moving &= np.abs(rate - before) > _TOLERANCE_DPS
-            if not moving.any():
-                break
-    return np.where(moving, np.nan, rate), errors, after
+    at = [term.at(c, surface, memory) for term, memory in zip(terms, memories, strict=True)]
+
+    def miss_dps(own: Floats) -> Floats:
+        rate, output = surface.rate_and_output_dps(own, c.temp_c)
+        return np.asarray(output + sum(term(rate)[0] for term in at) - gyro_dps)
+
+    with np.errstate(over="ignore", invalid="ignore"):  # a wild sample overflows to NaN, alone
+        explicit = surface.direction == "output" and not terms
+        own = gyro_dps if explicit else surface.solve_own_dps(gyro_dps, miss_dps)
+        rate, _ = surface.rate_and_output_dps(own, c.temp_c)
+        last = [term(rate) for term in at]
+    return Solution(rate, own, [error for error, _ in last], [memory for _, memory in last])
 
 
-def joint_covariance(surface_covariance: Floats, terms: Sequence[RuntimeTerm]) -> Floats:
-    """Covariance of the coefficients of the surface and of all parameters that have one, in this order.
+def output_of(
+    surface: Surface, terms: Sequence[Part], memories: Sequence[Memory], c: Conditions
+) -> tuple[Floats, list[Memory]]:
+    """Output at the true rates of `c`, deg/s, shape (n,), of a gyro with this surface and these terms.
+
+    Raises
+    ------
+    DataError
+        The surface has no output somewhere.
+    """
+    last = [term.at(c, surface, memory)(c.rate_dps) for term, memory in zip(terms, memories, strict=True)]
+    output = surface.output_dps(c.rate_dps, c.temp_c) + sum(error for error, _ in last)
+    return np.asarray(output), [memory for _, memory in last]
+
+
+def joint_covariance(surface_covariance: Floats, terms: Sequence[Part]) -> Floats:
+    """Covariance of the coefficients of the surface and of all parameters of the terms, in this order.
 
     Raises
     ------
     CoefficientError
-        The entries differ in length.
+        The rows of the terms that are linked differ in length.
     """
-    rows = [row for term in terms for row in term.covariance.values()]
     first = surface_covariance.shape[0]
-    if any(len(row) != first + len(rows) for row in rows):
-        raise CoefficientError(
-            f"A term's covariance has not the {first + len(rows)} numbers of surface and terms. Diagnose again."
-        )
-    joint = np.zeros((first + len(rows), first + len(rows)))
+    ends = first + np.cumsum([len(term.rows) for term in terms], dtype=int)
+    places = [np.arange(end - len(term.rows), end) for end, term in zip(ends, terms, strict=True)]
+    own = [place for place, term in zip(places, terms, strict=True) if term.linked]
+    shared = np.concatenate([np.arange(first), *own])
+    joint = np.zeros((int(ends[-1]) if terms else first,) * 2)
     joint[:first, :first] = surface_covariance
-    if rows:
-        joint[first:] = rows
-        joint[:first, first:] = joint[first:, :first].T
+    for term, place in zip(terms, places, strict=True):
+        if term.linked and term.rows.shape[1] != shared.size:
+            raise CoefficientError(
+                f"A term's covariance has not the {shared.size} numbers of surface and terms. Diagnose again."
+            )
+        across = shared if term.linked else place
+        joint[np.ix_(place, across)] = term.rows
+        joint[np.ix_(across, place)] = term.rows.T
     return joint
 
 
-def gradients(
+def sensitivity(
     surface: Surface,
-    terms: Sequence[RuntimeTerm],
-    memories: Sequence[Memory],
-    errors_dps: Sequence[Floats],
+    terms: Sequence[Part],
+    tangents: Sequence[Floats],
+    solved: Solution,
     c: Conditions,
-) -> tuple[Floats, list[Memory]]:
-    """Derivatives of the terms' errors by the parameters that have a covariance, shape (n, m), and memories.
+    at: Sequence[Memory],
+) -> Floats:
+    """Derivatives of the solved rate by the coefficients of the surface and the parameters of the terms.
 
-    Exact for amplitudes, by a step of a thousandth for the others, each of which remembers a course of its own.
+    From ``g = g0(x) + e(w(x))`` at a fixed output. Shape (n, 12 + m).
+
+    Parameters
+    ----------
+    at : the memories with which the block was solved
     """
-    columns: list[Floats] = []
-    after: list[Memory] = []
-    for term, error in zip(terms, errors_dps, strict=True):
-        for name in term.covariance:
-            value = term.parameters[name]
-            memory = memories[len(after)]
-            if term.effect.parameter(name).linear and value != 0.0:
-                columns.append(error / value)
-            else:
-                step = 1e-3 * (abs(value) or 1.0)
-                stepped = {**term.parameters, name: value + step}
-                ahead, memory = term.effect.error_dps(c, stepped, surface, memory)
-                columns.append((ahead - error) / step)
-            after.append(memory)
-    return np.column_stack(columns) if columns else np.empty((len(c), 0)), after
+    slope = surface.slope_per_dps(solved.own_dps, c.temp_c)
+    step = _SLOPE_STEP * surface.rate_scale_dps
+    ahead = [
+        term.at(c, surface, memory)(solved.rate_dps + step)[0] for term, memory in zip(terms, at, strict=True)
+    ]
+    terms_slope = (sum(ahead) - sum(solved.errors_dps)) / step
+    design = surface.design(solved.own_dps, c.temp_c)
+    shares = np.column_stack([np.empty((len(c), 0)), *tangents])
+    if surface.direction == "input":
+        return np.asarray(-np.column_stack([design, shares]) / (1.0 + slope + terms_slope)[:, None])
+    whole = 1.0 + terms_slope * (1.0 - slope)
+    return np.asarray(-np.column_stack([design, (1.0 - slope)[:, None] * shares]) / whole[:, None])

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gyrocal.physics.c_text import POWER, CMemory, CText, Number
 from gyrocal.physics.effect import (
     MDPS,
     Conditions,
@@ -18,11 +19,16 @@ from gyrocal.physics.effect import (
     Floats,
     Memory,
     amplitude,
+    choice,
     memoryless,
     need_surface,
     shape,
 )
+from gyrocal.physics.fold import on_model, on_own
+from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import lag, play
+from gyrocal.physics.offer import Offer, either, table_turns, temperature_changes
+from gyrocal.physics.search import Search, scales
 from gyrocal.physics.surface import Surface
 from gyrocal.units import S_PER_MIN
 
@@ -57,11 +63,12 @@ def _thermal_lag(
 ) -> tuple[Floats, Memory]:
     surface = need_surface(surface, "thermal_lag")
     behind_c, memory = lag(c.t_s, c.temp_c, p["tau_s"], memory)
-    # The surface is a function of the output. Its first-order inverse is enough for a difference of two
-    # nearby temperatures.
-    output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
-    at_coil = surface.error_dps(output, c.temp_c - behind_c)
-    return p["amplitude"] * (at_coil - surface.error_dps(output, c.temp_c)), memory
+    own = c.rate_dps
+    if surface.direction == "output":
+        # Its first-order inverse is enough for a difference of two nearby temperatures.
+        own = own + surface.error_dps(own, c.temp_c)
+    at_coil = surface.error_dps(own, c.temp_c - behind_c)
+    return p["amplitude"] * (at_coil - surface.error_dps(own, c.temp_c)), memory
 
 
 def _hysteresis(
@@ -77,6 +84,53 @@ def _temperature_order(c: Conditions, p: Mapping[str, float], surface: Surface |
     return np.asarray(MDPS * p["amplitude"] * v ** round(p["order"]))
 
 
+def _widths(offer: Offer) -> list[dict[str, float]]:
+    return [{"width_c": float(x)} for x in np.geomspace(0.012, 0.45, 11) * offer.temp_span_c]
+
+
+def _powers(offer: Offer) -> list[dict[str, float]]:
+    low, high = offer.temp_c
+    middle, half = (low + high) / 2, (high - low) / 2 or 1.0
+    return [{"order": order, "center_c": middle, "scale_c": half} for order in (3.0, 4.0)]
+
+
+def _draw_order(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    return usual_draw(effect, offer, rng) | _powers(offer)[0]
+
+
+def _shupe_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'] * S_PER_MIN / SMOOTHING_S)} * {memory.lag(SMOOTHING_S)}"
+
+
+def _shupe_gradient_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'])} * {memory.lag(p['tau_s'])}"
+
+
+def _thermal_lag_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(p['amplitude'])} * PREFIX_lagged@f@(w, temp_c, {memory.lag(p['tau_s'])})"
+
+
+def _hysteresis_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'])} * (@real@)({memory.play(p['width_c'])} - temp_c)"
+
+
+def _temperature_order_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    v = f"(temp_c - ({n(p['center_c'])})) / {n(p['scale_c'])}"
+    return f"{n(MDPS * p['amplitude'])} * PREFIX_power@f@({v}, {round(p['order'])})"
+
+
+_LAGGED = """\
+static inline @real@ PREFIX_lagged@f@(@real@ w, @real@ temp_c, @real@ behind_c)
+{
+    const @real@ own = @own@;
+    return PREFIX_surface@f@(own, temp_c - behind_c) - PREFIX_surface@f@(own, temp_c);
+}
+"""
+
+#: Below this nothing that follows the temperature's history can be seen, deg C.
+_SOME_CHANGE = temperature_changes(2.0, "the temperature hardly changed")
+
+
 SHUPE = Effect(
     id="shupe",
     family="thermal transient",
@@ -90,6 +144,8 @@ SHUPE = Effect(
     runtime=True,
     error_dps=_shupe,
     has_memory=True,
+    search=Search(requires=(_SOME_CHANGE,)),
+    c_text=CText(_shupe_c),
 )
 
 SHUPE_GRADIENT = Effect(
@@ -108,6 +164,9 @@ SHUPE_GRADIENT = Effect(
     runtime=True,
     error_dps=_shupe_gradient,
     has_memory=True,
+    search=Search(grid=scales("tau_s", 60.0, 3600.0, 12), refined=("tau_s",), requires=(_SOME_CHANGE,)),
+    fold=on_own("T - T_in, °C"),
+    c_text=CText(_shupe_gradient_c),
 )
 
 THERMAL_LAG = Effect(
@@ -116,7 +175,7 @@ THERMAL_LAG = Effect(
     equation="e = a (S(T_c) - S(T)), tau dT_c/dt = T - T_c, S the error surface",
     statement="The coil follows the temperature sensor with a lag, so that bias and scale factor belong to an earlier temperature.",
     parameters=(
-        amplitude("1", 3.0, 1.0, "share of the full lag"),
+        amplitude("1", 3.0, 1.0, "share of the full lag", positive=True),
         shape("tau_s", "s", 15.0, 1800.0, 300.0, "time constant of the coil"),
     ),
     needs=("t_s", "temp_c"),
@@ -126,6 +185,13 @@ THERMAL_LAG = Effect(
     runtime=True,
     error_dps=_thermal_lag,
     has_memory=True,
+    search=Search(
+        grid=scales("tau_s", 30.0, 1800.0, 10),
+        refined=("tau_s",),
+        requires=(_SOME_CHANGE, either(temperature_changes(10.0, ""), table_turns)),
+    ),
+    fold=on_model("Error by the lag as modelled, mdeg/s"),
+    c_text=CText(_thermal_lag_c, (_LAGGED,)),
 )
 
 THERMAL_HYSTERESIS = Effect(
@@ -144,6 +210,9 @@ THERMAL_HYSTERESIS = Effect(
     runtime=True,
     error_dps=_hysteresis,
     has_memory=True,
+    search=Search(grid=_widths, refined=("width_c",), requires=(_SOME_CHANGE,)),
+    fold=on_own("Play of the temperature, P[T] - T, °C"),
+    c_text=CText(_hysteresis_c),
 )
 
 TEMPERATURE_ORDER = Effect(
@@ -153,9 +222,9 @@ TEMPERATURE_ORDER = Effect(
     statement="The bias bends more with temperature than a quadratic can.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 5.0, "size at T_m + T_s"),
-        shape("order", "1", 3.0, 9.0, 3.0, "power"),
-        shape("center_c", "degC", -100.0, 150.0, 20.0, "temperature T_m where it vanishes"),
-        shape("scale_c", "degC", 1.0, 200.0, 30.0, "scale T_s"),
+        choice("order", "1", 3.0, 9.0, 3.0, "power"),
+        choice("center_c", "degC", -100.0, 150.0, 20.0, "temperature T_m where it vanishes"),
+        choice("scale_c", "degC", 1.0, 200.0, 30.0, "scale T_s"),
     ),
     needs=("temp_c",),
     seen_in="temperature",
@@ -163,6 +232,12 @@ TEMPERATURE_ORDER = Effect(
     reference="next order of the paper's eq. 3",
     runtime=True,
     error_dps=memoryless(_temperature_order),
+    search=Search(
+        grid=_powers,
+        requires=(temperature_changes(10.0, "the temperature changed by less than 10 degC"),),
+    ),
+    hiding=Hiding(_draw_order),
+    c_text=CText(_temperature_order_c, (POWER,)),
 )
 
 EFFECTS = (SHUPE, SHUPE_GRADIENT, THERMAL_LAG, THERMAL_HYSTERESIS, TEMPERATURE_ORDER)

@@ -6,9 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gyrocal.physics.c_text import CMemory, CText, Number
 from gyrocal.physics.effect import MDPS, PPM, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.fold import scale_on_time
+from gyrocal.physics.offer import Offer, begins_warm, table_turns
+from gyrocal.physics.search import Search, scales
 from gyrocal.physics.surface import Surface
 from gyrocal.units import S_PER_H
+
+#: Instants of a jump of the bias that are tried from the first; a scan of all of them adds the likely ones.
+_JUMP_NET = 48
 
 _AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record's clock")
 
@@ -26,11 +33,24 @@ def _scale_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None)
 
 
 def _bias_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(MDPS * p["amplitude"] * (c.t_s >= p["at_s"]))
+    return np.asarray(MDPS * p["amplitude"] * c.since(p["at_s"]))
 
 
 def _scale_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(PPM * p["amplitude"] * c.rate_dps * (c.t_s >= p["at_s"]))
+    return np.asarray(PPM * p["amplitude"] * c.rate_dps * c.since(p["at_s"]))
+
+
+def _net(offer: Offer) -> list[dict[str, float]]:
+    return [{"at_s": float(x)} for x in np.linspace(*offer.t_s, _JUMP_NET + 2)[1:-1]]
+
+
+def _between_turns(offer: Offer) -> list[dict[str, float]]:
+    # Before the first turns and after the last it is a scale factor for the whole record, which the surface has.
+    return [{"at_s": float(x)} for x in offer.turn_starts_s]
+
+
+def _warm_up_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'])} * exp@f@(-since_power_on_s / {n(p['tau_s'])})"
 
 
 WARM_UP = Effect(
@@ -48,6 +68,8 @@ WARM_UP = Effect(
     reference="IEEE Std 952, warm-up time; physics-report.md G5",
     runtime=True,
     error_dps=memoryless(_warm_up),
+    search=Search(grid=scales("tau_s", 120.0, 7200.0, 12), refined=("tau_s",), requires=(begins_warm,)),
+    c_text=CText(_warm_up_c),
 )
 
 BIAS_DRIFT = Effect(
@@ -76,6 +98,8 @@ SCALE_DRIFT = Effect(
     reference="physics-report.md G24 (wavelength of the source)",
     runtime=False,
     error_dps=memoryless(_scale_drift),
+    search=Search(requires=(table_turns,)),
+    fold=scale_on_time,
 )
 
 BIAS_STEP = Effect(
@@ -90,6 +114,7 @@ BIAS_STEP = Effect(
     reference="changes in level; physics-report.md B.1",
     runtime=False,
     error_dps=memoryless(_bias_step),
+    search=Search(grid=_net, refined=("at_s",)),
 )
 
 SCALE_STEP = Effect(
@@ -104,6 +129,8 @@ SCALE_STEP = Effect(
     reference="changes in level; physics-report.md B.1",
     runtime=False,
     error_dps=memoryless(_scale_step),
+    search=Search(grid=_between_turns, refined=("at_s",), requires=(table_turns,)),
+    fold=scale_on_time,
 )
 
 EFFECTS = (WARM_UP, BIAS_DRIFT, SCALE_DRIFT, BIAS_STEP, SCALE_STEP)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NoReturn
@@ -19,6 +20,10 @@ from gyrocal.records.files import reading
 Floats = NDArray[np.float64]
 
 _BLOCK_BYTES = 1 << 22
+#: A line longer than this is none of a CSV.
+_LONGEST_LINE = 1 << 24
+#: No quantity is larger, nanoseconds since 1970 included; squares and cubes of it are still numbers.
+_LARGEST = 1e20
 _NUMBER = re.compile(
     r"\s*([+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|nan)?\s*", re.IGNORECASE | re.ASCII
 )
@@ -40,8 +45,8 @@ def read_header(path: Path) -> list[str]:
             f"{path}: is still being written or was left by a crash (.part). Resume or redo its run."
         )
     with reading(path), path.open(encoding="utf-8-sig", newline="") as f:
-        line = f.readline()
-    if "\0" in line:
+        line = f.readline(_LONGEST_LINE)
+    if "\0" in line or len(line) == _LONGEST_LINE:
         raise InputError(f"{path}: is not a text file. Check that it is the right file.")
     header = [name.strip() for name in line.strip().split(",")]
     if header == [""]:
@@ -55,9 +60,9 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
     A column with a known quantity but another unit (``rate_rad_s`` for ``rate_dps``) falls under
     "nobody knows": its unit would otherwise be guessed.
     """
-    repeated = sorted({name for name in header if list(header).count(name) > 1})
+    repeated = sorted(name for name, count in Counter(header).items() if count > 1)
     if repeated:
-        raise InputError(f"{path}, line 1: column {repeated[0]} stands twice. Remove one.")
+        raise InputError(f"{path}, line 1: column {repeated[0]:.80} stands twice. Remove one.")
     missing = [name for name in required if name not in header]
     if missing:
         msg = (
@@ -67,9 +72,7 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
         raise InputError(msg)
     unknown = [name for name in header if name not in known]
     if unknown:
-        msg = (
-            f"{path}, line 1: unknown column {unknown[0]!r}. Names carry the unit; known: {', '.join(known)}."
-        )
+        msg = f"{path}, line 1: unknown column {unknown[0]!r:.80}. Names carry the unit; known: {', '.join(known)}."
         raise InputError(msg)
 
 
@@ -122,10 +125,22 @@ def iterate_columns(
             ) as blocks,
         ):
             for block in blocks:
-                yield first_line, {name: block[name].to_numpy() for name in wanted}
+                columns = {name: block[name].to_numpy() for name in wanted}
+                _refuse_huge(path, first_line, columns)
+                yield first_line, columns
                 first_line += len(block)
     except (ValueError, pd.errors.ParserError) as error:
         _raise_at_bad_line(path, header, wanted, error)
+
+
+def _refuse_huge(path: Path, first_line: int, columns: dict[str, Floats]) -> None:
+    """Refuse finite numbers that no quantity has; infinite ones are the business of who knows the column."""
+    for name, values in columns.items():
+        size = np.abs(values)
+        huge = np.flatnonzero((size > _LARGEST) & np.isfinite(size))
+        if huge.size:
+            msg = f"{path}, line {first_line + huge[0]}: {name:.80} is {values[huge[0]]:.6g}; no quantity is so large. Repair or remove the line."
+            raise InputError(msg)
 
 
 def read_columns(path: Path, header: Sequence[str]) -> dict[str, Floats]:
@@ -153,6 +168,8 @@ def _check_shape(path: Path, header: Sequence[str], wanted: Sequence[str]) -> No
                 tail = rest
             else:
                 tail += block
+                if len(tail) > _LONGEST_LINE:
+                    raise InputError(f"{path}: holds a line of more than {len(tail)} bytes; it is not a CSV.")
     if tail:
         _check_lines(path, header, wanted, tail + b"\n", lines_before)
 
@@ -185,7 +202,7 @@ def _raise_at_bad_line(
                 raise InputError(msg) from cause
             for name, cell in zip(header, row, strict=True):
                 if name in wanted and not _NUMBER.fullmatch(cell):
-                    msg = f"{path}, line {number}: {name} is {cell[:40]!r}, not a number. Repair or remove the line."
+                    msg = f"{path}, line {number}: {name:.80} is {cell[:40]!r}, not a number. Repair or remove the line."
                     raise InputError(msg) from cause
     raise InputError(f"{path}: cannot be parsed as CSV ({cause or 'unexpected bytes'}).") from cause
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import json
 import os
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NoReturn
+from typing import IO, Any, NoReturn
 
-from gyrocal.errors import InputError, OutputError
+from gyrocal.errors import GyrocalError, InputError, OutputError
 
 _NO_SPACE = {errno.ENOSPC, errno.EDQUOT}
 
@@ -141,3 +143,31 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(msg) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+
+
+def read_text(path: Path) -> str:
+    """The text of a UTF-8 file, without the mark that some editors put before it."""
+    with reading(path):
+        return path.read_text(encoding="utf-8-sig")
+
+
+def parse_json(text: str, where: str, remedy: str) -> Any:
+    """JSON text; `where` and `remedy` begin and end the sentence where it is none.
+
+    Raises
+    ------
+    InputError
+        Not JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: is not JSON ({error}). {remedy}") from error
+
+
+def parse_toml(text: str, where: str, refusal: type[GyrocalError] = InputError) -> dict[str, Any]:
+    """TOML text; raises `refusal`, which names the line, where it is none or is nested too deeply."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise refusal(f"{where}: is not TOML: {error}. Correct that line.") from error

@@ -21,7 +21,9 @@ from gyrocal.errors import InputError, OutputError
 from gyrocal.records.files import (
     fsync_directory,
     make_output_directory,
+    parse_json,
     raise_output_error,
+    read_text,
     reading,
     sha256_of_file,
     write_atomically,
@@ -276,14 +278,8 @@ def _cut_torn_line(journal: Path) -> None:
 
 
 def _events(journal: Path) -> Iterator[dict[str, Any]]:
-    with reading(journal):
-        text = journal.read_text(encoding="utf-8")
-    for number, line in enumerate(text.splitlines(), start=1):
-        try:
-            event = json.loads(line)
-        except json.JSONDecodeError as error:
-            msg = f"{journal}, line {number}: is not JSON ({error.msg}). The journal is append-only: restore it."
-            raise InputError(msg) from error
+    for number, line in enumerate(read_text(journal).splitlines(), start=1):
+        event = parse_json(line, f"{journal}, line {number}", "The journal is append-only: restore it.")
         if not isinstance(event, dict):
             raise InputError(
                 f"{journal}, line {number}: is not an event. The journal is damaged: restore it."

@@ -15,6 +15,8 @@ from gyrocal.errors import InputError
 from gyrocal.records.files import raise_output_error, reading
 
 SCHEMA = "gyrocal-raw/1"
+#: No chunk of a port is longer; a file that has no lines is not read whole.
+_LONGEST_LINE = 1 << 24
 
 
 class RawWriter:
@@ -64,14 +66,20 @@ def read_raw_head(path: Path) -> dict[str, Any]:
         Not a raw capture, or of another schema.
     """
     with reading(path), path.open(encoding="ascii") as f:
-        line = f.readline()
+        line = f.readline(_LONGEST_LINE)
     try:
         head = json.loads(line)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
         head = None
-    if not isinstance(head, dict) or head.get("schema") != SCHEMA:
+    if not _is_head(head):
         raise InputError(f"{path}, line 1: is not a raw capture ({SCHEMA}). Check that it is the right file.")
-    return head
+    return dict(head)
+
+
+def _is_head(head: Any) -> bool:
+    if not isinstance(head, dict) or head.get("schema") != SCHEMA:
+        return False
+    return isinstance(head.get("device"), str) and isinstance(head.get("options", {}), dict)
 
 
 def iterate_raw(path: Path) -> Iterator[tuple[float, bytes]]:

@@ -1,47 +1,39 @@
-"""The robot file (TOML): geometry, how long it stands at the start, what is known of its errors, its noise."""
+"""The robot file (TOML): geometry, gyro, encoders, slip, what is known of their errors, noise. See `SCHEMA`.
+
+Its keys are the fields of `gyrocal.fusion.robot`, which holds units, ranges and defaults; each may be left out but the
+wheel separation. `README.md` in bench_profiles lists them.
+"""
 
 from __future__ import annotations
 
-import math
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from gyrocal.errors import ProfileError
-from gyrocal.records.files import reading
+from gyrocal.fusion.robot import (
+    EncoderFigures,
+    FilterNoise,
+    GyroFigures,
+    InitialStd,
+    RobotParameters,
+    SlipFigures,
+    fault,
+)
+from gyrocal.records.files import parse_toml, read_text
 
-#: Default uncertainty of the wheel separation, of its value. That of a skid steer is hardly known beforehand:
-#: its wheels slide sideways in every turn.
-SEPARATION_RELATIVE_STD = 0.10
-#: Default uncertainty of the gyro bias: what a mean at rest leaves, and what there is without one, deg/s.
-BIAS_STD_AFTER_REST_DPS, BIAS_STD_DPS = 0.01, 0.2
-
-#: Standard deviations of the nine error states at the start: key -> what is taken when the file is silent.
-INITIAL_STD_DEFAULTS: Mapping[str, float] = {
-    "x_m": 0.0,
-    "y_m": 0.0,
-    "heading_deg": 0.0,
-    "right_scale": 0.01,
-    "left_scale": 0.01,
-    "wheel_separation_m": math.nan,  # SEPARATION_RELATIVE_STD of the file's wheel separation
-    "gyro_heading_deg": 0.0,
-    "gyro_scale": 0.02,
-    "gyro_bias_dps": math.nan,  # BIAS_STD_AFTER_REST_DPS, or BIAS_STD_DPS where the robot does not stand
+#: A file that names no schema is of the first, which has the same keys and fewer of them.
+SCHEMA = "gyrocal-robot/2"
+SECTIONS: Mapping[str, Any] = {
+    "initial_std": InitialStd,
+    "noise": FilterNoise,
+    "gyro": GyroFigures,
+    "encoders": EncoderFigures,
+    "slip": SlipFigures,
 }
-#: Noise figures: key -> what is taken when the file is silent; wide, since a silent file says nothing of the
-#: robot. In turns a skid steer's effective track wanders by some 5 % (0.5 deg/sqrt(deg) is 4.7 deg in 90 deg); the
-#: heading difference is known no better than the clocks: 0.1 s between encoders and gyro at 20 deg/s is 2 deg.
-NOISE_DEFAULTS: Mapping[str, float] = {
-    "wheel_slip_m_per_rt_m": 0.003,
-    "turn_slip_deg_per_rt_deg": 0.5,
-    "angle_random_walk_deg_per_rt_h": 0.2,
-    "bias_walk_dps_per_rt_s": 0.0,
-    "heading_noise_deg": 2.0,
-}
-_TOP = ("wheel_separation_m", "metres_per_tick", "wheel_radius_m", "static_s", "initial_std", "noise")
-_STATIC_S = 10.0
+_TICK_RANGE, _RADIUS_RANGE = (1e-9, 10.0), (1e-4, 100.0)
+_TOP = ("schema", "wheel_separation_m", "metres_per_tick", "wheel_radius_m", "static_s", *SECTIONS)
 
 
 @dataclass(frozen=True)
@@ -50,26 +42,66 @@ class Robot:
 
     Attributes
     ----------
+    parameters : RobotParameters
+        What the runtime takes, complete.
     metres_per_tick : (left, right) or None
         None: the log must be in metres.
     wheel_radius_m : float or None
         Needed only for ROS bags with wheel angles.
-    static_s : float
-        How long the robot stands at the start; 0: it does not, and no static bias can be taken.
-    initial_std, noise : mapping
-        Keys of `INITIAL_STD_DEFAULTS` and `NOISE_DEFAULTS`, complete.
-    defaulted : tuple of str
-        Which figures the file does not give, and a default stands for; whoever prints results says so.
+    given : frozenset of str
+        Keys that the file gives, such as ``static_s`` and ``noise.tick_m``; for the others a default stands.
+    noise_std : mapping
+        Standard deviations of noise figures, as far as the file gives them.
     """
 
     source: Path
-    wheel_separation_m: float
-    metres_per_tick: tuple[float, float] | None
-    wheel_radius_m: float | None
-    static_s: float
-    initial_std: Mapping[str, float]
-    noise: Mapping[str, float]
-    defaulted: tuple[str, ...] = field(default=())
+    parameters: RobotParameters
+    metres_per_tick: tuple[float, float] | None = None
+    wheel_radius_m: float | None = None
+    given: frozenset[str] = frozenset()
+    noise_std: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def wheel_separation_m(self) -> float:
+        """Effective distance between left and right wheels."""
+        return self.parameters.wheel_separation_m
+
+    @property
+    def static_s(self) -> float:
+        """How long the robot stands at the start; 0: it does not, and no static bias can be taken."""
+        return self.parameters.static_s
+
+    @property
+    def initial_std(self) -> Mapping[str, float]:
+        """Standard deviations of the nine error states, complete."""
+        return asdict(self.parameters.initial_std)
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """Noise figures, complete."""
+        return asdict(self.parameters.noise)
+
+    @property
+    def defaulted(self) -> tuple[str, ...]:
+        """Which figures of the first schema a default stands for, in words; whoever prints results says so."""
+        values: dict[str, float] = {"static_s": self.static_s}
+        values |= {f"initial_std.{key}": value for key, value in self.initial_std.items()}
+        values |= {f"noise.{key}": value for key, value in self.noise.items()}
+        return tuple(f"{key} = {value:g}" for key, value in values.items() if key not in self.given)
+
+    def with_figures(self, figures: Mapping[str, Any]) -> Robot:
+        """The same with some keys given anew, by name: ``{"gyro.delay_s": 0.12, "wheel_separation_m": 0.61}``.
+
+        Raises
+        ------
+        ProfileError
+            An unknown key or a figure out of its range.
+        """
+        top = {"schema": SCHEMA, **_tables(self)}
+        for key, value in figures.items():
+            section, _, name = key.rpartition(".")
+            (top.setdefault(section, {}) if section else top)[name] = value
+        return robot_of(top, self.source)
 
 
 def read_robot(path: Path) -> Robot:
@@ -80,55 +112,97 @@ def read_robot(path: Path) -> Robot:
     InputError
         Missing or unreadable file.
     ProfileError
-        Not TOML, an unknown key, a missing wheel separation, a figure that is not a number or out of range.
+        Not TOML, an unknown schema or key, a missing wheel separation, a figure that is not a number or out of range.
     """
-    with reading(path):
-        text = path.read_text(encoding="utf-8")
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(f"{path}: is not TOML ({error}).") from error
+    raw = parse_toml(read_text(path), str(path), ProfileError)
+    return robot_of(raw, path)
+
+
+def robot_of(raw: Mapping[str, Any], path: Path) -> Robot:
+    """The robot of a file's keys; raises as `read_robot`."""
+    if raw.get("schema", SCHEMA) != SCHEMA:
+        raise ProfileError(f"{path}: schema is {raw['schema']!r:.80}; allowed: {SCHEMA}, or none.")
     _refuse_unknown(path, "", raw, _TOP)
     if "wheel_separation_m" not in raw:
         msg = f"{path}: wheel_separation_m is missing; allowed: the effective distance between left and right wheels, in metres, above 0."
         raise ProfileError(msg)
-    separation_m = _number(path, "wheel_separation_m", raw["wheel_separation_m"], positive=True)
-    defaulted: list[str] = []
-    static_s = _static(path, raw, defaulted)
-    defaults = dict(INITIAL_STD_DEFAULTS) | {
-        "wheel_separation_m": SEPARATION_RELATIVE_STD * separation_m,
-        "gyro_bias_dps": BIAS_STD_AFTER_REST_DPS if static_s > 0 else BIAS_STD_DPS,
+    ranges = _ranges(RobotParameters)
+    top: dict[str, Any] = {
+        key: _number(path, key, raw[key], ranges[key])
+        for key in ("wheel_separation_m", "static_s")
+        if key in raw
     }
-    initial = _table(path, "initial_std", raw, defaults, defaulted)
-    noise = _table(path, "noise", raw, NOISE_DEFAULTS, defaulted)
+    given = set(top)
+    sections, noise_std = {}, {}
+    for name, kind in SECTIONS.items():
+        table = dict(_table(path, name, raw, kind))
+        if name == "noise":
+            noise_std = {key[:-4]: table.pop(key) for key in list(table) if key.endswith("_std")}
+        sections[name] = kind(**table)
+        given |= {f"{name}.{key}" for key in table}
+    parameters = RobotParameters(**top, **sections)
     radius = raw.get("wheel_radius_m")
-    radius_m = None if radius is None else _number(path, "wheel_radius_m", radius, positive=True)
-    ticks = _ticks(path, raw)
-    return Robot(path, separation_m, ticks, radius_m, static_s, initial, noise, tuple(defaulted))
+    radius_m = None if radius is None else _number(path, "wheel_radius_m", radius, _RADIUS_RANGE)
+    return Robot(path, parameters, _ticks(path, raw), radius_m, frozenset(given), noise_std)
 
 
-def format_robot(
-    wheel_separation_m: float,
-    metres_per_tick: tuple[float, float] | None,
-    static_s: float,
-    initial_std: Mapping[str, float],
-    noise: Mapping[str, float],
-) -> str:
-    """Text of a robot file."""
-    lines = [f"wheel_separation_m = {wheel_separation_m:.6g}"]
-    if metres_per_tick is not None:
-        lines.append(f"metres_per_tick = [{metres_per_tick[0]:.9g}, {metres_per_tick[1]:.9g}]  # left, right")
-    lines.append(f"static_s = {static_s:.6g}")
-    for name, table in (("initial_std", initial_std), ("noise", noise)):
-        lines += ["", f"[{name}]", *(f"{key} = {value:.6g}" for key, value in table.items())]
+def format_robot(robot: Robot) -> str:
+    """Text of a robot file: the keys that are `given`, and no default."""
+    lines = [f'schema = "{SCHEMA}"']
+    tables = _tables(robot)
+    lines += [f"{key} = {_text(value)}" for key, value in tables.items() if not isinstance(value, dict)]
+    for name, table in tables.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{name}]", *(f"{key} = {_text(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
 
 
-def _static(path: Path, raw: Mapping[str, Any], defaulted: list[str]) -> float:
-    if "static_s" not in raw:
-        defaulted.append(f"static_s = {_STATIC_S:g}")
-        return _STATIC_S
-    return _number(path, "static_s", raw["static_s"])
+def _tables(robot: Robot) -> dict[str, Any]:
+    """The keys of a robot file that are given, as TOML would read them."""
+    top: dict[str, Any] = {"wheel_separation_m": robot.wheel_separation_m}
+    if robot.metres_per_tick is not None:
+        top["metres_per_tick"] = list(robot.metres_per_tick)  # left, right
+    if robot.wheel_radius_m is not None:
+        top["wheel_radius_m"] = robot.wheel_radius_m
+    if "static_s" in robot.given:
+        top["static_s"] = robot.static_s
+    for name in SECTIONS:
+        values = asdict(getattr(robot.parameters, name))
+        table = {key: value for key, value in values.items() if f"{name}.{key}" in robot.given}
+        if name == "noise":
+            table |= {f"{key}_std": value for key, value in robot.noise_std.items()}
+        if table:
+            top[name] = table
+    return top
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_text(v) for v in value)}]"
+    return f'"{value}"' if isinstance(value, str) else f"{value:.9g}"
+
+
+def _ranges(kind: Any) -> dict[str, tuple[float, float]]:
+    return {f.name: f.metadata["range"] for f in fields(kind) if "range" in f.metadata}
+
+
+def _table(path: Path, name: str, raw: Mapping[str, Any], kind: Any) -> Mapping[str, Any]:
+    table, ranges = raw.get(name, {}), _ranges(kind)
+    known = [f.name for f in fields(kind)]
+    if not isinstance(table, dict):
+        raise ProfileError(f"{path}: {name} is not a table; allowed: [{name}] with {', '.join(known)}.")
+    stds = [f"{key}_std" for key in known] if name == "noise" else []
+    _refuse_unknown(path, f"{name}.", table, (*known, *stds))
+    if isinstance(table.get("law", ""), str):
+        texts = {"law": table["law"]} if "law" in table else {}
+    else:
+        raise ProfileError(f"{path}: {name}.law is {str(table['law'])[:40]}; allowed: a name in quotes.")
+    numbers = {
+        key: _number(path, f"{name}.{key}", value, ranges[key.removesuffix("_std") if key in stds else key])
+        for key, value in table.items()
+        if key not in texts
+    }
+    return texts | numbers
 
 
 def _ticks(path: Path, raw: Mapping[str, Any]) -> tuple[float, float] | None:
@@ -138,21 +212,10 @@ def _ticks(path: Path, raw: Mapping[str, Any]) -> tuple[float, float] | None:
     pair = value if isinstance(value, list) else [value, value]
     if len(pair) != 2:
         raise ProfileError(
-            f"{path}: metres_per_tick is {value!r}; allowed: one number, or [LEFT, RIGHT], above 0."
+            f"{path}: metres_per_tick is {str(value)[:40]}; allowed: one number, or [LEFT, RIGHT], above 0."
         )
-    left, right = (_number(path, "metres_per_tick", v, positive=True) for v in pair)
+    left, right = (_number(path, "metres_per_tick", v, _TICK_RANGE) for v in pair)
     return left, right
-
-
-def _table(
-    path: Path, name: str, raw: Mapping[str, Any], defaults: Mapping[str, float], defaulted: list[str]
-) -> dict[str, float]:
-    table = raw.get(name, {})
-    if not isinstance(table, dict):
-        raise ProfileError(f"{path}: {name} is not a table; allowed: [{name}] with {', '.join(defaults)}.")
-    _refuse_unknown(path, f"{name}.", table, tuple(defaults))
-    defaulted += [f"{name}.{key} = {value:g}" for key, value in defaults.items() if key not in table]
-    return {key: _number(path, f"{name}.{key}", table.get(key, default)) for key, default in defaults.items()}
 
 
 def _refuse_unknown(path: Path, prefix: str, table: Mapping[str, Any], known: tuple[str, ...]) -> None:
@@ -161,9 +224,8 @@ def _refuse_unknown(path: Path, prefix: str, table: Mapping[str, Any], known: tu
         raise ProfileError(f"{path}: unknown key {prefix}{unknown[0]}; allowed: {', '.join(known)}.")
 
 
-def _number(path: Path, key: str, value: Any, *, positive: bool = False) -> float:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not good or value < 0 or (positive and value == 0):
-        bound = "above 0" if positive else "0 or above"
-        raise ProfileError(f"{path}: {key} is {value!r}; allowed: a number, {bound}.")
+def _number(path: Path, key: str, value: Any, bounds: tuple[float, float]) -> float:
+    wrong = fault(key, value, *bounds)
+    if wrong:
+        raise ProfileError(f"{path}: {wrong}")
     return float(value)

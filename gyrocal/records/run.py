@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from gyrocal.errors import InputError
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
-from gyrocal.records.files import reading, sha256_of_file
+from gyrocal.records.files import parse_json, read_text, reading, sha256_of_file
 
 SCHEMA = "gyrocal-run/1"
 COLUMNS = (
@@ -30,6 +29,7 @@ KINDS = ("rate", "static", "ramp", "soak")
 OUTCOMES = ("ok", "unsettled", "failed")
 
 _CHUNK_ROWS = 500_000
+_RESTORE = "The journal is append-only: restore it."
 
 #: No number of a run is larger; it also keeps infinity and integers that no float holds out.
 _LARGEST = 1e15
@@ -223,16 +223,11 @@ def read_run(path: Path) -> Run:
         No ``run.json``, another schema, no sensor, or a damaged journal.
     """
     source = path / "run.json"
-    with reading(source):
-        text = source.read_text(encoding="utf-8")
-    try:
-        head = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{source}: is not JSON ({error}). The file may be truncated.") from error
+    head = parse_json(read_text(source), str(source), "The file may be truncated.")
     found = head.get("schema") if isinstance(head, dict) else None
     if found != SCHEMA:
         raise InputError(
-            f"{source}: schema is {found!r}, and this program reads {SCHEMA!r}. Check the path or update gyrocal."
+            f"{source}: schema is {found!r:.80}, and this program reads {SCHEMA!r:.80}. Check the path or update gyrocal."
         )
     _check_head(source, head)
     notes = [
@@ -257,6 +252,12 @@ def read_run(path: Path) -> Run:
     )
 
 
+def _leaves(file: str) -> bool:
+    """Whether a path leads out of the run directory."""
+    parts = PurePosixPath(file).parts
+    return not parts or ".." in parts or file.startswith("/")
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
 
@@ -266,12 +267,12 @@ def _check_head(source: Path, head: Mapping[str, Any]) -> None:
     for key in ("bench", "profile"):
         if not isinstance(head.get(key) or {}, dict):
             raise InputError(
-                f"{source}: {key} is {head[key]!r}, and an object is wanted. Leave it out or repair it."
+                f"{source}: {key} is {head[key]!r:.80}, and an object is wanted. Leave it out or repair it."
             )
     power_on_t_s = head.get("power_on_t_s")
     if not (power_on_t_s is None or _is_number(power_on_t_s)):
         raise InputError(
-            f"{source}: power_on_t_s is {power_on_t_s!r}, and a number of seconds is wanted. Leave it out or repair it."
+            f"{source}: power_on_t_s is {power_on_t_s!r:.80}, and a number of seconds is wanted. Leave it out or repair it."
         )
 
 
@@ -298,13 +299,15 @@ def _read_sensor(source: Path, head: dict[str, Any]) -> Sensor:
             and value[0] < value[1]
         ):
             raise InputError(
-                f"{source}: sensor.{key} is {value!r}, and a list of two numbers, the smaller first, is wanted."
+                f"{source}: sensor.{key} is {value!r:.80}, and a list of two numbers, the smaller first, is wanted."
             )
         return float(value[0]), float(value[1])
 
     serial, rate_hz = raw.get("serial"), raw.get("sample_rate_hz")
     if not (rate_hz is None or (_is_number(rate_hz) and rate_hz > 0)):
-        raise InputError(f"{source}: sensor.sample_rate_hz is {rate_hz!r}, and a positive number is wanted.")
+        raise InputError(
+            f"{source}: sensor.sample_rate_hz is {rate_hz!r:.80}, and a positive number is wanted."
+        )
     return Sensor(
         str(raw["model"]),
         None if serial is None else str(serial),
@@ -318,31 +321,68 @@ def _read_journal(
     path: Path, notes: list[str]
 ) -> tuple[tuple[SegmentRecord, ...], tuple[Mapping[str, Any], ...]]:
     source = path / "journal.jsonl"
-    with reading(source):
-        lines = source.read_text(encoding="utf-8").splitlines()
+    lines = read_text(source).splitlines()
     events: list[Mapping[str, Any]] = []
     sealed: dict[int, SegmentRecord] = {}
+    named: dict[str, int] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         try:
-            event = json.loads(line)
-        except (ValueError, RecursionError) as error:
-            if number == len(lines):
-                # A crash can tear the line that was being written; the segment it spoke of is redone by --resume.
-                notes.append(f"journal.jsonl, line {number} was cut off by a crash and is ignored")
-                break
-            msg = f"{source}, line {number}: is not JSON ({error}). The journal is append-only: restore it."
-            raise InputError(msg) from error
-        if not isinstance(event, dict):
-            raise InputError(
-                f"{source}, line {number}: is not a JSON object. The journal is append-only: restore it."
-            )
+            event = parse_json(line, f"{source}, line {number}", _RESTORE)
+        except InputError:
+            if number < len(lines):
+                raise
+            # A crash can tear the line that was being written; the segment it spoke of is redone by --resume.
+            notes.append(f"journal.jsonl, line {number} was cut off by a crash and is ignored")
+            break
+        _check_event(source, number, event)
         events.append(event)
         if event.get("event") == "segment":
             record = _segment_record(source, number, event)
+            if record.file in named:
+                msg = f"{source}, line {number}: names {record.file}, as line {named[record.file]} does. {_RESTORE}"
+                raise InputError(msg)
+            named[record.file] = number
             sealed[record.id] = record
+    notes += _incomplete(path, events, sealed.values())
     return tuple(sorted(sealed.values(), key=lambda r: (r.t_start_s, r.id))), tuple(events)
+
+
+def _check_event(source: Path, number: int, event: Any) -> None:
+    if not isinstance(event, dict):
+        raise InputError(f"{source}, line {number}: is not a JSON object. {_RESTORE}")
+    wrong = [
+        key
+        for key in ("t_s", "steps", "expected_s")
+        if event.get(key) is not None and not _is_number(event[key])
+    ]
+    if wrong:
+        msg = f"{source}, line {number}: {wrong[0]} is {event[wrong[0]]!r:.40}, and a number is wanted. {_RESTORE}"
+        raise InputError(msg)
+
+
+def _incomplete(
+    path: Path, events: list[Mapping[str, Any]], sealed: Collection[SegmentRecord]
+) -> Iterator[str]:
+    """What tells that the run is not all that was planned or recorded, in words."""
+    starts = [i for i, e in enumerate(events) if e.get("event") in ("start", "resume")]
+    said = events[starts[-1] :] if starts else []
+    ends = [e for e in said if e.get("event") == "end"]
+    planned = max((e["steps"] for e in events if _is_number(e.get("steps"))), default=None)
+    if said and not (ends and ends[-1].get("complete")):
+        aborted = next((str(e.get("reason")) for e in said if e.get("event") == "aborted"), None)
+        how = (
+            f"it was ended: {aborted}" if aborted else "some segments were skipped or failed" if ends else ""
+        )
+        known = f": {len(sealed)} of {planned:g} planned segments are sealed" if planned else ""
+        yield f"the run is incomplete{known}; {how or 'its journal has no end: it goes on, was cut short, or the journal was cut'}"
+    elif planned is not None and len(sealed) < planned:
+        yield f"the run is incomplete: the journal says that it was completed, and has {len(sealed)} of {planned:g} segments"
+    present = {f"data/{file.name}" for file in (path / "data").glob("*.csv")}
+    orphans = sorted(present - {record.file for record in sealed})
+    if orphans:
+        yield f"{len(orphans)} files in data stand in no line of the journal and are not used (the first: {orphans[0]}); was it cut?"
 
 
 def _segment_record(source: Path, number: int, event: dict[str, Any]) -> SegmentRecord:
@@ -355,7 +395,7 @@ def _segment_record(source: Path, number: int, event: dict[str, Any]) -> Segment
     for key, allowed in (("kind", KINDS), ("outcome", OUTCOMES)):
         if event[key] not in allowed:
             raise InputError(
-                f"{source}, line {number}: {key} is {event[key]!r}; allowed: {', '.join(allowed)}."
+                f"{source}, line {number}: {key} is {event[key]!r:.80}; allowed: {', '.join(allowed)}."
             )
     wrong = [
         key
@@ -364,12 +404,12 @@ def _segment_record(source: Path, number: int, event: dict[str, Any]) -> Segment
     ]
     if wrong:
         raise InputError(
-            f"{source}, line {number}: the segment's {wrong[0]} is {event[wrong[0]]!r}, and a number is wanted. "
+            f"{source}, line {number}: the segment's {wrong[0]} is {event[wrong[0]]!r:.80}, and a number is wanted. "
             "The journal is damaged: restore it."
         )
-    if not isinstance(event["file"], str) or "\0" in event["file"]:
+    if not isinstance(event["file"], str) or "\0" in event["file"] or _leaves(event["file"]):
         raise InputError(
-            f"{source}, line {number}: file is {event['file']!r}, and a path in the run is wanted. "
+            f"{source}, line {number}: file is {event['file']!r:.80}, and a path in the run is wanted. "
             "The journal is damaged: restore it."
         )
     return SegmentRecord(
@@ -382,6 +422,6 @@ def _segment_record(source: Path, number: int, event: dict[str, Any]) -> Segment
         n=int(event["n"]),
         averaging_s=None if event.get("averaging_s") is None else float(event["averaging_s"]),
         outcome=str(event["outcome"]),
-        file=event["file"],
+        file=PurePosixPath(event["file"]).as_posix(),
         sha256=str(event["sha256"]),
     )

@@ -119,6 +119,8 @@ def _page(m: Material, pictures: list[Picture]) -> Page:
 
 def _verdict(m: Material, before_dph: float, after_dph: float) -> str:
     whose = "the recording that they were fitted to" if m.own else "a recording that they were not fitted to"
+    if "source_sha256" not in m.coefficients.provenance:
+        whose = "this recording (whether they were fitted to it, their file does not say)"
     before = "about its mean" if m.one_rate else "about the best single scale factor"
     return (
         f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms {before} to "
@@ -169,7 +171,7 @@ def _structure(m: Material) -> list[str]:
     found = [f"{name.replace('_', ' ')} (p = {p:.1g})" for name, p in p_values.items() if p < ALARM_RATE]
     if not found:
         return [
-            "The residual holds no structure beyond its noise: twelve terms say all that these data show."
+            "The residual holds no structure beyond its noise: the surface says all that these data show."
         ]
     return [
         f"The residual is structured in {', '.join(found)}: `gyrocal diagnose` looks for the physics behind it."

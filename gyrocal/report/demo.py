@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from gyrocal.bench.profile import load_profile
-from gyrocal.bench.runner import Progress as BenchProgress
 from gyrocal.bench.session import AcquireConfig, acquire
+from gyrocal.bench.watching import Progress as BenchProgress
 from gyrocal.calibration.calibrate import FitConfig, calibrate
 from gyrocal.navigation.drives import DriveRequest, simulate_to_directory
 from gyrocal.physics.gyro import rd2100_unit
 from gyrocal.records.files import write_atomically
 from gyrocal.report.build import ReportConfig, ReportResult, write_report
-from gyrocal.report.navigation import ReplayRequest, replay_to_directory, verdict
+from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 from gyrocal.report.output import check_output
 from gyrocal.report.truth import TruthComparison, compare_with_truth
 
@@ -116,7 +116,7 @@ def run_demo(config: DemoConfig, progress: Progress) -> DemoResult:
         bench_time_s=summary.bench_time_s,
         report=report,
         truth=truth,
-        drives=verdict(result.table),
+        drives=result.verdict,
     )
 
 

@@ -11,24 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.result import Diagnosis, Improvement, Located, NamedEffect, Rows
-from gyrocal.diagnosis.sentences import (
-    counted,
-    in_the_noise,
-    logloss_gain,
-    not_testable_sentences,
-    scale_of,
-    traded_sentence,
-    verdict_sentence,
-)
-from gyrocal.diagnosis.words import (
-    decimals,
-    fixed,
-    interval_text,
-    listed,
-    p_text,
-    range_text,
-    value_text,
-)
+from gyrocal.physics.catalogue import described
 from gyrocal.report import style
 from gyrocal.report.diagnosis_figures import (
     effect_figure,
@@ -39,7 +22,27 @@ from gyrocal.report.diagnosis_figures import (
     residual_over_time,
     turning,
 )
+from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
+from gyrocal.report.sentences import (
+    counted,
+    in_the_noise,
+    logloss_gain,
+    plain_sentences,
+    scale_of,
+    traded_sentence,
+    verdict_sentence,
+)
+from gyrocal.report.words import (
+    decimals,
+    fixed,
+    interval_text,
+    listed,
+    p_text,
+    range_text,
+    region_words,
+    value_text,
+)
 
 #: Fewer rows than this on a turning table are no picture of a turn.
 _LEAST_TURNING = 100
@@ -177,6 +180,7 @@ def _rms_cells(i: Improvement) -> tuple[str, str, str]:
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """Where the excess lives, what was named, what it gained, the noise, and what this record cannot show."""
     return [
+        *drive_tables(diagnosis),
         _table(
             "located",
             "Where the excess lives",
@@ -191,6 +195,15 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             ("Effect", "Parameter", "Value", "95 % interval", "p"),
             _parameters(diagnosis),
             " ".join(filter(None, (traded_sentence(e, diagnosis.improved) for e in diagnosis.effects))),
+        ),
+        _table(
+            "laws",
+            "Their laws",
+            ("Effect", "Law", "Where it is written", "Easily taken for"),
+            [
+                (law.id, law.equation, law.reference, ", ".join(law.looks_like) or "-")
+                for law in map(described, dict.fromkeys(e.effect for e in diagnosis.effects))
+            ],
         ),
         _table(
             "alternatives",
@@ -215,11 +228,10 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
 
 def _located(diagnosis: Diagnosis, place: Located) -> tuple[str, ...]:
     with_model = "explained" if diagnosis.verdict == "explained" else "taken up"
-    said = [e.effect for e in diagnosis.effects if e.statement == place.region]
     return (
         place.coordinate,
         place.statistic,
-        f"see {said[0]}" if said else place.region,
+        f"see {place.finding}" if place.finding else region_words(place),
         p_text(place.p_value),
         f"{place.share:.0%}" if math.isfinite(place.share) else "-",
         "still there" if place.remains else with_model,
@@ -311,11 +323,3 @@ def _improvement_cells(i: Improvement) -> tuple[str, ...]:
         gain,
         interval,
     )
-
-
-def plain_sentences(diagnosis: Diagnosis) -> list[str]:
-    """What there is to say, in order, each thing once."""
-    said = [s for s in diagnosis.sentences if not s.startswith("Not testable")]
-    said += [n[0].upper() + n[1:] for n in diagnosis.notes if not any(n.rstrip(".") in s for s in said)]
-    said = [s.rstrip(".") + "." for s in said]
-    return [*dict.fromkeys(said), *not_testable_sentences(diagnosis)]

@@ -12,12 +12,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.diagnosis.blind import BlindConfig, Finder, Progress, Trial, check_profile, run_trials
-from gyrocal.diagnosis.blind_summary import NOTHING, BlindSummary, summarise
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.files import make_output_directory, write_atomically
 from gyrocal.report import style
 from gyrocal.report.page import Page, Picture, Table, render_page
+from gyrocal.trial.blind import BlindConfig, Finder, Progress, Trial, check_profile, run_trials
+from gyrocal.trial.summary import NOTHING, BlindSummary, summarise
 
 _CAVEAT = (
     "The virtual bench and the finder share the formulas of the effects: this proves less than recordings made by "

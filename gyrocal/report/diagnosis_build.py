@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +12,28 @@ from matplotlib.figure import Figure
 
 import gyrocal
 from gyrocal.bench.profile import profile_from_dict
-from gyrocal.calibration.provenance import check_sensor, refuse_compensated
-from gyrocal.diagnosis.drive import BLOCK_S
-from gyrocal.diagnosis.drive_result import diagnose_drive
-from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.next_experiment import propose, to_toml
+from gyrocal.calibration.datasets import load_recording
+from gyrocal.calibration.noise import noise_figures
+from gyrocal.calibration.provenance import check_sensor, fitted_to, refuse_compensated
+from gyrocal.diagnosis.drive.engine import diagnose_drive
+from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.result import Diagnosis
+from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.errors import InputError, LimitError, ProfileError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
+from gyrocal.planning.next_experiment import propose, to_toml
 from gyrocal.records.datasets import DataSetTable, read_data_sets
-from gyrocal.records.drive import read_drive_log
-from gyrocal.records.robot import read_robot
+from gyrocal.records.drive_source import Reading, read_drive
+from gyrocal.records.robot import format_robot, read_robot
 from gyrocal.records.run import Run, read_run
 from gyrocal.report import style
 from gyrocal.report.diagnosis import diagnosis_page, figures
 from gyrocal.report.diagnosis_drive import drive_figures
+from gyrocal.report.drive_words import drive_sentences
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Picture
+from gyrocal.report.sentences import document
+from gyrocal.report.versus import law_files, told
 
 #: Share done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]
@@ -48,6 +53,10 @@ class DiagnoseConfig:
     bench_hours: float = 8.0
     seed: int = 0
     force_sensor: bool = False
+    #: Drive logs of the same robot that the figures are shown on and not fitted to.
+    others: tuple[Path, ...] = ()
+    reading: Reading = field(default_factory=Reading)
+    simulation: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +66,7 @@ class DiagnoseResult:
     diagnosis: Diagnosis
     out: Path
     files: tuple[str, ...]
+    told: tuple[str, ...] = ()
 
 
 def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResult:
@@ -69,37 +79,105 @@ def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResul
     """
     check_output(config.out)
     progress(0.02, "read")
+    if config.robot is not None and config.simulation is not None:
+        raise InputError(
+            f"{config.simulation}: a drive log is not compared with a simulation yet. Leave --simulation out, or --robot."
+        )
     if config.robot is not None:
         return _write_drive(config, config.robot, progress)
+    if config.others:
+        raise InputError(
+            f"{config.others[0]}: several recordings are for drive logs. State the robot file with --robot."
+        )
+    if config.reading != Reading():
+        raise InputError(
+            f"{config.recording}: --columns, --topic and --axis are for drive logs. State the robot file with --robot."
+        )
     source = _read(config)
+    if config.simulation is not None:
+        return _write_versus(config, source, config.simulation, progress)
     coefficients, notes = _model(config, source)
     progress(0.1, "examine")
     found = diagnose(source, coefficients, Options(seed=config.seed))
     progress(0.7, "next experiment")
     found = replace(with_next_experiment(found, source, config.bench_hours), notes=(*found.notes, *notes))
+    found = with_noise_at_rest(_with_source(found, config), source)
     files = diagnosis_files(found, figures(found), _provenance(config), progress)
     write_directory(config.out, files)
     progress(1.0, "")
     return DiagnoseResult(found, config.out, tuple(files))
 
 
+def with_noise_at_rest(found: Diagnosis, source: Run | DataSetTable) -> Diagnosis:
+    """The diagnosis with the noise figures that `fit` and `report` give for the same record, where it has samples at rest.
+
+    What the samples at rest do not resolve stays what the model of the whole recording says.
+    """
+    if found.noise is None or not isinstance(source, Run):
+        return found
+    at_rest = noise_figures(load_recording(source.path)).figures
+    walk, bias = (at_rest[name].value for name in ("angle_random_walk", "bias_instability"))
+    noise = replace(
+        found.noise,
+        angle_random_walk_deg_per_rt_h=found.noise.angle_random_walk_deg_per_rt_h if walk is None else walk,
+        bias_instability_deg_per_h=found.noise.bias_instability_deg_per_h if bias is None else bias,
+    )
+    return replace(found, noise=noise)
+
+
+def _with_source(found: Diagnosis, config: DiagnoseConfig) -> Diagnosis:
+    """The answer with the recording in the provenance of what was fitted to it."""
+    fitted_here = config.coefficients is None
+    return replace(
+        found,
+        surface=fitted_to(found.surface, config.recording)
+        if fitted_here and found.surface
+        else found.surface,
+        improved=fitted_to(found.improved, config.recording) if found.improved else None,
+    )
+
+
 def _write_drive(config: DiagnoseConfig, robot_file: Path, progress: Progress) -> DiagnoseResult:
     if config.counts_per_dps is not None:
         raise InputError(f"{config.recording}: --counts-per-dps is for tables of data sets. Leave it out.")
     robot = read_robot(robot_file)
-    log = read_drive_log(config.recording, robot.metres_per_tick)
+    log = read_drive(config.recording, robot, config.reading)
     coefficients = None if config.coefficients is None else load_coefficients(config.coefficients)
     progress(0.1, "examine")
-    found = diagnose_drive(config.recording.name, log, robot, coefficients, config.seed)
-    found = replace(found, diagnosis=replace(found.diagnosis, counted_in=f"block of {BLOCK_S:g} s"))
+    others = [(path.name, read_drive(path, robot, config.reading)) for path in config.others]
+    found = diagnose_drive(config.recording.name, log, robot, coefficients, others)
+    diagnosis = replace(found.diagnosis, sentences=drive_sentences(found))
     drawn = drive_figures(found)
     provenance = _provenance(config) | {"robot": robot_file.name}
     if coefficients is None:
         provenance["coefficients"] = "none: the gyro as logged"
-    files = diagnosis_files(found.diagnosis, drawn, provenance, progress)
+    files = diagnosis_files(diagnosis, drawn, provenance, progress)
+    if found.robot is not None:
+        files["improved_robot.toml"] = format_robot(found.robot)
     write_directory(config.out, files)
     progress(1.0, "")
-    return DiagnoseResult(found.diagnosis, config.out, tuple(files))
+    return DiagnoseResult(diagnosis, config.out, tuple(files))
+
+
+def _write_versus(
+    config: DiagnoseConfig, source: Run | DataSetTable, simulation: Path, progress: Progress
+) -> DiagnoseResult:
+    if config.coefficients is not None:
+        raise InputError(
+            f"{config.coefficients}: --simulation says what the recording is compared with. Leave --coefficients out."
+        )
+    simulated = series_of(simulation)
+    progress(0.1, "match and examine")
+    answer = versus(series_of(source), simulated, Options(seed=config.seed))
+    said = told(answer)
+    # Coefficients of the difference are none of a gyro, and no robot must take them for such.
+    found = replace(answer.diagnosis, surface=None, improved=None, notes=(*said, *answer.diagnosis.notes))
+    drawn = figures(found)
+    provenance = _provenance(config) | {"coefficients": "none", "simulation": simulation.name}
+    files = diagnosis_files(found, drawn, provenance, progress) | law_files(answer)
+    write_directory(config.out, files)
+    progress(1.0, "")
+    return DiagnoseResult(found, config.out, tuple(files), said)
 
 
 def _read(config: DiagnoseConfig) -> Run | DataSetTable:
@@ -139,11 +217,7 @@ def with_next_experiment(
         except (ProfileError, LimitError) as error:
             note = f"no profile could be proposed for this bench: {error}"
             return replace(diagnosis, notes=(*diagnosis.notes, note))
-    return replace(
-        diagnosis,
-        next_experiment=proposal.to_json(),
-        sentences=(*diagnosis.sentences, proposal.sentence),
-    )
+    return replace(diagnosis, next_experiment=proposal.to_json())
 
 
 def diagnosis_files(
@@ -154,7 +228,7 @@ def diagnosis_files(
 ) -> dict[str, bytes | str]:
     """Name to contents of everything that a diagnosis writes."""
     files: dict[str, bytes | str] = {
-        "diagnosis.json": json.dumps(diagnosis.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n"
+        "diagnosis.json": json.dumps(document(diagnosis), indent=1, sort_keys=True, allow_nan=False) + "\n"
     }
     if diagnosis.surface is not None:
         files["surface.json"] = diagnosis.surface.to_text()

@@ -84,7 +84,7 @@ DRAWINGS = (
         "Residual over rate and temperature",
         "Mean residual in each cell; the margins show the means by rate and by temperature. Their intervals come from "
         "the covariance of the fit: scatter, drift that data sets near in time share, and coefficients. Margins that "
-        "leave zero by more than that are structure that twelve terms do not follow.",
+        "leave zero by more than that are structure that the surface does not follow.",
         _over_rate(lambda m: figures_residual.residual_map(m.data)),
     ),
     Drawing(

@@ -51,7 +51,7 @@ def error_against_rate(data: Examined, surface: Surface) -> Figure:
         x = data.sets.gyro_dps[rows]
         _curve(axes, x, data.sets.error_dps[rows], colour, marker, data.marked[rows])
         line = np.linspace(x.min(), x.max(), 201)
-        axes.plot(line, surface.error_dps(line, level.value), color=colour, linewidth=0.9)
+        axes.plot(line, surface.error_at_output_dps(line, level.value), color=colour, linewidth=0.9)
         axes.plot([], [], color=colour, marker=marker, label=_temperature_name(level, tight))
     axes.set_xlabel(RATE_LABEL)
     axes.set_ylabel(ERROR_LABEL)
@@ -89,7 +89,7 @@ def error_against_temperature(data: Examined, surface: Surface) -> Figure:
 def error_before(data: Examined, surface: Surface) -> Figure:
     """Figure 3a: the error over rate and temperature before calibration, data and fitted surface."""
     gyro, temp = _grid(data)
-    height = surface.error_dps(gyro, temp)
+    height = surface.error_at_output_dps(gyro, temp)
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.1)
     spatial: Any = figure.add_subplot(1, 2, 1, projection="3d")
     spatial.plot_surface(
@@ -155,7 +155,7 @@ def _grid(data: Examined) -> tuple[Floats, Floats]:
 
 def _height_limits(data: Examined, surface: Surface) -> tuple[float, float]:
     """Limits of the height axis that 3a and 3b share: those of the error before, data and surface."""
-    heights = np.concatenate((data.sets.error_dps, surface.error_dps(*_grid(data)).ravel()))
+    heights = np.concatenate((data.sets.error_dps, surface.error_at_output_dps(*_grid(data)).ravel()))
     limit = float(np.abs(heights).max())
     return -limit, limit
 

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from gyrocal.calibration.noise import Interval, NoiseFigures
+from gyrocal.calibration.figure import Interval
+from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.report import style
 from gyrocal.report.data import Floats
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH

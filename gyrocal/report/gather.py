@@ -10,10 +10,10 @@ import numpy as np
 from scipy import linalg
 
 from gyrocal.calibration.checks import MOST_DATA_SETS
+from gyrocal.calibration.choice import BIAS, PAPER, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.covariance import Scatter
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
-from gyrocal.calibration.fit import ALL_TERMS, BIAS_TERMS, fit_surface
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
 from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
 from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
@@ -88,13 +88,14 @@ def gather(
         compensator = Compensator(coefficients)
     corrected, timeline, more = _corrected(recording, sets, compensator)
     progress(0.2, "scatter and outliers")
-    terms = BIAS_TERMS if one_rate else ALL_TERMS
-    if len(sets) <= np.count_nonzero(terms):
+    terms = int((BIAS if one_rate else PAPER).terms.sum())
+    if len(sets) <= terms:
         raise DataError(
-            f"{source}: holds {len(sets)} data sets, too few to judge {np.count_nonzero(terms)} terms by. "
-            "Report the recording that the coefficients were fitted to, or record more rates and temperatures."
+            f"{source}: holds {len(sets)} data sets, too few to judge {terms} terms by. "
+            "Report the recording that the coefficients were fitted to, or record more rates and temperatures; what a record "
+            f"at rest says of noise and bias is gyrocal noise {source}."
         )
-    fit = fit_surface(sets, "gls", terms, recording.rest)
+    fit = fit_chosen(sets, recording.rest, model=BIAS if one_rate else None).fit
     reasons = _reasons(sets, fit.scatter)
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True
@@ -111,7 +112,7 @@ def gather(
         timeline=timeline,
         signed=signed_scatter(data),
         tested=tested,
-        noise=noise_figures(recording, coefficients.surface),
+        noise=noise_figures(recording),
         before_dps=_rms_about_line(sets, 0 if one_rate else 1),
         after_dps=float(np.sqrt(np.mean(residual**2))),
         own=own,
@@ -125,7 +126,7 @@ def _corrected(
 ) -> tuple[Floats, Timeline | None, tuple[str, ...]]:
     """Corrected mean of each data set, the course of the run, and notes on terms that were not applied."""
     surface = compensator.coefficients.surface
-    corrected = sets.gyro_dps - surface.error_dps(sets.gyro_dps, sets.temp_c)
+    corrected = surface.rate_dps(sets.gyro_dps, sets.temp_c)
     notes = tuple(
         f"the term {effect} belongs to the bench and is not taken away from the gyro"
         for effect in compensator.not_applied
@@ -135,9 +136,9 @@ def _corrected(
         corrected = np.array([means.get(int(s), c) for s, c in zip(sets.segment, corrected, strict=True)])
         return corrected, timeline, notes
     short = [
-        term.effect.id
+        term.name
         for term in compensator.terms
-        if "since_power_on_s" in term.effect.needs or (term.effect.has_memory and not sets.timed)
+        if "since_power_on_s" in term.channels or (term.has_memory and not sets.timed)
     ]
     if short:
         notes += (
@@ -166,7 +167,7 @@ def residual_covariance(sets: DataSets, scatter: Scatter, coefficients: Coeffici
     part that generalised least squares follows. To other data the uncertainty of the coefficients is added.
     """
     if not own:
-        design = coefficients.surface.design(sets.gyro_dps, sets.temp_c)
+        design = coefficients.sensitivity(sets.gyro_dps, sets.temp_c)
         return np.asarray(scatter.matrix + design @ coefficients.covariance_dps2 @ design.T)
     lower = linalg.cholesky(scatter.matrix, lower=True)
     q = linalg.qr(linalg.solve_triangular(lower, scatter.design, lower=True), mode="economic")[0]

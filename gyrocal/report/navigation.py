@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.errors import GyrocalError, InputError
+from gyrocal.errors import InputError
 from gyrocal.fusion import STATES, Coefficients, load_coefficients
 from gyrocal.navigation.align import METHODS
-from gyrocal.navigation.replay import CONDITIONS, DriveSource, LogReplay, Track, replay_log
+from gyrocal.navigation.equip import DriveSource
+from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
+from gyrocal.navigation.track import CONDITIONS, Track
 from gyrocal.navigation.yaw import compare_yaw
-from gyrocal.records.bags import Wheels, is_bag, iterate_bag
-from gyrocal.records.columns import ColumnMap, read_column_map
 from gyrocal.records.csvio import Floats, format_columns
-from gyrocal.records.drive import iterate_drive_log
-from gyrocal.records.files import make_output_directory, write_atomically
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.drive_source import Reading, iterate_drive
 from gyrocal.records.robot import Robot, read_robot
 from gyrocal.report.navigation_figures import (
     bars_caption,
@@ -34,6 +34,7 @@ from gyrocal.report.navigation_figures import (
     draw_trajectories,
     in_truth_frame,
 )
+from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, render_page
 from gyrocal.report.page import Table as PageTable
 from gyrocal.report.style import render
@@ -52,17 +53,18 @@ class ReplayRequest:
     robot: Path
     out: Path
     coefficients: Path | None = None
-    columns: Path | None = None
+    reading: Reading = field(default_factory=Reading)
     method: str | None = None
     returns: bool = False
     power_on_t_s: float | None = None
-    topics: Mapping[str, str] = field(default_factory=dict)
+    kind: str = "model"
 
 
 @dataclass(frozen=True)
 class ReplayResult:
     """Tables and summary, as printed; everything is in `files` too, by path below the output directory."""
 
+    verdict: str
     table: Table
     errors: PageTable
     summary: Mapping[str, Any]
@@ -74,21 +76,10 @@ def replay_to_directory(request: ReplayRequest, report: Report) -> ReplayResult:
     """Replay the logs, then write everything to the output directory: all of it or nothing."""
     robot = read_robot(request.robot)
     coefficients = load_coefficients(request.coefficients) if request.coefficients else None
-    columns = read_column_map(request.columns) if request.columns else None
-    sources = _sources(request.logs, robot, columns, request.topics)
-    existed = request.out.exists()
-    make_output_directory(request.out)
-    try:
-        replays = _replay_all(request, sources, robot, coefficients, report)
-    except GyrocalError:
-        if not existed:
-            request.out.rmdir()
-        raise
-    result = build(replays, robot, coefficients, report)
-    for name, data in result.files.items():
-        path = request.out / name
-        path.parent.mkdir(exist_ok=True)
-        write_atomically(path, data)
+    sources = _sources(request.logs, robot, request.reading)
+    check_output(request.out)
+    result = build(_replay_all(request, sources, robot, coefficients, report), robot, coefficients, report)
+    write_directory(request.out, result.files)
     report(1.0, "")
     return result
 
@@ -108,6 +99,7 @@ def _replay_all(
                 source,
                 robot,
                 coefficients,
+                kind=request.kind,
                 method=request.method,
                 returns=request.returns,
                 power_on_t_s=request.power_on_t_s,
@@ -116,9 +108,7 @@ def _replay_all(
     return replays
 
 
-def _sources(
-    logs: Sequence[Path], robot: Robot, columns: ColumnMap | None, topics: Mapping[str, str]
-) -> list[DriveSource]:
+def _sources(logs: Sequence[Path], robot: Robot, reading: Reading) -> list[DriveSource]:
     sources: list[DriveSource] = []
     for path in logs:
         name = path.stem if path.is_file() else path.name
@@ -127,10 +117,8 @@ def _sources(
                 f"{path}: another log is called {name!r} too. Rename one: the outputs carry the names."
             )
 
-        def blocks(path: Path = path) -> Any:
-            if is_bag(path):
-                return iterate_bag(path, Wheels(robot.wheel_separation_m, robot.wheel_radius_m), topics)
-            return iterate_drive_log(path, robot.metres_per_tick, columns)
+        def blocks(path: Path = path) -> Iterator[DriveBlock]:
+            return iterate_drive(path, robot, reading)
 
         sources.append(DriveSource(name, blocks))
     return sources
@@ -170,7 +158,7 @@ def build(
         files[f"figures/{picture.name}.svg"] = render(figure, "svg")
         pictures.append(replace(picture, png=png))
     files["replay.html"] = render_page(_page(replays, table, remarks, pictures, robot, coefficients)).encode()
-    return ReplayResult(table, _errors_table(replays), summary, remarks, files)
+    return ReplayResult(verdict(replays, table), table, _errors_table(replays), summary, remarks, files)
 
 
 def _plain(value: Any) -> Any:
@@ -196,12 +184,18 @@ def _remarks(
         found.append(
             f"Calibration of {_sensor(coefficients)}; a log does not say which gyro it is of, so see that it is this one."
         )
-    if robot.defaulted:
+    estimated = replays[0].kind == "model"
+    defaults = [d for d in robot.defaulted if not (estimated and d.startswith("noise."))]
+    if defaults:
+        found.append("The robot file does not give, and defaults stand for: " + ", ".join(defaults) + ".")
+    if estimated:
         found.append(
-            "The robot file does not give, and defaults stand for: " + ", ".join(robot.defaulted) + "."
+            "Noise figures are estimated on each log, from the robot file's where it has them: summary.json tells them."
         )
     for replay in replays if len(replays) <= 3 else ():
-        found.append(f"{replay.name}: {compare_yaw(replay.survey, robot.wheel_separation_m).sentence()}.")
+        if not replay.survey.speed_only:
+            yaw = compare_yaw(replay.survey, robot.wheel_separation_m)
+            found.append(f"{replay.name}: {yaw.sentence()}.")
         for condition, seen in replay.observability.items():
             label = next(c.label for c in CONDITIONS if c.id == condition)
             found.append(f"{replay.name}, {label}: {' '.join(seen.sentences())}")
@@ -231,9 +225,10 @@ def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
         "duration_s": found.duration_s,
         "distance_m": found.distance_m,
         "truth_rows": found.truth_rows,
-        "yaw": compare_yaw(found, robot.wheel_separation_m).to_json(),
+        "yaw": None if found.speed_only else compare_yaw(found, robot.wheel_separation_m).to_json(),
         "observability": {k: v.to_json() for k, v in replay.observability.items()},
         "conditions": {t.condition.id: _track_summary(t, robot) for t in replay.tracks},
+        "filter": {k: vars(v) for k, v in replay.judgements.items()},
         "notes": list(replay.notes),
     }
 
@@ -253,7 +248,8 @@ def _track_summary(track: Track, robot: Robot) -> dict[str, Any]:
         result["alignment"] = {"method": METHODS[a.method], "rotation_deg": a.rotation_deg}
         result["alignment"] |= {"x_m": a.x_m, "y_m": a.y_m, "sigma": list(a.sigma)}
     if track.condition.filtering:
-        result["nis"] = {"mean": track.nis, "rows": track.nis_rows}
+        result["nis"] = {"mean": track.nis, "rows": track.nis_rows, "lag1": track.lag1}
+        result["noise"] = asdict(track.robot.noise)
         result["estimates"] = {
             name: {"value": float(track.states[-1, k]), "sigma": float(track.std[-1, k])}
             for k, name in enumerate(STATES)
@@ -312,6 +308,8 @@ def draw_figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Pictu
             if any(t.alignment and t.alignment.method == "positions" for t in replay.tracks):
                 caption += " The error is what the fit of rotation and shift to the truth leaves: not of the same frame."
             result.append((Picture(f"errors_{name}", f"Errors of {name}", caption), draw_errors(replay)))
+        if not any(track.condition.filtering for track in replay.tracks):
+            continue
         caption = (
             "Encoder heading minus gyro heading before each update (eq. 13); black: two standard deviations."
         )
@@ -330,17 +328,54 @@ def _length(value_m: float) -> str:
     return f"{value_m:.2f} m" if value_m >= 1.0 else f"{100.0 * value_m:.1f} cm"
 
 
-def verdict(table: Table) -> str:
-    """The result in one sentence."""
+def verdict(replays: Sequence[LogReplay], table: Table) -> str:
+    """The result in words: first whether the filter holds and pays, then the table's means."""
     mean = table.means[-1].errors_m
     if table.measure == "none":
-        return f"{len(table.rows)} logs replayed; {MEASURES['none']}."
+        return f"{filter_sentence(replays)} {len(table.rows)} logs replayed; {MEASURES['none']}."
     sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
-    text = f"Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
+    text = f"{filter_sentence(replays)} Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
     factors = [
         f"{v:.3g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
     ]
     return text + (f" Improvement factors: {', '.join(factors)}." if factors else "")
+
+
+def filter_sentence(replays: Sequence[LogReplay]) -> str:
+    """Whether the filter describes the logs, and whether it beats the gyro alone, by rms and by end."""
+    if not all(r.judgements for r in replays):
+        return "A log without turns by its wheels has no filter: heading by the gyro."
+    ids = {c.id: c for c in CONDITIONS if c.filtering}
+    last = [list(r.judgements)[-1] for r in replays]  # with calibration where there is one
+    pairs = [
+        (
+            r.track(
+                next(c.id for c in CONDITIONS if (c.calibrated, c.filtering) == (ids[k].calibrated, False))
+            ),
+            r.track(k),
+        )
+        for r, k in zip(replays, last, strict=True)
+    ]
+    judged = [r.judgements[k] for r, k in zip(replays, last, strict=True)]
+    holding = sum(j.consistent for j in judged)
+    nis, lag1 = (float(np.median([getattr(j, name) for j in judged])) for name in ("nis", "lag1"))
+    many = len(replays) > 1
+    which = f" on {holding} of {len(replays)} logs" if many and 0 < holding < len(replays) else ""
+    state = "is consistent" if holding else "is not consistent"
+    text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{', medians' if many else ''})"
+    left = sum(j.left_to_gyro for j in judged) if replays[0].kind == "model" else 0
+    if left == len(replays):
+        return f"{text} and is left to the gyro{', which it cannot better here' if holding else ''}."
+    part = f" (on {left} of {len(replays)} logs it is left to the gyro)" if left else ""
+    errors = [(a.errors, b.errors) for a, b in pairs if a and b and a.errors and b.errors and a.errors.rows]
+    if not errors:
+        return f"{text}{part}; without truth nobody knows whether it beats the gyro alone."
+    said = []
+    for name, what in (("rms_m", "rms"), ("end_m", "end")):
+        gyro, filtered = (float(np.mean([getattr(pair[k], name) for pair in errors])) for k in (0, 1))
+        verb = "beats" if filtered < gyro else "loses to"
+        said.append(f"{verb} the gyro alone by {what} ({_length(filtered)} against {_length(gyro)})")
+    return f"{text}{part}; it {' and '.join(said)}."
 
 
 def _page(
@@ -366,7 +401,7 @@ def _page(
         "robot file": robot.source.name,
         "calibration": _sensor(coefficients) if coefficients else "none",
     }
-    return Page("Dead reckoning", verdict(table), key, remarks, pictures, tables, provenance)
+    return Page("Dead reckoning", verdict(replays, table), key, remarks, pictures, tables, provenance)
 
 
 def _errors_table(replays: Sequence[LogReplay]) -> PageTable:

@@ -11,8 +11,9 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from gyrocal.fusion import STATES
-from gyrocal.navigation.replay import CONDITIONS, Condition, LogReplay, Track
+from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.table import DIRECTIONS, MEASURES, Row, Table
+from gyrocal.navigation.track import CONDITIONS, Condition, Track
 from gyrocal.report.style import (
     BLUE,
     GREEN,
@@ -260,7 +261,7 @@ def _draw_block(
             axes.axhline(100.0 * mean.errors_m[condition.id], color=colour, linewidth=0.8, linestyle="--")
     if logarithmic:
         axes.set_yscale("log")
-    axes.set_xticks(np.arange(len(runs)), [r.name for r in runs])
+    axes.set_xticks(np.arange(len(runs)), [r.name.replace("$", r"\$") for r in runs])
     axes.set_xlim(-0.7, len(runs) - 0.3)
     axes.set_title(DIRECTIONS[mean.direction])
     axes.grid(visible=False, axis="x")

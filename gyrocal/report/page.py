@@ -6,6 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from typing import Literal
 
 import jinja2
 
@@ -39,9 +40,20 @@ class Table:
     on_page: bool = True
 
 
+#: How a verdict is meant, told by word and colour: blue where nothing is judged.
+Tone = Literal["plain", "good", "warning", "bad"]
+
+
 @dataclass(frozen=True)
 class Page:
-    """What a report says, verdict first."""
+    """What a report says, verdict first.
+
+    Attributes
+    ----------
+    banner : what has to stand across the page (a simulation); empty: nothing
+    lead : tables that stand above the figures
+    quality : what the data lack or what could not be tested, folded at the end, never between findings
+    """
 
     title: str
     verdict: str
@@ -50,6 +62,10 @@ class Page:
     pictures: Sequence[Picture]
     tables: Sequence[Table]
     provenance: Mapping[str, str] = field(default_factory=dict)
+    tone: Tone = "plain"
+    banner: str = ""
+    lead: Sequence[Table] = ()
+    quality: Sequence[str] = ()
     beside: str = "Every table with all its digits, and every figure as PNG and SVG, stands beside this page."
 
 

@@ -31,6 +31,9 @@ _INTERVALS = {
     "from few data sets.",
 }
 
+#: Columns of the figures of merit in CSV.
+_MERIT_COLUMNS = ("figure", "state", "value", "low_95", "high_95", "unit", "reason")
+
 _NOISE_NAMES = {
     "angle_random_walk_deg_per_rt_h": ("Angle random walk", "deg/√h"),
     "bias_instability_deg_per_h": ("Bias instability", "deg/h"),
@@ -100,23 +103,38 @@ def noise_table(noise: Noise) -> Table:
 
 
 def merit_table(coefficients: Coefficients) -> Table:
-    """Figures of merit of the gyro (IEEE 952) as the coefficient file states them."""
-    figures: Mapping[str, Any] = coefficients.figures.get("gyro", {})
-    rows, columns = [], {"figure": [], "value": [], "std": [], "unit": []}  # type: ignore[var-annotated]
-    for name, figure in figures.items():
-        std = figure.get("std")
-        sigma = "" if std is None else f"{std:.2g}"
-        words = name.replace("_", " ")
-        rows.append((words, f"{figure['value']:.5g}", sigma, figure["unit"], figure["meaning"]))
-        for key, cell in (
-            ("figure", name),
-            ("value", figure["value"]),
-            ("std", std),
-            ("unit", figure["unit"]),
-        ):
-            columns[key].append("" if cell is None else cell)
-    heads = ("Figure", "Value", "Standard error", "Unit", "Meaning")
-    return Table("merit", "Figures of merit", heads, rows, csv_text(columns), "Named after IEEE Std 952.")
+    """Figures of merit of the gyro as the coefficient file states them: before compensation, and after it."""
+    entries: Mapping[str, Any] = coefficients.figures.get("gyro", {})
+    rows, columns = [], {name: [] for name in _MERIT_COLUMNS}  # type: ignore[var-annotated]
+    for name, entry in entries.items():
+        pair = {"before": _of_old_file(entry)} if "value" in entry else entry
+        cells = [_stated(pair[state]) if state in pair else "" for state in ("before", "after")]
+        before = pair["before"]
+        rows.append((name.replace("_", " "), *cells, before["unit"], before["definition"]))
+        for state, figure in pair.items():
+            low, high = figure["interval_95"] or (None, figure["at_most"])
+            values = (name, state, figure["value"], low, high, figure["unit"], figure["reason"])
+            for key, cell in zip(_MERIT_COLUMNS, values, strict=True):
+                columns[key].append("" if cell is None else cell)
+    note = "Named after IEEE Std 952. After: on data that the fit has not seen."
+    heads = ("Figure", "Before", "After", "Unit", "Definition")
+    return Table("merit", "Figures of merit", heads, rows, csv_text(columns), note)
+
+
+def _of_old_file(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A figure of a file from before there were intervals: its standard error, and no after."""
+    half = _Z95 * (entry.get("std") or 0.0)
+    value = entry["value"]
+    shared = {"unit": entry["unit"], "definition": entry["meaning"], "reason": "", "at_most": None}
+    return {"value": value, "interval_95": [value - half, value + half], **shared}
+
+
+def _stated(figure: Mapping[str, Any]) -> str:
+    """Value and interval, a bound, or why there is neither."""
+    if figure["value"] is not None:
+        low, high = figure["interval_95"]
+        return f"{figure['value']:.4g} ({low:.4g} to {high:.4g})"
+    return f"< {figure['at_most']:.3g}" if figure["at_most"] is not None else f"none: {figure['reason']}"
 
 
 def data_set_table(source: Path, data: Examined) -> Table:

@@ -47,10 +47,11 @@ def compare_with_truth(coefficients: Coefficients, half_width_dps: Floats, truth
         for grid in np.meshgrid(np.linspace(*valid.rate_dps, _GRID), np.linspace(*valid.temp_c, _GRID))
     )
     fitted = coefficients.surface
-    true_error = truth.error_dps(gyro, temp)
-    true_terms = np.linalg.lstsq(fitted.design(gyro, temp), true_error, rcond=None)[0].reshape(SHAPE)
+    true_error = truth.error_at_output_dps(gyro, temp)
+    own = gyro if fitted.direction == "output" else gyro - true_error
+    true_terms = np.linalg.lstsq(fitted.design(own, temp), true_error, rcond=None)[0].reshape(SHAPE)
     off = np.abs(fitted.coefficients_dps - true_terms)
-    difference = fitted.error_dps(gyro, temp) - true_error
+    difference = fitted.error_at_output_dps(gyro, temp) - true_error
     expected = coefficients.sigma_dps(gyro, temp)
     return TruthComparison(
         inside=int(np.count_nonzero(off <= half_width_dps)),

@@ -13,17 +13,9 @@ import pytest
 
 from gyrocal.bench.clock import VirtualClock
 from gyrocal.bench.devices import ChamberLimits, TableLimits
+from gyrocal.bench.kinds import ChamberKind, GyroKind, TableKind
 from gyrocal.bench.profile import profile_from_dict
-from gyrocal.bench.registry import (
-    CHAMBERS,
-    GYROS,
-    MANUAL_CHAMBER,
-    MANUAL_TABLE,
-    TABLES,
-    ChamberKind,
-    GyroKind,
-    TableKind,
-)
+from gyrocal.bench.registry import CHAMBERS, GYROS, MANUAL_CHAMBER, MANUAL_TABLE, TABLES
 from gyrocal.bench.virtual.serving import served_kinds, snippet_of
 from gyrocal.bench.wiring import ROLES, read_wire
 from gyrocal.errors import DeviceError, ProfileError
@@ -35,7 +27,7 @@ KINDS: dict[str, GyroKind | TableKind | ChamberKind] = {**GYROS, **TABLES, **CHA
 #: Numbers that are plain counts or addresses, and need no unit in their name.
 COUNTS = {
     "address", "axis", "code_characters", "condition_event", "control_variables", "decimals", "device", "fault_bit", "loop",
-    "microsteps_per_rev", "output", "prefix_characters", "rate_scale", "sequence_modulus", "set_values", "start_bit",
+    "microsteps_per_rev", "output", "plate_input", "plate_loop", "prefix_characters", "rate_scale", "sequence_modulus", "set_values", "start_bit",
     "status_good", "temperature_byte", "trip_margin",
 }  # fmt: skip
 UNITS = re.compile(r"_(dps|dps2|c|c_per_min|s|hz|deg)$")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gyrocal.bench.devices import ChamberReading, GyroSamples, TableReading
+from gyrocal.bench.watching import Progress
 from gyrocal.errors import DeviceError, GyrocalError, InterlockError, InterruptedRunError
 from gyrocal.records.run import Run, read_run
 from tests.bench.tiny import Stand
@@ -306,6 +307,81 @@ def test_interlocks_end_the_run_and_make_safe(
     assert str(trip).endswith("The bench was made safe; find the cause, then --resume.")
     assert stand.table.motions[-1] == "stop"
     assert stand.chamber.setpoints[-1] == 22.0
+
+
+def without_thermometer(stand: Stand) -> None:
+    with_gyro(stand, lambda x: replace(x, gyro_temp_c=np.full(x.t_s.size, np.nan)))
+
+
+RUNAWAYS: dict[str, tuple[dict[str, Any], Callable[[ChamberReading], ChamberReading], str]] = {
+    "air, by the sensor's range": (
+        {},
+        lambda r: replace(r, temp_c=r.temp_c + max(r.t_s - 60.0, 0.0)),
+        "the chamber's air is at 80.",
+    ),
+    "air, by the user's limit": (
+        {"limits__max_temp_c": 30.0},
+        lambda r: replace(r, temp_c=r.temp_c + max(r.t_s - 60.0, 0.0)),
+        "outside -45 to 35 °C",
+    ),
+    "plate": (
+        {},
+        lambda r: replace(r, plate_c=r.temp_c - max(r.t_s - 60.0, 0.0)),
+        "the plate under the gyro is at -45.",
+    ),
+    "nothing is known": ({}, lambda r: replace(r, temp_c=np.nan), "neither gyro nor chamber says how warm"),
+}
+
+
+@pytest.mark.parametrize("name", RUNAWAYS)
+def test_without_a_thermometer_in_the_gyro_air_and_plate_count(tmp_path: Path, name: str) -> None:
+    changes, lie, sentence = RUNAWAYS[name]
+    changes = {"soak__deadline_s": 21.0, "ramp__deadline_s": 200.0, "plan__dwell_s": 60.0, **changes}
+    stand = Stand(tmp_path / "r", **changes)
+    without_thermometer(stand)
+    stand.chamber.falsify = lie
+    with pytest.raises(InterlockError) as caught:
+        stand.run()
+    assert sentence in str(caught.value)
+    assert stand.table.motions[-1] == "stop"
+    assert stand.chamber.setpoints[-1] == 22.0
+
+
+@pytest.mark.parametrize(
+    ("says", "sentence"),
+    [
+        (lambda dps: 0.01 * dps, r"turned at -30 deg/s and the gyro said -0\.29.*: its mode \(increments"),
+        (lambda dps: -dps, r"turned at -30 deg/s and the gyro said 29\.6.*its sign"),
+    ],
+)
+def test_a_gyro_that_does_not_say_what_the_table_does_ends_the_run_at_its_first_data_set(
+    tmp_path: Path, says: Callable[[Any], Any], sentence: str
+) -> None:
+    stand = Stand(tmp_path / "r")
+    with_gyro(stand, lambda x: replace(x, gyro_dps=says(x.gyro_dps)))
+    with pytest.raises(InterlockError, match=sentence):
+        stand.run()
+    assert [r.rate_dps for r in read_run(tmp_path / "r").segments if r.kind == "rate"] == [0.0]
+    free = Stand(tmp_path / "free", safe__follow_share=0.0)
+    with_gyro(free, lambda x: replace(x, gyro_dps=says(x.gyro_dps)))
+    assert free.run().complete
+
+
+def test_a_viewer_that_goes_ends_nothing_and_the_journal_says_so(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+    told = []
+
+    def gone(progress: Progress) -> None:
+        told.append(progress)
+        if len(told) > 3:
+            raise BrokenPipeError(32, "Broken pipe")
+
+    stand.watch.progress = gone  # type: ignore[method-assign]
+    assert stand.run().complete
+    assert len(told) == 4
+    (line,) = events(tmp_path / "r", "viewer_gone")
+    assert "Broken pipe" in line["reason"]
+    assert events(tmp_path / "r", "end")[0]["complete"] is True
 
 
 def test_one_ctrl_c_finishes_the_data_set_at_hand(tmp_path: Path) -> None:

@@ -222,14 +222,16 @@ def test_a_signal_ends_a_question_to_the_operator() -> None:
         ([signal.SIGINT, signal.SIGINT], 2, "Ctrl-C twice"),
         ([signal.SIGTERM], 2, "SIGTERM"),
         ([signal.SIGHUP], 2, "SIGHUP"),
+        ([signal.SIGQUIT], 2, "SIGQUIT"),
         ([signal.SIGTERM, signal.SIGINT], 2, "SIGTERM"),
     ],
 )
 def test_signals_become_requests(signals: list[signal.Signals], level: int, reason: str) -> None:
-    before = [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+    before = [signal.getsignal(s) for s in numbers]
     requests = StopRequests()
     with listening(requests):
         for number in signals:
             os.kill(os.getpid(), number)
     assert (requests.level, requests.reason) == (level, reason)
-    assert [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert [signal.getsignal(s) for s in numbers] == before

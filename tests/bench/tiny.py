@@ -11,10 +11,11 @@ from typing import Any
 from gyrocal.bench.devices import Bench, ChamberReading, GyroSamples, TableReading
 from gyrocal.bench.plan import Plan
 from gyrocal.bench.profile import Profile, profile_from_dict
-from gyrocal.bench.runner import Progress, Runner, Summary
+from gyrocal.bench.runner import Runner
 from gyrocal.bench.safety import StopRequests
 from gyrocal.bench.session import plan_of
 from gyrocal.bench.virtual.devices import virtual_bench
+from gyrocal.bench.watching import Progress, Summary
 from gyrocal.records.journal import create_run
 
 TINY: dict[str, Any] = {

@@ -32,13 +32,11 @@ class ScriptedTransport:
         self._waiting += answer
 
     def read_available(self, wait_s: float) -> bytes:
+        assert wait_s > 0.0 or not self._waiting, f"{self._waiting!r} was left unread"
         # One byte a time, as a slow line gives them. Time passes only while nothing comes.
         self._waited_s += 0.0 if self._waiting else wait_s
         byte, self._waiting = self._waiting[:1], self._waiting[1:]
         return byte
-
-    def clear_input(self) -> None:
-        assert not self._waiting, f"{self._waiting!r} was left unread"
 
     def close(self) -> None:
         self.closed = True
@@ -68,9 +66,6 @@ class LoopTransport:
         self._waited_s += 0.0 if self._waiting else wait_s
         data, self._waiting = self._waiting, b""
         return data
-
-    def clear_input(self) -> None:
-        self._waiting = b""
 
     def close(self) -> None:
         self._waiting = b""

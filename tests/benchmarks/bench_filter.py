@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gyrocal.fusion import FilterNoise, Navigator, RobotParameters
 from gyrocal.fusion import filter as loop
 from tests.benchmarks.row import Row, best_time_s
-from tests.fusion.drive import Drive, simulate
+from tests.fusion.drive import Drive, paper, simulate
 from tests.fusion.test_filter import dense_matrices
 
 Floats = NDArray[np.float64]
@@ -41,11 +41,15 @@ def measure() -> list[Row]:
     drive = simulate(ROBOT, np.random.default_rng(1), ROWS * 0.1)
     filter_ns = 1e9 * _run_s(drive, filtering=True) / ROWS
     alone_ns = 1e9 * _run_s(drive, filtering=False) / ROWS
+    step_ns = 1e9 * _step_s(drive) / REFERENCE_ROWS
+    model_ns = 1e9 * _run_s(drive, filtering=True, kind="model") / ROWS
     first = Drive(*(getattr(drive, name)[:REFERENCE_ROWS] for name in Drive.__dataclass_fields__))
     numpy_ns, filterpy_ns = _dense_ns(first)
     rows = [
         Row("filter, Navigator.run with all bookkeeping", filter_ns, "ns/step"),
-        Row("filter, Navigator.step (one row a call)", 1e9 * _step_s(drive) / REFERENCE_ROWS, "ns/step"),
+        Row("filter, Navigator.step (one row a call)", step_ns, "ns/step", 3e3),
+        Row("the same matrices in plain numpy / Navigator.step", numpy_ns / step_ns, ""),
+        Row("drive model, Navigator.run at 10 Hz", model_ns, "ns/step"),
         Row("the same matrices in plain numpy", numpy_ns, "ns/step"),
         Row("the same matrices in plain numpy / ours", numpy_ns / filter_ns, ""),
     ]
@@ -59,9 +63,9 @@ def measure() -> list[Row]:
     return rows
 
 
-def _run_s(drive: Drive, *, filtering: bool) -> float:
+def _run_s(drive: Drive, *, filtering: bool, kind: str = "paper") -> float:
     def work() -> None:
-        navigator = Navigator(ROBOT, filtering=filtering)
+        navigator = Navigator(ROBOT, kind=kind, filtering=filtering)
         navigator.run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps)
 
     work()
@@ -70,7 +74,7 @@ def _run_s(drive: Drive, *, filtering: bool) -> float:
 
 def _step_s(drive: Drive) -> float:
     def work() -> None:
-        navigator = Navigator(ROBOT)
+        navigator = paper(ROBOT)
         for k in range(REFERENCE_ROWS):
             navigator.step(0.1, drive.left_m[k], drive.right_m[k], drive.gyro_dps[k])
 
@@ -79,7 +83,7 @@ def _step_s(drive: Drive) -> float:
 
 def _dense_ns(drive: Drive) -> tuple[float, float]:
     """Time of a predict and update alone, matrices given, for plain numpy and filterpy."""
-    navigator = Navigator(ROBOT)
+    navigator = paper(ROBOT)
     figures, p0 = navigator._figures, np.diag(navigator._matrix[loop.D])
     matrices = []
     innovation = []
@@ -129,9 +133,9 @@ def _eigen_rows(drive: Drive, filter_ns: float) -> list[Row]:
     if include is None or compiler is None:
         what = "Eigen" if include is None else "a C++ compiler"
         return [Row(f"{what} is absent (apt-get install libeigen3-dev g++): not compared", math.nan, "")]
-    navigator = Navigator(ROBOT)
+    navigator = paper(ROBOT)
     navigator.run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps)
-    fresh = Navigator(ROBOT)
+    fresh = paper(ROBOT)
     f, d = fresh._figures, fresh._matrix[loop.D]
     used = (f[loop.SLIP], f[loop.WALK], f[loop.MEASUREMENT], f[loop.GATE], ROBOT.wheel_separation_m, REPEATS)
     arguments = [repr(float(v)) for v in (*used, *d)]

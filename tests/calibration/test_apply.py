@@ -101,7 +101,7 @@ def test_every_sample_of_a_run(tmp_path: Path) -> None:
     np.testing.assert_allclose(out["sigma_dps"], wanted.sigma_dps, rtol=1e-3)
     np.testing.assert_array_equal(out["flag"], [0, 16, 8, 1, 4, 16])
     assert (applied.rows, applied.flagged_rows, applied.segments) == (6, 5, 2)
-    assert applied.flagged == {1: 1, 2: 0, 4: 1, 8: 1, 16: 2}
+    assert applied.flagged == {1: 1, 2: 0, 4: 1, 8: 1, 16: 2, 32: 0}
     assert applied.terms == ("thermal_lag", "warm_up")
     assert applied.not_applied == ("table_eccentricity",)
     assert applied.notes == ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,13 +34,14 @@ def test_without_noise_the_surface_comes_back_exactly() -> None:
 
 
 def test_equal_weights_are_the_least_squares_of_the_paper() -> None:
+    """But for the noise in the measured output, which moves the surface by a share of its slope: 2 % of 0.3 mdeg/s."""
     sets = simulate(np.random.default_rng(2))
     fit = fit_surface(sets, "ols")
     design = scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)
     expected = np.linalg.lstsq(design, sets.gyro_dps - sets.rate_dps, rcond=None)[0]
-    np.testing.assert_allclose(fit.surface.coefficients_dps.ravel(), expected, atol=1e-12)
+    np.testing.assert_allclose(fit.surface.coefficients_dps.ravel(), expected, atol=2e-5)
     np.testing.assert_allclose(fit.ols.coefficients_dps, fit.surface.coefficients_dps)
-    np.testing.assert_allclose(fit.residual_dps, sets.error_dps - design @ expected, atol=1e-12)
+    np.testing.assert_allclose(fit.residual_dps, sets.error_dps - design @ expected, atol=2e-5)
 
 
 def test_scaled_design_is_well_conditioned() -> None:
@@ -145,6 +147,19 @@ def test_intervals_cover() -> None:
     found = coverage(20, 8, "gls", "quick")[0].mean()
     low, high = stats.binom(80, 0.95).interval(1 - FALSE_ALARM)
     assert low / 80 <= found <= high / 80
+
+
+def test_intervals_of_forty_small_tables_cover() -> None:
+    """Fifteen data sets for twelve coefficients: the levels of the scatter are hardly known, and have to be integrated.
+
+    With the levels taken at their peak, exactly or with its curvature, a share of 0.82 is covered. The twelve
+    intervals of a table hang together like three.
+    """
+    few: dict[str, Any] = {"rates": np.linspace(-100.0, 100.0, 5), "temps": np.array([-10.0, 50.0, 20.0])}
+    tables = [simulate(np.random.default_rng([12, k]), floor_dps=1e-3, **few) for k in range(40)]
+    found = np.mean([inside(fit_surface(sets))[0] for sets in tables])
+    low, high = stats.binom(3 * len(tables), 0.95).interval(1 - FALSE_ALARM)
+    assert low <= 3 * len(tables) * found <= high
 
 
 @pytest.mark.slow

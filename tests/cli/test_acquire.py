@@ -115,6 +115,8 @@ def test_run_json_says_what_formats_asks(profile: str, tmp_path: Path) -> None:
         "profile",
         "profile_sha256",
         "software",
+        "identity",
+        "simulated",
     }
     assert head["sensor"]["serial"] == "virtual-1"
     assert head["profile"]["virtual"]["seed"] == 5
@@ -168,6 +170,22 @@ def test_refusals_have_their_exit_codes(
 def test_a_read_only_output_is_refused(profile: str, tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     assert run("acquire", profile, "--out", str(tmp_path / "r")) == 7
+
+
+@pytest.mark.parametrize("incomplete", [False, True])
+def test_the_run_does_not_die_with_its_viewer(tmp_path: Path, incomplete: bool) -> None:
+    path, out = tmp_path / "p.toml", tmp_path / "r"
+    late = {"settle__tolerance_dps": 1e-5, "settle__on_deadline": "fail"} if incomplete else {}
+    path.write_text(toml(tiny(plan__rates_dps=[90.0], **late)))
+    command = [sys.executable, "-m", "gyrocal", "acquire", str(path), "--out", str(out)]
+    reading, writing = os.pipe()
+    process = subprocess.Popen(command, stdout=writing, stderr=writing)
+    os.close(writing)
+    os.close(reading)  # as `acquire ... 2>&1 | tee` does when tee is killed
+    assert process.wait(60) == (12 if incomplete else 0)
+    names = [e["event"] for e in read_run(out).events]
+    assert "viewer_gone" in names
+    assert names[-1] == "end"
 
 
 def test_ctrl_c_ends_safely_and_resume_completes(tmp_path: Path) -> None:

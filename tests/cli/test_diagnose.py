@@ -73,7 +73,7 @@ def test_directory_holds_everything(written: Path) -> None:
         "figures",
     }
     improved = load_coefficients(written / "improved.json")
-    assert [t.effect for t in improved.terms] == ["scale_asymmetry"]
+    assert [t.name for t in improved.terms] == ["scale_asymmetry"]
     assert load_coefficients(written / "surface.json").terms == ()
 
 

@@ -43,7 +43,13 @@ def test_fit_of_a_table(table: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "times smaller" in lines[0]
     assert "structure in the residual" in lines[0]
     text = "\n".join(lines)
-    for title in ("term", "Figures (IEEE 952)", "whole temperatures", "whole rates", "- no outliers."):
+    for title in (
+        "term",
+        "Figures (named after IEEE 952)",
+        "whole temperatures",
+        "whole rates",
+        "- no outliers.",
+    ):
         assert title in text
     coefficients = load_coefficients(output)
     assert coefficients.correct(50.0, 20.0) == pytest.approx(50.0 - SURFACE.error_dps(50.0, 20.0), abs=5e-3)

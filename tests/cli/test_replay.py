@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "cw.csv").write_text(format_drive_log(drive(CW)))
     (tmp_path / "ccw.csv").write_text(format_drive_log(drive()))
     r = robot()
-    text = format_robot(r.wheel_separation_m, r.metres_per_tick, r.static_s, r.initial_std, r.noise)
+    text = format_robot(r)
     (tmp_path / "robot.toml").write_text(text)
     (tmp_path / "c.json").write_text(calibration().to_text())
     return tmp_path
@@ -210,3 +211,54 @@ def test_the_real_drive(folder: Path, quick: None) -> None:
     assert error["truth_rows"] == 989
     # The encoders come later than the gyro: proven to many standard deviations.
     assert log["yaw"]["delay_s"] > 10 * log["yaw"]["delay_sigma_s"]
+
+
+def test_a_full_disk_leaves_nothing_and_the_second_try_works(
+    folder: Path, quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(folder.iterdir())
+    written = 0
+
+    def fsync(_: int) -> None:
+        nonlocal written
+        written += 1
+        if written == 3:
+            raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("gyrocal.records.files.os.fsync", fsync)
+        assert run(folder, *ALL) == EXIT_CODES[OutputError]
+    assert "the disk is full; nothing was left half-written" in capsys.readouterr().err
+    assert sorted(folder.iterdir()) == before
+    assert run(folder, *ALL) == 0
+
+
+def test_names_of_logs_are_no_formulas(folder: Path) -> None:
+    (folder / "cw.csv").rename(folder / "$b_$.csv")
+    assert run(folder, "@$b_$.csv", "@ccw.csv", "--robot", "@robot.toml", "--out", "@out") == 0
+
+
+def test_options_of_other_kinds_of_log_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("@cw.csv", "--robot", "@robot.toml", "--out", "@out")
+    assert run(folder, *words, "--axis", "y") == EXIT_CODES[InputError]
+    assert "is no ROS bag; --topic and --axis are for those." in capsys.readouterr().err
+    (folder / "a.bag").write_bytes(b"")
+    assert run(folder, "@a.bag", *words[1:], "--columns", "@map.toml") == EXIT_CODES[InputError]
+    assert "is a bag, and --columns is for CSV." in capsys.readouterr().err
+
+
+def test_a_vehicle_with_one_speed_goes_by_its_gyro(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = drive()
+    way_m = 0.5 * (log.left_m + log.right_m)
+    car = replace(log, left_m=way_m, right_m=way_m, speed_only=True)
+    (folder / "car.csv").write_text(format_drive_log(car))
+    assert run(folder, "@car.csv", "--robot", "@robot.toml", "-c", "@c.json", "--out", "@out") == 0
+    assert "the log has one speed and no sides" in capsys.readouterr().out
+    (found,) = json.loads((folder / "out" / "summary.json").read_text())["logs"]
+    assert set(found["conditions"]) == {"uncalibrated", "calibrated"}
+    assert found["yaw"] is None
+    assert run(folder, "@ccw.csv", "--robot", "@robot.toml", "-c", "@c.json", "--out", "@two") == 0
+    (sides,) = json.loads((folder / "two" / "summary.json").read_text())["logs"]
+    one, two = (f["conditions"]["calibrated"]["position_error_m"]["end"] for f in (found, sides))
+    # The same way along the same headings.
+    assert one == pytest.approx(two, abs=0.02)

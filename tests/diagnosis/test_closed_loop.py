@@ -8,7 +8,7 @@ import pytest
 
 from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.diagnosis.engine import diagnose
-from gyrocal.diagnosis.next_experiment import propose, to_toml
+from gyrocal.planning.next_experiment import propose, to_toml
 from gyrocal.records.run import read_run
 
 #: It begins half an hour after power-on and goes through its temperatures once: a warm-up looks like a drift.

@@ -10,17 +10,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.folds import beyond_surface, bin_rows, clusters, coordinate_of, fold, fold_of
+from gyrocal.calibration.datasets import load_recording
+from gyrocal.calibration.noise import noise_figures
 from gyrocal.diagnosis.result import Diagnosis, Located
-from gyrocal.diagnosis.sentences import not_testable_sentences
 from gyrocal.errors import InputError, OutputError
+from gyrocal.records.run import read_run
 from gyrocal.report.diagnosis import (
     diagnosis_page,
     figures,
-    plain_sentences,
     tables,
 )
-from gyrocal.report.diagnosis_build import DiagnoseConfig, diagnosis_files, write_diagnosis
+from gyrocal.report.diagnosis_build import (
+    DiagnoseConfig,
+    diagnosis_files,
+    with_noise_at_rest,
+    write_diagnosis,
+)
+from gyrocal.report.folds import beyond_surface, bin_rows, clusters, coordinate_of, fold, fold_of
+from gyrocal.report.sentences import not_testable_sentences, plain_sentences
+from tests.calibration.runs import Part, gyro_row, write_run
 from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 
@@ -103,9 +111,10 @@ def test_log_without_segments_scatters_between_stretches_of_time(found: Diagnosi
 def test_order_stands_for_time_where_there_is_none(found: Diagnosis) -> None:
     assert found.rows is not None
     drift = replace(found.effects[0], effect="bias_drift")
-    untimed = coordinate_of(found.rows, drift, has_time=False)
+    rows = replace(found.rows, effect_dps={"bias_drift": np.zeros(found.rows.t_s.size)})
+    untimed = coordinate_of(rows, drift, has_time=False)
     assert untimed.label == "Data set, in the order recorded"
-    assert untimed.x[[0, -1]].tolist() == [1.0, found.rows.t_s.size]
+    assert untimed.x[[0, -1]].tolist() == [1.0, rows.t_s.size]
 
 
 def test_effect_of_single_samples_is_not_folded(found: Diagnosis) -> None:
@@ -223,7 +232,7 @@ def test_each_thing_is_said_once(found: Diagnosis) -> None:
 
 
 def test_tables_hold_located_parameters_and_gain(found: Diagnosis) -> None:
-    place = Located("rate", "variance", "at 32 deg/s", 1e-20, 0.5, remains=True)
+    place = Located("rate", "variance", "", 1e-20, 0.5, remains=True, low=32.0, high=32.0, unit="deg/s")
     assert found.noise is not None
     noise = replace(found.noise, rate_random_walk_deg_per_h_per_rt_h=0.25)
     assert noise.to_json()["rate_random_walk_deg_per_h_per_rt_h"] == 0.25
@@ -235,6 +244,12 @@ def test_tables_hold_located_parameters_and_gain(found: Diagnosis) -> None:
         ("table_eccentricity", "surface and shupe"),
         ("all named physics", "surface"),
     ]
+    assert by_name["laws"].rows[0] == (
+        "shupe",
+        "e = k dT/dt",
+        "Shupe, Applied Optics 19(5), 654-655 (1980)",
+        "shupe_gradient, thermal_lag",
+    )
     assert ["rate random walk", "0.25 deg/h/√h"] in [list(row) for row in by_name["noise"].rows]
 
 
@@ -258,3 +273,17 @@ def test_json_is_plain_and_finite(files: dict[str, bytes | str]) -> None:
     assert body["schema"] == "gyrocal-diagnosis/1"
     assert body["verdict"] == "explained"
     assert {e["effect"] for e in body["effects"]} == {"shupe", "table_eccentricity"}
+
+
+def test_noise_figures_of_a_run_are_those_of_fit(found: Diagnosis, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rows = [gyro_row(i / 10, f"{v:.6f}") for i, v in enumerate(rng.normal(0.0, 4.4e-3, 6000))]
+    run = write_run(tmp_path / "run", [Part(rows, kind="static")])
+    figure = noise_figures(load_recording(run)).angle_random_walk_deg_per_rt_h
+    said = with_noise_at_rest(found, read_run(run)).noise
+    assert figure is not None
+    assert said is not None
+    assert found.noise is not None
+    assert said.angle_random_walk_deg_per_rt_h == figure[0]
+    # Ten minutes of white noise resolve no bias instability: the model of the whole recording keeps its own.
+    assert said.bias_instability_deg_per_h == found.noise.bias_instability_deg_per_h

@@ -40,7 +40,10 @@ def test_bursts_of_a_static_log_are_found_before_rows_are_averaged(timed: bool) 
     assert found.effect == "bursts"
     assert found.statement.startswith("5 of 3000 samples")
     assert found.parameters["amplitude"].value == pytest.approx(250.0, rel=0.15)
-    assert ("data sets 101 to 2901" if not timed else "0.03 to 0.81 h") in found.place.region
+    place = found.place
+    assert (place.low, place.high, place.unit) == (
+        (100.0, 2900.0, "s") if timed else (101.0, 2901.0, "data set")
+    )
     left = np.interp(clean.t_s, series.t_s, series.gyro_dps) - clean.gyro_dps
     assert np.max(np.abs(left)) < 5 * NOISE_DPS
 
@@ -97,7 +100,7 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
         assert by_time(by_data_set(untimed, parameters)) == pytest.approx(
             {name: e.value for name, e in parameters.items()}
         )
-    assert untimed.when(0.0, 5 * SURROGATE_PERIOD_S) == "data sets 1 to 6"
+    assert [untimed.data_set_at(t) for t in (0.0, 5 * SURROGATE_PERIOD_S)] == [1.0, 6.0]
 
 
 def make_rates(zone_dps: float, bias_dps: float = 0.3, seed: int = 3) -> DataSetTable:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.fusion import RobotParameters
+from gyrocal.fusion import Navigator, RobotParameters
 
 Floats = NDArray[np.float64]
+
+#: The paper's filter, of which this drive is the model.
+paper = partial(Navigator, kind="paper")
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
         ("[" * 100_000, "truncated or damaged"),
         (seal(sample())[:500], "truncated or damaged"),
         ("[1, 2]", "is not a coefficient file"),
-        (seal(sample() | {"schema": "gyrocal-coefficients/2"}), "newer than this program"),
+        (seal(sample() | {"schema": "gyrocal-coefficients/3"}), "newer than this program"),
         (seal(sample() | {"schema": "gyrocal-coefficients/²"}), "is not a coefficient file"),
         (seal(sample() | {"schema": "gyrocal-coefficients/" + "9" * 5000}), "is not a coefficient file"),
         (seal(sample()).replace('"model": "m"', '"model": "n"'), "was edited"),

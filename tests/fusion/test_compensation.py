@@ -128,9 +128,12 @@ def test_evaluate_adds_uncertainty_of_the_terms_and_flags() -> None:
         [0.0, 1.0, 2.0, 3.0], [80.0, 150.0, 0.0, np.nan], [20.0, 20.0, 70.0, 20.0]
     )
     np.testing.assert_array_equal(result.flags, [0, 1, 2, 4])
-    surface = float(c.sigma_dps(80.0, 20.0))
-    term = 0.1 * 500e-6 * result.rate_dps[0]  # the amplitude's own, where there is no covariance
-    assert result.sigma_dps[0] == pytest.approx(np.hypot(surface, term))
+    # The amplitude's own uncertainty, where there is no covariance; both as they move the rate that is solved for.
+    surface = float(c.sigma_dps(result.rate_dps[0] + SURFACE.error_dps(80.0, 20.0), 20.0))
+    ahead = replace(c, terms=(entry("scale_asymmetry", amplitude=500.5),)).correct(80.0, 20.0)
+    term = 50.0 * (ahead - result.rate_dps[0]) / 0.5
+    whole = 1.0 + 500e-6 * (1.0 - SURFACE.slope_per_dps(80.0, 20.0))
+    assert result.sigma_dps[0] == pytest.approx(np.hypot(surface / whole, term), rel=1e-5)
 
 
 def test_sigma_from_the_joint_covariance_is_that_of_drawn_calibrations() -> None:

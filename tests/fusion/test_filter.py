@@ -15,7 +15,7 @@ from scipy import stats
 
 from gyrocal.fusion import STATES, FilterNoise, InitialStd, Navigator, RobotParameters, Trajectory
 from gyrocal.fusion import filter as loop
-from tests.fusion.drive import Drive, simulate
+from tests.fusion.drive import Drive, paper, simulate
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ FALSE_ALARM = 1e-3
 def run(
     robot: RobotParameters, drive: Drive, *, filtering: bool = True, estimate_scale: bool = True
 ) -> tuple[Navigator, Trajectory]:
-    navigator = Navigator(robot, filtering=filtering, estimate_scale=estimate_scale)
+    navigator = paper(robot, filtering=filtering, estimate_scale=estimate_scale)
     return navigator, navigator.run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps)
 
 
@@ -62,7 +62,7 @@ def test_transition_matrix_is_the_derivative_of_the_model(right: float, left: fl
         h = np.zeros(9)
         h[k] = 1e-5
         columns.append((model(h, right, left, rate, dt) - model(-h, right, left, rate, dt)) / 2e-5)
-    nav, m = np.zeros(loop.NAVIGATION_SIZE), np.eye(loop.MATRIX_ROWS, 9)
+    nav, m = np.zeros(loop.MEMORY_SIZE), np.eye(loop.MATRIX_ROWS, 9)
     nav[[loop.SCALE, loop.RIGHT, loop.LEFT]], nav[loop.WIDTH] = 1.0, 0.5
     nav[loop.PSI] = nav[loop.PHI] = 0.3
     loop._advance(nav, m, np.zeros(9), dt, left, right, rate, True, True, True)
@@ -74,7 +74,7 @@ def test_factorised_filter_equals_the_dense_one() -> None:
     """P and gain of the loop against F P F' + Q and the Joseph form, written with dense matrices."""
     robot = ROBOTS["skid steer, walking bias"]
     drive = simulate(robot, np.random.default_rng(7), 60.0)
-    navigator = Navigator(robot)
+    navigator = paper(robot)
     navigator.step(0.0, 0.0, 0.0, 0.0)
     figures = navigator._figures
     p = np.diag(navigator._matrix[loop.D])
@@ -182,7 +182,7 @@ def test_p_stays_symmetric_and_positive_over_half_a_million_and_ten_million_step
     if loop.njit is None:
         pytest.skip("millions of steps take numba")
     robot = replace(ROBOT, noise=replace(ROBOT.noise, heading_noise_deg=0.001))
-    navigator = Navigator(robot)
+    navigator = paper(robot)
     drive = simulate(robot, np.random.default_rng(2), rows * 0.1)
     for block in range(10):
         t = drive.t_s + block * rows * 0.1
@@ -232,7 +232,7 @@ def test_counts_name_every_bad_row() -> None:
 def test_stream_equals_batch_to_the_bit(filtering: bool) -> None:
     drive = bad_rows(simulate(ROBOT, np.random.default_rng(1)))
     _, batch = run(ROBOT, drive, filtering=filtering)
-    by_step, by_block = Navigator(ROBOT, filtering=filtering), Navigator(ROBOT, filtering=filtering)
+    by_step, by_block = paper(ROBOT, filtering=filtering), paper(ROBOT, filtering=filtering)
     channels = (drive.left_m, drive.right_m, drive.gyro_dps)
     rows = [by_step.step(*row) for row in zip(np.diff(drive.t_s, prepend=0.0), *channels, strict=True)]
     edges = [0, 1, 1, 7, 400, 401, 1999, 2000]
@@ -293,7 +293,7 @@ def test_missing_encoders_hold_the_speed_and_widen_the_position() -> None:
     rows = 100
     left = np.full(rows, 0.1)
     left[50:60] = np.nan
-    out = Navigator(robot).run(np.arange(rows) * 0.1, left, np.full(rows, 0.1), np.zeros(rows))
+    out = paper(robot).run(np.arange(rows) * 0.1, left, np.full(rows, 0.1), np.zeros(rows))
     assert out.x_m[-1] == pytest.approx(0.1 * rows, abs=1e-9)
     # Ten held steps of 0.1 m might each be wrong by all of it, and all in the same direction.
     grown = out.std[59, 0] ** 2 - out.std[49, 0] ** 2
@@ -307,7 +307,7 @@ def test_missing_gyro_takes_the_heading_of_the_encoders() -> None:
     gyro[50:90] = np.nan
     t = np.arange(rows) * 0.1
     for filtering in (True, False):
-        navigator = Navigator(ROBOT, filtering=filtering)
+        navigator = paper(ROBOT, filtering=filtering)
         out = navigator.run(t, np.full(rows, 0.1 - half), np.full(rows, 0.1 + half), gyro)
         assert out.heading_deg[-1] == pytest.approx(
             np.degrees(turn * (rows - 1)), abs=np.degrees(turn) * 1.01
@@ -319,7 +319,7 @@ def test_gap_does_not_integrate_the_gyro() -> None:
     t[60:] += 20.0
     gyro = np.zeros(100)
     gyro[60] = 50.0  # one sample after the gap says nothing of the 20 s before it
-    navigator = Navigator(ROBOT, filtering=False)
+    navigator = paper(ROBOT, filtering=False)
     out = navigator.run(t, np.zeros(100), np.zeros(100), gyro)
     assert navigator.counts.gaps == 1
     assert out.heading_deg[-1] == 0.0
@@ -328,7 +328,7 @@ def test_gap_does_not_integrate_the_gyro() -> None:
 def test_slower_sampling_is_followed_not_counted_as_gaps_for_ever() -> None:
     t = np.concatenate([np.arange(100) * 0.01, 1.0 + np.arange(600) * 0.1])
     n = t.size
-    navigator = Navigator(ROBOT, filtering=False)
+    navigator = paper(ROBOT, filtering=False)
     navigator.run(t, np.zeros(n), np.zeros(n), np.zeros(n))
     assert 0 < navigator.counts.gaps < 100
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gyrocal.fusion import Coefficients
 from gyrocal.navigation.bench import calibrate_unit
+from gyrocal.navigation.equip import DriveSource
 from gyrocal.navigation.montecarlo import World, simulate_drives, simulated_robot_file, unit_of
-from gyrocal.navigation.replay import DriveSource
 from gyrocal.navigation.simulate import CCW, CW
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.robot import Robot

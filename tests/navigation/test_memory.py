@@ -13,8 +13,9 @@ import pytest
 PROGRAM = """
 import resource, sys
 from pathlib import Path
-from gyrocal.navigation.replay import DriveSource, replay_log
-from gyrocal.records.drive import iterate_drive_log
+from gyrocal.navigation.equip import DriveSource
+from gyrocal.navigation.replay import replay_log
+from gyrocal.records.drive_log import iterate_drive_log
 from gyrocal.records.robot import read_robot
 path = Path(sys.argv[1])
 robot = read_robot(path.with_name("robot.toml"))

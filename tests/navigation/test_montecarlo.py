@@ -12,7 +12,6 @@ import pytest
 
 from gyrocal.navigation.bench import calibrate_unit
 from gyrocal.navigation.montecarlo import World, cores, monte_carlo, simulated_robot_file, unit_of
-from gyrocal.navigation.replay import parameters_of
 from gyrocal.navigation.sensitivity import (
     calibration_error_cm,
     coefficient_sensitivities,
@@ -87,7 +86,7 @@ def test_a_changed_world_changes_one_thing() -> None:
 
 def test_sensitivities_against_geometry() -> None:
     spread = Spread()
-    parameters = parameters_of(simulated_robot_file(SMALL))
+    parameters = simulated_robot_file(SMALL).parameters
     model = unit_of(SMALL, 2)
     found = {s.source: s for s in sensitivities(spread, parameters, model, np.random.default_rng(3))}
     # Without the filter only the gyro gives heading, so wheels that err alike scale a closed path: nothing is left.
@@ -106,7 +105,7 @@ def test_sensitivities_against_geometry() -> None:
 
 
 def test_coefficients_with_their_covariance() -> None:
-    parameters = parameters_of(simulated_robot_file(SMALL))
+    parameters = simulated_robot_file(SMALL).parameters
     coefficients = calibrate_unit(unit_of(SMALL, 2), np.random.default_rng(3))
     rows = {s.source: s for s in coefficient_sensitivities(Spread(), parameters, coefficients, 35.0)}
     assert len(rows) == 12

@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.fusion import FilterNoise, InitialStd, Navigator, RobotParameters
+from gyrocal.fusion import FilterNoise, InitialStd, RobotParameters
 from gyrocal.navigation.observability import Observability, observability
+from tests.fusion.drive import paper
 
 Floats = NDArray[np.float64]
 WIDTH_M, DT_S = 0.5, 0.1
 PRIOR = InitialStd(gyro_bias_dps=0.05)
-ROBOT = RobotParameters(WIDTH_M, PRIOR, FilterNoise(wheel_slip_m_per_rt_m=1e-3, heading_noise_deg=0.05))
+ROBOT = RobotParameters(WIDTH_M, PRIOR, FilterNoise(1e-3, 0.0, 0.08, 0.0, 0.05))
 T = np.arange(0.0, 300.0, DT_S)
 
 
 def report(speed: Floats, turn_dps: Floats, *, estimate_scale: bool = True) -> Observability:
     """Drive without errors: the information depends on the path alone."""
     half = 0.5 * WIDTH_M * np.radians(turn_dps)
-    navigator = Navigator(ROBOT, estimate_scale=estimate_scale)
+    navigator = paper(ROBOT, estimate_scale=estimate_scale)
     out = navigator.run(T, (speed - half) * DT_S, (speed + half) * DT_S, turn_dps)
     return observability(ROBOT, navigator.covariance, out.heading_deg, estimate_scale=estimate_scale)
 

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrocal.navigation.replay import CONDITIONS, LogReplay, replay_log
+from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.navigation.table import make_table, table_of
+from gyrocal.navigation.track import CONDITIONS
 from gyrocal.report import navigation as module
 from gyrocal.report.navigation import build, shown, verdict
 from gyrocal.report.navigation_figures import (
@@ -42,7 +43,8 @@ def test_files_and_summary(replays: list[LogReplay], monkeypatch: pytest.MonkeyP
     assert {"trajectories/cw1.csv", "states/ccw1_uncalibrated_filter.csv", "figures/table.svg"} <= names
     summary = json.loads(result.files["summary.json"])
     log = summary["logs"][0]
-    assert log["observability"]["calibrated_filter"]["seen"] >= 1
+    assert len(log["observability"]["calibrated_filter"]["directions"]) == 4
+    assert log["filter"]["calibrated_filter"]["consistent"]
     assert log["conditions"]["calibrated"]["position_error_m"]["return"] < 0.5
     assert log["conditions"]["calibrated_filter"]["estimates"]["heading_deg"]["sigma"] > 0
     assert summary["robot"]["defaults_used"] == []
@@ -59,8 +61,9 @@ def test_files_and_summary(replays: list[LogReplay], monkeypatch: pytest.MonkeyP
 
 
 def test_the_verdict_says_sizes_and_factors(replays: list[LogReplay]) -> None:
-    text = verdict(make_table(replays))
-    assert text.startswith("Mean return position error of 2 logs: ")
+    text = verdict(replays, make_table(replays))
+    assert text.startswith("The filter is consistent")
+    assert " Mean return position error of 2 logs: " in text
     assert "cm (calibration, filter)" in text
     assert "by both." in text
 
@@ -90,8 +93,8 @@ def test_figures_show_what_they_say(replays: list[LogReplay]) -> None:
     ]
     assert len(draw_innovations(replays[0]).axes) == 2
     states = draw_states(replays[0])
-    # Without calibration five constants, with it four: the gyro's scale is not estimated.
-    assert [len(axes.lines) for axes in states.axes] == [2, 2, 2, 1, 2]
+    # Turns alone cannot tell the gyro's scale from the track: the model leaves it alone.
+    assert [len(axes.lines) for axes in states.axes] == [2, 2, 2, 0, 2]
 
 
 def test_a_caption_says_that_fitted_errors_are_of_another_frame(replays: list[LogReplay]) -> None:

@@ -12,9 +12,10 @@ from gyrocal.errors import DataError
 from gyrocal.fusion import Valid
 from gyrocal.navigation import replay as module
 from gyrocal.navigation.montecarlo import World, simulate_and_replay
-from gyrocal.navigation.replay import CONDITIONS, replay_log
+from gyrocal.navigation.replay import replay_log
 from gyrocal.navigation.simulate import CW
 from gyrocal.navigation.table import make_table
+from gyrocal.navigation.track import CONDITIONS
 from gyrocal.records.drive import DriveBlock
 from tests.navigation.drives import both_ways, calibration, drive, robot, source
 
@@ -116,7 +117,7 @@ def test_a_temperature_at_every_tenth_row_serves_the_rows_between() -> None:
 
 
 def test_without_rest_the_replay_goes_on_and_it_is_said() -> None:
-    found = replay_log(source(drive()), replace(robot(), static_s=0.0), calibration())
+    found = replay_log(source(drive()), robot().with_figures({"static_s": 0.0}), calibration())
     assert all(t.bias is None for t in found.tracks)
     assert found.notes == (
         "static_s = 0: the robot does not stand at the start, so no static bias was taken; its error is left to the filter",

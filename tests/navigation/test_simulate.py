@@ -13,7 +13,7 @@ from gyrocal.navigation.drives import DriveRequest, simulate_to_directory, simul
 from gyrocal.navigation.path import Motion, drive, square_via_points
 from gyrocal.navigation.simulate import CCW, CW, Day, SimulatedRobot, Spread, encoder_steps, simulate_log
 from gyrocal.physics.gyro import rd2100_unit
-from gyrocal.records.drive import read_drive_log
+from gyrocal.records.drive_log import read_drive_log
 from gyrocal.records.robot import read_robot
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH
 

@@ -21,6 +21,7 @@ from gyrocal.physics.drive import (
     find_drive_effect,
 )
 from gyrocal.physics.effect import Floats
+from gyrocal.physics.slip import slip_shape
 
 SHARED = Path(__file__).parents[2].parent / "shared"
 COORDINATES = {"turn_rate", "curvature", "speed", "acceleration", "heading", "wheel_angle", "delay", "time"}
@@ -106,6 +107,26 @@ def test_laws_by_hand() -> None:
     assert change("robot_tilt", amplitude=60.0) == pytest.approx([0, -0.5 * turn, 0])
     assert change("unit_or_sign", amplitude=-1.0) == pytest.approx([0, -2 * turn, 0])
     assert change("dropped_samples", amplitude=100.0) == pytest.approx([0, -turn, 0])
+
+
+@pytest.mark.parametrize(
+    ("law", "shape", "expected"),
+    [
+        ("turn_rate", 1.0, [2.0, 0.5, 0.0]),
+        ("turn_rate", 0.0, [1.0, 1.0, 1.0]),
+        # Half the separation over the radius: 0.25 m over 0.9549 m, on the spot (cut off at 3), at rest.
+        ("curvature", 0.0, [0.2617994, 3.0, 0.0]),
+        ("curvature_saturating", 0.2617994, [0.5, 1.0, 0.0]),
+    ],
+)
+def test_slip_laws_by_hand(law: str, shape: float, expected: list[float]) -> None:
+    turn_dps, speed_mps = np.array([-60.0, 15.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    assert slip_shape(law, turn_dps, speed_mps, 0.5, shape) == pytest.approx(expected, rel=1e-6)
+
+
+def test_unknown_slip_laws_are_refused() -> None:
+    with pytest.raises(InputError, match="turn_rate, curvature, curvature_saturating"):
+        slip_shape("ice", np.ones(1), np.ones(1), 0.5, 1.0)
 
 
 def test_wheels_and_yaw_are_the_same_change() -> None:

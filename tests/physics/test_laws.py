@@ -224,3 +224,28 @@ def test_resonance_is_local_and_scatters() -> None:
     e = error("mechanical_resonance", c, amplitude=5.0, center_dps=60.0, width_dps=2.0, scatter=0.5)
     assert abs(e[:4000].mean() - 5e-3) < 4.9 * 2.5e-3 / np.sqrt(4000)
     assert np.abs(e[4000:]).max() < 1e-4
+
+
+def test_what_cuts_the_output_is_smeared_by_the_noise_of_its_samples() -> None:
+    c = replace(at([-5.0, 0.0, 0.0, 0.0, 5.0]), sample_std_dps=0.004)
+    bias = np.zeros((4, 3))
+    bias[0, 0] = 0.002
+    surface = Surface(bias, 0.0, 100.0, 20.0, 30.0)
+    loss_mdps = 1e3 * find_effect("truncation").unit_dps(c, {"of_output": 1.0}, surface)
+    # At half a standard deviation of the samples a share of 0.383 more of them is above zero than below.
+    np.testing.assert_allclose(loss_mdps, [1.0, -0.383, -0.383, -0.383, -1.0], atol=1e-3)
+
+
+def test_a_row_in_which_the_bias_jumps_has_its_share_of_the_jump() -> None:
+    c = replace(at([0.0] * 4), row_s=np.full(4, 2.0))  # rows of 2 s around 0, 1, 2, 3 s
+    jump = find_effect("bias_step").unit_dps(c, {"at_s": 1.5}, None)
+    np.testing.assert_allclose(1e3 * jump, [0.0, 0.25, 0.75, 1.0])
+
+
+def test_a_soft_knee_becomes_the_hard_one_away_from_it() -> None:
+    rates = [-100.0, -80.0, 0.0, 80.0, 100.0]
+    hard = error("saturation", at(rates), amplitude=0.01, knee_dps=80.0)
+    soft = error("saturation", at(rates), amplitude=0.01, knee_dps=80.0, softness_dps=0.5)
+    np.testing.assert_allclose(soft[[0, 2, 4]], hard[[0, 2, 4]], atol=1e-12)
+    # At the knee itself s log 2 are missing.
+    np.testing.assert_allclose(soft[[1, 3]], [0.01 * 0.5 * np.log(2), -0.01 * 0.5 * np.log(2)])

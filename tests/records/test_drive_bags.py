@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from gyrocal.errors import DataError, InputError, ProfileError
+from gyrocal.records import bags
 from gyrocal.records.bags import Wheels, is_bag, iterate_bag, read_bag
+from gyrocal.records.drive import join
 from gyrocal.report import navigation
 from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 
@@ -32,6 +34,8 @@ class Messages:
 
     def __init__(self, store: Any, ros1: bool) -> None:
         self.store, self.ros1 = store, ros1
+        #: A robot that weaves turns now and then; its heading is the integral of its rate.
+        self.weave = False
 
     def type(self, name: str) -> Any:
         return self.store.types[name]
@@ -41,11 +45,19 @@ class Messages:
         extra = {"seq": 0} if self.ros1 else {}
         return self.type("std_msgs/msg/Header")(stamp=time, frame_id="base", **extra)
 
-    def vector(self, z: float = 0.0) -> Any:
-        return self.type("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=z)
+    def vector(self, z: float = 0.0, x: float = 0.0) -> Any:
+        return self.type("geometry_msgs/msg/Vector3")(x=x, y=0.0, z=z)
+
+    def heading(self, t_s: float) -> float:
+        return float(-4.0 * TURN_RADPS * np.cos(0.5 * t_s)) if self.weave else TURN_RADPS * t_s
+
+    def rate(self, t_s: float) -> float:
+        # A gyro that never changes at all would be a stuck one.
+        steady = TURN_RADPS + 1e-5 * float(np.sin(37.0 * t_s))
+        return float(2.0 * TURN_RADPS * np.sin(0.5 * t_s)) if self.weave else steady
 
     def pose(self, t_s: float) -> Any:
-        radius, heading = SPEED_MPS / TURN_RADPS, TURN_RADPS * t_s
+        radius, heading = SPEED_MPS / TURN_RADPS, self.heading(t_s)
         point = self.type("geometry_msgs/msg/Point")(
             x=radius * np.sin(heading), y=radius * (1 - np.cos(heading)), z=0.0
         )
@@ -59,8 +71,7 @@ class Messages:
             header=self.header(t_s),
             orientation=self.pose(0.0).orientation,
             orientation_covariance=np.zeros(9),
-            # A gyro that never changes at all would be a stuck one.
-            angular_velocity=self.vector(TURN_RADPS + 1e-5 * float(np.sin(37.0 * t_s))),
+            angular_velocity=self.vector(self.rate(t_s), 1e-3 * float(np.sin(91.0 * t_s))),
             angular_velocity_covariance=np.zeros(9),
             linear_acceleration=self.vector(),
             linear_acceleration_covariance=np.zeros(9),
@@ -85,6 +96,38 @@ class Messages:
             header=self.header(t_s), name=list(names), position=angles, velocity=angles, effort=angles
         )
 
+    def pose_stamped(self, t_s: float) -> Any:
+        return self.type("geometry_msgs/msg/PoseStamped")(header=self.header(t_s), pose=self.pose(t_s))
+
+    def twist(self, t_s: float) -> Any:
+        twist = self.type("geometry_msgs/msg/Twist")(linear=self.vector(x=SPEED_MPS), angular=self.vector())
+        return self.type("geometry_msgs/msg/TwistStamped")(header=self.header(t_s), twist=twist)
+
+    def transforms(self, t_s: float) -> Any:
+        pose = self.pose(t_s)
+        at = self.type("geometry_msgs/msg/Vector3")(x=pose.position.x, y=pose.position.y, z=0.0)
+        move = self.type("geometry_msgs/msg/Transform")(translation=at, rotation=pose.orientation)
+        still = self.type("geometry_msgs/msg/Transform")(translation=self.vector(), rotation=pose.orientation)
+        stamped = self.type("geometry_msgs/msg/TransformStamped")
+        header = self.header(t_s)
+        header.frame_id = "map"
+        pair = [stamped(header, "base", move), stamped(header, "laser", still)]
+        return self.type("tf2_msgs/msg/TFMessage")(transforms=pair)
+
+    def fix(self, t_s: float) -> Any:
+        """Metres to degrees at 50 degrees north by the lengths of a degree there (111,229 m and 71,696 m)."""
+        pose = self.pose(t_s)
+        status = self.type("sensor_msgs/msg/NavSatStatus")(status=0, service=1)
+        return self.type("sensor_msgs/msg/NavSatFix")(
+            header=self.header(t_s),
+            status=status,
+            latitude=50.0 + pose.position.y / 111_229.0,
+            longitude=8.0 + pose.position.x / 71_696.0,
+            altitude=0.0,
+            position_covariance=np.zeros(9),
+            position_covariance_type=0,
+        )
+
     def temperature(self, t_s: float) -> Any:
         return self.type("sensor_msgs/msg/Temperature")(
             header=self.header(t_s), temperature=20.0 + t_s, variance=0.0
@@ -92,11 +135,19 @@ class Messages:
 
 
 def write_bag(
-    path: Path, kind: str, topics: dict[str, str], *, wheel_delay_s: float = 0.0, last_s: float = 4.0
+    path: Path,
+    kind: str,
+    topics: dict[str, str],
+    *,
+    wheel_delay_s: float = 0.0,
+    last_s: float = 4.0,
+    weave: bool = False,
+    jump_s: float = 0.0,
 ) -> Path:
     """A bag from 1 s to `last_s`: gyro at 50 Hz, wheels at 20 Hz; `topics` maps topic to type."""
     ros1 = kind == "bag"
     m = Messages(STORE1 if ros1 else STORE2, ros1)
+    m.weave = weave
     times = {
         topic: np.arange(1.0, last_s, 0.02 if t == "sensor_msgs/msg/Imu" else 0.05)
         for topic, t in topics.items()
@@ -109,6 +160,10 @@ def write_bag(
         "nav_msgs/msg/Odometry": m.odometry,
         "sensor_msgs/msg/JointState": lambda t: m.joints(t, names),
         "sensor_msgs/msg/Temperature": m.temperature,
+        "geometry_msgs/msg/PoseStamped": m.pose_stamped,
+        "geometry_msgs/msg/TwistStamped": m.twist,
+        "tf2_msgs/msg/TFMessage": m.transforms,
+        "sensor_msgs/msg/NavSatFix": m.fix,
     }
     writer: Any = (
         Writer1(path)
@@ -127,7 +182,10 @@ def write_bag(
         serialize = m.store.serialize_ros1 if ros1 else m.store.serialize_cdr
         for t, topic in rows:
             late = wheel_delay_s if topic != "/imu" else 0.0
-            raw = serialize(build[topics[topic]](t + late), topics[topic])
+            message = build[topics[topic]](t + late)
+            if jump_s and t > 0.5 * last_s:
+                message.header.stamp.sec += int(jump_s)
+            raw = serialize(message, topics[topic])
             writer.write(connections[topic], round(t * 1e9), raw)
     return path
 
@@ -150,8 +208,6 @@ def test_a_circle_reads_as_a_circle(tmp_path: Path, kind: str, wheels: str) -> N
     np.testing.assert_allclose(np.diff(log.t_s), 0.02, atol=1e-6)
     np.testing.assert_allclose(np.diff(log.gyro_temp_c), 0.02, atol=1e-6)
     assert np.isnan(log.truth_x_m).all()
-    blocks = list(iterate_bag(path, WHEELS, chunk_rows=40))
-    assert sum(map(len, blocks)) == len(log)
     if kind != "bag":
         (inside,) = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
         np.testing.assert_array_equal(read_bag(inside, WHEELS).t_s, log.t_s)
@@ -166,12 +222,73 @@ def test_truth_is_taken_from_the_named_topic(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.truth_heading_deg[known], np.degrees(TURN_RADPS * t_s), atol=0.4)
 
 
+def test_blocks_are_the_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_bag(tmp_path / "run", "mcap", IMU_ODOMETRY, last_s=20.0)
+    whole = read_bag(path, WHEELS)
+    monkeypatch.setattr(bags, "_FLUSH_MESSAGES", 50)
+    blocks = list(iterate_bag(path, WHEELS))
+    assert len(blocks) > 5
+    again = join(blocks)
+    for name in ("t_s", "left_m", "right_m", "gyro_dps"):
+        np.testing.assert_allclose(getattr(again, name), getattr(whole, name), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic"),
+    [
+        ("geometry_msgs/msg/PoseStamped", "/truth"),
+        ("sensor_msgs/msg/NavSatFix", "/truth"),
+        ("tf2_msgs/msg/TFMessage", "/truth:map:base"),
+    ],
+)
+def test_every_kind_of_truth(tmp_path: Path, kind: str, topic: str) -> None:
+    path = write_bag(tmp_path / "run", "mcap", IMU_ODOMETRY | {"/truth": kind})
+    log = read_bag(path, WHEELS, {"truth": topic})
+    known = np.flatnonzero(np.isfinite(log.truth_x_m))
+    assert known.size > 50
+    t_s, radius = 1.0 + log.t_s[known], SPEED_MPS / TURN_RADPS
+    turned = TURN_RADPS * np.stack((t_s, np.zeros(t_s.size) + (1.0 if "Nav" in kind else 0.0)))
+    x, y = radius * np.sin(turned), radius * (1.0 - np.cos(turned))
+    # A row of truth goes to the next gyro sample, 0.02 s later at most. Fixes count from the first one.
+    np.testing.assert_allclose(log.truth_x_m[known], x[0] - x[1], atol=0.03)
+    np.testing.assert_allclose(log.truth_y_m[known], y[0] - y[1], atol=0.03)
+    assert np.isnan(log.truth_heading_deg[known]).all() == ("Nav" in kind)
+    if "TF" in kind:
+        with pytest.raises(InputError, match="say which transform is the truth"):
+            read_bag(path, WHEELS, {"truth": "/truth"})
+
+
+def test_one_speed_in_a_bag(tmp_path: Path) -> None:
+    topics = {"/imu": "sensor_msgs/msg/Imu", "/speed": "geometry_msgs/msg/TwistStamped"}
+    log = read_bag(write_bag(tmp_path / "run", "mcap", topics), WHEELS)
+    assert log.speed_only
+    assert log.left_m.sum() == pytest.approx(SPEED_MPS * log.t_s[-1], rel=1e-6)
+
+
+def test_turns_on_another_axis_are_told(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", "mcap", IMU_ODOMETRY, last_s=40.0, weave=True)
+    np.testing.assert_allclose(read_bag(path, WHEELS).gyro_dps.max(), np.degrees(2 * TURN_RADPS), rtol=0.01)
+    with pytest.raises(InputError, match=r"the turns of the wheels are on the IMU's z axis .* say --axis z."):
+        read_bag(path, Wheels(SEPARATION_M, 0.1, "x"))
+    inverted = read_bag(path, Wheels(SEPARATION_M, 0.1, "-z"))
+    np.testing.assert_allclose(inverted.gyro_dps, -read_bag(path, WHEELS).gyro_dps)
+
+
+def test_a_clock_that_jumps_is_closed_for_every_topic(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run", "mcap", IMU_ODOMETRY, last_s=20.0, jump_s=1.7e9)
+    log = read_bag(path, WHEELS)
+    np.testing.assert_allclose(np.diff(log.t_s), 0.02, atol=1e-5)
+    assert log.segment[-1] == 1
+    assert log.left_m.sum() == pytest.approx((SPEED_MPS - 0.075) * log.t_s[-1], rel=1e-3)
+    assert "time steps by 1.7e+09 s" in log.notes[0]
+
+
 def test_several_candidates_are_not_chosen_between(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "run.bag", "bag", IMU_ODOMETRY | {"/odom2": "nav_msgs/msg/Odometry"})
     with pytest.raises(InputError) as error:
         read_bag(path, WHEELS)
     assert str(error.value).endswith(
-        "several (/odom, /odom2) of type nav_msgs/msg/Odometry or sensor_msgs/msg/JointState; say which one is wheels with --topic wheels=TOPIC."
+        "several (/odom, /odom2) of type nav_msgs/msg/Odometry or sensor_msgs/msg/JointState or geometry_msgs/msg/TwistStamped; say which one is wheels with --topic wheels=TOPIC."
     )
     with pytest.raises(InputError, match="topic '/imu' cannot be wheels"):
         read_bag(path, WHEELS, {"wheels": "/imu"})

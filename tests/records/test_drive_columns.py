@@ -9,7 +9,7 @@ import pytest
 
 from gyrocal.errors import InputError
 from gyrocal.records.columns import read_column_map
-from gyrocal.records.drive import read_drive_log
+from gyrocal.records.drive_log import read_drive_log
 
 TIME = '[columns.t_s]\nfrom = "stamp"\nunit = "ms"\n'
 LEFT = '[columns.left_m]\nfrom = "encL"\nunit = "ticks_total"\nwrap = 65536\n'
@@ -67,7 +67,10 @@ def test_every_unit_of_distance(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (TIME + LEFT + RIGHT, "[columns.gyro_dps] is missing; required: t_s, left_m, right_m, gyro_dps."),
+        (
+            TIME + LEFT + RIGHT,
+            "[columns.gyro_dps] is missing; required: t_s, gyro_dps, and left_m and right_m, or speed_m.",
+        ),
         (ALL + "[columns.speed]\nfrom = 'a'\nunit = 'm'\n", "no such column in a drive log; allowed: t_s"),
         (ALL.replace('"rad/s"', '"rad"'), "unit is 'rad'; allowed: deg/s, rad/s, mdeg/s, deg/h."),
         (TIME + LEFT + RIGHT + '[columns.gyro_dps]\nfrom = "yaw"\n', "unit is None; allowed: deg/s"),
@@ -75,10 +78,20 @@ def test_every_unit_of_distance(
         (ALL.replace("sign = -1", "sign = 2"), "sign is 2; allowed: 1, -1."),
         (
             ALL.replace("sign = -1", "scale = 2"),
-            "unknown key 'scale'; allowed: from, unit, sign, offset, wrap.",
+            "unknown key 'scale'; allowed: from, unit, sign, offset, wrap, file, time.",
         ),
         (ALL + "wrap = 5\n", "wrap is the positive modulus of a counter (unit m_total or ticks_total)."),
         (ALL + "offset = 'a'\n", "offset is 'a', and a finite number is wanted."),
+        (ALL + "file = 'g.csv'\n", "[columns.gyro_dps]: file is for what is not in the log itself."),
+        (ALL + "time = 't'\n", "time is the column of time in another file, and no file is named."),
+        (ALL + '[columns.speed_m]\nfrom = "v"\nunit = "m/s"\n', "has both speed_m and a side."),
+        (
+            ALL + '[columns.truth_heading_deg]\nfrom = ["x", "y"]\nunit = "quaternion"\n',
+            "from is a list of four columns x, y, z, w for a quaternion.",
+        ),
+        (ALL + f"offset = {'9' * 400}\n", "a finite number is wanted."),
+        (ALL.replace('"rad/s"', "['rad/s']"), "unit is ['rad/s']; allowed: deg/s"),
+        ("a = " + "[" * 5000, "is not TOML"),
         ("a = 1\n" + ALL, "unknown key 'a'; allowed: columns"),
         ("columns = 1\n", "columns must be tables"),
         ("[columns]\nt_s = 1\n", "is not a table with from"),

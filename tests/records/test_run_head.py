@@ -94,3 +94,68 @@ def test_a_segment_with_a_bad_value_is_refused(tmp_path: Path, key: str, value: 
     journal = json.dumps(SEGMENT | {key: value}) + "\n"
     with pytest.raises(InputError, match=rf"journal\.jsonl, line 1: .*{key} is "):
         read_run(write(tmp_path, json.dumps(HEAD), journal))
+
+
+def journal(*events: dict[str, Any]) -> str:
+    return "".join(json.dumps(event) + "\n" for event in events)
+
+
+START, END = {"event": "start", "t_s": 0.0, "steps": 2}, {"event": "end", "t_s": 9.0, "complete": True}
+OTHER = SEGMENT | {"id": 2, "file": "data/b.csv", "t_start_s": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("events", "note"),
+    [
+        ((START, SEGMENT, OTHER, END), None),
+        ((SEGMENT, OTHER), None),  # another logger, which says nothing of starts and ends
+        ((START, SEGMENT), "incomplete: 1 of 2 planned segments are sealed; its journal has no end"),
+        ((START, SEGMENT, END), "says that it was completed, and has 1 of 2 segments"),
+        ((START, SEGMENT, END | {"complete": False}), "some segments were skipped or failed"),
+        ((START, SEGMENT, {"event": "aborted", "t_s": 2.0, "reason": "Ctrl-C"}), "it was ended: Ctrl-C"),
+        ((START, SEGMENT, END, {"event": "resume", "t_s": 3.0}, OTHER), "its journal has no end"),
+    ],
+)
+def test_a_run_that_is_not_whole_says_so(
+    tmp_path: Path, events: tuple[dict[str, Any], ...], note: str | None
+) -> None:
+    notes = [
+        n for n in read_run(write(tmp_path, json.dumps(HEAD), journal(*events))).notes if "run.json" not in n
+    ]
+    assert len(notes) == (note is not None)
+    assert note is None or note in notes[0]
+
+
+def test_files_that_the_journal_does_not_name_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    for name in ("a", "b", "c"):
+        (tmp_path / "data" / f"{name}.csv").write_text("t_s,gyro_dps\n")
+    run = read_run(write(tmp_path, json.dumps(HEAD), journal(SEGMENT)))
+    assert run.notes[-1] == (
+        "2 files in data stand in no line of the journal and are not used (the first: data/b.csv); was it cut?"
+    )
+
+
+@pytest.mark.parametrize("file", ["data/a.csv", "data/./a.csv"])
+def test_two_lines_of_one_file_are_refused(tmp_path: Path, file: str) -> None:
+    run = write(tmp_path, json.dumps(HEAD), journal(SEGMENT, OTHER | {"file": file}))
+    with pytest.raises(InputError, match=r"line 2: names data/a.csv, as line 1 does. The journal is"):
+        read_run(run)
+
+
+@pytest.mark.parametrize("file", ["/etc/passwd", "../a.csv", "data/../../a.csv", ""])
+def test_files_outside_of_the_run_are_refused(tmp_path: Path, file: str) -> None:
+    run = write(tmp_path, json.dumps(HEAD), journal(SEGMENT | {"file": file}))
+    with pytest.raises(InputError, match="and a path in the run is wanted"):
+        read_run(run)
+
+
+def test_the_mark_of_a_windows_editor_is_passed_over(tmp_path: Path) -> None:
+    run = read_run(write(tmp_path, "\ufeff" + json.dumps(HEAD), "\ufeff" + journal(SEGMENT)))
+    assert len(run.segments) == 1
+
+
+@pytest.mark.parametrize("event", [{"event": "end", "t_s": "now"}, START | {"steps": [2]}])
+def test_events_of_the_wrong_kind_are_refused(tmp_path: Path, event: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"line 1: (t_s|steps) is .*, and a number is wanted"):
+        read_run(write(tmp_path, json.dumps(HEAD), journal(event)))

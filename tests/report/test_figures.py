@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Path3DCollection
 
+from gyrocal.calibration import figure
 from gyrocal.calibration.noise import AllanPoints, NoiseFigures
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, style
@@ -160,8 +161,13 @@ def test_stems_of_figure_3b_have_one_colour() -> None:
 
 def test_the_line_of_the_bias_instability_says_where_it_lies() -> None:
     tau = np.array([1.0, 10.0, 100.0])
-    points = AllanPoints(0.1, tau, 1e-3 / tau, 0.9e-3 / tau, 1.1e-3 / tau, np.full(3, 9.0))
-    noise = NoiseFigures(None, (1.5, 1.0, 2.0), "seen", (points,), None, 1000.0)
+    nine, every = np.full(3, 9.0), np.ones(3, dtype=np.bool_)
+    points = AllanPoints(0.1, tau, 1e-3 / tau, 0.9e-3 / tau, 1.1e-3 / tau, nine, every, np.zeros(3))
+    figures = {
+        "angle_random_walk": figure.Figure("angle_random_walk", "deg/√h", "N", reason="not seen"),
+        "bias_instability": figure.Figure("bias_instability", "deg/h", "B", 1.5, 1.0, 2.0),
+    }
+    noise = NoiseFigures(figures, "seen", "", (points,), None, 1000.0)
     axes = figures_noise.allan_deviation(noise).axes[0]
     (line,) = [found for found in axes.lines if "bias instability" in str(found.get_label())]
     assert line.get_label() == "bias instability B = 1.5 (1 to 2) deg/h; line at 0.664 B"

@@ -8,17 +8,24 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
+from gyrocal.bench.chambers.setpoint import alarm_not_taken, check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 NAME = "ESPEC chamber"
 RESOLUTION_C = 0.1
 _RUNNING_MODES = ("CONSTANT", "RUN")
+#: Forms of the answers: no two commands have the same.
+_TYPE = re.compile(rb" *[A-Z]\w* *(,[^,]*){2,3}")
+_TEMPERATURES = re.compile(rb" *[-+]?\d+(\.\d+)?( *, *[-+]?\d+(\.\d+)?){3} *")
+_MODE = re.compile(rb" *[A-Z]+ *(, *[A-Z ]+)?")
+_ALARMS = re.compile(rb" *\d+( *, *\d+ *)*")
+_DONE = re.compile(rb" *OK:.*")
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,9 @@ class EspecChamber:
     """Driver of an ESPEC chamber; see `gyrocal.bench.devices.Chamber`. Temperatures deg C."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._talk = Conversation(transport, NAME, b"\r\n", options.timeout_s)
+        self._prefix = "" if options.address is None else f"{options.address},"
+        sync = (f"{self._prefix}TYPE?\r\n".encode(), lambda answer: True if _TYPE.fullmatch(answer) else None)
+        self._talk = Conversation(transport, NAME, ended_by(b"\r\n"), options.timeout_s, sync)
         self._clock = clock
         self._options = options
 
@@ -57,13 +66,17 @@ class EspecChamber:
 
     def start(self) -> None:
         """Ask who it is and switch it to constant mode."""
-        self._ask("TYPE?")
+        self._ask("TYPE?", _TYPE)
         self._set("MODE,CONSTANT")
 
     def set_alarm_limits(self, low_c: float, high_c: float) -> None:
-        """Program the chamber's own alarms around the present set point, so that they hold with the PC dead."""
+        """Program the chamber's own alarms around the present set point, so that they hold with the PC dead; read back."""
         setpoint_c = self._temperatures()[1]
         self._set(f"TEMP, S{setpoint_c:.1f} H{high_c:.1f} L{low_c:.1f}")
+        shown = self._temperatures()[2:]
+        for wanted_c, shown_c in zip((high_c, low_c), shown, strict=True):
+            if not abs(shown_c - wanted_c) <= RESOLUTION_C:
+                raise alarm_not_taken(NAME, wanted_c, shown_c)
 
     def set_setpoint(self, temp_c: float, ramp_c_per_min: float | None = None) -> None:
         """Set point, read back. The chamber has no ramp in constant mode: the caller steps the set point."""
@@ -73,9 +86,9 @@ class EspecChamber:
 
     def read(self) -> ChamberReading:
         """``TEMP?``, ``MODE?`` and ``ALARM?``."""
-        temp_c, setpoint_c = self._temperatures()
-        mode = self._ask("MODE?").partition(",")[0]
-        alarms = [code for code in self._ask("ALARM?").split(",")[1:] if code]
+        temp_c, setpoint_c, _, _ = self._temperatures()
+        mode = self._ask("MODE?", _MODE).partition(",")[0]
+        alarms = [code for code in self._ask("ALARM?", _ALARMS).split(",")[1:] if code]
         texts = tuple(f"ESPEC alarm {code}" for code in alarms)
         return ChamberReading(self._clock.now_s(), temp_c, setpoint_c, mode in _RUNNING_MODES, texts)
 
@@ -83,26 +96,24 @@ class EspecChamber:
         """Close the port; the chamber keeps its set point."""
         self._talk.transport.close()
 
-    def _temperatures(self) -> tuple[float, float]:
-        cells = self._ask("TEMP?").split(",")
-        try:
-            return float(cells[0]), float(cells[1])
-        except (ValueError, IndexError) as error:
-            raise DeviceError(
-                f"{NAME}: answered {','.join(cells)!r} to TEMP?, and numbers are wanted."
-            ) from error
+    def _temperatures(self) -> tuple[float, float, float, float]:
+        """Air, set point, high and low alarm limit."""
+        air_c, setpoint_c, high_c, low_c = map(float, self._ask("TEMP?", _TEMPERATURES).split(","))
+        return air_c, setpoint_c, high_c, low_c
 
-    def _ask(self, command: str) -> str:
-        prefix = "" if self._options.address is None else f"{self._options.address},"
-        answer = self._talk.ask(f"{prefix}{command}\r\n".encode()).decode("ascii", errors="replace").strip()
-        if answer.startswith("NA:"):
-            raise DeviceError(f"{NAME}: refused {command!r} ({answer[3:].strip()}). See its panel.")
-        return answer
+    def _ask(self, command: str, form: re.Pattern[bytes]) -> str:
+        """Send a command; returns its answer, which has this form, as those to other commands have not."""
+
+        def accept(answer: bytes) -> str | None:
+            text = answer.decode("ascii", errors="replace").strip()
+            if text.startswith("NA:"):
+                raise DeviceError(f"{NAME}: refused {command!r} ({text[3:].strip()}). See its panel.")
+            return text if form.fullmatch(answer) else None
+
+        return self._talk.ask(f"{self._prefix}{command}\r\n".encode(), accept)
 
     def _set(self, command: str) -> None:
-        answer = self._ask(command)
-        if not answer.startswith("OK:"):
-            raise DeviceError(f"{NAME}: answered {answer!r} to {command!r}, and OK was wanted.")
+        self._ask(command, _DONE)
 
 
 class EspecResponder(LineResponder):

@@ -1,12 +1,21 @@
-"""Modbus RTU frames, as far as two chambers need them: functions 3, 6 and 16 (protocols.md 3.2)."""
+"""Modbus RTU frames, as far as two chambers need them: functions 3, 6 and 16 (protocols.md 3.2).
+
+An answer to a read says how many words it holds, and not of which register: where one may be owed, a number of words
+is read first that no other question asks for.
+"""
 
 from __future__ import annotations
 
-from gyrocal.bench.transport import Conversation
+from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, Cut
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 READ, WRITE_ONE, WRITE_MANY = 3, 6, 16
+_FAILED = 0x80
 _EXCEPTION_BYTES = 5
+#: After a write the controller wants so long for itself.
+_AFTER_WRITE_S = 0.03
 _EXCEPTIONS = {
     1: "function",
     2: "address",
@@ -48,11 +57,62 @@ def write_request(address: int, register: int, words: list[int]) -> bytes:
     )
 
 
-class ModbusMaster:
-    """One slave on one line. Reads are repeated once; writes never are: whoever writes reads back."""
+def frames_of(address: int) -> Cut:
+    """Cuts answers of a slave off what came: frames whose length and CRC fit; other bytes before them are dropped."""
 
-    def __init__(self, talk: Conversation, name: str, address: int) -> None:
-        self._talk = talk
+    def cut(data: bytes) -> tuple[bytes, bytes] | None:
+        for begin in range(len(data) - _EXCEPTION_BYTES + 1):
+            length = _answer_length(data[begin:])
+            answer = data[begin : begin + length]
+            if (
+                length
+                and answer[0] == address
+                and len(answer) == length
+                and crc16(answer[:-2]) == answer[-2:]
+            ):
+                return answer, data[begin + length :]
+        return None
+
+    return cut
+
+
+def _answer_length(data: bytes) -> int:
+    """Bytes of the answer that begins here; 0 where none of the functions does."""
+    function = data[1]
+    if function & ~_FAILED not in (READ, WRITE_ONE, WRITE_MANY):
+        return 0
+    if function & _FAILED:
+        return _EXCEPTION_BYTES
+    return 5 + data[2] if function == READ else 8
+
+
+class ModbusMaster:
+    """One slave on one line. Reads are repeated once; writes never are: whoever writes reads back.
+
+    Parameters
+    ----------
+    sync : (int, int)
+        Register and number of words of the resynchronising question; see `Conversation`.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        clock: Clock,
+        name: str,
+        address: int,
+        timeout_s: float,
+        sync: tuple[int, int],
+    ) -> None:
+        register, count = sync
+        question = read_request(address, register, count)
+
+        def accept(answer: bytes) -> bool | None:
+            """As many words, or that there are no such registers."""
+            return True if answer[1] == READ | _FAILED or answer[1:3] == bytes([READ, 2 * count]) else None
+
+        self._talk = Conversation(transport, name, frames_of(address), timeout_s, (question, accept))
+        self._clock = clock
         self._name = name
         self._address = address
 
@@ -62,44 +122,39 @@ class ModbusMaster:
         Raises
         ------
         DeviceError
-            No, short, damaged or foreign answer, or a Modbus exception.
+            No answer that fits, or a Modbus exception.
         """
         request = read_request(self._address, register, count)
+
+        def accept(answer: bytes) -> list[int] | None:
+            self._check_exception(request, answer)
+            if answer[1:3] != bytes([READ, 2 * count]):
+                return None
+            return [int.from_bytes(answer[3 + 2 * i : 5 + 2 * i], "big") for i in range(count)]
+
         try:
-            answer = self._exchange(request, 5 + 2 * count)
+            return self._talk.ask(request, accept)
         except DeviceError:
-            answer = self._exchange(request, 5 + 2 * count)
-        if answer[2] != 2 * count:
-            raise DeviceError(
-                f"{self._name}: {answer[2]} data bytes where {2 * count} were asked (register {register})."
-            )
-        return [int.from_bytes(answer[3 + 2 * i : 5 + 2 * i], "big") for i in range(count)]
+            return self._talk.ask(request, accept)
 
     def write(self, register: int, words: list[int]) -> None:
         """Write words to consecutive registers; raises as `read` does."""
         request = write_request(self._address, register, words)
-        answer = self._exchange(request, 8)
-        if answer[:6] != request[:6]:
-            raise DeviceError(f"{self._name}: the answer to a write of register {register} is not its echo.")
 
-    def _exchange(self, request: bytes, length: int) -> bytes:
-        self._talk.clear()
-        self._talk.send(request)
-        answer = self._talk.receive_exactly(2, request)
-        failed = bool(answer[1] & 0x80)
-        answer += self._talk.receive_exactly((_EXCEPTION_BYTES if failed else length) - 2, request)
-        if crc16(answer[:-2]) != answer[-2:]:
-            raise DeviceError(
-                f"{self._name}: damaged answer {answer.hex(' ')} (CRC). Check wiring, baud rate and parity."
-            )
-        if answer[0] != request[0] or answer[1] & 0x7F != request[1]:
-            raise DeviceError(f"{self._name}: answer of another device or function: {answer.hex(' ')}.")
-        if failed:
+        def accept(answer: bytes) -> bool | None:
+            self._check_exception(request, answer)
+            return True if answer[:6] == request[:6] else None
+
+        try:
+            self._talk.ask(request, accept)
+        finally:
+            self._clock.sleep(_AFTER_WRITE_S)
+
+    def _check_exception(self, request: bytes, answer: bytes) -> None:
+        if answer[1] == request[1] | _FAILED:
             reason = _EXCEPTIONS.get(answer[2], "unknown")
-            raise DeviceError(
-                f"{self._name}: refused {request.hex(' ')} (Modbus exception {answer[2]}: {reason})."
-            )
-        return answer
+            msg = f"{self._name}: refused {request.hex(' ')} (Modbus exception {answer[2]}: {reason})."
+            raise DeviceError(msg)
 
 
 class ModbusSlave:

@@ -24,3 +24,10 @@ def verify_setpoint(name: str, temp_c: float, read_back: Callable[[], float], re
     if not abs(shown_c - temp_c) <= 0.51 * resolution_c:
         msg = f"{name}: was given a set point of {temp_c:g} deg C and shows {shown_c:g}. Check its mode, units and panel lock."
         raise DeviceError(msg)
+
+
+def alarm_not_taken(name: str, given_c: float, shown_c: float) -> DeviceError:
+    """The error of a chamber whose own alarm limit reads back as another, deg C."""
+    return DeviceError(
+        f"{name}: was given an alarm limit of {given_c:g} deg C and shows {shown_c:g}. Check its range, units and panel lock."
+    )

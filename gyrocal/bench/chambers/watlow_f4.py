@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from gyrocal.bench.chambers.modbus import ModbusMaster, ModbusSlave, RegisterMap, signed
-from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
+from gyrocal.bench.chambers.setpoint import alarm_not_taken, check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 NAME = "Watlow F4"
 INPUT, INPUT_ERROR, ALARM_1, ALARM_2, MODE, SETPOINT, DECIMALS, UNITS = 100, 101, 102, 106, 200, 300, 606, 901
 ALARM_LOW, ALARM_HIGH = 302, 303
 PROFILE_SETPOINT, TERMINATE_PROFILE, EVENT_OUTPUT = 4122, 1217, 2000
+_REGISTERS_PER_INPUT = 4
 _INPUT_ERRORS = {
     1: "A/D underflow",
     2: "under range",
@@ -37,6 +39,8 @@ class Options:
         Modbus address.
     condition_event : int
         Event output (1..8) that switches conditioning on, wired by the chamber's maker; 0: none.
+    plate_input : int
+        Input (2 or 3) of a probe on the plate under the gyro; 0: none.
     alarm_registers : bool
         Whether registers 302 and 303 hold the low and high alarm set points of alarm 1 on this unit; not verified,
         so off by default, and the operator is told to set the chamber's alarms by hand.
@@ -48,6 +52,7 @@ class Options:
 
     address: int = number(1, 247, "", 1)
     condition_event: int = number(0, 8, "", 0)
+    plate_input: int = number(0, 3, "", 0)
     alarm_registers: bool = False
     min_temp_c: float = number(-200.0, 300.0, "deg C", -40.0)
     max_temp_c: float = number(-200.0, 300.0, "deg C", 85.0)
@@ -59,9 +64,9 @@ class WatlowF4Chamber:
     """Driver of a Watlow F4; see `gyrocal.bench.devices.Chamber`. Temperatures deg C."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._master = ModbusMaster(
-            Conversation(transport, NAME, b"", options.timeout_s), NAME, options.address
-        )
+        # of all that is asked only the input with its error and alarm has three words
+        sync = (INPUT, 3)
+        self._master = ModbusMaster(transport, clock, NAME, options.address, options.timeout_s, sync)
         self._transport = transport
         self._clock = clock
         self._options = options
@@ -90,8 +95,12 @@ class WatlowF4Chamber:
                 "panel and say own_alarms_set = true in the profile, or say alarm_registers = true."
             )
             raise DeviceError(msg)
-        self._master.write(ALARM_LOW, [round(low_c * self._scale)])
-        self._master.write(ALARM_HIGH, [round(high_c * self._scale)])
+        for register, limit_c in ((ALARM_LOW, low_c), (ALARM_HIGH, high_c)):
+            word = round(limit_c * self._scale)
+            self._master.write(register, [word])
+            shown = signed(self._master.read(register)[0])
+            if shown != word:
+                raise alarm_not_taken(NAME, limit_c, shown / self._scale)
 
     def set_setpoint(self, temp_c: float, ramp_c_per_min: float | None = None) -> None:
         """Set point, rounded to the controller's decimals (never cut), read back. Ramps are stepped by the caller."""
@@ -105,12 +114,18 @@ class WatlowF4Chamber:
         alarm_2 = self._master.read(ALARM_2)[0]
         texts = [f"input 1 {_INPUT_ERRORS.get(error, error)}"] if error else []
         texts += [f"alarm {i} {_ALARMS.get(a, a)}" for i, a in ((1, alarm_1), (2, alarm_2)) if a]
-        temp_c = signed(value) / self._scale
-        return ChamberReading(self._clock.now_s(), temp_c, self._setpoint_c(), True, tuple(texts))
+        temp_c, setpoint_c = signed(value) / self._scale, self._setpoint_c()
+        plate_c = self._plate_c()
+        return ChamberReading(self._clock.now_s(), temp_c, setpoint_c, True, tuple(texts), plate_c)
 
     def close(self) -> None:
         """Close the port; the chamber keeps its set point."""
         self._transport.close()
+
+    def _plate_c(self) -> float:
+        number = self._options.plate_input
+        register = INPUT + _REGISTERS_PER_INPUT * (number - 1)
+        return signed(self._master.read(register)[0]) / self._scale if number > 1 else math.nan
 
     def _setpoint_c(self) -> float:
         # While a profile runs or is held, register 300 is not the set point that acts.
@@ -135,6 +150,7 @@ class WatlowF4Registers(RegisterMap):
             INPUT_ERROR: 0,
             ALARM_1: int(bool(reading.alarms)),
             ALARM_2: 0,
+            INPUT + _REGISTERS_PER_INPUT: round(reading.temp_c * 10),
             SETPOINT: round(reading.setpoint_c * 10),
         }
         return words[register]

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import math
+import re
 import struct
 from dataclasses import dataclass
 
 from gyrocal.bench.chambers.modbus import ModbusMaster, ModbusSlave, RegisterMap
 from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 NAME = "Watlow F4T"
+SETPOINT_LIMITS = 2774
+_REGISTERS_PER_LOOP = 160
 PROCESS_VALUE, SETPOINT, CONTROL_MODE, ACTIVE_MODE, ALARM = 2820, 2782, 2730, 2814, 1356
 PROFILE_STATE, TERMINATE_PROFILE, TERMINATE_VALUE = 16568, 16566, 148
 MODE_OFF, MODE_AUTO = 62, 10
 ALARM_FINE = (88, 61, 12)
+_NUMBER = r"[-+]?(\d+\.?\d*|\.\d+)(E[-+]?\d+)?"
 #: A set point is read back as a float32: closer than this it is the same.
 RESOLUTION_C = 0.01
 
@@ -35,6 +41,8 @@ class Options:
         Order of the two words of a float (Modbus only).
     loop : int
         Control loop of the air temperature.
+    plate_loop : int
+        Control loop whose process value is that of a probe on the plate under the gyro; 0: none.
     output : int
         SCPI output that switches conditioning on; 0: none.
     min_temp_c, max_temp_c, max_ramp_c_per_min : float
@@ -46,6 +54,7 @@ class Options:
     address: int = number(1, 247, "", 1)
     low_word_first: bool = True
     loop: int = number(1, 9, "", 1)
+    plate_loop: int = number(0, 9, "", 0)
     output: int = number(0, 99, "", 1)
     min_temp_c: float = number(-200.0, 300.0, "deg C", -40.0)
     max_temp_c: float = number(-200.0, 300.0, "deg C", 85.0)
@@ -81,7 +90,8 @@ class WatlowF4tScpiChamber:
     """Driver of a Watlow F4T by SCPI; see `gyrocal.bench.devices.Chamber`. Temperatures deg C."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._talk = Conversation(transport, NAME, b"\n", options.timeout_s)
+        sync = (b"*IDN?\n", lambda answer: True if b"," in answer else None)
+        self._talk = Conversation(transport, NAME, ended_by(b"\n"), options.timeout_s, sync)
         self._clock = clock
         self._options = options
         self._loop = f":SOURCE:CLOOP{options.loop}"
@@ -92,9 +102,9 @@ class WatlowF4tScpiChamber:
 
     def start(self) -> None:
         """Ask who it is, agree on Celsius for the link, and switch conditioning on."""
-        self._ask("*IDN?")
+        self._ask("*IDN?", ".*,.*")
         self._send(":UNIT:TEMPERATURE C")
-        if not self._ask(":UNIT:TEMPERATURE?").upper().startswith("C"):
+        if not self._ask(":UNIT:TEMPERATURE?", "[CFK].*").startswith("C"):
             raise DeviceError(f"{NAME}: does not talk in Celsius. Set the communication unit at its panel.")
         if self._options.output:
             self._send(f":OUTPUT{self._options.output}:STATE ON")
@@ -118,30 +128,32 @@ class WatlowF4tScpiChamber:
     def read(self) -> ChamberReading:
         """Process value, set point, error and output state."""
         temp_c, setpoint_c = self._number(f"{self._loop}:PVALUE?"), self._number(f"{self._loop}:SPOINT?")
-        error = self._ask(f"{self._loop}:ERROR?").upper()
-        running = not self._options.output or self._ask(f":OUTPUT{self._options.output}:STATE?").upper() in (
-            "ON",
-            "1",
-        )
+        error = self._ask(f"{self._loop}:ERROR?", "(?!ON$|OFF$)[A-Z].*")
+        output = self._options.output
+        running = not output or self._ask(f":OUTPUT{output}:STATE?", "ON|OFF|0|1") in ("ON", "1")
         alarms = () if error == "NONE" else (f"loop {self._options.loop} {error.lower()}",)
-        return ChamberReading(self._clock.now_s(), temp_c, setpoint_c, running, alarms)
+        plate = self._options.plate_loop
+        plate_c = self._number(f":SOURCE:CLOOP{plate}:PVALUE?") if plate else math.nan
+        return ChamberReading(self._clock.now_s(), temp_c, setpoint_c, running, alarms, plate_c)
 
     def close(self) -> None:
         """Close the port; the chamber keeps its set point."""
         self._talk.transport.close()
 
     def _send(self, command: str) -> None:
-        self._talk.send(f"{command}\n".encode())
+        self._talk.tell(f"{command}\n".encode())
 
-    def _ask(self, command: str) -> str:
-        return self._talk.ask(f"{command}\n".encode()).decode("ascii", errors="replace").strip()
+    def _ask(self, command: str, pattern: str) -> str:
+        """Send a question; returns its answer, which `pattern` fits and none that comes late for another."""
+
+        def accept(answer: bytes) -> str | None:
+            text = answer.decode("ascii", errors="replace").strip()
+            return text.upper() if re.fullmatch(pattern, text, re.IGNORECASE) else None
+
+        return self._talk.ask(f"{command}\n".encode(), accept)
 
     def _number(self, command: str) -> float:
-        text = self._ask(command)
-        try:
-            return float(text)
-        except ValueError as error:
-            raise DeviceError(f"{NAME}: answered {text!r} to {command}, and a number is wanted.") from error
+        return float(self._ask(command, _NUMBER))
 
 
 class WatlowF4tScpiResponder(LineResponder):
@@ -193,13 +205,13 @@ class WatlowF4tModbusChamber:
     """Driver of a Watlow F4T by Modbus; see `gyrocal.bench.devices.Chamber`. Temperatures deg C."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._master = ModbusMaster(
-            Conversation(transport, NAME, b"", options.timeout_s), NAME, options.address
-        )
+        # set point limits: four words, as nothing else that is asked
+        sync = (SETPOINT_LIMITS + _REGISTERS_PER_LOOP * (options.loop - 1), 4)
+        self._master = ModbusMaster(transport, clock, NAME, options.address, options.timeout_s, sync)
         self._transport = transport
         self._clock = clock
         self._options = options
-        self._shift = 160 * (options.loop - 1)
+        self._shift = _REGISTERS_PER_LOOP * (options.loop - 1)
 
     def limits(self) -> ChamberLimits:
         """Limits of the chamber, from the options."""
@@ -224,16 +236,20 @@ class WatlowF4tModbusChamber:
         alarm = self._master.read(ALARM)[0]
         running = self._master.read(CONTROL_MODE + self._shift)[0] != MODE_OFF
         alarms = () if alarm in ALARM_FINE else (f"alarm 1 state {alarm}",)
-        return ChamberReading(
-            self._clock.now_s(), self._float(PROCESS_VALUE), self._float(SETPOINT), running, alarms
-        )
+        temp_c, setpoint_c = self._float(PROCESS_VALUE), self._float(SETPOINT)
+        plate = self._options.plate_loop
+        plate_c = self._float_at(PROCESS_VALUE + _REGISTERS_PER_LOOP * (plate - 1)) if plate else math.nan
+        return ChamberReading(self._clock.now_s(), temp_c, setpoint_c, running, alarms, plate_c)
 
     def close(self) -> None:
         """Close the port; the chamber keeps its set point."""
         self._transport.close()
 
     def _float(self, register: int) -> float:
-        return words_to_float(self._master.read(register + self._shift, 2), self._options.low_word_first)
+        return self._float_at(register + self._shift)
+
+    def _float_at(self, register: int) -> float:
+        return words_to_float(self._master.read(register, 2), self._options.low_word_first)
 
 
 class WatlowF4tRegisters(RegisterMap):
@@ -247,7 +263,14 @@ class WatlowF4tRegisters(RegisterMap):
         """Word of a register."""
         reading = self._chamber.read()
         first = self._options.low_word_first
-        for base, value in ((PROCESS_VALUE, reading.temp_c), (SETPOINT, reading.setpoint_c)):
+        low_c, high_c = self._options.min_temp_c, self._options.max_temp_c
+        floats = {
+            PROCESS_VALUE: reading.temp_c,
+            SETPOINT: reading.setpoint_c,
+            SETPOINT_LIMITS: low_c,
+            SETPOINT_LIMITS + 2: high_c,
+        }
+        for base, value in floats.items():
             if register in (base, base + 1):
                 return float_to_words(value, first)[register - base]
         words = {

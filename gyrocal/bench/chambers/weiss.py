@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 from gyrocal.bench.chambers.setpoint import check_setpoint, verify_setpoint
 from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import Chamber, ChamberLimits, ChamberReading
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 NAME = "Weiss chamber"
@@ -104,7 +105,8 @@ class WeissChamber:
     """Driver of a Weiss or Vötsch chamber; see `gyrocal.bench.devices.Chamber`. Temperatures deg C."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._talk = Conversation(transport, NAME, b"\r", options.timeout_s)
+        # One question only: a late answer is no worse than a little old.
+        self._talk = Conversation(transport, NAME, ended_by(b"\r"), options.timeout_s)
         self._clock = clock
         self._options = options
         self._prefix = f"${options.address:02d}"
@@ -147,8 +149,11 @@ class WeissChamber:
         self._talk.transport.close()
 
     def _state(self) -> State:
-        answer = self._talk.ask(f"{self._prefix}I\r".encode())
-        return parse_state(answer.decode("ascii", errors="replace"), self._options)
+        def accept(answer: bytes) -> State | None:
+            text = answer.decode("ascii", errors="replace")
+            return parse_state(text, self._options) if len(text.split()) > 1 else None
+
+        return self._talk.ask(f"{self._prefix}I\r".encode(), accept)
 
     def _write(self, nominal: tuple[float, ...], set_values: tuple[float, ...], digits: str) -> None:
         numbers = " ".join(format_number(value) for value in (*nominal, *set_values))
@@ -156,9 +161,9 @@ class WeissChamber:
         request = f"{self._prefix}E {numbers} {joined}\r".encode()
         # What E answers does not count: the caller reads back.
         if self._options.answers_e:
-            self._talk.ask(request)
+            self._talk.ask(request, lambda answer: True)
         else:
-            self._talk.send(request)
+            self._talk.tell(request)
 
 
 def _with_bit(digits: str, bit: int) -> str:

@@ -267,6 +267,8 @@ class StreamTally:
     def __init__(self, sample_rate_hz: float) -> None:
         self._period_s = 1.0 / sample_rate_hz
         self.n = self.longest_run = 0
+        #: Sum of the rates that the device calls good, and their number.
+        self.good_dps, self.good = 0.0, 0
         self.clumped = 0
         #: Time that went in pauses as a latency timer makes them; a busy computer makes some too, but not most of the time.
         self.paused_s = 0.0
@@ -284,12 +286,18 @@ class StreamTally:
         self.paused_s += float(np.sum(steps_s[(steps_s > _PAUSE * self._period_s) & (steps_s < _LATENCY_S)]))
         self.first_t_s = samples.t_s[0] if self.n == 0 else self.first_t_s
         self.n += n
+        good = samples.gyro_dps[(samples.status == 0) & np.isfinite(samples.gyro_dps)]
+        self.good_dps, self.good = self.good_dps + float(good.sum()), self.good + good.size
         # Runs of equal values: the first may go on from before, the last may go on behind.
         starts = np.flatnonzero(np.diff(samples.gyro_dps, prepend=self._last_dps) != 0)
         edges = [-self._run, *starts.tolist(), n] if starts.size == 0 or starts[0] else [*starts.tolist(), n]
         self.longest_run = max(self.longest_run, int(np.max(np.diff(edges))))
         self._run = n - edges[-2]
         self.last_t_s, self._last_dps = samples.t_s[-1], samples.gyro_dps[-1]
+
+    def mean_dps(self) -> float:
+        """Mean of what the device calls good; NaN where there is nothing."""
+        return self.good_dps / self.good if self.good else np.nan
 
 
 def judge_stream(

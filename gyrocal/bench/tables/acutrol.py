@@ -1,19 +1,28 @@
 """Acutronic ACUTROL3000, ACL language over TCP port 9878 (protocols.md 2.2).
 
 Every command is answered by a fixed-length prefix (error code and message length) and data. Faults latch: after one,
-only an explicit reset at the controller lets the table move again, so this driver never resets by itself.
+only an explicit reset at the controller lets the table move again, so this driver never resets by itself. Answers carry
+no number, and a rate looks like an angle: where one may be owed, the interlock is asked first, which answers by a word.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
+
+T = TypeVar("T")
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -52,7 +61,8 @@ class AcutrolTable:
     """Driver of an ACUTROL3000 axis; see `gyrocal.bench.devices.RateTable`. Rates deg/s, angles deg."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._talk = Conversation(transport, "ACUTROL table", b"\r\n", options.timeout_s)
+        sync = (f":Interlock? {options.axis}\r\n".encode(), self._a_word)
+        self._talk = Conversation(transport, "ACUTROL table", ended_by(b"\r\n"), options.timeout_s, sync)
         self._clock = clock
         self._options = options
         self._sign = 1.0 if options.counter_clockwise_positive else -1.0
@@ -92,10 +102,10 @@ class AcutrolTable:
 
     def read(self) -> TableReading:
         """``:Read:Rate?`` and ``:Read:Position?``; its time is the middle of question and answer of the angle."""
-        rate_dps = self._sign * self._number(f":Read:Rate? {self._options.axis}")
+        rate_dps = self._sign * self._data(f":Read:Rate? {self._options.axis}")
         asked_s = self._clock.now_s()
-        angle_deg = self._sign * self._number(f":Read:Position? {self._options.axis}")
-        return TableReading(0.5 * (asked_s + self._clock.now_s()), rate_dps, angle_deg)
+        angle_deg = self._sign * self._data(f":Read:Position? {self._options.axis}")
+        return TableReading.between(asked_s, self._clock.now_s(), rate_dps, angle_deg)
 
     def faults(self) -> tuple[str, ...]:
         """The interlock's own word, when it is a fault."""
@@ -112,24 +122,44 @@ class AcutrolTable:
         self._talk.transport.close()
 
     def _command(self, command: str) -> str:
-        answer = self._talk.ask(f"{command}\r\n".encode()).decode("ascii", errors="replace")
-        prefix, data = (
-            answer[: self._options.prefix_characters],
-            answer[self._options.prefix_characters :].strip(),
-        )
-        code = prefix[: self._options.code_characters].strip()
-        if len(prefix) < self._options.prefix_characters or not code.lstrip("-").isdigit():
-            raise DeviceError(
-                f"ACUTROL table: answered {answer!r} to {command!r}. Check prefix_characters and code_characters in [table.options]."
-            )
-        if int(code) != 0:
-            raise DeviceError(
-                f"ACUTROL table: error {int(code)} to {command!r} ({data}). See :Query:Error? {int(code)}."
-            )
-        return data
+        """Send a command; returns its answer, which is a word."""
+        return self._ask(command, lambda data: data if _as_number(data) is None else None)
 
-    def _number(self, command: str) -> float:
-        return self._talk.number(self._command(command), command)
+    def _data(self, command: str) -> float:
+        """Send a question; returns its answer, which is a number."""
+        return self._ask(command, _as_number)
+
+    def _ask(self, command: str, accept: Callable[[str], T | None]) -> T:
+        def accept_answer(answer: bytes) -> T | None:
+            parsed = self._parsed(answer)
+            if parsed is None:
+                return None
+            code, data = parsed
+            if code != 0:
+                msg = f"ACUTROL table: error {code} to {command!r} ({data}). See :Query:Error? {code}."
+                raise DeviceError(msg)
+            return accept(data)
+
+        return self._talk.ask(f"{command}\r\n".encode(), accept_answer)
+
+    def _a_word(self, answer: bytes) -> bool | None:
+        """Whether an answer can be that of the interlock: no number. An interlock that cannot be asked answers too."""
+        parsed = self._parsed(answer)
+        return None if parsed is None or _as_number(parsed[1]) is not None else True
+
+    def _parsed(self, answer: bytes) -> tuple[int, str] | None:
+        """Error code and data; None for an answer without a prefix."""
+        text = answer.decode("ascii", errors="replace")
+        length = self._options.prefix_characters
+        code = text[: min(length, self._options.code_characters)].strip()
+        if len(text) < length or not code.lstrip("-").isdigit():
+            return None
+        return int(code), text[length:].strip()
+
+
+def _as_number(text: str) -> float | None:
+    """The number that a text is; None where it is none."""
+    return float(text) if _NUMBER.fullmatch(text) else None
 
 
 class AcutrolResponder(LineResponder):

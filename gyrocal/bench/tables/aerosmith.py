@@ -1,7 +1,8 @@
 """Ideal Aerosmith rate tables (1270VS, AERO language): three letters, a number, CR; 9600 8N1 (protocols.md 2.1).
 
 An answer is a line (a value or nothing) and the prompt ``>``; a ``?`` in it means "not understood". ``JOG`` answers
-only when the motion ends or the next command comes, so answers are matched by counting prompts.
+only when the motion ends or the next command comes. Answers carry no number and no name, and a rate looks like an
+angle: where one may be owed, a command whose answer is no number comes before the next question.
 """
 
 from __future__ import annotations
@@ -10,14 +11,17 @@ import re
 from dataclasses import dataclass
 
 from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 PROMPT = b">"
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+#: The answer to a question; some firmware repeats the question before it.
+_VALUE = re.compile(rf"(?:PVE|PPO)?\s*{_NUMBER.pattern}")
 
 
 @dataclass(frozen=True)
@@ -47,11 +51,13 @@ class AerosmithTable:
     """Driver of an Ideal Aerosmith table; see `gyrocal.bench.devices.RateTable`. Rates deg/s, angles deg."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._talk = Conversation(transport, "Aerosmith table", PROMPT, options.timeout_s)
+        #: Sets what is set already.
+        self._acceleration = f"ACL{options.max_acceleration_dps2:.0f}"
+        sync = (f"{self._acceleration}\r".encode(), _no_number)
+        self._talk = Conversation(transport, "Aerosmith table", ended_by(PROMPT), options.timeout_s, sync)
         self._clock = clock
         self._options = options
         self._sign = 1.0 if options.counter_clockwise_positive else -1.0
-        self._owed = 0
 
     def limits(self) -> TableLimits:
         """Limits of the table, from the options."""
@@ -59,9 +65,8 @@ class AerosmithTable:
 
     def start(self) -> None:
         """Check that the controller answers, and set the acceleration; does not move."""
-        self._owed = 0
-        self._ask("PVE")
-        self._ask(f"ACL{self._options.max_acceleration_dps2:.0f}")
+        self._data("PVE")
+        self._command(self._acceleration)
 
     def set_rate(self, rate_dps: float) -> float:
         """``JOG`` at `rate_dps`; returns the rate as sent, rounded to the controller's decimals."""
@@ -75,18 +80,17 @@ class AerosmithTable:
             raise DeviceError(msg)
         if wire == 0.0:
             # JOG0 is not verified to stop on all firmware; STO is.
-            self._ask("STO")
+            self._command("STO")
             return 0.0
         self._talk.send(f"JOG{wire:.{self._options.decimals}f}\r".encode())
-        self._owed += 1
         return self._sign * wire
 
     def read(self) -> TableReading:
         """``PVE`` and ``PPO``: measured rate and angle; its time is the middle of question and answer of the angle."""
-        rate_dps = self._sign * self._number("PVE")
+        rate_dps = self._sign * self._data("PVE")
         asked_s = self._clock.now_s()
-        angle_deg = self._sign * self._number("PPO")
-        return TableReading(0.5 * (asked_s + self._clock.now_s()), rate_dps, angle_deg)
+        angle_deg = self._sign * self._data("PPO")
+        return TableReading.between(asked_s, self._clock.now_s(), rate_dps, angle_deg)
 
     def faults(self) -> tuple[str, ...]:
         """Empty: the bits of ``STA`` are documented nowhere; a fault shows as a rate that is not reached."""
@@ -95,36 +99,45 @@ class AerosmithTable:
     def send_stop(self) -> None:
         """``STO``, with its terminator, without waiting."""
         self._talk.send(b"STO\r")
-        self._owed += 1
 
     def close(self) -> None:
         """Close the port."""
         self._talk.transport.close()
 
-    def _ask(self, command: str) -> str:
-        answer = self._talk.ask(f"{command}\r".encode())
-        while self._owed and not _says_something(answer, command):
-            # An owed JOG or STO answer has come first; the answer to this command is behind it.
-            self._owed -= 1
-            answer = self._talk.receive(command.encode())
-        self._owed = 0
-        text = answer.decode("ascii", errors="replace").strip()
-        if "?" in text:
-            raise DeviceError(
-                f"Aerosmith table: did not understand {command!r} (answered {text!r}). Check its firmware."
-            )
-        return text
+    def _command(self, command: str) -> None:
+        """Send a command, which is answered by a blank line."""
 
-    def _number(self, command: str) -> float:
-        text = self._ask(command).removeprefix(command).strip()
-        if not _NUMBER.fullmatch(text):
-            raise DeviceError(f"Aerosmith table: answered {text!r} to {command}, and a number is wanted.")
-        return float(text)
+        def accept(answer: bytes) -> bool | None:
+            _check_understood(answer, command)
+            return _no_number(answer)
+
+        self._talk.ask(f"{command}\r".encode(), accept)
+
+    def _data(self, command: str) -> float:
+        """Send a question; returns its answer, which is a number."""
+
+        def accept(answer: bytes) -> float | None:
+            _check_understood(answer, command)
+            # Some firmware, and a line with local echo, repeat the command before the value.
+            text = _text(answer).removeprefix(command).strip()
+            return float(text) if _NUMBER.fullmatch(text) else None
+
+        return self._talk.ask(f"{command}\r".encode(), accept)
 
 
-def _says_something(answer: bytes, command: str) -> bool:
-    """Whether an answer can be that of a query; those to motions are blank."""
-    return bool(answer.strip()) or command[:3] not in ("PVE", "PPO")
+def _text(answer: bytes) -> str:
+    return answer.decode("ascii", errors="replace").strip()
+
+
+def _check_understood(answer: bytes, command: str) -> None:
+    if b"?" in answer:
+        msg = f"Aerosmith table: did not understand {command!r} (answered {_text(answer)!r}). Check its firmware."
+        raise DeviceError(msg)
+
+
+def _no_number(answer: bytes) -> bool | None:
+    """Whether an answer is that of a command: blank, its echo, or a refusal; those to questions are numbers."""
+    return None if _VALUE.fullmatch(_text(answer)) else True
 
 
 class AerosmithResponder(LineResponder):

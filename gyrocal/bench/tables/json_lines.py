@@ -1,12 +1,13 @@
 """gyrocal's own protocol for home-made tables: one JSON object a line each way, 115200 8N1, LF.
 
-Requests                                      Answers
+Requests, each with an ``"id"``               Answers, each with the ``"id"`` of its request
 ``{"command": "hello"}``                      ``{"ok": true, "name": ..., "max_rate_dps": ..., "max_acceleration_dps2": ...}``
 ``{"command": "set_rate", "rate_dps": 10}``   ``{"ok": true, "rate_dps": 9.99985}``: the rate that the motor can make
 ``{"command": "read"}``                       ``{"ok": true, "rate_dps": ..., "angle_deg": ..., "faults": []}``
 ``{"command": "stop"}``                       ``{"ok": true}``; must also be obeyed when nobody reads the answer
 
-Counter-clockwise from above is positive; the angle is unwrapped. A refusal is ``{"ok": false, "error": "..."}``. The
+The id is a whole number that changes with every request: an answer without it, or with another, is not taken, so that a
+late one never passes for the next. Counter-clockwise from above is positive; the angle is unwrapped. A refusal is ``{"ok": false, "error": "..."}``. The
 table has to stop by itself when no line comes for ``watchdog_s`` seconds (``hello`` sets it): nobody else does when the
 program or its computer dies.
 """
@@ -19,10 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from gyrocal.bench.clock import Clock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import RateTable, TableLimits, TableReading
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.schema import number
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError
 
 
@@ -46,10 +48,11 @@ class JsonLinesTable:
     """Driver of a home-made table; see `gyrocal.bench.devices.RateTable`. Rates deg/s, angles deg."""
 
     def __init__(self, transport: Transport, clock: Clock, options: Options = Options()) -> None:
-        self._talk = Conversation(transport, "JSON-lines table", b"\n", options.timeout_s)
+        self._talk = Conversation(transport, "JSON-lines table", ended_by(b"\n"), options.timeout_s)
         self._clock = clock
         self._options = options
         self._limits: TableLimits | None = None
+        self._id = 0
 
     def limits(self) -> TableLimits:
         """Limits that the table states in ``hello``."""
@@ -73,8 +76,8 @@ class JsonLinesTable:
         """Measured rate and angle, at the middle of question and answer."""
         asked_s = self._clock.now_s()
         answer = self._ask({"command": "read"})
-        t_s = 0.5 * (asked_s + self._clock.now_s())
-        return TableReading(t_s, _number(answer, "rate_dps"), _number(answer, "angle_deg"))
+        rate_dps, angle_deg = _number(answer, "rate_dps"), _number(answer, "angle_deg")
+        return TableReading.between(asked_s, self._clock.now_s(), rate_dps, angle_deg)
 
     def faults(self) -> tuple[str, ...]:
         """Faults in the table's own words."""
@@ -82,7 +85,7 @@ class JsonLinesTable:
 
     def send_stop(self) -> None:
         """Send ``stop`` without waiting."""
-        self._talk.send(_line({"command": "stop"}))
+        self._talk.send(self._request({"command": "stop"}))
 
     def close(self) -> None:
         """Close the port."""
@@ -92,16 +95,25 @@ class JsonLinesTable:
         answer = self._ask({"command": "hello", "watchdog_s": self._options.watchdog_s})
         return TableLimits(_number(answer, "max_rate_dps"), _number(answer, "max_acceleration_dps2"))
 
+    def _request(self, request: dict[str, Any]) -> bytes:
+        self._id += 1
+        return _line(request | {"id": self._id})
+
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        text = self._talk.ask(_line(request))
-        try:
-            answer = json.loads(text)
-        except ValueError as error:
-            msg = f"JSON-lines table: answered {text[:60]!r} to {request['command']}, which is not JSON. Check the baud rate."
-            raise DeviceError(msg) from error
-        if not isinstance(answer, dict) or answer.get("ok") is not True:
-            said = answer.get("error", "no reason") if isinstance(answer, dict) else answer
+        answer = self._talk.ask(self._request(request), self._answer)
+        if answer.get("ok") is not True:
+            said = answer.get("error", "no reason")
             raise DeviceError(f"JSON-lines table: refused {request['command']} ({said}).")
+        return answer
+
+    def _answer(self, line: bytes) -> dict[str, Any] | None:
+        """The answer to the last request; None for any other line, an echo of the request among them."""
+        try:
+            answer = json.loads(line)
+        except (ValueError, RecursionError):
+            return None
+        if not isinstance(answer, dict) or "ok" not in answer or answer.get("id") != self._id:
+            return None
         return answer
 
 
@@ -138,12 +150,15 @@ class JsonLinesResponder(LineResponder):
         return super().feed(data)
 
     def answer(self, line: str) -> bytes:
-        """Answer of the table."""
+        """Answer of the table, with the id of its request."""
         try:
             request = json.loads(line)
             command = request["command"]
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             return _line({"ok": False, "error": "not a JSON object with a command"})
+        return _line(self._perform(command, request) | {"id": request.get("id")})
+
+    def _perform(self, command: str, request: dict[str, Any]) -> dict[str, Any]:
         if command == "hello":
             limits = self._table.limits()
             watchdog_s = request.get("watchdog_s")
@@ -153,23 +168,24 @@ class JsonLinesResponder(LineResponder):
                 "max_rate_dps": limits.max_rate_dps,
                 "max_acceleration_dps2": limits.max_acceleration_dps2,
             }
-            return _line({"ok": True, "name": "virtual table"} | known)
+            return {"ok": True, "name": "virtual table"} | known
         if command == "stop":
             self._table.set_rate(0.0)
-            return _line({"ok": True})
+            return {"ok": True}
         if command == "read":
             reading = self._table.read()
-            state = {
+            faults = list(self._table.faults())
+            return {
+                "ok": True,
                 "rate_dps": reading.rate_dps,
                 "angle_deg": reading.angle_deg,
-                "faults": list(self._table.faults()),
+                "faults": faults,
             }
-            return _line({"ok": True} | state)
         rate = request.get("rate_dps")
         if (
             command == "set_rate"
             and isinstance(rate, int | float)
             and abs(rate) <= self._table.limits().max_rate_dps
         ):
-            return _line({"ok": True, "rate_dps": self._table.set_rate(float(rate))})
-        return _line({"ok": False, "error": f"cannot do {command} {rate}"})
+            return {"ok": True, "rate_dps": self._table.set_rate(float(rate))}
+        return {"ok": False, "error": f"cannot do {command} {rate}"}

@@ -10,7 +10,8 @@ from typing import Any, Protocol
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Bench, Chamber, GyroSamples, RateTable, TableLimits, TableReading
-from gyrocal.bench.registry import CHAMBERS, GYROS, TABLES, GyroKind, Responder
+from gyrocal.bench.kinds import GyroKind, Responder
+from gyrocal.bench.registry import CHAMBERS, GYROS, TABLES
 from gyrocal.bench.virtual.endpoints import Endpoint
 from gyrocal.bench.virtual.world import World
 from gyrocal.errors import DeviceError

@@ -20,11 +20,6 @@ from gyrocal.units import S_PER_MIN
 
 Floats = NDArray[np.float64]
 
-#: Effects of the reference: the servo follows its encoder, so the true rate bears the error.
-_OF_THE_REFERENCE = ("table_eccentricity", "reference_rate_error")
-#: Effects of the converter: they act on the output, last, and take the place of the unit's own bits.
-_OF_THE_CONVERTER = ("truncation", "quantisation")
-
 #: Correlation time of the servo's wobble, s.
 _WOBBLE_S = 0.1
 
@@ -131,10 +126,9 @@ class World:
             return GyroSamples()
         c = self._conditions()
         gyro_dps = self._stream.analogue(self._dt_s, c.rate_dps, c.temp_c)
-        for effect_id in self.spec.effects:
-            if effect_id not in _OF_THE_REFERENCE + _OF_THE_CONVERTER:
-                gyro_dps = gyro_dps + self._error_dps(effect_id, c, gyro_dps)
-        converter = [e for e in self.spec.effects if e in _OF_THE_CONVERTER]
+        for effect_id in self._acting_on("gyro"):
+            gyro_dps = gyro_dps + self._error_dps(effect_id, c, gyro_dps)
+        converter = self._acting_on("converter")
         for effect_id in converter:
             gyro_dps = gyro_dps + self._error_dps(effect_id, c, gyro_dps)
         if not converter:
@@ -213,9 +207,8 @@ class World:
             command_dps=np.repeat(target, lengths),
         )
         true_dps = encoder_dps * (1.0 + np.repeat(reference, lengths))
-        for effect_id in self.spec.effects:
-            if effect_id in _OF_THE_REFERENCE:
-                true_dps = true_dps + self._error_dps(effect_id, c, encoder_dps)
+        for effect_id in self._acting_on("reference"):
+            true_dps = true_dps + self._error_dps(effect_id, c, encoder_dps)
         self._commands, self._cases_c, self._angles_deg = [], [], self._angles_deg[-1:]
         return replace(c, rate_dps=true_dps)
 
@@ -226,6 +219,9 @@ class World:
     def _supply_v(self, speed_dps: Any, compressor_on: Any) -> Any:
         supply = self.spec.supply
         return supply.nominal_v - supply.sag_v * speed_dps / 100.0 - supply.compressor_v * compressor_on
+
+    def _acting_on(self, part: str) -> list[str]:
+        return [e for e in self.spec.effects if CATALOGUE[e].acts_on == part]
 
     def _error_dps(self, effect_id: str, c: Conditions, gyro_dps: Floats) -> Floats:
         given = replace(c, gyro_dps=gyro_dps)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gyrocal.bench.chambers import espec, manual, modbus, watlow_f4, watlow_f4t, weiss
 from gyrocal.bench.clock import VirtualClock
 from gyrocal.bench.devices import Chamber
-from gyrocal.bench.transport import Conversation, Transport
+from gyrocal.bench.transport import Transport
 from gyrocal.errors import DeviceError, InterruptedRunError
 from tests.bench.wire import IdealChamber, LoopTransport, Responder, ScriptedTransport
 
@@ -168,32 +168,60 @@ def test_modbus_vectors(made: bytes, wire: str) -> None:
 
 def _master(*script: tuple[bytes, bytes]) -> tuple[modbus.ModbusMaster, ScriptedTransport]:
     port = ScriptedTransport(*script)
-    return modbus.ModbusMaster(Conversation(port, "F4", b"", 0.004), "F4", 1), port
+    return modbus.ModbusMaster(port, CLOCK, "F4", 1, 0.004, (100, 3)), port
+
+
+#: The resynchronising question of the F4, which comes first, and after each failure.
+SYNC = (modbus.read_request(1, 100, 3), modbus.frame(bytes([1, 3, 6, 0, 234, 0, 0, 0, 0])))
 
 
 def test_modbus_read_is_repeated_once_and_a_write_never() -> None:
     request, answer = modbus.read_request(1, 100, 1), bytes.fromhex("010302FE70F9C0")
-    master, port = _master((request, b""), (request, answer))
+    master, port = _master(SYNC, (request, b""), SYNC, (request, answer))
     assert [modbus.signed(w) for w in master.read(100)] == [-400]
     port.finish()
-    master, port = _master((modbus.write_request(1, 300, [250]), b""))
+    master, port = _master(SYNC, (modbus.write_request(1, 300, [250]), b""))
     with pytest.raises(DeviceError, match="no answer"):
         master.write(300, [250])
     port.finish()
+
+
+def test_a_late_answer_of_another_register_is_not_taken() -> None:
+    mode, setpoint = (modbus.frame(bytes([1, 3, 2, 0, value])) for value in (3, 250))
+    master, port = _master(
+        SYNC,
+        (modbus.read_request(1, 200, 1), b""),
+        (SYNC[0], mode + SYNC[1]),
+        (modbus.read_request(1, 200, 1), b""),
+        (SYNC[0], mode + SYNC[1]),
+        (modbus.read_request(1, 300, 1), setpoint),
+    )
+    with pytest.raises(DeviceError, match="no answer"):
+        master.read(200)
+    assert master.read(300) == [250]
+    port.finish()
+
+
+def test_the_controller_is_left_alone_after_a_write() -> None:
+    clock = VirtualClock()
+    request = modbus.write_request(1, 300, [250])
+    port = ScriptedTransport(SYNC, (request, request))
+    modbus.ModbusMaster(port, clock, "F4", 1, 0.004, (100, 3)).write(300, [250])
+    assert clock.now_s() >= 0.03
 
 
 @pytest.mark.parametrize(
     ("answer", "text"),
     [
         ("01 86 02 C3 A1", r"Modbus exception 2: address"),
-        ("01 06 01 2C 00 FB 08 7C", "not its echo"),
-        ("01 06 01 2C 00 FA C9 BD", r"\(CRC\)"),
-        ("02 06 01 2C 00 FA C9 8F", "another device"),
-        ("01 06 01 2C", "4 of 8|2 of 6"),
+        ("01 06 01 2C 00 FB 08 7C", "one that does not fit it, 01 06 01 2c 00 fb 08 7c"),
+        ("01 06 01 2C 00 FA C9 BD", "half an answer"),  # its CRC is damaged
+        ("02 06 01 2C 00 FA C9 8F", "half an answer"),  # of another device
+        ("01 06 01 2C", "half an answer"),
     ],
 )
 def test_modbus_refuses(answer: str, text: str) -> None:
-    master, _ = _master((modbus.write_request(1, 300, [250]), bytes.fromhex(answer)))
+    master, _ = _master(SYNC, (modbus.write_request(1, 300, [250]), bytes.fromhex(answer)))
     with pytest.raises(DeviceError, match=text):
         master.write(300, [250])
 
@@ -211,6 +239,7 @@ def test_espec_conversation() -> None:
         (b"MODE,CONSTANT\r\n", b"OK:MODE,CONSTANT\r\n"),
         (b"TEMP?\r\n", b"26.4,23.0,140.0,-50.0\r\n"),
         (b"TEMP, S23.0 H100.0 L-40.0\r\n", b"OK:TEMP, S23.0 H100.0 L-40.0\r\n"),
+        (b"TEMP?\r\n", b"26.4,23.0,100.0,-40.0\r\n"),  # read back
         (b"TEMP?\r\n", b"26.4,23.0,100.0,-40.0\r\n"),
         (b"MODE?\r\n", b"CONSTANT\r\n"),
         (b"ALARM?\r\n", b"2,1,7\r\n"),
@@ -220,6 +249,31 @@ def test_espec_conversation() -> None:
     driver.set_alarm_limits(-40.0, 100.0)
     assert driver.read().alarms == ("ESPEC alarm 1", "ESPEC alarm 7")
     port.finish()
+
+
+def test_an_alarm_limit_that_reads_back_as_another_is_an_error() -> None:
+    port = ScriptedTransport(
+        (b"TYPE?\r\n", b"T,T,S2,160.0\r\n"),
+        (b"TEMP?\r\n", b"26.4,23.0,140.0,-50.0\r\n"),
+        (b"TEMP, S23.0 H100.0 L-40.0\r\n", b"OK:TEMP, S23.0 H100.0 L-40.0\r\n"),
+        (b"TEMP?\r\n", b"26.4,23.0,140.0,-40.0\r\n"),
+    )
+    driver = espec.EspecChamber(port, CLOCK, espec.Options(timeout_s=0.004))
+    with pytest.raises(DeviceError, match="an alarm limit of 100 deg C and shows 140"):
+        driver.set_alarm_limits(-40.0, 100.0)
+    port.finish()
+
+    class Deaf(watlow_f4.WatlowF4Registers):
+        def put(self, register: int, words: list[int]) -> None:
+            """Take nothing."""
+
+    f4 = watlow_f4.WatlowF4Chamber(
+        LoopTransport(modbus.ModbusSlave(1, Deaf(IdealChamber()))),
+        CLOCK,
+        watlow_f4.Options(timeout_s=0.004, alarm_registers=True),
+    )
+    with pytest.raises(DeviceError, match="an alarm limit of -15 deg C and shows -40"):
+        f4.set_alarm_limits(-15.0, 55.0)
 
 
 def test_espec_refusal_is_told_in_its_own_words() -> None:
@@ -234,6 +288,7 @@ def test_f4t_ramps_by_itself() -> None:
         (b":SOURCE:CLOOP1:RRATE 1.500\n", b""),
         (b":SOURCE:CLOOP1:RACTION SETPOINT\n", b""),
         (b":SOURCE:CLOOP1:SPOINT 25.00\n", b""),
+        (b"*IDN?\n", b"WATLOW ELECTRIC,F4T,1,1.0\n"),
         (b":SOURCE:CLOOP1:SPOINT?\n", b"25.0000\n"),
     )
     watlow_f4t.WatlowF4tScpiChamber(port, CLOCK, watlow_f4t.Options(timeout_s=0.004)).set_setpoint(25.0, 1.5)

@@ -41,9 +41,6 @@ class ChunkTransport:
         self.closed.wait(min(wait_s, 0.005))
         return b""
 
-    def clear_input(self) -> None:
-        pass
-
     def close(self) -> None:
         self.closed.set()
 

@@ -10,13 +10,14 @@ from typing import Any
 from gyrocal.bench.clock import VirtualClock
 from gyrocal.bench.devices import GyroSamples
 from gyrocal.bench.profile import profile_from_dict
-from gyrocal.bench.runner import Runner, Summary
+from gyrocal.bench.runner import Runner
 from gyrocal.bench.safety import StopRequests
 from gyrocal.bench.session import plan_of
 from gyrocal.bench.virtual.devices import virtual_bench
 from gyrocal.bench.virtual.faults import FaultyChamber, FaultyTable
 from gyrocal.bench.virtual.server import Line, LiveTable, make_server
 from gyrocal.bench.virtual.serving import served_kinds, snippet_of
+from gyrocal.bench.watching import Summary
 from gyrocal.bench.wiring import Wire, open_bench
 from gyrocal.errors import DeviceError
 from gyrocal.records.journal import create_run
@@ -117,10 +118,7 @@ class DriverEnd:
             data, self._memory._to_program = self._memory._to_program, b""
             if data or self._clock.now_s() >= until_s:
                 return data
-            self._clock.sleep(SLICE_S)
-
-    def clear_input(self) -> None:
-        self._memory._to_program = b""
+            self._clock.sleep(min(SLICE_S, until_s - self._clock.now_s()))
 
     def close(self) -> None:
         self._memory.close()

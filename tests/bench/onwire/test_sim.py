@@ -28,6 +28,7 @@ from gyrocal.bench.status import read_status
 from gyrocal.bench.transport import SerialTransport
 from gyrocal.bench.virtual.endpoints import Endpoint, PtyEndpoint, TcpEndpoint
 from gyrocal.bench.virtual.serving import Served, serve_profile, wired
+from gyrocal.bench.watching import Progress
 from gyrocal.calibration.calibrate import FitConfig, calibrate
 from gyrocal.errors import DeviceError, InterruptedRunError, OutputError
 from gyrocal.records.run import read_run
@@ -250,7 +251,7 @@ def test_a_program_that_was_killed_is_carried_on_against_the_same_bench(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_stops_the_table_on_the_wire(tmp_path: Path, number: signal.Signals) -> None:
     profile = profile_from_dict(tiny(**{**SHORT, "plan__rates_dps": [60.0], "plan__dwell_s": 20.0}), "s.toml")
     out = tmp_path / "r"
@@ -372,11 +373,15 @@ def test_a_run_is_carried_on_at_other_ports(tmp_path: Path) -> None:
     profile = profile_from_dict(tiny(**SHORT), "short.toml")
     for resume in (False, True):
         requests = StopRequests()
-        requests.ask(1, "the test")
+
+        class Impatient(Silent):
+            def progress(self, progress: Progress, requests: StopRequests = requests) -> None:
+                requests.ask(1, "the test")
+
         with serving(profile, {"gyro": "kvh-dsp3000"}) as served:
             path = profile_file(wired(profile, served), tmp_path / "wired.toml")
             with pytest.raises(InterruptedRunError):
-                acquire(AcquireConfig(path, tmp_path / "r", resume=resume), Silent(), requests)
+                acquire(AcquireConfig(path, tmp_path / "r", resume=resume), Impatient(), requests)
     (line,) = events(tmp_path / "r", "resume")
     assert line["ports"]["gyro.device"] == f"kvh-dsp3000:{served.addresses['gyro']}"
     assert set(line["ports"]) == {"gyro.device", "table.device", "chamber.device"}

@@ -15,11 +15,12 @@ from gyrocal.bench.capture import RawCapture, decode_capture
 from gyrocal.bench.chambers.manual import ManualChamber
 from gyrocal.bench.chambers.stepped import AlarmsByHand, SteppedChamber
 from gyrocal.bench.clock import RealClock, VirtualClock
+from gyrocal.bench.conversation import Conversation, ended_by
 from gyrocal.bench.devices import ChamberReading
 from gyrocal.bench.profile import Profile, profile_from_dict
 from gyrocal.bench.session import AcquireConfig, acquire, connect
 from gyrocal.bench.tables.manual import ManualTable
-from gyrocal.bench.transport import Conversation, ReopeningTransport, Transport
+from gyrocal.bench.transport import ReopeningTransport, Transport
 from gyrocal.bench.wiring import open_bench, read_wire
 from gyrocal.errors import DeviceError, InputError, InterruptedRunError, OutputError, ProfileError
 from gyrocal.records.journal import Recovered
@@ -117,6 +118,12 @@ def test_a_profile_names_kinds_ports_and_options() -> None:
             "them to -45 and 80 °C at its panel and say own_alarms_set = true in [chamber].",
         ),
         (
+            {"gyro": {"device": "kvh-dsp3000:/dev/x"}, "chamber": {"device": "manual"}},
+            "p.toml: a kvh-dsp3000 sends no temperature and a manual chamber has no thermometer that this program reads, so "
+            "that no interlock keeps the gyro from harm. Watch its temperature yourself and say no_thermometer = true in "
+            "[safe], or use a chamber with a link.",
+        ),
+        (
             {"table": {"device": "json-lines:/dev/y"}, "record": {"bench_period_s": 8.0}},
             "p.toml: record.bench_period_s is 8 s, and the table stops by itself when it is not asked for 10 s. Give at "
             "most 5 s, or raise watchdog_s in [table.options].",
@@ -131,6 +138,18 @@ def test_a_wrong_device_is_refused_before_anything_is_opened(changes: dict[str, 
     with pytest.raises(ProfileError) as caught:
         connect(profile(**changes), simulate=False)
     assert str(caught.value).startswith(text)
+
+
+def test_a_bench_without_a_thermometer_is_confirmed_and_told() -> None:
+    p = profile(
+        gyro={"device": "kvh-dsp3000:/dev/x"}, chamber={"device": "manual"}, safe__no_thermometer=True
+    )
+    assert connect(p, simulate=False)[0].describe == "gyro kvh-dsp3000, table zaber, chamber manual"
+    assert any("safe.no_thermometer is true" in note and "has to watch it" in note for note in p.notes)
+    # a thermometer of its own needs no such word
+    ecore = {"lsb_dps": 0.00183, "temperature_byte": 1}
+    with_one = {"device": "kvh-ecore2000:/dev/x", "options": ecore}
+    connect(profile(gyro=with_one, chamber={"device": "manual"}), simulate=False)
 
 
 def test_simulate_takes_no_port() -> None:
@@ -276,7 +295,6 @@ def test_a_port_is_opened_at_its_first_use_and_again_when_it_was_gone() -> None:
     flaky = Flaky()
     port = ReopeningTransport(flaky)
     assert flaky.opened == 0
-    port.clear_input()
     port.write(b"a")
     assert (port.read_available(0.1), flaky.opened) == (b"a", 1)
     flaky.there = False
@@ -291,13 +309,16 @@ def test_a_port_is_opened_at_its_first_use_and_again_when_it_was_gone() -> None:
 def test_an_answer_without_an_end_is_not_waited_for() -> None:
     class Endless(LoopTransport):
         def read_available(self, wait_s: float) -> bytes:
-            return b"\x55" * 512
+            return b"\x55" * 512 if self.sent else b""
 
-    talk = Conversation(Endless(Pulled(Flaky())), "table", b"\n", 1.0)
+        def write(self, data: bytes) -> None:
+            self.sent.append(data)
+
+    talk = Conversation(Endless(Pulled(Flaky())), "table", ended_by(b"\n"), 1.0)
     with pytest.raises(
-        DeviceError, match=r"table: \d+ bytes came and no end of an answer to b'X'\. Check the baud"
+        DeviceError, match=r"table: \d+ bytes came and no end of an answer to 'X' .*Check the baud"
     ):
-        talk.receive(b"X")
+        talk.ask(b"X", lambda answer: answer)
 
 
 # captures
@@ -344,7 +365,15 @@ def test_a_step_of_the_host_clock_changes_nothing(monkeypatch: pytest.MonkeyPatc
     assert 0.0 <= clock.now_s() - before_s < 60.0
 
 
-@pytest.mark.parametrize(("began_ago_s", "expected_s"), [(7200.0, 7200.0), (10.0, 561.0), (-9e6, 561.0)])
+@pytest.mark.parametrize(
+    ("began_ago_s", "expected_s"),
+    [
+        (7200.0, 7200.0),
+        (10.0, 561.0),
+        (-9e6, 561.0),
+        (1.8e9, 561.0),  # it was begun on a computer whose clock was not set
+    ],
+)
 def test_a_run_is_carried_on_after_all_that_was_recorded(
     tmp_path: Path, began_ago_s: float, expected_s: float
 ) -> None:

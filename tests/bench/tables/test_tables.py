@@ -110,12 +110,18 @@ def test_a_responder_survives_any_bytes(name: str, data: bytes) -> None:
     TABLES[name][0](LoopTransport(responder)).start()
 
 
+#: Sets what is set already: its answer is no number.
+AEROSMITH_SYNC = (b"ACL100\r", b"\r\n>")
+
+
 def test_aerosmith_conversation_with_an_owed_answer() -> None:
     port = ScriptedTransport(
+        AEROSMITH_SYNC,
         (b"PVE\r", b"0.000\r\n>"),
-        (b"ACL100\r", b"\r\n>"),
+        AEROSMITH_SYNC,
         (b"JOG-30\r", b""),
-        (b"PVE\r", b"\r\n>PVE -29.998\r\n>"),
+        (b"ACL100\r", b"\r\n>\r\n>"),  # the first is that to JOG
+        (b"PVE\r", b"PVE -29.998\r\n>"),
         (b"PPO\r", b"-12.345\r\n>"),
         (b"STO\r", b""),
     )
@@ -131,7 +137,7 @@ def test_aerosmith_conversation_with_an_owed_answer() -> None:
 
 
 def test_aerosmith_names_what_it_did_not_understand() -> None:
-    port = ScriptedTransport((b"PVE\r", b"?\r\n>"))
+    port = ScriptedTransport(AEROSMITH_SYNC, (b"PVE\r", b"?\r\n>"))
     with pytest.raises(DeviceError, match="did not understand 'PVE'"):
         aerosmith.AerosmithTable(port, CLOCK, aerosmith.Options(timeout_s=0.004)).start()
 
@@ -143,42 +149,95 @@ def test_zaber_checksum_vectors(text: str, check: str) -> None:
     assert zaber.lrc(text) == check
 
 
+def zaber_message(body: str) -> bytes:
+    return f"/{body}:{zaber.lrc(body)}\r\n".encode()
+
+
+def zaber_reply(body: str) -> bytes:
+    return f"@{body}:{zaber.lrc(body)}\r\n".encode()
+
+
 def test_zaber_conversation() -> None:
-    def message(body: str) -> bytes:
-        return f"/{body}:{zaber.lrc(body)}\r\n".encode()
-
-    def reply(body: str) -> bytes:
-        return f"@{body}:{zaber.lrc(body)}\r\n".encode()
-
     port = ScriptedTransport(
-        (message("1 1 move vel 17476"), b"#01 1 note\r\n" + reply("01 1 OK BUSY -- 0")),
-        (message("1 1"), b"@01 1 OK BUSY WS 0\r\n"),
-        (message("1 1 stop"), b""),
+        (zaber_message("1 1 01 move vel 17476"), b"#01 1 note\r\n" + zaber_reply("01 1 01 OK BUSY -- 0")),
+        (zaber_message("1 1 02"), b"@01 1 02 OK BUSY WS 0\r\n"),
+        (zaber_message("1 1 03 stop"), b""),
     )
     driver = zaber.ZaberTable(port, CLOCK, zaber.Options(timeout_s=0.004))
     assert driver.set_rate(10.0) == pytest.approx(9.99985, abs=1e-5)
-    assert driver.faults() == ("Zaber warning flag WS",)
+    assert driver.faults() == ("Zaber warning flag WS (stalled, with recovery)",)
     driver.send_stop()
     port.finish()
+
+
+def zaber_at(*flags: str) -> zaber.ZaberTable:
+    """A driver and a stage that answers its requests with these states and flags."""
+
+    class Stage:
+        def __init__(self) -> None:
+            self.flags = iter(flags)
+
+        def feed(self, data: bytes) -> bytes:
+            number = data.split()[2].partition(b":")[0].decode()
+            return zaber_reply(f"01 1 {number} OK {next(self.flags)} 0") if b"stop" not in data else b""
+
+    return zaber.ZaberTable(LoopTransport(Stage()), CLOCK, zaber.Options(timeout_s=0.004))
+
+
+def test_zaber_goes_from_rate_to_rate_although_that_interrupts_its_movement() -> None:
+    driver = zaber_at("IDLE --", "BUSY --", "BUSY NI", "BUSY NI", "BUSY NI", "IDLE NI", "BUSY --", "BUSY --")
+    driver.start()
+    driver.set_rate(10.0)
+    driver.set_rate(20.0)
+    assert driver.faults() == ()
+    driver.send_stop()
+    assert driver.faults() == ()
+    assert driver.faults() == (), "NI stays after the stop"
+    driver.set_rate(5.0)
+    assert driver.faults() == ()
+
+
+@pytest.mark.parametrize("flag", ["NI", "NC"])
+def test_zaber_names_somebody_at_the_knob(flag: str) -> None:
+    driver = zaber_at("IDLE --", "BUSY --", f"BUSY {flag}")
+    driver.start()
+    driver.set_rate(10.0)
+    (fault,) = driver.faults()
+    assert f"warning flag {flag} (" in fault
+    assert "somebody turns the knob" in fault
+
+
+def test_zaber_takes_a_flag_that_was_there_before_for_what_it_is() -> None:
+    driver = zaber_at("IDLE NI", "IDLE NI", "BUSY --", "BUSY NI")
+    driver.start()
+    assert driver.faults() == (), "a program before us was killed while the stage turned"
+    driver.set_rate(10.0)
+    assert "knob" in driver.faults()[0]
 
 
 @pytest.mark.parametrize(
     ("answer", "text"),
     [
-        (b"@01 1 RJ IDLE -- BADDATA\r\n", r"rejected .* \(BADDATA\)"),
-        (b"@02 1 OK IDLE -- 0\r\n", "device 02 answered"),
-        (b"@01 1 OK IDLE -- 0:00\r\n", "damaged answer"),
-        (b"@01 1 OK IDLE -- x\r\n", "a number is wanted"),
+        (b"@01 1 01 RJ IDLE -- BADDATA\r\n", r"rejected .* \(BADDATA\)"),
+        (b"@02 1 01 OK IDLE -- 0\r\n", "one that does not fit it"),  # of another device
+        (b"@01 1 01 OK IDLE -- 0:00\r\n", "one that does not fit it"),  # damaged
+        (b"@01 1 98 OK IDLE -- 7\r\n", "one that does not fit it"),  # to another request
+        (b"@01 1 01 OK IDLE -- x\r\n", "a number is wanted"),
     ],
 )
 def test_zaber_refuses(answer: bytes, text: str) -> None:
-    port = ScriptedTransport((b"/1 1 get vel:" + zaber.lrc("1 1 get vel").encode() + b"\r\n", answer))
+    port = ScriptedTransport((zaber_message("1 1 01 get vel"), answer))
     with pytest.raises(DeviceError, match=text):
         zaber.ZaberTable(port, CLOCK, zaber.Options(timeout_s=0.004)).read()
 
 
+#: The interlock's answer is a word.
+ACUTROL_SYNC = (b":Interlock? 1\r\n", b"00000006Closed\r\n")
+
+
 def test_acutrol_conversation_and_latched_fault() -> None:
     port = ScriptedTransport(
+        ACUTROL_SYNC,
         (b":Utility:Lockout ON\r\n", b"00000002OK\r\n"),
         (b":Limit:Vtrip R,1,440.000\r\n", b"00000002OK\r\n"),
         (b":Interlock? 1\r\n", b"00000005Fault\r\n"),
@@ -191,13 +250,13 @@ def test_acutrol_conversation_and_latched_fault() -> None:
 @pytest.mark.parametrize(
     ("answer", "text"),
     [
-        (b"0113000bnot recognised\r\n", "error 113 to"),
-        (b"OK\r\n", r"Check prefix_characters and code_characters in \[table.options\]"),
-        (b"00000002OK\r\n", "a number is wanted"),
+        (b"0113000bnot recognised\r\n", "error 113 to ':Read:Rate"),
+        (b"OK\r\n", "does not fit it, 'OK'.* Check cable, baud rate and options"),
+        (b"00000002OK\r\n", "does not fit it, '00000002OK'"),
     ],
 )
 def test_acutrol_refuses(answer: bytes, text: str) -> None:
-    port = ScriptedTransport((b":Read:Rate? 1\r\n", answer))
+    port = ScriptedTransport(ACUTROL_SYNC, (b":Read:Rate? 1\r\n", answer))
     with pytest.raises(DeviceError, match=text):
         acutrol.AcutrolTable(port, CLOCK, acutrol.Options(timeout_s=0.004)).read()
 
@@ -205,7 +264,9 @@ def test_acutrol_refuses(answer: bytes, text: str) -> None:
 def test_acutrol_split_of_the_prefix_is_an_option() -> None:
     options = acutrol.Options(prefix_characters=5, code_characters=2, timeout_s=0.004)
     port = ScriptedTransport(
-        (b":Read:Rate? 1\r\n", b"000039.5\r\n"), (b":Read:Position? 1\r\n", b"000011\r\n")
+        (b":Interlock? 1\r\n", b"00006Closed\r\n"),
+        (b":Read:Rate? 1\r\n", b"000039.5\r\n"),
+        (b":Read:Position? 1\r\n", b"000011\r\n"),
     )
     assert acutrol.AcutrolTable(port, CLOCK, options).read().rate_dps == 9.5
     port.finish()
@@ -261,12 +322,18 @@ def test_json_lines_watchdog_stops_a_table_that_nobody_asks() -> None:
 def test_json_lines_conversation() -> None:
     port = ScriptedTransport(
         (
-            b'{"command": "hello", "watchdog_s": 10.0}\n',
-            b'{"ok": true, "max_rate_dps": 100, "max_acceleration_dps2": 20}\n',
+            b'{"command": "hello", "watchdog_s": 10.0, "id": 1}\n',
+            b'{"ok": true, "max_rate_dps": 100, "max_acceleration_dps2": 20, "id": 1}\n',
         ),
-        (b'{"command": "set_rate", "rate_dps": 10.0}\n', b'{"ok": true, "rate_dps": 9.9}\n'),
-        (b'{"command": "read"}\n', b'{"ok": true, "rate_dps": 9.9, "angle_deg": 1, "faults": ["hot"]}\n'),
-        (b'{"command": "stop"}\n', b""),
+        (
+            b'{"command": "set_rate", "rate_dps": 10.0, "id": 2}\n',
+            b'{"ok": true, "id": 1}\n{"ok": true, "rate_dps": 9.9, "id": 2}\n',  # a late one first
+        ),
+        (
+            b'{"command": "read", "id": 3}\n',
+            b'{"ok": true, "rate_dps": 9.9, "angle_deg": 1, "faults": ["hot"], "id": 3}\n',
+        ),
+        (b'{"command": "stop", "id": 4}\n', b""),
     )
     driver = json_lines.JsonLinesTable(port, CLOCK, json_lines.Options(timeout_s=0.004))
     driver.start()
@@ -279,13 +346,14 @@ def test_json_lines_conversation() -> None:
 @pytest.mark.parametrize(
     ("answer", "text"),
     [
-        (b"garbage\n", "which is not JSON"),
-        (b'{"ok": false, "error": "too hot"}\n', r"refused read \(too hot\)"),
-        (b'{"ok": true, "rate_dps": "fast"}\n', "rate_dps is 'fast'"),
+        (b"garbage\n", "one that does not fit it, 'garbage'"),
+        (b'{"ok": false, "error": "too hot", "id": 1}\n', r"refused read \(too hot\)"),
+        (b'{"ok": true, "rate_dps": "fast", "id": 1}\n', "rate_dps is 'fast'"),
+        (b'{"ok": true, "rate_dps": 1.0}\n', "one that does not fit it"),
     ],
 )
 def test_json_lines_refuses(answer: bytes, text: str) -> None:
-    port = ScriptedTransport((b'{"command": "read"}\n', answer))
+    port = ScriptedTransport((b'{"command": "read", "id": 1}\n', answer))
     with pytest.raises(DeviceError, match=text):
         json_lines.JsonLinesTable(port, CLOCK, json_lines.Options(timeout_s=0.004)).read()
 

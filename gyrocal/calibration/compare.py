@@ -1,0 +1,78 @@
+"""Runs of a unit beside each other: what changed from the first to the last, and whether it is more than noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from gyrocal.calibration.calibrate import Calibration
+from gyrocal.calibration.figure import Figure
+from gyrocal.errors import DataError
+
+#: Rate at which a unit that did not change is said to have, over all figures together.
+ALARM_RATE = 0.01
+
+
+@dataclass(frozen=True)
+class Change:
+    """One figure over the runs.
+
+    Attributes
+    ----------
+    figures : tuple of Figure, one a run
+    change, low, high : last less first, with its 95 % interval; None where one of them has no number
+    p_value : of no change, after Holm's procedure over the figures
+    """
+
+    figures: tuple[Figure, ...]
+    change: float | None
+    low: float | None
+    high: float | None
+    p_value: float
+
+    @property
+    def changed(self) -> bool:
+        """Whether it is more than noise."""
+        return self.p_value < ALARM_RATE
+
+
+def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
+    """Figures before compensation of every run, in the order given.
+
+    Raises
+    ------
+    DataError
+        Fewer than two runs.
+    """
+    if len(runs) < 2:
+        raise DataError("One run is given, and a comparison takes two: give more.")
+    listed = [
+        {name: pair.before for name, pair in run.merit.items()} | dict(run.noise.figures) for run in runs
+    ]
+    names = [name for name in listed[0] if all(name in figures for figures in listed)]
+    raw = [_change(tuple(figures[name] for figures in listed)) for name in names]
+    tested = sorted((k for k, c in enumerate(raw) if c.change is not None), key=lambda k: raw[k].p_value)
+    corrected, running = {}, 0.0
+    for rank, k in enumerate(tested):
+        running = max(running, min(1.0, raw[k].p_value * (len(tested) - rank)))
+        corrected[k] = running
+    return tuple(Change(c.figures, c.change, c.low, c.high, corrected.get(k, 1.0)) for k, c in enumerate(raw))
+
+
+def _change(figures: tuple[Figure, ...]) -> Change:
+    first, last = figures[0].interval, figures[-1].interval
+    if first is None or last is None:
+        return Change(figures, None, None, None, 1.0)
+    change = last[0] - first[0]
+    # Each end of an interval is a half width of its own: the one that faces the other run counts.
+    facing = (
+        (first[0] - first[1], last[2] - last[0]) if change < 0 else (first[2] - first[0], last[0] - last[1])
+    )
+    half = math.hypot(*facing)
+    std = half / float(stats.norm.ppf(0.975))
+    p_value = 1.0 if std == 0 else 2.0 * float(stats.norm.sf(abs(change) / std))
+    return Change(figures, change, change - half, change + half, float(np.clip(p_value, 0.0, 1.0)))

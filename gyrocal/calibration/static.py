@@ -1,0 +1,375 @@
+"""A record of a gyro that stands: noise figures, mean with an honest interval, drift, earth rate, clock.
+
+Hours at 1 kHz are read in blocks. What is kept are Allan sums (`inference.allan`) and the course in at most a thousand
+means (`course`). The mean and the slopes over time and temperature are weighed under the noise that the Allan
+variances show: white, 1/f down to the slowest that the fit allows for, and random walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.calibration.course import Course, CourseSums
+from gyrocal.calibration.datasets import load_recording
+from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.fit import gls_gain
+from gyrocal.calibration.flicker import TIME_CONSTANTS_S, flicker_correlation
+from gyrocal.calibration.noise import (
+    NoiseFigures,
+    add_pieces,
+    bias_over_temperature,
+    curves_at_rest,
+    figures_of,
+    gaps,
+)
+from gyrocal.errors import DataError
+from gyrocal.inference.allan import AllanCurve, AllanSums
+from gyrocal.inference.allan_model import FLICKER
+from gyrocal.records.gyro_log import iterate_gyro_log
+from gyrocal.records.run import Run, read_run
+from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, S_PER_H
+
+Floats = NDArray[np.float64]
+
+#: A slope over temperature needs as many degrees.
+_LEAST_SPAN_C = 3.0
+_LEAST_MEANS = 16
+_PPM = 1e6
+#: Half of a 95 % interval, in standard deviations.
+_SIGMAS = float(stats.norm.ppf(0.975))
+
+
+@dataclass(frozen=True)
+class StaticConfig:
+    """What to examine.
+
+    Attributes
+    ----------
+    latitude_deg : float, optional
+        Of the place; with it the earth rate about the sensing axis is known.
+    elevation_deg, azimuth_deg : float
+        Of the sensing axis: above the horizon (90: up), and clockwise from north.
+    rate_hz : float, optional
+        Nominal rate of the logged samples, for the error of the clock.
+    axis, instance
+        Of an autopilot's log (`records.gyro_log`).
+    """
+
+    path: Path
+    latitude_deg: float | None = None
+    elevation_deg: float = 90.0
+    azimuth_deg: float = 0.0
+    rate_hz: float | None = None
+    axis: str = "z"
+    instance: int = 0
+
+
+@dataclass(frozen=True)
+class StaticFigures:
+    """What a record at rest says.
+
+    Attributes
+    ----------
+    noise : NoiseFigures
+    figures : dict of str to Figure
+        ``mean_bias``, ``bias_without_earth_rate``, ``rate_ramp``, ``bias_temperature_sensitivity``, ``clock_error``.
+    course : Course
+    samples, missing : int
+        Samples used, and samples that were bad, empty or not finite.
+    """
+
+    source: Path
+    noise: NoiseFigures
+    figures: dict[str, Figure]
+    course: Course
+    samples: int
+    missing: int
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, the Allan curve included."""
+        every = {**self.noise.figures, **self.figures}
+        return {
+            "schema": "gyrocal-noise/1",
+            "recording": self.source.name,
+            "samples": self.samples,
+            "missing_samples": self.missing,
+            "record_s": self.noise.record_s,
+            "figures": {name: figure.to_json() for name, figure in every.items()},
+            "fit": self.noise.fit_statement,
+            "fit_p_value": None if self.noise.model is None else self.noise.model.p_value,
+            "allan": [
+                {
+                    "dt_s": p.dt_s,
+                    "tau_s": p.tau_s.tolist(),
+                    "adev_dps": p.adev_dps.tolist(),
+                    "low_95_dps": p.low_dps.tolist(),
+                    "high_95_dps": p.high_dps.tolist(),
+                    "used": p.used.tolist(),
+                }
+                for p in self.noise.points
+            ],
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Samples in a row of one segment; NaN output is a missing sample."""
+
+    segment: int
+    dt_s: float
+    t_s: Floats
+    gyro_dps: Floats
+    temp_c: Floats
+
+
+@dataclass
+class _Reading:
+    """What accumulates while a record is read."""
+
+    sums: dict[float, AllanSums] = field(default_factory=dict)
+    course: CourseSums = field(default_factory=CourseSums)
+    samples: int = 0
+    missing: int = 0
+    elapsed_s: float = 0.0
+    steps: int = 0
+    jitter_s: float = 0.0
+
+
+def examine_static(
+    config: StaticConfig, progress: Callable[[float, str], None] | None = None
+) -> StaticFigures:
+    """Read a run directory, a CSV log or an autopilot's log of a gyro that stands, and take its figures.
+
+    Raises
+    ------
+    InputError
+        A bad file.
+    DataError
+        The run holds nothing at rest.
+    """
+    tell = progress or (lambda share, what: None)
+    tell(0.0, "reading")
+    rate_hz, notes = config.rate_hz, list[str]()
+    if config.path.is_dir():
+        run = read_run(config.path)
+        blocks = _run_blocks(run)
+        if config.latitude_deg is None and isinstance(run.bench.get("latitude_deg"), int | float):
+            config = replace(config, latitude_deg=float(run.bench["latitude_deg"]))
+        notes += list(run.notes)
+    else:
+        run, blocks = None, _log_blocks(config, notes)
+    reading = _read(blocks)
+    if reading.samples == 0:
+        raise DataError(
+            f"{config.path}: holds no samples at rest. Record some with the static_allan profile."
+        )
+    tell(0.8, "figures")
+    noise = figures_of(_curves(reading)) if run is None else figures_of(curves_at_rest(run, _bias(run)))
+    course = reading.course.course()
+    covariance = _covariance(course, noise, reading.elapsed_s)
+    blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
+    figures = [*_mean(course, covariance, blank, config), *_slopes(course, covariance, blank)]
+    figures.append(_clock(reading, rate_hz))
+    return StaticFigures(
+        config.path,
+        noise,
+        {f.name: f for f in figures},
+        course,
+        reading.samples,
+        reading.missing,
+        tuple(notes),
+    )
+
+
+def _bias(run: Run) -> Floats:
+    """What temperature does to the bias, as `fit` takes it off; a constant where the run's data sets do not say."""
+    try:
+        return bias_over_temperature(load_recording(run.path))
+    except DataError:
+        return np.zeros(1)
+
+
+def _run_blocks(run: Run) -> Iterator[_Block]:
+    for record in run.segments:
+        if record.outcome == "failed" or record.rate_dps != 0.0:
+            continue
+        dt_s = record.averaging_s
+        for block in run.iterate_segment(record):
+            if dt_s is None and block.t_s.size > 1:
+                dt_s = float(np.median(np.diff(block.t_s)))
+            if dt_s is not None:
+                gyro_dps = np.where(block.good, block.gyro_dps, np.nan)
+                yield _Block(record.id, dt_s, block.t_s, gyro_dps, block.gyro_temp_c)
+
+
+def _log_blocks(config: StaticConfig, notes: list[str]) -> Iterator[_Block]:
+    for block in iterate_gyro_log(config.path, config.axis, config.instance):
+        notes += block.notes
+        rate = np.where(np.isfinite(block.rate_dps), block.rate_dps, 0.0)
+        yield _Block(block.segment, block.usual_dt_s, block.t_s, block.gyro_dps - rate, block.temp_c)
+
+
+def _read(blocks: Iterator[_Block]) -> _Reading:
+    reading, segment, tail = _Reading(), None, np.empty(0)
+    for block in blocks:
+        if block.segment != segment:
+            for sums in reading.sums.values():
+                sums.cut()
+            segment, tail = block.segment, np.empty(0)
+        good = np.isfinite(block.gyro_dps) & np.isfinite(block.t_s)
+        t_s, gyro_dps = block.t_s[good], block.gyro_dps[good]
+        reading.missing += int(good.size - t_s.size)
+        if t_s.size < 2:
+            continue
+        reading.samples += t_s.size
+        reading.course.add(t_s, gyro_dps, block.temp_c[good])
+        cuts, tail = gaps(tail, t_s, block.dt_s)
+        _time(reading, t_s, cuts, block.dt_s)
+        add_pieces(reading.sums.setdefault(block.dt_s, AllanSums(block.dt_s)), np.split(gyro_dps, cuts))
+    return reading
+
+
+def _curves(reading: _Reading) -> list[AllanCurve]:
+    """Allan curves; the sample time of a plain log is its mean one, which jitter of the time stamps does not bend."""
+    curves = [reading.sums[dt_s].curve() for dt_s in sorted(reading.sums)]
+    if len(curves) == 1 and reading.steps:
+        return [replace(curves[0], dt_s=reading.elapsed_s / reading.steps)]
+    return curves
+
+
+def _time(reading: _Reading, t_s: Floats, cuts: NDArray[np.int64], dt_s: float) -> None:
+    """Elapsed time and number of steps of gapless stretches, for the clock."""
+    for piece in np.split(t_s, cuts):
+        if piece.size > 1:
+            reading.steps += piece.size - 1
+            reading.elapsed_s += float(piece[-1] - piece[0])
+            reading.jitter_s = max(
+                reading.jitter_s, float(np.std(np.diff(piece))) if piece.size > 2 else dt_s
+            )
+
+
+def _covariance(course: Course, noise: NoiseFigures, elapsed_s: float) -> Floats | None:
+    """Of the means of a course, shape (k, k), (deg/s)^2; None without a model of the noise."""
+    if noise.model is None or not noise.model.fits:
+        return None
+    # A part that is not resolved counts with half of what it may be at most.
+    white, flat, walk = (p.value if p.low > 0.0 else 0.5 * p.high for p in noise.model.parts[1:])
+    if not np.all(np.isfinite([white, flat, walk])):
+        return None
+    duration_s = course.n / course.n.sum() * elapsed_s
+    per_decade = flat / FLICKER * np.log(10.0) / np.pi
+    later = course.t_s - course.t_s[0]
+    matrix = per_decade * flicker_correlation(course.t_s, duration_s, TIME_CONSTANTS_S)
+    matrix += 3.0 * walk * np.minimum(later[:, None], later[None, :])
+    matrix[np.diag_indices_from(matrix)] += white / duration_s
+    return np.asarray(matrix)
+
+
+def _mean(course: Course, covariance: Floats | None, blank: Figure, config: StaticConfig) -> list[Figure]:
+    """Mean output, and less the earth rate about the sensing axis."""
+    share = course.n / course.n.sum()
+    mean_dps = float(share @ course.gyro_dps)
+    half = np.nan if covariance is None else float(_SIGMAS * np.sqrt(share @ covariance @ share))
+    mean = replace(
+        blank,
+        name="mean_bias",
+        unit="deg/h",
+        definition="mean output at rest, earth rate within it",
+        method="mean of all samples; white noise, 1/f and random walk in its interval",
+    )
+    without = replace(mean, name="bias_without_earth_rate")
+    if config.latitude_deg is None:
+        reason = "the latitude is not given (--latitude)"
+        definition = "mean output less the earth rate about the axis"
+        return [
+            _with_interval(mean, mean_dps, half, DPS_TO_DPH),
+            replace(without, definition=definition, reason=reason),
+        ]
+    earth_dph = earth_rate_dph(config.latitude_deg, config.elevation_deg, config.azimuth_deg)
+    without = replace(
+        without, definition=f"mean output less the earth rate about the axis, {earth_dph:.4f} deg/h"
+    )
+    return [
+        _with_interval(mean, mean_dps, half, DPS_TO_DPH),
+        _with_interval(without, mean_dps - earth_dph / DPS_TO_DPH, half, DPS_TO_DPH),
+    ]
+
+
+def earth_rate_dph(latitude_deg: float, elevation_deg: float, azimuth_deg: float) -> float:
+    """Earth rate about an axis at an elevation above the horizon and an azimuth clockwise from north, deg/h."""
+    latitude, elevation, azimuth = (DEG_TO_RAD * v for v in (latitude_deg, elevation_deg, azimuth_deg))
+    north = np.cos(latitude) * np.cos(elevation) * np.cos(azimuth)
+    return float(EARTH_RATE_DPH * (north + np.sin(latitude) * np.sin(elevation)))
+
+
+def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Figure]:
+    """Slopes over time and temperature, by generalised least squares, jointly where both vary."""
+    blank = replace(blank, method="slope of the means over the record, weighted by the noise")
+    ramp = replace(blank, name="rate_ramp", unit="deg/h/h", definition="R of the drift R t")
+    warm = replace(
+        blank,
+        name="bias_temperature_sensitivity",
+        unit="deg/h/°C",
+        definition="slope of the output over the temperature",
+    )
+    if covariance is None or course.t_s.size < _LEAST_MEANS:
+        reason = "the record is too short, or its noise has no model"
+        return [replace(ramp, reason=reason), replace(warm, reason=reason)]
+    columns = [np.ones(course.t_s.size), course.t_s - course.t_s.mean()]
+    varied = bool(np.isfinite(course.temp_c).all()) and float(np.ptp(course.temp_c)) > _LEAST_SPAN_C
+    if varied:
+        columns.append(course.temp_c - course.temp_c.mean())
+    design = np.stack(columns, axis=1)
+    gain = gls_gain(covariance, design)
+    half = _SIGMAS * np.sqrt(np.sum(gain * (gain @ covariance), axis=1))
+    values = gain @ course.gyro_dps
+    ramp = _or_bound(_with_interval(ramp, float(values[1]), float(half[1]), DPS_TO_DPH * S_PER_H))
+    if not varied:
+        reason = f"the temperature is unknown or varies by less than {_LEAST_SPAN_C:g} °C"
+        return [ramp, replace(warm, reason=reason)]
+    return [ramp, _with_interval(warm, float(values[2]), float(half[2]), DPS_TO_DPH)]
+
+
+def _with_interval(blank: Figure, value: float, half: float, unit: float) -> Figure:
+    """The figure in its unit; without a half width it is refused, since a number without an interval is none."""
+    if not np.isfinite(half):
+        reason = f"{value * unit:.4g} {blank.unit} without an interval: the noise of the record has no model"
+        return replace(blank, reason=reason)
+    return replace(blank, value=value * unit, low=(value - half) * unit, high=(value + half) * unit)
+
+
+def _or_bound(figure: Figure) -> Figure:
+    """The figure, or what it is at most where its interval holds zero."""
+    if figure.interval is None or not figure.interval[1] < 0.0 < figure.interval[2]:
+        return figure
+    most = max(-figure.interval[1], figure.interval[2])
+    reason = f"not told from noise: within ± {most:.3g} {figure.unit} with 95 %"
+    return replace(figure, value=None, low=None, high=most, reason=reason)
+
+
+def _clock(reading: _Reading, rate_hz: float | None) -> Figure:
+    blank = Figure(
+        "clock_error",
+        "ppm",
+        "sample clock over the clock of the time stamps, less one",
+        method="samples counted between the time stamps of gapless stretches",
+        sample=f"{reading.steps} steps",
+    )
+    if rate_hz is None:
+        return replace(blank, reason="the nominal sample rate is not given (--rate-hz)")
+    if len(reading.sums) > 1:
+        return replace(blank, reason="the samples are means over several times")
+    if not reading.elapsed_s > 0:
+        return replace(blank, reason="no two time stamps follow each other")
+    error = reading.steps / rate_hz / reading.elapsed_s - 1.0
+    half = _SIGMAS * reading.jitter_s / reading.elapsed_s
+    return _with_interval(blank, error, half, _PPM)

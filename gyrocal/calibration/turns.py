@@ -1,0 +1,243 @@
+"""Calibration without a table: whole turns between rests, the angle as reference.
+
+Turned by hand on a mark, or spun in place by the robot: each turn ends where the mark says, so its angle is a whole
+multiple of the mark's. What the gyro integrates to, less the bias of the rests around it, over that angle is the
+scale factor. A stop that is a little off its mark is wrong for the turn before and, with the other sign, for the
+turn after: the errors of neighbouring turns are tied, and many turns in one direction share only two stops.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import brentq
+
+from gyrocal.errors import DataError
+
+Floats = NDArray[np.float64]
+
+#: Length of the means in which rest is looked for, s, and how long a rest must last at the least.
+WINDOW_S = 0.5
+LEAST_REST_S = 2.0
+#: Left out on either side of a rest, s: the hand is not yet off, or already on.
+_MARGIN_S = 0.3
+#: A rest departs from the level at rest by no more than this many standard deviations of a mean, nor by this much, deg/s.
+_REST_SIGMA, _REST_DPS = 6.0, 0.2
+#: A quarter of the absolute values of a standard normal lie below this.
+_QUARTER = 0.31864
+#: A turn whose angle is further than this share of the mark's from a multiple of it is not taken for one.
+_OFF_MARK = 0.2
+#: Scatter of the stops that is weighed, deg: uniform in its logarithm, and none.
+_STOPS_DEG = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 60)])
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A time at rest: its ends in s, the mean output and the standard error of white noise, deg/s."""
+
+    start_s: float
+    end_s: float
+    mean_dps: float
+    std_error_dps: float
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What lies between two rests.
+
+    Attributes
+    ----------
+    angle_deg : what the gyro integrates to, less the bias of the rests around it
+    std_deg : of that, from the gyro's white noise and the bias between the rests
+    true_deg : the multiple of the mark's angle next to it
+    used : False where `angle_deg` is too far from any multiple; `remark` says so
+    """
+
+    start_s: float
+    end_s: float
+    angle_deg: float
+    std_deg: float
+    true_deg: float
+    peak_dps: float
+    used: bool
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class TurnCalibration:
+    """Scale factor from whole turns.
+
+    Attributes
+    ----------
+    scale : scale factor error, output over true less 1, ppm, the mean of both directions
+    asymmetry : counter-clockwise less clockwise, ppm; None with turns in one direction only
+    bias : mean of the rests, deg/s; its interval from their scatter
+    stop_std_deg : how well the stops are on their marks, estimated from the turns themselves
+    """
+
+    scale: Figure
+    asymmetry: Figure | None
+    bias: Figure
+    stop_std_deg: float
+    rests: tuple[Rest, ...]
+    turns: tuple[Turn, ...]
+
+
+def calibrate_turns(t_s: Floats, gyro_dps: Floats, mark_deg: float = 360.0) -> TurnCalibration:
+    """Scale factor, asymmetry and bias from a log of rests and whole turns.
+
+    Parameters
+    ----------
+    t_s, gyro_dps : ndarray, shape (n,), increasing times and output
+    mark_deg : every turn ends at a multiple of this angle
+
+    Raises
+    ------
+    DataError
+        No rests, fewer than three turns between them, or no turn near a multiple of `mark_deg`.
+    """
+    dt_s = np.diff(t_s, prepend=t_s[0] - float(np.median(np.diff(t_s))))
+    rests = find_rests(t_s, gyro_dps)
+    turns = _turns(t_s, gyro_dps, dt_s, rests, mark_deg)
+    used = [turn.used for turn in turns]
+    if sum(used) < 3:
+        msg = f"{len(rests)} rests of {LEAST_REST_S:g} s or more and {sum(used)} turns by a multiple of {mark_deg:g} deg are found, and three turns are wanted: stand still between the turns, and give the angle of the mark."
+        raise DataError(msg)
+    scale, asymmetry, stop_std_deg = _fit(turns)
+    return TurnCalibration(scale, asymmetry, _bias(rests), stop_std_deg, tuple(rests), tuple(turns))
+
+
+def find_rests(t_s: Floats, gyro_dps: Floats) -> list[Rest]:
+    """Times at rest: where means over `WINDOW_S` stay at the level that most of the quiet ones share."""
+    window = ((t_s - t_s[0]) / WINDOW_S).astype(np.int64)
+    n = np.bincount(window)
+    sums = np.bincount(window, weights=gyro_dps)
+    full = n > 0.5 * np.median(n[n > 0])
+    means = np.divide(sums, n, out=np.full(n.size, np.nan), where=full)
+    # Turning changes the output too; at rest, what is left between neighbours is the noise: the lower half of them.
+    noise_dps = float(np.percentile(np.abs(np.diff(gyro_dps)), 25)) / (_QUARTER * math.sqrt(2.0))
+    std_error = noise_dps / math.sqrt(float(np.median(n[full])))
+    level = _densest(means[full])
+    quiet = full & (np.abs(means - level) < max(_REST_SIGMA * std_error, _REST_DPS))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
+    rests = []
+    for first, last in edges.reshape(-1, 2):
+        start, end = t_s[0] + first * WINDOW_S + _MARGIN_S, t_s[0] + last * WINDOW_S - _MARGIN_S
+        inside = (t_s >= start) & (t_s < end)
+        if (last - first) * WINDOW_S >= LEAST_REST_S and np.count_nonzero(inside) > 2:
+            x = gyro_dps[inside]
+            error = float(np.std(np.diff(x))) / math.sqrt(2.0 * x.size)
+            rests.append(Rest(float(start), float(end), float(np.mean(x)), error))
+    return rests
+
+
+def _densest(x: Floats) -> float:
+    """The level around which values lie closest: the half-sample mode (Robertson and Cryer, 1974)."""
+    x = np.sort(x)
+    while x.size > 3:
+        half = (x.size + 1) // 2
+        widths = x[half - 1 :] - x[: x.size - half + 1]
+        i = int(np.argmin(widths))
+        x = x[i : i + half]
+    return float(np.mean(x))
+
+
+def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_deg: float) -> list[Turn]:
+    turns = []
+    for before, after in itertools.pairwise(rests):
+        # From the middle of one rest to the middle of the next, so that nothing of the turn is cut off.
+        start, end = 0.5 * (before.start_s + before.end_s), 0.5 * (after.start_s + after.end_s)
+        inside = (t_s > start) & (t_s <= end)
+        share = (t_s[inside] - start) / (end - start)
+        bias = before.mean_dps + share * (after.mean_dps - before.mean_dps)
+        rate = gyro_dps[inside] - bias
+        angle = float(np.sum(rate * dt_s[inside]))
+        length = end - start
+        bias_std = 0.5 * length * math.hypot(before.std_error_dps, after.std_error_dps)
+        noise = before.std_error_dps**2 * (before.end_s - before.start_s)
+        true = mark_deg * round(angle / mark_deg)
+        used = true != 0.0 and abs(angle - true) <= _OFF_MARK * mark_deg
+        remark = "" if used else f"{angle:.1f} deg is not near a multiple of {mark_deg:g} deg"
+        turns.append(
+            Turn(
+                before.end_s,
+                after.start_s,
+                angle,
+                math.sqrt(bias_std**2 + noise * length),
+                true,
+                float(np.max(np.abs(rate))),
+                used,
+                remark,
+            )
+        )
+    return turns
+
+
+def _fit(turns: list[Turn]) -> tuple[Figure, Figure | None, float]:
+    """Scale and asymmetry by generalised least squares; the scatter of the stops by its posterior.
+
+    Neighbouring turns share a stop, so the covariance of the differences of angles is tridiagonal.
+    """
+    used = np.flatnonzero([turn.used for turn in turns])
+    true = np.array([turns[i].true_deg for i in used])
+    y = np.array([turns[i].angle_deg - turns[i].true_deg for i in used])
+    own = np.array([turns[i].std_deg for i in used]) ** 2
+    D = np.zeros((len(turns), len(turns) + 1))
+    D[np.arange(len(turns)), np.arange(len(turns))] = -1.0
+    D[np.arange(len(turns)), np.arange(len(turns)) + 1] = 1.0
+    stops = (D @ D.T)[np.ix_(used, used)]
+    both = np.any(true > 0) and np.any(true < 0) and true.size >= 4
+    X = np.column_stack([true, np.abs(true)]) if both else true[:, None]
+    fits = [_gls(X, y, np.diag(own) + s**2 * stops) for s in _STOPS_DEG]
+    logs = np.array([fit[2] for fit in fits])
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    stop_std = float(np.sqrt(np.sum(weight * _STOPS_DEG**2)))
+    scale = _mixture(1e6, weight, [(c[0], v[0]) for c, v, _ in fits])
+    asymmetry = _mixture(2e6, weight, [(c[1], v[1]) for c, v, _ in fits]) if both else None
+    return scale, asymmetry, stop_std
+
+
+def _mixture(unit: float, weight: Floats, fits: list[tuple[float, float]]) -> Figure:
+    """Mean and central 95 % of a mixture of normals: what is not known of the stops widens the interval."""
+    mean, std = np.array([m for m, _ in fits]), np.sqrt([v for _, v in fits])
+
+    def below(x: float, share: float) -> float:
+        return float(weight @ stats.norm.cdf((x - mean) / std)) - share
+
+    reach = float(np.max(np.abs(mean)) + 40.0 * np.max(std))
+    low, high = (float(brentq(below, -reach, reach, args=(share,))) for share in (0.025, 0.975))
+    return Figure(unit * float(weight @ mean), unit * low, unit * high, "ppm")
+
+
+def _gls(X: Floats, y: Floats, V: Floats) -> tuple[Floats, Floats, float]:
+    """Coefficients, their variances, and the restricted log-likelihood (Patterson and Thompson, 1971)."""
+    L = np.linalg.cholesky(V)
+    A, b = np.linalg.solve(L, X), np.linalg.solve(L, y)
+    N = A.T @ A
+    c = np.linalg.solve(N, A.T @ b)
+    rest = b - A @ c
+    log = -0.5 * float(rest @ rest) - float(np.sum(np.log(np.diag(L)))) - 0.5 * float(np.linalg.slogdet(N)[1])
+    return c, np.diag(np.linalg.inv(N)), log
+
+
+def _bias(rests: list[Rest]) -> Figure:
+    means = np.array([rest.mean_dps for rest in rests])
+    half = float(stats.t.ppf(0.975, means.size - 1) * np.std(means, ddof=1) / math.sqrt(means.size))
+    mean = float(np.mean(means))
+    return Figure(mean, mean - half, mean + half, "deg/s")

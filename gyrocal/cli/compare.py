@@ -1,0 +1,40 @@
+"""``gyrocal compare``: runs of a unit beside each other, as before and after a repair."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+
+
+@click.command("compare")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--counts-per-dps", type=float, help="Nominal scale of tables in gyro_counts, sign included.")
+@json_option
+def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool) -> None:
+    """Compare RUNS of one unit, in the order in which they were made: repeatability, before and after a repair.
+
+    Every figure of every run, the change from the first to the last with its 95 % interval, and whether it is more
+    than noise (1 % false alarms over all figures together).
+
+    Example: gyrocal compare before after
+    """
+    from gyrocal.calibration.calibrate import FitConfig, calibrate
+    from gyrocal.calibration.compare import compare_runs
+    from gyrocal.report.compare import change_rows, changes_sentence, to_json
+
+    found = []
+    with progress("compare", quiet=as_json) as tell:
+        for number, path in enumerate(runs):
+            tell(number / len(runs), path.name)
+            found.append(calibrate(path, FitConfig(counts_per_dps)))
+    changes = compare_runs(found)
+    names = [path.name for path in runs]
+    if as_json:
+        emit_json(to_json(changes, names))
+        return
+    click.echo(changes_sentence(changes))
+    click.echo("")
+    emit_table(*change_rows(changes, names))

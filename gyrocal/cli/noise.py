@@ -1,0 +1,74 @@
+"""``gyrocal noise``: Allan curve, noise figures and bias of a gyro that stands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+
+
+@click.command("noise")
+@click.argument("record", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="New directory for noise.json and the pictures.")
+@click.option(
+    "--latitude", type=click.FloatRange(-90, 90), help="Of the place, deg: takes the earth rate off."
+)
+@click.option(
+    "--elevation",
+    type=click.FloatRange(-90, 90),
+    default=90.0,
+    show_default=True,
+    help="Of the sensing axis above the horizon, deg; 90 is up.",
+)
+@click.option(
+    "--azimuth",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Of the sensing axis, deg clockwise from north.",
+)
+@click.option(
+    "--rate-hz", type=click.FloatRange(min=0, min_open=True), help="Nominal sample rate, for the clock."
+)
+@click.option(
+    "--axis", default="z", show_default=True, help="Axis of an autopilot's log: x, y, z, -x, -y, -z."
+)
+@click.option(
+    "--instance", type=click.IntRange(0), default=0, help="Which gyro of an autopilot's log, from 0."
+)
+@json_option
+def command(
+    record: Path,
+    out: Path | None,
+    latitude: float | None,
+    elevation: float,
+    azimuth: float,
+    rate_hz: float | None,
+    axis: str,
+    instance: int,
+    as_json: bool,
+) -> None:
+    """Noise and bias of a gyro that stands: RECORD is a run, a CSV with t_s and gyro_dps, a .ulg or a .bin.
+
+    Prints angle random walk, bias instability, rate random walk, quantisation, drift and mean with 95 % intervals, or
+    the reason why the record cannot carry one; and how well the noise model fits. Hours at 1 kHz are read in blocks.
+
+    Example: gyrocal noise still.csv --latitude 42.3 --out noise
+    """
+    from gyrocal.calibration.static import StaticConfig
+    from gyrocal.report.noise import examine_noise, noise_rows, noise_sentences
+
+    config = StaticConfig(record, latitude, elevation, azimuth, rate_hz, axis, instance)
+    with progress("noise", quiet=as_json) as tell:
+        found = examine_noise(config, out, tell)
+    if as_json:
+        emit_json(found.to_json())
+        return
+    emit_table(*noise_rows(found))
+    click.echo("")
+    for sentence in noise_sentences(found):
+        click.echo(f"- {sentence}")
+    if out is not None:
+        click.echo(f"- {out}: noise.json, Allan deviation and course of the record")

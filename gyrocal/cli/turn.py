@@ -1,0 +1,44 @@
+"""``gyrocal turn``: scale factor without a table, from rests and whole turns on a mark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gyrocal.cli.console import emit_json, emit_table, json_option
+
+
+@click.command("turn")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option(
+    "--mark-deg",
+    type=click.FloatRange(1.0, 360.0),
+    default=360.0,
+    show_default=True,
+    help="Every turn ends at a multiple of this angle.",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="New directory for turns.json and the picture.")
+@json_option
+def command(log: Path, mark_deg: float, out: Path | None, as_json: bool) -> None:
+    """Calibrate a gyro by turning it on a mark: LOG is a CSV with t_s and gyro_dps.
+
+    Stand still for a few seconds, turn by whole turns back to the mark, stand still again, and so on, by hand or
+    with the robot spinning in place, some turns each way. Rests and turns are found in the log; the angle between
+    them is the reference. Prints scale factor, asymmetry and bias with 95 % intervals.
+
+    Example: gyrocal turn turns.csv --mark-deg 360
+    """
+    from gyrocal.report.turns import examine_turns, turn_rows, turn_sentence, write_turns
+
+    report = examine_turns(log, mark_deg)
+    if out is not None:
+        write_turns(report, out)
+    if as_json:
+        emit_json(report.to_json())
+        return
+    click.echo(turn_sentence(report.found))
+    click.echo("")
+    emit_table(*turn_rows(report.found))
+    for note in report.notes:
+        click.echo(f"- {note}")

@@ -1,0 +1,177 @@
+"""What was found as the answer's records: named effects with parameters, rivals and evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.stats import chi2
+
+from gyrocal.diagnosis import estimates
+from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.layers import DIRECTION, Fitted
+from gyrocal.diagnosis.locate import block_p_value
+from gyrocal.diagnosis.names import Named
+from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
+from gyrocal.diagnosis.untimed import by_data_set, where
+from gyrocal.diagnosis.within import Pattern
+from gyrocal.physics.catalogue import CATALOGUE, twins_of
+from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
+from gyrocal.physics.thermal import THERMAL_LAG
+
+#: Evidence (nats) within which two laws explain the data alike: 20 to 1.
+CLASS_NATS = 3.0
+#: A surface over the input, an error of each rate, a lag of the coil and a law of time are named from this on, nats.
+_NAMED_NATS = 5.0
+#: What is left of this after what a table's laws have paid.
+_NAMED_BEYOND_TOLL = 2.5
+_EACH_RATE = "each rate"
+
+
+def named_effects(found: Examination) -> list[NamedEffect]:
+    """All that has a name, the strongest first."""
+    named = [(n.gain, _law(found, n)) for n in found.naming.named]
+    named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
+    named += _table_laws(found)
+    gain = found.naming.unnamed.get(_EACH_RATE, 0.0)
+    if gain > _NAMED_NATS:
+        size = estimates.of_draws(found.naming.fitted, _EACH_RATE, found.model.basis.frame.rate_scale_dps)
+        p = block_p_value(gain, len(BLOCKS))
+        named.append((gain, _effect(found, REFERENCE_RATE_ERROR.id, {"amplitude": size}, p, {})))
+    laws_of_rate = [n for n in found.naming.named if n.block == "odd rate"]
+    if found.naming.input_gain > _NAMED_NATS and not laws_of_rate:
+        share = _input_share(found)
+        p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
+        named.append((found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, {})))
+    best: dict[str, tuple[float, NamedEffect]] = {}
+    for nats, effect in sorted(named, key=lambda x: -x[0]):
+        best.setdefault(effect.effect, (nats, effect))
+    return [effect for _, effect in best.values()]
+
+
+def _effect(
+    found: Examination,
+    effect_id: str,
+    parameters: Mapping[str, Estimate],
+    p_value: float,
+    rivals: Mapping[str, float],
+    share: float = 1.0,
+) -> NamedEffect:
+    effect = CATALOGUE[effect_id]
+    stated = by_data_set(found.series, parameters)
+    alike = [*twins_of(effect.id)]
+    alike += [e for c, e in effect.search.alike_without.items() if c in found.series.untestable]
+    others = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in alike]
+    others += [
+        Alternative(e, float(np.exp(np.clip(nats, 0.0, 50.0))), CATALOGUE[e].statement)
+        for e, nats in sorted(rivals.items(), key=lambda item: item[1])
+        if nats < CLASS_NATS
+    ]
+    return NamedEffect(
+        effect.id,
+        effect.family,
+        where(effect.statement, stated),
+        stated,
+        p_value,
+        tuple(others),
+        None,
+        effect.runtime,
+        share,
+    )
+
+
+def _law(found: Examination, named: Named) -> NamedEffect:
+    blocks = found.model.blocks
+    own = [n for n, b in blocks.items() if b == named.block]
+    parameters = estimates.of_law(found.naming.fitted, named.law, found.laws, own)
+    p = min(1.0, named.trials * float(chi2.sf(2.0 * max(named.gain, 0.0), named.law.columns.shape[1])))
+    share = min(named.share, 1.0) if own else 1.0
+    return _effect(found, named.law.effect, parameters, p, named.rivals, share)
+
+
+def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:
+    return _effect(found, pattern.effect, estimates.of_pattern(pattern), pattern.p_value, {})
+
+
+def _input_share(found: Examination) -> Estimate:
+    """How much of the way from a surface of the output to one of the input."""
+    fitted = found.naming.fitted
+    if DIRECTION not in fitted.model.components:
+        free = fitted.model.directed("free", fitted.model.legendre(fitted.solve()))
+        fitted = fitted.refit(free, 20)
+    bent = _amplitude(fitted, DIRECTION, "1")
+    return estimates.normal(1.0 - bent.value, bent.std, "1")
+
+
+def _table_laws(found: Examination) -> list[tuple[float, NamedEffect]]:
+    """The coil's lag and the laws of time of a table, where the models without them are that much worse."""
+    if not found.ranked:
+        return []
+    best = found.ranked[0]
+    named = []
+    if best.coil is not None:
+        gain = min(c.score for c in found.ranked if c.coil is None) - best.score
+        if gain > _NAMED_BEYOND_TOLL:
+            near = [(w, c.coil) for w, c in found.candidates if c.coil is not None]
+            parameters = {
+                "amplitude": _weighted([(w, coil[0]) for w, coil in near], "1"),
+                "tau_s": _weighted([(w, coil[1]) for w, coil in near], "s"),
+            }
+            p = float(chi2.sf(2.0 * gain, 2))
+            named.append((gain, _effect(found, THERMAL_LAG.id, parameters, p, {})))
+    for law in best.fitted.model.laws:
+        without = [c.score for c in found.ranked if law.effect not in {e for e, _ in c.changes}]
+        gain = min(without) - best.score
+        if gain > _NAMED_BEYOND_TOLL:
+            others = {
+                e: c.score - best.score
+                for c in found.ranked[:20]
+                for e, _ in c.changes
+                if law.effect not in {x for x, _ in c.changes}
+            }
+            unit = CATALOGUE[law.effect].parameter("amplitude").unit
+            parameters = {"amplitude": _amplitude(best.fitted, law.name, unit)} | {
+                k: Estimate(v, 0.0, "s", _between(found, v)) for k, v in law.shape.items()
+            }
+            p = float(chi2.sf(2.0 * gain, 1))
+            named.append((gain, _effect(found, law.effect, parameters, p, others)))
+    return named
+
+
+def _amplitude(fitted: Fitted, name: str, unit: str) -> Estimate:
+    """Amplitude of a component of one column."""
+    solution = fitted.solve()
+    before = solution.order[: solution.order.index(name)]
+    place = len(solution.flat) + sum(len(solution.amplitudes[n]) for n in before)
+    std = float(np.sqrt(solution.covariance[place, place]))
+    return estimates.normal(float(solution.amplitudes[name][0]), std, unit)
+
+
+def _between(found: Examination, at_s: float) -> tuple[float, float]:
+    """The data sets that an instant lies between."""
+    t = found.model.means.t_s
+    return float(t[t < at_s].max()), float(t[t >= at_s].min())
+
+
+def _weighted(values: list[tuple[float, float]], unit: str) -> Estimate:
+    """Mean and spread over models, for a normal interval."""
+    w = np.array([x for x, _ in values])
+    v = np.array([x for _, x in values])
+    mean = float(np.sum(w * v) / np.sum(w))
+    std = float(np.sqrt(np.sum(w * (v - mean) ** 2) / np.sum(w) + (0.1 * mean) ** 2))
+    return estimates.normal(mean, std, unit)
+
+
+def layer_groups(found: Examination) -> list[tuple[str, list[str]]]:
+    """Layers of the staircase, the strongest first: named laws, the blocks without a name, errors of each rate."""
+    model = found.naming.fitted.model
+    present = {law.name for law in model.laws}
+    groups = [(n.gain, n.law.effect, [n.law.name]) for n in found.naming.named if n.law.name in present]
+    for block, nats in found.naming.unnamed.items():
+        names = [n for n, b in model.blocks.items() if b == block]
+        owners = [n.law.effect for n in found.naming.named if n.block == block]
+        title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == _EACH_RATE else block
+        if names and (BLOCKS[block].stays or block == _EACH_RATE):
+            groups.append((nats, title, names))
+    return [(name, names) for _, name, names in sorted(groups, key=lambda g: -g[0])]

@@ -1,0 +1,178 @@
+"""Tables of sweeps: at which temperature the coil was, and what time did, found jointly.
+
+While a sweep of rates drifts in temperature, a lag of the coil, a drift and a step of the scale factor look alike;
+whichever is taken first takes the others' share. So they start together, from every combination, and a beam goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
+from gyrocal.diagnosis.parts import SURFACE, Basis, design_at
+from gyrocal.inference.additive import Component
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import MDPS, PPM
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP
+from gyrocal.units import S_PER_H
+
+Floats = NDArray[np.float64]
+
+#: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
+Coil = tuple[float, float] | None
+#: A law of time: effect, and the row from which on a step holds (0 where there is none).
+Change = tuple[str, int]
+
+_SHARES = (0.3, 0.6, 1.0)
+_LAGS_S = (60.0, 120.0, 240.0, 450.0, 900.0)
+_LAG_BOUNDS_S = (30.0, 1500.0)
+_STEPS = (SCALE_STEP.id, BIAS_STEP.id)
+_DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
+#: A step has data sets on either side.
+_FEWEST_SETS = 4
+_MOST_CHANGES = 3
+_BEAM = 3
+_ROUNDS = 6
+_ITERATIONS = 20
+#: What a further law pays, nats; with the logarithm of the root of the number of its shapes.
+_TOLL_NATS = 3.0
+#: Models within this of the best one are averaged.
+AVERAGED_NATS = 4.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model of a table: `score` is its negative log evidence with what its laws pay, nats."""
+
+    coil: Coil
+    changes: tuple[Change, ...]
+    fitted: Fitted
+    score: float
+
+
+@dataclass
+class TableSearch:
+    """Models of a table that were fitted, each once."""
+
+    base: Model
+    known: dict[tuple[Coil, tuple[Change, ...]], Candidate] = field(default_factory=dict)
+    _designs: dict[Coil, tuple[Floats, Component]] = field(default_factory=dict)
+
+    def run(self) -> list[Candidate]:
+        """All models that were fitted, the best first."""
+        first = self.fit(None, (), None)
+        coils: list[Coil] = [None]
+        if np.ptp(self.base.means.series.history.temp_c) > 1.0:
+            coils += [(a, tau) for tau in _LAGS_S for a in _SHARES]
+        beam = []
+        for coil in coils:
+            alone = self.fit(coil, (), first)
+            beam += [alone, self.fit(coil, ((_DRIFTS[0], 0),), first)]
+            beam.append(self.fit(coil, (self.best_step(alone, _STEPS[0]),), first))
+        beam = _best(beam)
+        for _ in range(_ROUNDS):
+            wider = [self.fit(*move, c) for c in beam for move in self.moves(c)]
+            wider = _best([*beam, *wider])
+            if [c.score for c in wider] == [c.score for c in beam]:
+                break
+            beam = wider
+        return sorted(self.known.values(), key=lambda c: c.score)
+
+    def fit(self, coil: Coil, changes: tuple[Change, ...], near: Candidate | None) -> Candidate:
+        """A model with the variances of a near one for a start."""
+        key = coil, changes
+        if key not in self.known:
+            model = self.model(coil, changes)
+            contrasts = contrasts_of(model, None if near is None else near.fitted.contrasts.unit)
+            start = None if near is None else near.fitted.fit.log_variance
+            fit = contrasts.fit(model.all, start, _ITERATIONS if near else 60)
+            self.known[key] = Candidate(
+                coil, changes, Fitted(model, fit, contrasts), fit.nll + self._toll(coil, changes)
+            )
+        return self.known[key]
+
+    def model(self, coil: Coil, changes: tuple[Change, ...]) -> Model:
+        """The base with the surface at the coil, and laws of time."""
+        if coil not in self._designs:
+            at = coil_design(self.base.basis, coil)
+            part = next(p for p in self.base.parts if p.block == "surface")
+            weighted = at[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
+            self._designs[coil] = at, Component(part.name, weighted)
+        design, surface = self._designs[coil]
+        laws = tuple(self.law(change) for change in changes)
+        components = {**self.base.components, surface.name: surface}
+        return replace(self.base, design=design, components=components, laws=laws)
+
+    def law(self, change: Change) -> Law:
+        """A step or drift as a law; zero at the end of the record, whose state the surface is to have."""
+        m, (effect, row) = self.base.means, change
+        if effect in _STEPS:
+            shape = {"at_s": float(0.5 * (m.t_s[row - 1] + m.t_s[row]))}
+            columns = -1.0 * (np.arange(len(m)) < row)
+        else:
+            shape = {}
+            columns = (m.t_s - m.t_s[-1]) / S_PER_H
+        of_scale = "rate_dps" in CATALOGUE[effect].needs
+        scale = PPM * m.rate_dps if of_scale else np.full(len(m), MDPS)
+        return Law(effect, shape, (columns * scale)[:, None], from_end=True)
+
+    def best_step(self, candidate: Candidate, effect: str) -> Change:
+        """The boundary between data sets at which a step gains most."""
+        f = candidate.fitted
+        score, p = f.contrasts.precision(f.model.all, f.fit.log_variance)
+        rows = np.arange(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
+        x = np.column_stack([self.law((effect, int(k))).columns[:, 0] for k in rows])
+        gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
+        return effect, int(rows[int(np.argmax(gain))])
+
+    def moves(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
+        """Models one step away."""
+        coil, changes = candidate.coil, candidate.changes
+        if coil is not None:
+            share, tau = coil
+            yield None, changes
+            for factor in (0.8, 1.25):
+                if _LAG_BOUNDS_S[0] < tau * factor < _LAG_BOUNDS_S[1]:
+                    yield (share, round(tau * factor, 1)), changes
+            for step in (-0.15, 0.15):
+                if 0.05 < share + step <= 1.0 + 1e-9:
+                    yield (round(share + step, 3), tau), changes
+        for k in range(len(changes)):
+            yield coil, changes[:k] + changes[k + 1 :]
+        if len(changes) < _MOST_CHANGES:
+            for effect in _STEPS:
+                yield coil, tuple(sorted({*changes, self.best_step(candidate, effect)}))
+            for effect in _DRIFTS:
+                yield coil, tuple(sorted({*changes, (effect, 0)}))
+
+    def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
+        shapes = [float(len(_SHARES) * len(_LAGS_S))] if coil else []
+        shapes += [float(len(self.base.means)) if effect in _STEPS else 1.0 for effect, _ in changes]
+        return float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+
+
+def _best(candidates: list[Candidate]) -> list[Candidate]:
+    different = {(c.coil, c.changes): c for c in candidates}
+    return sorted(different.values(), key=lambda c: c.score)[:_BEAM]
+
+
+def coil_design(basis: Basis, coil: Coil) -> Floats:
+    """The twelve terms of the surface where a share of it lives at the temperature of the coil, shape (n, 12)."""
+    here = basis.at(SURFACE)
+    if coil is None:
+        return here
+    share, tau = coil
+    behind = basis.means.series.history.lagged_at(tau, basis.means.t_s)
+    there = design_at(basis.means.rate_dps, behind, basis.frame)
+    return np.asarray((1.0 - share) * here + share * there)
+
+
+def averaged(candidates: list[Candidate]) -> list[tuple[float, Candidate]]:
+    """The models worth averaging over, with their weights."""
+    near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
+    weight = np.exp([candidates[0].score - c.score for c in near])
+    return list(zip((weight / weight.sum()).tolist(), near, strict=True))

@@ -1,0 +1,287 @@
+"""What is to be corrected on the next run: surface, laws and smooth parts that stay with the gyro, as a coefficient file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.calibration.apply import SECONDS_A_DATA_SET
+from gyrocal.diagnosis.base import carried_terms, fit_surface
+from gyrocal.diagnosis.coil import Candidate
+from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.intervals import NORMAL_95
+from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
+from gyrocal.diagnosis.parts import BLOCKS, SURFACE, Part, design_at, passing, polynomials
+from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
+from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
+from gyrocal.inference.additive import Solution, solve
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions
+from gyrocal.physics.rate import FIT_DIRECTION
+from gyrocal.physics.shapes import DRIVERS
+from gyrocal.physics.smooth import Factor, SmoothTerm
+from gyrocal.physics.surface import SHAPE, Direction, Surface
+from gyrocal.physics.terms import Term
+from gyrocal.physics.thermal import THERMAL_LAG
+
+Floats = NDArray[np.float64]
+
+_TERMS = SHAPE[0] * SHAPE[1]
+#: A part that adds less than this share of the noise of a row anywhere is left out of the file.
+_NEGLIGIBLE = 0.03
+
+
+@dataclass(frozen=True)
+class _Item:
+    """A term of the file: the component that it comes from, and where its parameters stand among all."""
+
+    name: str
+    part: Part | None
+    law: Law | None
+    start: int
+    size: int
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """All parameters of the file, surface first, with their covariance."""
+
+    values: Floats
+    covariance: Floats
+
+
+def correction(found: Examination) -> Coefficients:
+    """The coefficient file of what was found; of a table of sweeps it is averaged over the models that are near.
+
+    The surface has the state at the end of the record: a drift or a step is held where it was last.
+    """
+    if found.candidates:
+        models = [(weight, candidate.fitted) for weight, candidate in found.candidates]
+    else:
+        models = [(1.0, found.naming.fitted)]
+    solved = [(weight, fitted, fitted.solve(widened=True)) for weight, fitted in models]
+    items, total = _items([(f.model, s) for _, f, s in solved])
+    each = [(w, _estimate(f.model, s, items, total)) for w, f, s in solved]
+    mean = np.asarray(sum((w * e.values for w, e in each), np.zeros(total)))
+    covariance = np.zeros((total, total))
+    for w, e in each:
+        covariance += w * (e.covariance + np.outer(e.values - mean, e.values - mean))
+    first = models[0][1]
+    frame = first.model.basis.frame
+    direction: Direction = "output" if first.model.direction == "output" else "input"
+    surface = Surface(
+        mean[:_TERMS].reshape(SHAPE),
+        0.0,
+        frame.rate_scale_dps,
+        frame.temp_center_c,
+        frame.temp_scale_c,
+        direction,
+    )
+    terms = [_term(item, first.model, mean, covariance) for item in items]
+    return replace(
+        _file(first),
+        surface=surface,
+        covariance_dps2=covariance[:_TERMS, :_TERMS],
+        terms=(*terms, *_coil_terms(found.candidates)),
+    )
+
+
+def _file(fitted: Fitted) -> Coefficients:
+    """A file without surface: where it holds, and where it comes from."""
+    series, frame = fitted.model.means.series, fitted.model.basis.frame
+    origin: dict[str, object] = {"recording": series.name, "by": "diagnose"}
+    if not series.has_time:
+        origin[SECONDS_A_DATA_SET] = SURROGATE_PERIOD_S
+    return Coefficients(
+        sensor={"model": series.sensor_model},
+        surface=Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c),
+        covariance_dps2=np.zeros((_TERMS, _TERMS)),
+        valid=Valid(
+            (float(series.gyro_dps.min()), float(series.gyro_dps.max())),
+            (float(series.temp_c.min()), float(series.temp_c.max())),
+        ),
+        noise=_noise(fitted),
+        provenance=origin,
+    )
+
+
+def _noise(fitted: Fitted) -> Noise:
+    series = fitted.model.means.series
+    if not np.all(series.averaging_s > 0):
+        return Noise()
+    walk = 60.0 * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
+    spread = NORMAL_95 / np.sqrt(2.0 * len(series))
+    return Noise(angle_random_walk_deg_per_rt_h=(walk, walk * (1.0 - spread), walk * (1.0 + spread)))
+
+
+def _items(models: Sequence[tuple[Model, Solution]]) -> tuple[list[_Item], int]:
+    """Terms that any of the models needs, and the number of all parameters."""
+    found: list[_Item] = []
+    place = _TERMS
+    known: set[str] = set()
+    for model, solution in models:
+        least = _NEGLIGIBLE * float(np.std(solution.left))
+        laws = {law.name: law for law in model.laws if CATALOGUE[law.effect].runtime}
+        parts = {p.name: p for p in model.parts if p.block != "surface"}
+        for name in solution.order:
+            if name in known or (name != DIRECTION and name not in laws and name not in parts):
+                continue
+            if name in parts and not _of_robot(parts[name]):
+                continue
+            columns = model.components[name].columns if name in parts else None
+            if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
+                continue
+            known.add(name)
+            size = len(solution.amplitudes[name])
+            found.append(_Item(name, parts.get(name), laws.get(name), place, size))
+            place += size
+    return found, place
+
+
+def _of_robot(part: Part) -> bool:
+    """Whether a robot has what the part depends on."""
+    needs = {DRIVERS[c.driver.kind].channel for c in part.columns if c.driver != Factor()}
+    return needs <= ROBOT_CHANNELS
+
+
+def _estimate(model: Model, solution: Solution, items: Sequence[_Item], total: int) -> _Estimate:
+    """Parameters of the file from the amplitudes of one model: linear, so that the covariance follows."""
+    sizes = [len(solution.flat), *(len(solution.amplitudes[n]) for n in solution.order)]
+    starts = dict(zip(("", *solution.order), np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
+    to_file = np.zeros((total, int(np.sum(sizes))))
+    powers = legendre_to_powers()
+    to_file[:_TERMS, : len(model.flat)] = powers[:, list(model.flat)]
+    for part in model.parts:
+        if part.block == "surface" and part.name in starts:
+            own = [SURFACE.index(column) for column in part.columns]
+            at = starts[part.name]
+            to_file[:_TERMS, at : at + len(own)] = powers[:, own] * np.array(part.weights)
+    for item in items:
+        if item.name not in starts:
+            continue
+        at = starts[item.name]
+        weight = np.ones(item.size) if item.part is None else np.array(item.part.weights)
+        to_file[item.start : item.start + item.size, at : at + item.size] = np.diag(weight)
+        if item.part is not None:
+            # The surface gives back what the smooth part was freed of.
+            taken = powers @ polynomials(item.part.columns, model.basis.frame)
+            to_file[:_TERMS, at : at + item.size] -= taken * weight
+    amplitudes = np.concatenate([solution.flat, *(solution.amplitudes[n] for n in solution.order)])
+    values = to_file @ amplitudes
+    values[:_TERMS] += _end_state(model, solution)
+    return _Estimate(values, to_file @ solution.covariance @ to_file.T)
+
+
+def _end_state(model: Model, solution: Solution) -> Floats:
+    """What passes as it stands at the end of the record: a constant and a share of the rate, shape (12,)."""
+    means, scale = model.means, model.basis.frame.rate_scale_dps
+    constant = float(solution.random["bias walk"][-1]) if "bias walk" in solution.random else 0.0
+    share = 0.0
+    walk = solution.random.get("scale walk")
+    if walk is not None:
+        turning = np.flatnonzero(means.rate_dps != 0.0)
+        share += float(walk[turning[-1]] / means.rate_dps[turning[-1]] * scale)
+    t = np.full(2, means.to_s[-1])
+    temp = np.full(2, means.temp_c[-1])
+    for law in model.laws:
+        effect = CATALOGUE[law.effect]
+        if law.from_end or effect.runtime or BLOCKS["bias in time"].family != effect.family:
+            continue
+        c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.t_s[0])
+        at_end = effect.unit_dps(c, law.shape, None) * solution.amplitudes[law.name][0]
+        constant += float(at_end[0])
+        share += float(at_end[1] - at_end[0])
+    found = np.zeros(_TERMS)
+    found[0], found[SHAPE[1]] = constant, share
+    return found
+
+
+def _term(item: _Item, model: Model, values: Floats, covariance: Floats) -> Term | SmoothTerm:
+    rows = slice(item.start, item.start + item.size)
+    if item.part is not None:
+        columns = model.basis.at(item.part.columns)
+        return SmoothTerm(
+            BLOCKS[item.part.block].family,
+            item.name,
+            model.basis.frame,
+            item.part.columns,
+            values[rows],
+            covariance[rows],
+            np.column_stack([columns.min(axis=0), columns.max(axis=0)]),
+        )
+    effect = FIT_DIRECTION if item.law is None else CATALOGUE[item.law.effect]
+    shape = {} if item.law is None else item.law.shape
+    parameters = {
+        "amplitude": {
+            "value": float(values[item.start]),
+            "std": float(np.sqrt(covariance[item.start, item.start])),
+            "unit": effect.parameter("amplitude").unit,
+            "covariance": covariance[item.start].tolist(),
+        }
+    }
+    known = {p.name: p.unit for p in effect.parameters}
+    for name, value in shape.items():
+        if name in known:
+            parameters[name] = {"value": float(value), "std": 0.0, "unit": known[name]}
+    return Term(effect.id, parameters, True)
+
+
+def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:
+    """The coil's temperature as lags of the surface: of several models each has its weight."""
+    shares: dict[float, float] = {}
+    for weight, candidate in candidates:
+        if candidate.coil is not None:
+            share, tau = candidate.coil
+            shares[tau] = shares.get(tau, 0.0) + weight * share
+    whole = sum(shares.values())
+    spread = sum(w * ((c.coil[0] if c.coil else 0.0) - whole) ** 2 for w, c in candidates)
+    unit = {p.name: p.unit for p in THERMAL_LAG.parameters}
+    return [
+        Term(
+            THERMAL_LAG.id,
+            {
+                "amplitude": {
+                    "value": share,
+                    "std": float(np.sqrt(spread) * share / whole),
+                    "unit": unit["amplitude"],
+                },
+                "tau_s": {"value": tau, "std": 0.0, "unit": unit["tau_s"]},
+            },
+            True,
+        )
+        for tau, share in sorted(shares.items())
+        if share > 0.0
+    ]
+
+
+def surface_alone(found: Examination) -> Coefficients:
+    """The paper's twelve terms over the output alone.
+
+    By generalised least squares under the noise that was found; a table of sweeps visits few pairs of rate and
+    temperature, and there the plain fit that resists a change with temperature extrapolates better.
+    """
+    fitted = found.whole
+    model, frame = fitted.model, fitted.model.basis.frame
+    means = model.means
+    carried = carried_terms(means.series)
+    if found.ranked:
+        base = fit_surface(means.series)
+        spread = np.linalg.pinv(base.design.T @ base.design, rcond=1e-12, hermitian=True)
+        covariance = np.zeros((_TERMS, _TERMS))
+        covariance[np.ix_(carried, carried)] = spread * float(np.mean(base.residual_dps**2))
+        return replace(_file(fitted), surface=base.surface, covariance_dps2=covariance)
+    kept = {"each rate", *(c.name for c in passing(means, frame) if c.covariance is not None)}
+    noise = [c for n, c in model.components.items() if n in kept]
+    columns = design_at(means.gyro_dps, means.temp_c, frame)[:, carried]
+    solution = solve(means.error_dps, columns, noise, fitted.fit.variance)
+    gain = legendre_to_powers()[:, carried]
+    c = gain @ solution.flat
+    # Where the bias wanders its level is known for an instant only: the surface takes the mean of the recording.
+    c[0] += float(np.mean(solution.left))
+    free = solution.covariance[: carried.size, : carried.size]
+    surface = Surface(c.reshape(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
+    return replace(_file(fitted), surface=surface, covariance_dps2=gain @ free @ gain.T)

@@ -1,0 +1,199 @@
+"""`diagnose` on drive logs: encoders against gyro, both against the truth, and what it means in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
+from gyrocal.diagnosis.drive.findings import Scale, named_effects, not_testable, places, scales, verdict
+from gyrocal.diagnosis.drive.improved import (
+    DriveEstimate,
+    estimates_of,
+    figures_of,
+    improved_robot,
+)
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
+from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
+from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
+from gyrocal.diagnosis.drive.truth import TruthAnswer, ask_truth
+from gyrocal.diagnosis.result import Diagnosis
+from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.records.drive import DriveBlock, cut
+from gyrocal.records.robot import Robot
+
+#: Part of a single log with truth from which figures are fitted to be shown on the rest.
+_FITTED = 0.6
+_MIRRORED = "the truth follows the path in a mirror only (y and x swapped, or y of the wrong sign?), so it was left aside"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Paths before and after on a part of a log, or on a log, that the figures were not fitted to.
+
+    Attributes
+    ----------
+    part : in words
+    before, after, truth : positions x + iy, m, laid on the truth where there is one; truth is NaN where it is not
+    before_m, after_m : rms distance from the truth; NaN without truth
+    apart_m : rms distance between the two paths
+    """
+
+    part: str
+    before: Complexes
+    after: Complexes
+    truth: Complexes
+    before_m: float
+    after_m: float
+    apart_m: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry of ``position_error``."""
+        known = np.isfinite(self.before_m)
+        return {
+            "part": self.part,
+            "before_rms_m": self.before_m if known else None,
+            "after_rms_m": self.after_m if known else None,
+            "apart_rms_m": self.apart_m,
+        }
+
+
+@dataclass(frozen=True)
+class DriveDiagnosis:
+    """The diagnosis, with what its pictures and its robot file need."""
+
+    diagnosis: Diagnosis
+    series: DriveSeries
+    yaw: YawAnswer
+    truth: TruthAnswer | None
+    estimates: tuple[DriveEstimate, ...]
+    robot: Robot | None
+    shown: tuple[Shown, ...]
+
+
+@dataclass(frozen=True)
+class _Examined:
+    """One log, or a part of it, fitted."""
+
+    series: DriveSeries
+    yaw: YawAnswer
+    truth: TruthAnswer | None
+    parts: dict[str, Scale]
+    figures: Figures
+    checks: list[Found]
+    notes: list[str]
+
+
+def diagnose_drive(
+    source: str,
+    log: DriveBlock,
+    robot: Robot,
+    coefficients: Coefficients | None = None,
+    others: Sequence[tuple[str, DriveBlock]] = (),
+) -> DriveDiagnosis:
+    """Diagnose a drive log, and show what it gained on other logs of the same robot or on the rest of this one.
+
+    Parameters
+    ----------
+    coefficients : Coefficients, optional
+        Calibrates the gyro first; the log must have its temperature then.
+    others : sequence of (name, log)
+        Drives that nothing is fitted to.
+
+    Raises
+    ------
+    DataError
+        The log is too short, does not move, or lacks a channel that was asked for.
+    """
+    found = _examine(source, log, robot, coefficients)
+    series, yaw, truth = found.series, found.yaw, found.truth
+    effects = named_effects(series, yaw, truth, found.parts, found.checks)
+    located = places(series, yaw, truth, effects)
+    estimates = estimates_of(series, yaw, truth, found.parts, found.figures)
+    shown = _shown(found, robot, coefficients, others, log)
+    diagnosis = Diagnosis(
+        recording=source,
+        verdict=verdict(effects, located),
+        located=tuple(located),
+        effects=tuple(effects),
+        not_testable=not_testable(series, yaw, truth),
+        sentences=(),
+        noise=None,
+        improvement=None,
+        surface=coefficients,
+        improved=None,
+        rows=None,
+        notes=(*series.notes, *found.notes),
+        drive={
+            "estimates": [e.to_json() for e in estimates],
+            "position_error": [s.to_json() for s in shown],
+        },
+    )
+    better = improved_robot(series, yaw, truth, found.parts, found.figures)
+    return DriveDiagnosis(diagnosis, series, yaw, truth, estimates, better, tuple(shown))
+
+
+def _examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None) -> _Examined:
+    series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
+    series, notes = wrong_truth(series)
+    yaw = examine_yaw(series)
+    first = figures_of(series, yaw, {}, None)
+    truth = ask_truth(series, replace(first, bias_from_rest=False), yaw.estimate("bias")[1], yaw.model.noise)
+    if truth is not None and truth.mirrored:
+        notes.append(_MIRRORED)
+    parts = scales(yaw, truth)
+    clock = uneven_clock(log.t_s)
+    checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
+    return _Examined(
+        series,
+        yaw,
+        truth,
+        parts,
+        figures_of(series, yaw, parts, truth),
+        checks,
+        [*notes, *([clock] if clock else [])],
+    )
+
+
+def _shown(
+    found: _Examined,
+    robot: Robot,
+    coefficients: Coefficients | None,
+    others: Sequence[tuple[str, DriveBlock]],
+    log: DriveBlock,
+) -> list[Shown]:
+    """Before and after on what was not fitted: other logs, or the last part of this one."""
+    shown = []
+    for name, other in others:
+        series = wrong_truth(wrong_gyro(drive_series(name, other, robot, coefficients))[0])[0]
+        shown.append(_compared(name, series, Figures(), found.figures, slice(None)))
+    if others or not found.series.has_truth or found.truth is None or found.truth.mirrored:
+        return shown
+    split = int(np.searchsorted(log.t_s, log.t_s[0] + _FITTED * (log.t_s[-1] - log.t_s[0])))
+    try:
+        part = _examine(found.series.source, cut(log, slice(0, split)), robot, coefficients)
+    except DataError:
+        return shown
+    rest = rest_mean_dps(found.series)
+    before = Figures(bias_dps=0.0 if rest is None else rest[0], bias_from_rest=False)
+    # One switch-on: the bias is that of the first part, at rest or not.
+    after = replace(part.figures, bias_from_rest=rest is not None)
+    name = (
+        f"the last {100 * (1 - _FITTED):.0f} % of the log, with figures from the first {100 * _FITTED:.0f} %"
+    )
+    shown.append(_compared(name, found.series, before, after, slice(split, None)))
+    return shown
+
+
+def _compared(name: str, series: DriveSeries, before: Figures, after: Figures, rows: slice) -> Shown:
+    truth = (series.truth_x_m + 1j * series.truth_y_m)[rows]
+    paths = [reckon(series, figures).at_m[rows] for figures in (before, after)]
+    if np.count_nonzero(np.isfinite(truth)) < 3:
+        apart = float(np.sqrt(np.mean(np.abs(paths[0] - paths[1]) ** 2)))
+        return Shown(name, paths[0], paths[1], truth, float("nan"), float("nan"), apart)
+    (one, first), (two, second) = (laid_on(path, truth) for path in paths)
+    return Shown(name, one, two, truth, first, second, float(np.sqrt(np.mean(np.abs(one - two) ** 2))))

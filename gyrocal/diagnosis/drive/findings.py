@@ -1,0 +1,320 @@
+"""From fits to names: which effects a drive holds, what else each could be, where it lives, how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from gyrocal.diagnosis.drive.checks import Found
+from gyrocal.diagnosis.drive.laws import PER_SI
+from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
+from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect
+from gyrocal.physics.drive import DRIVE_CATALOGUE
+
+_NORMAL_95 = 1.959964
+#: Evidence against a rival beyond which it is no rival.
+_OUT = 20.0
+#: A track so near to half or twice the true one is a mix-up as likely as a slip.
+_MIXED_UP, _MIXED_UP_BY = (0.5, 2.0), 0.1
+#: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
+_TILT_STDS = 3.0
+#: Noise above what the robot file says by more than this is no noise of that kind.
+_NOISY = 4.0
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A relative error with its standard deviation."""
+
+    value: float
+    std: float
+
+
+def effect_of(name: str, yaw: YawAnswer) -> str:
+    """Id of the catalogue of a law's name in the fit."""
+    return yaw.laws[name].effect
+
+
+def estimate(effect: str, value: float, std: float) -> Estimate:
+    """Amplitude of an effect in the catalogue's unit, from SI."""
+    unit = DRIVE_CATALOGUE[effect].parameters[0].unit
+    per = PER_SI[unit]
+    half = _NORMAL_95 * std
+    return Estimate(per * value, per * std, unit, (per * (value - half), per * (value + half)))
+
+
+def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
+    """Scales of gyro and wheels that the truth shows, and the track that is left of the heading difference by them.
+
+    Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro), so that only the truth tells the three apart.
+    What it does not show goes to whichever of the three it speaks least against.
+    """
+    found: dict[str, Scale] = {}
+    if truth is not None:
+        for name in ("gyro_scale", "wheel_scale"):
+            if truth.believed(name):
+                found[name] = Scale(truth.values[name], truth.stds[name])
+    if "track" not in yaw.chosen:
+        return found
+    c, std = yaw.estimate("track")
+    if found:
+        g, w = (found[n].value if n in found else 0.0 for n in ("gyro_scale", "wheel_scale"))
+        spread = float(np.sqrt(std**2 + sum(s.std**2 for s in found.values())))
+        left = (1 + c) * (1 + g) / (1 + w) - 1
+        if left**2 >= GAIN * spread**2:
+            found["track"] = Scale(left, spread)
+    elif "track" in yaw.named and not _turns_are_odd(truth):
+        against = _against(c, std, truth)
+        best = min(against, key=lambda n: against[n])
+        # Beside a slip law the constant is a part of that law's shape.
+        slipping = any(n.startswith("slip_") for n in yaw.named)
+        if slipping or against["track"] <= against[best] + 2 * np.log(3.0):
+            best = "track"
+        value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
+        found[best] = Scale(value, std)
+    return found
+
+
+def _turns_are_odd(truth: TruthAnswer | None) -> bool:
+    """Whether the gyro's turns miss the truth in a way that no scale makes: then their ratio tells no track either."""
+    return truth is not None and not truth.mirrored and truth.odd["turn_rate"] < STRANGER_P
+
+
+def _against(c: float, std: float, truth: TruthAnswer | None) -> dict[str, float]:
+    """Chi-square of the truth against each scale that could make the ratio of the headings, by name."""
+    cases = {"track": (0.0, 0.0), "gyro_scale": (1 / (1 + c) - 1, 0.0), "wheel_scale": (0.0, c)}
+    if truth is None or truth.mirrored:
+        return dict.fromkeys(cases, 0.0)
+    at = [INTERESTS.index(n) for n in ("gyro_scale", "wheel_scale")]
+    covariance = truth.covariance[np.ix_(at, at)]
+    seen = np.array([truth.values["gyro_scale"], truth.values["wheel_scale"]])
+    found = {}
+    for name, expected in cases.items():
+        spread = covariance + np.diag([std**2 * (name == "gyro_scale"), std**2 * (name == "wheel_scale")])
+        away = seen - np.array(expected)
+        found[name] = float(away @ np.linalg.solve(spread, away))
+    return found
+
+
+def named_effects(
+    series: DriveSeries,
+    yaw: YawAnswer,
+    truth: TruthAnswer | None,
+    parts: Mapping[str, Scale],
+    checks: list[Found],
+) -> list[NamedEffect]:
+    """Everything that earns its name, the strongest first."""
+    gains: list[tuple[float, NamedEffect]] = []
+    for name, gain in yaw.named.items():
+        if name == "track":
+            continue
+        gains.append((gain, _of_law(name, gain, yaw)))
+    for name, scale in parts.items():
+        gain = (scale.value / scale.std) ** 2
+        gains.append((gain, _of_scale(name, scale, series, yaw, truth)))
+    bias = _unexpected_bias(series, yaw)
+    if bias is not None and not any(e.effect == "gyro_bias" for _, e in gains):
+        gains.append(bias)
+    gains.sort(key=lambda item: -item[0])
+    effects: list[NamedEffect] = []
+    for _, effect in gains:
+        # A slip law and what is left of the track are one effect.
+        if effect.effect not in [e.effect for e in effects]:
+            effects.append(effect)
+    facts = [_effect(f.effect, f.sentence, {"amplitude": f.amplitude}, 1e-16, ()) for f in checks]
+    return [
+        *(f for f in facts if f.effect == "unit_or_sign"),
+        *effects,
+        *(f for f in facts if f.effect != "unit_or_sign"),
+    ]
+
+
+def _effect(
+    effect: str, statement: str, parameters: Mapping[str, Estimate], p: float, others: tuple[Alternative, ...]
+) -> NamedEffect:
+    described = DRIVE_CATALOGUE[effect]
+    return NamedEffect(effect, described.family, statement, parameters, p, others, None, described.runtime)
+
+
+def _exact(value: float, unit: str) -> Estimate:
+    return Estimate(value, float("nan"), unit, (float("nan"), float("nan")))
+
+
+def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
+    law = yaw.laws[name]
+    value, std = yaw.estimate(name)
+    statement, degrees = DRIVE_CATALOGUE[law.effect].statement, 1
+    if name == "wheel_cos":
+        other, _ = yaw.estimate("wheel_sin")
+        value, degrees = float(np.hypot(value, other)), 2
+        side = "right" if law.shape["side"] > 0 else "left"
+        radius = law.shape["wheel_radius_m"]
+        statement = f"The {side} wheel's distance is modulated every {2 * np.pi * radius:.3g} m, once a turn of a wheel of radius {radius:.3g} m."
+    if law.effect == "gyro_delay" and value < 0:
+        statement = "The encoders' counts arrive later than the gyro's rate (a negative delay)."
+    if law.effect == "skid_slip" and value < 0:
+        statement = "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer together than the robot file says."
+    if name == "step":
+        statement = "In motion the gyro's bias is another than at the rest at the start."
+    parameters = {"amplitude": estimate(law.effect, value, std)}
+    units = {p.name: p.unit for p in DRIVE_CATALOGUE[law.effect].parameters}
+    parameters |= {n: _exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
+    if name == "delay" and yaw.window_s > 0:
+        parameters["encoder_window_s"] = _exact(yaw.window_s, "s")
+    return _effect(law.effect, statement, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw))
+
+
+def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
+    """Laws that would do about as well in its place; a delay that was taken out beforehand has none."""
+    if name == "delay" and yaw.ahead_s != 0.0:
+        return ()
+    others = [n for n in yaw.chosen if n != name]
+    own = yaw.gram.added(others, [name])
+    found: dict[str, float] = {}
+    for other, law in yaw.laws.items():
+        if other in yaw.chosen or law.effect == yaw.laws[name].effect or other.startswith("wheel_"):
+            continue
+        ratio = float(np.exp(np.clip(0.5 * (own - yaw.gram.added(others, [other])), -50, 50)))
+        if ratio < _OUT:
+            found[law.effect] = min(ratio, found.get(law.effect, np.inf))
+    if name == "asymmetry" and not yaw.model.frame.nodes.resting.any():
+        found["gyro_bias"] = 1.0
+    return tuple(
+        Alternative(e, r, DRIVE_CATALOGUE[e].statement) for e, r in sorted(found.items(), key=lambda x: x[1])
+    )
+
+
+def _of_scale(
+    name: str, scale: Scale, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+) -> NamedEffect:
+    effect = "skid_slip" if name == "track" else name
+    statement = DRIVE_CATALOGUE[effect].statement
+    parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
+    others: dict[str, float] = {}
+    if name == "track":
+        parameters |= {"law": _exact(0.0, "1"), "shape": _exact(0.0, "1")}
+        if scale.value < 0:
+            statement = "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer together than the robot file says."
+        if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
+            others["unit_or_sign"] = 1.0
+            statement += " About half or twice the wheel separation: see whether the file holds half a track or a tread for a track."
+    if truth is None or name == "track" or not truth.believed(name):
+        against = _against(*yaw.estimate("track"), truth)
+        for other, chi2 in against.items():
+            ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
+            if other != name and ratio < _OUT and name in against:
+                others["skid_slip" if other == "track" else other] = ratio
+    tilted = -_TILT_STDS * series.robot.initial_std["gyro_scale"]
+    if name == "gyro_scale" and scale.value < tilted:
+        others["robot_tilt"] = 1.0
+    if name == "wheel_scale" and scale.value > 0:
+        others["encoder_overcount"] = 1.0
+    p = float(2 * stats.norm.sf(abs(scale.value) / scale.std))
+    alternatives = tuple(Alternative(e, r, DRIVE_CATALOGUE[e].statement) for e, r in others.items())
+    return _effect(effect, statement, parameters, max(p, 1e-300), alternatives)
+
+
+def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedEffect] | None:
+    """A constant bias, where no rest takes it off, beyond what the robot file grants."""
+    if series.robot.static_s > 0:
+        return None
+    value, std = yaw.estimate("bias")
+    expected = series.robot.initial_std["gyro_bias_dps"]
+    gain = (value / std) ** 2
+    if gain < GAIN or abs(value) < BELIEVED * float(np.hypot(expected, std)):
+        return None
+    parameters = {"amplitude": estimate("gyro_bias", value, std)}
+    others = (
+        (Alternative("earth_rate", 1.0, DRIVE_CATALOGUE["earth_rate"].statement),)
+        if abs(value) < 4.2e-3
+        else ()
+    )
+    statement = "The gyro has a bias that no rest at the start takes off."
+    return gain, _effect("gyro_bias", statement, parameters, float(stats.chi2.sf(gain, 1)), others)
+
+
+def places(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, effects: list[NamedEffect]
+) -> list[Located]:
+    """Where the difference lives: with the named effects, and where something is left that has no name."""
+    # Shares of the gain of what is named; chi-square from p-values would overflow.
+    gains = {effect_of(n, yaw): g for n, g in yaw.named.items()}
+    whole = max(sum(gains.values()), 1e-300)
+    found: dict[str, Located] = {}
+    for effect in effects:
+        coordinate = DRIVE_CATALOGUE[effect.effect].seen_in
+        if coordinate not in found:
+            share = gains.get(effect.effect, float("nan")) / whole
+            found[coordinate] = Located(coordinate, "mean", "", effect.p_value, share, finding=effect.effect)
+    odd = {c: p for c, (_, _, p) in yaw.strangers.items() if c in yaw.odd}
+    if truth is not None:
+        for coordinate, p in truth.odd.items():
+            if p < STRANGER_P:
+                odd[coordinate] = min(p, odd.get(coordinate, 1.0))
+    left = [Located(c, "mean", "", p, float("nan"), remains=True) for c, p in odd.items()]
+    return [*found.values(), *left, *_noisy(series, yaw)]
+
+
+def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
+    """Noise far above what the robot file gives: something lives there that no law here describes."""
+    noise, usual, found = yaw.model.noise, yaw.model.usual, []
+    given = series.robot.given
+    for field, key, coordinate in (
+        ("slip_m_per_rt_m", "noise.wheel_slip_m_per_rt_m", "speed"),
+        ("turn", "noise.turn_slip_deg_per_rt_deg", "turn_rate"),
+    ):
+        ratio = getattr(noise, field) / getattr(usual, field)
+        if key in given and ratio > _NOISY:
+            found.append(
+                Located(
+                    coordinate,
+                    "variance",
+                    "",
+                    STRANGER_P,
+                    float("nan"),
+                    remains=True,
+                    target="noise",
+                    times_given=ratio,
+                )
+            )
+    return found
+
+
+def verdict(effects: list[NamedEffect], located: list[Located]) -> str:
+    """`consistent` only where nothing is named and nothing is left, `explained` only where nothing is left."""
+    remains = any(place.remains for place in located)
+    physics = [e for e in effects if e.effect != "dropped_samples"]
+    if physics:
+        return "partly_explained" if remains else "explained"
+    return "unexplained" if remains else "consistent"
+
+
+def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, str]:
+    """Effects that the log may hold and cannot show, with the reason."""
+    reasons = {
+        "robot_tilt": "the log has no inclination",
+        "earth_rate": "it cannot be told from a gyro bias",
+        "start_stop_slip": "it changes distances for moments only, which nothing in the log resolves",
+        "encoder_overcount": "single bumps cannot be told from the wheels' noise, nor many of them from a scale of the wheels",
+    }
+    if "slope" not in yaw.laws:
+        reasons["bias_temperature"] = "the log has no gyro temperature, or it hardly changes"
+    if "step" not in yaw.laws:
+        reasons["gyro_bias"] = (
+            "the log does not begin with a rest: a bias is seen, but not that in motion less that at rest"
+        )
+    if not series.differential:
+        for name in ("skid_slip", "wheel_asymmetry", "wheel_eccentricity", "gyro_delay"):
+            reasons[name] = "both wheel columns hold one speed, so that nothing but the truth speaks of turns"
+    usable = truth is not None and not truth.mirrored
+    for name, what in (("gyro_scale", "the effective wheel separation"), ("wheel_scale", "the true way")):
+        if not usable or truth is None:
+            reasons[name] = f"without true positions it cannot be told from {what}"
+        elif truth.stds[name] > 0.02:
+            reasons[name] = f"with this truth it is known to {100 * truth.stds[name]:.2g} % only"
+    return reasons

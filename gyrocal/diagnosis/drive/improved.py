@@ -1,0 +1,275 @@
+"""What a drive tells the next one: every estimate with the metres it costs, and the robot file with what earned it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gyrocal.diagnosis.drive.findings import Scale
+from gyrocal.diagnosis.drive.laws import reference_temp_c
+from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
+from gyrocal.diagnosis.drive.search import YawAnswer
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.truth import TruthAnswer
+from gyrocal.physics.slip import SLIP_LAWS
+from gyrocal.records.robot import Robot
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, RAD_TO_DEG
+
+#: What a bias changes by at the next switch-on: a share of it, and standard deviations of the 1/f noise.
+_CHANGES, _FLICKERS = 0.06, 1.5
+#: What track and asymmetry change by from one drive to the next, relative.
+_TRACK_CHANGES, _ASYMMETRY_CHANGES = 2e-3, 3e-4
+
+
+@dataclass(frozen=True)
+class DriveEstimate:
+    """One figure of a drive, named or not.
+
+    Attributes
+    ----------
+    value, std : in `unit`
+    metres : rms position error over this log if it is not taken out; NaN where it moves no position
+    path : the path that it moves: ``gyro`` (distance along the gyro's heading), ``encoders`` or ``truth``
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    metres: float
+    path: str
+    named: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry of ``estimates``."""
+        half = 1.959964 * self.std
+
+        def finite(x: float) -> float | None:
+            return float(x) if np.isfinite(x) else None
+
+        return {
+            "name": self.name,
+            "value": finite(self.value),
+            "std": finite(self.std),
+            "unit": self.unit,
+            "interval_95": [finite(self.value - half), finite(self.value + half)],
+            "metres": finite(self.metres),
+            "path": self.path,
+            "named": self.named,
+        }
+
+
+def figures_of(
+    series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale], truth: TruthAnswer | None
+) -> Figures:
+    """What the log says should be taken out of it: the bias, and all that is named."""
+
+    def value(name: str) -> float:
+        return yaw.estimate(name)[0] if name in yaw.named else 0.0
+
+    def scale(name: str) -> float:
+        return parts[name].value if name in parts else 0.0
+
+    half = 0.5 * value("asymmetry")
+    return Figures(
+        bias_dps=bias_of(yaw, truth)[0],
+        temp_c=reference_temp_c(series),
+        bias_motion_dps=value("step"),
+        bias_slope_dps_per_c=value("slope"),
+        gyro_scale=scale("gyro_scale"),
+        left_scale=(1 + scale("wheel_scale")) * (1 - half) - 1,
+        right_scale=(1 + scale("wheel_scale")) * (1 + half) - 1,
+        delay_s=value("delay"),
+    )
+
+
+def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
+    """Constant bias and its standard deviation, deg/s; with what the truth adds."""
+    value, std = yaw.estimate("bias")
+    if truth is None or truth.mirrored:
+        return value, std
+    return value + truth.values["gyro_bias"], min(std, truth.stds["gyro_bias"])
+
+
+def estimates_of(
+    series: DriveSeries,
+    yaw: YawAnswer,
+    truth: TruthAnswer | None,
+    parts: Mapping[str, Scale],
+    figures: Figures,
+) -> tuple[DriveEstimate, ...]:
+    """Every figure of a drive by the metres that it costs, the dearest first."""
+    rest = rest_mean_dps(series)
+    started = replace(figures, bias_dps=figures.bias_dps if rest is None else rest[0], bias_from_rest=False)
+    found = [*_of_gyro(series, yaw, truth, parts, started), *_of_encoders(series, yaw, parts)]
+    if truth is not None:
+        for name, unit in (("lever_ahead", "m"), ("lever_left", "m"), ("clock", "s"), ("mounting", "rad")):
+            if name in truth.values:
+                value, std, shown = truth.values[name], truth.stds[name], unit
+                if name == "mounting":
+                    value, std, shown = RAD_TO_DEG * value, RAD_TO_DEG * std, "deg"
+                metres = abs(value) if unit == "m" else float("nan")
+                found.append(DriveEstimate(f"truth_{name}", value, std, shown, metres, "truth", named=False))
+    return tuple(sorted(found, key=lambda e: -np.nan_to_num(e.metres, nan=-1.0)))
+
+
+def _of_gyro(
+    series: DriveSeries,
+    yaw: YawAnswer,
+    truth: TruthAnswer | None,
+    parts: Mapping[str, Scale],
+    figures: Figures,
+) -> list[DriveEstimate]:
+    """Figures that move the path along the gyro's heading."""
+    bias, std = bias_of(yaw, truth)
+    rows = [("gyro_bias", "bias_dps", bias, std, "deg/s", False)]
+    for law, name, field, unit in (
+        ("step", "gyro_bias_in_motion", "bias_motion_dps", "deg/s"),
+        ("slope", "bias_temperature", "bias_slope_dps_per_c", "deg/s per degC"),
+        ("delay", "gyro_delay", "delay_s", "s"),
+    ):
+        if law in yaw.laws:
+            rows.append((name, field, *_estimate(yaw, law), unit, law in yaw.named))
+    found = [
+        DriveEstimate(name, value, std, unit, cost_m(series, figures, field, value), "gyro", named)
+        for name, field, value, std, unit, named in rows
+    ]
+    for name in ("gyro_scale", "wheel_scale"):
+        scale = parts.get(name)
+        if scale is None and truth is not None and not truth.mirrored:
+            scale = Scale(truth.values[name], truth.stds[name])
+        if scale is not None:
+            metres = cost_m(series, figures, name, scale.value)
+            percent = (100 * scale.value, 100 * scale.std, "%")
+            found.append(DriveEstimate(name, *percent, metres, "gyro", name in parts))
+    return found
+
+
+def _estimate(yaw: YawAnswer, name: str) -> tuple[float, float]:
+    """A law's coefficient, in the final fit or added to it."""
+    if name in yaw.chosen:
+        return yaw.estimate(name)
+    values, covariance = yaw.gram.solve([*yaw.chosen, name])
+    return float(values[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
+
+
+def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]) -> list[DriveEstimate]:
+    """Figures that move the path along the encoders' heading."""
+    found = []
+    path = reckon(series, Figures())
+    rows = yaw.model.frame.nodes.rows
+    for name in yaw.chosen:
+        if name in ("bias", "step", "slope", "delay", "wheel_sin"):
+            continue
+        law = yaw.laws[name]
+        value, std = yaw.estimate(name)
+        turn = yaw.law_rad(name)
+        if name == "wheel_cos":
+            turn = turn + yaw.law_rad("wheel_sin")
+            value = float(np.hypot(value, yaw.estimate("wheel_sin")[0]))
+        heading = np.interp(np.arange(series.t_s.size), rows, np.concatenate([[0.0], np.cumsum(turn)]))
+        metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
+        shown = "effective_track" if name == "track" else law.effect
+        named = name in yaw.named or (name == "track" and "track" in parts)
+        found.append(DriveEstimate(shown, 100 * value, 100 * std, "%", metres, "encoders", named))
+    return found
+
+
+def improved_robot(
+    series: DriveSeries,
+    yaw: YawAnswer,
+    truth: TruthAnswer | None,
+    parts: Mapping[str, Scale],
+    figures: Figures,
+) -> Robot | None:
+    """The robot file with everything that earned it; None where the drive tells nothing that a robot could use.
+
+    The bias is written wherever no rest takes it off; a law from its gain on, a scale from where the truth is sure.
+    Left-out parts of the drive are no judge here: a step of the bias lives in a single rest.
+    """
+    keys: dict[str, Any] = {}
+    if series.robot.static_s == 0:
+        keys |= _bias_keys(yaw, truth, figures)
+    for law, key in (("step", "bias_motion_dps"), ("slope", "bias_slope_dps_per_c"), ("delay", "delay_s")):
+        if law in yaw.named:
+            keys[f"gyro.{key}"], keys[f"gyro.{key}_std"] = yaw.estimate(law)
+    if "slope" in yaw.named:
+        keys["gyro.temp_c"] = figures.temp_c
+    if yaw.window_s > 0:
+        keys["encoders.window_s"] = yaw.window_s
+    if "gyro_scale" in parts:
+        keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
+    slip = next((n for n in yaw.named if n.startswith("slip_")), None)
+    if slip is not None:
+        shape = yaw.laws[slip].shape
+        keys["slip.law"] = SLIP_LAWS[int(shape["law"])]
+        keys["slip.amplitude"], keys["slip.amplitude_std"] = yaw.estimate(slip)
+        keys["slip.shape"] = shape["shape"]
+    earned = bool(keys) or bool(parts) or "asymmetry" in yaw.named
+    if not earned:
+        return None
+    if series.differential:
+        keys |= _geometry_keys(series, yaw, parts)
+    elif "wheel_scale" in parts:
+        for side in ("left", "right"):
+            keys[f"encoders.{side}_scale"] = parts["wheel_scale"].value
+            keys[f"encoders.{side}_scale_std"] = parts["wheel_scale"].std
+    keys |= _noise_keys(yaw)
+    return series.robot.with_figures(keys)
+
+
+def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, figures: Figures) -> dict[str, float]:
+    bias, std = bias_of(yaw, truth)
+    changes = float(np.hypot(_CHANGES * bias, _FLICKERS * yaw.model.noise.flicker_dps))
+    keys = {
+        "gyro.bias_dps": bias,
+        "gyro.bias_dps_std": std,
+        "gyro.repeatability_dps": changes,
+        "initial_std.gyro_bias_dps": float(np.hypot(std, changes)),
+    }
+    return keys | ({"gyro.temp_c": figures.temp_c} if np.isfinite(figures.temp_c) else {})
+
+
+def _geometry_keys(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]) -> dict[str, float]:
+    """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
+    asymmetry, std = yaw.estimate("asymmetry")
+    wheels = parts["wheel_scale"] if "wheel_scale" in parts else Scale(0.0, 0.0)
+    track, track_std = yaw.estimate("track")
+    # What the scales of the truth make of the ratio of the headings is no track.
+    gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
+    track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
+    if "track" not in parts and ("gyro_scale" in parts or "wheel_scale" in parts):
+        track = 0.0
+    separation = series.robot.wheel_separation_m * (1 + track)
+    one = float(np.hypot(std, _ASYMMETRY_CHANGES)) / np.sqrt(2.0)
+    keys = {
+        "wheel_separation_m": separation,
+        "initial_std.wheel_separation_m": separation * float(np.hypot(track_std, _TRACK_CHANGES)),
+    }
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        keys[f"encoders.{side}_scale"] = (1 + wheels.value) * (1 + sign * 0.5 * asymmetry) - 1
+        keys[f"encoders.{side}_scale_std"] = float(np.hypot(wheels.std, 0.5 * std))
+        keys[f"initial_std.{side}_scale"] = float(one)
+    return keys
+
+
+def _noise_keys(yaw: YawAnswer) -> dict[str, float]:
+    noise = yaw.model.noise
+    keys = {
+        "noise.angle_random_walk_deg_per_rt_h": noise.arw_dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ,
+        "noise.bias_walk_dps_per_rt_s": noise.walk_dps_per_rt_s,
+        "noise.flicker_dps": noise.flicker_dps,
+    }
+    if not yaw.model.frame.series.differential:
+        return keys
+    return keys | {
+        "noise.wheel_slip_m_per_rt_m": noise.slip_m_per_rt_m,
+        "noise.turn_slip_deg_per_rt_deg": noise.turn / float(np.sqrt(DEG_TO_RAD)),
+        # The rounding of two wheels, each of a step over the square root of twelve.
+        "noise.tick_m": noise.tick_m * float(np.sqrt(6.0)),
+        "noise.jitter_s": noise.jitter_s,
+        "noise.track_wander": noise.wander,
+    }

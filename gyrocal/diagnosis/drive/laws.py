@@ -1,0 +1,190 @@
+"""Columns of the heading difference: what each law of `gyrocal.physics.drive` adds to encoder turn minus gyro turn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.drive.series import SMOOTH_S, DriveSeries, Nodes, averaged
+from gyrocal.physics.drive import DRIVE_CATALOGUE, DriveConditions
+from gyrocal.physics.slip import SLIP_LAWS
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
+
+Floats = NDArray[np.float64]
+
+#: Catalogue units in one SI unit of a coefficient (deg/s for rates of the gyro).
+PER_SI = {"%": 1e2, "ppm": 1e6, "mdeg/s": 1e3, "mdeg/s per degC": 1e3, "s": 1.0}
+#: Small enough for the laws that are not linear in their amplitude, SI.
+_SMALL = 1e-3
+#: Curvatures of half saturation that are tried.
+HALF_CURVATURES = (0.1, 0.3, 1.0)
+_LEAST_TEMP_SPAN_C = 0.5
+#: A bias at rest of its own is looked for where the log begins with a rest this long, s.
+_LEAST_REST_S = 5.0
+_TEMP_SMOOTH_S = 10.0
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law at fixed shape: `effect` and `shape` are of the catalogue, `column` is its turn in rad for one SI unit."""
+
+    effect: str
+    shape: Mapping[str, float]
+    column: Floats
+
+    @property
+    def unit(self) -> str:
+        """Unit of the amplitude in the catalogue."""
+        return DRIVE_CATALOGUE[self.effect].parameters[0].unit
+
+    @property
+    def per_si(self) -> float:
+        """Catalogue units in one SI unit."""
+        return PER_SI[self.unit]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the laws are worked out on: smooth conditions, the gyro taken `ahead_s` later and over `window_s`.
+
+    Attributes
+    ----------
+    conditions : DriveConditions
+        Row by row. Turn rates are means over `SMOOTH_S` without the bias, zero where no wheel moves, and the wheels are put
+        together from them and the mean distance: a law must share no noise with the difference that it explains.
+    """
+
+    series: DriveSeries
+    nodes: Nodes
+    ahead_s: float
+    window_s: float
+    conditions: DriveConditions
+
+
+def temperature_c(series: DriveSeries) -> Floats | None:
+    """Gyro temperature row by row, averaged over 10 s; None where it is not known or hardly changes."""
+    known = np.isfinite(series.temp_c)
+    if not known.any() or np.ptp(series.temp_c[known]) < _LEAST_TEMP_SPAN_C:
+        return None
+    temp = np.interp(series.t_s, series.t_s[known], series.temp_c[known])
+    whole = np.cumsum(temp * series.dt_s)
+    smooth_s = min(_TEMP_SMOOTH_S, 0.1 * series.duration_s)
+    begin = np.maximum(series.t_s - 0.5 * smooth_s, series.t_s[0])
+    end = np.minimum(series.t_s + 0.5 * smooth_s, series.t_s[-1])
+    return np.asarray(
+        (np.interp(end, series.t_s, whole) - np.interp(begin, series.t_s, whole)) / (end - begin)
+    )
+
+
+def reference_temp_c(series: DriveSeries) -> float:
+    """Temperature to which the constant bias belongs: that of the rest at the start, or the mean; NaN: unknown."""
+    temp = temperature_c(series)
+    if temp is None:
+        known = np.isfinite(series.temp_c)
+        return float(np.mean(series.temp_c[known])) if known.any() else float("nan")
+    rest = ~series.moved
+    return float(np.mean(temp[rest] if series.first_rest_s >= _LEAST_REST_S else temp))
+
+
+def frame_of(series: DriveSeries, nodes: Nodes, ahead_s: float, window_s: float, bias_dps: float) -> Frame:
+    """Smooth conditions of a log; `bias_dps` is taken off the turn rates."""
+    t = series.t_s
+    spread_s = max(SMOOTH_S, 2.0 * float(np.median(series.dt_s)))
+    heading = averaged(t, series.gyro_rad, ahead_s, window_s)
+    rate = (np.interp(t + 0.5 * spread_s, t, heading) - np.interp(t - 0.5 * spread_s, t, heading)) / spread_s
+    way = np.cumsum(series.step_m)
+    speed = (np.interp(t + 0.5 * spread_s, t, way) - np.interp(t - 0.5 * spread_s, t, way)) / spread_s
+    # Where no wheel moves the gyro's rate is its noise, and a law of it would explain the difference perfectly.
+    rate = np.where(series.quiet, 0.0, rate - DEG_TO_RAD * bias_dps)
+    speed = np.where(series.quiet, 0.0, speed)
+    across = 0.5 * series.robot.wheel_separation_m * rate
+    conditions = DriveConditions(
+        t, series.dt_s, (speed - across) * series.dt_s, (speed + across) * series.dt_s, RAD_TO_DEG * rate,
+        series.robot.wheel_separation_m, temperature_c(series),
+    )  # fmt: skip
+    return Frame(series, nodes, ahead_s, window_s, conditions)
+
+
+def difference(frame: Frame) -> Floats:
+    """Encoder turn minus gyro turn over each interval, rad."""
+    s = frame.series
+    gyro = averaged(s.t_s, s.gyro_rad, frame.ahead_s, frame.window_s)
+    return frame.nodes.between(s.encoder_rad - gyro)
+
+
+def law(frame: Frame, effect: str, where: Floats | None = None, **shape: float) -> Law:
+    """One law of the catalogue at a small amplitude, divided by it; `where` weighs its rows."""
+    described = DRIVE_CATALOGUE[effect]
+    size = _SMALL * PER_SI[described.parameters[0].unit]
+    change, _ = described.change(frame.conditions, described.complete({"amplitude": size, **shape}), None)
+    turn = (change.encoder_yaw_rad - change.gyro_yaw_rad) / _SMALL
+    return Law(effect, shape, frame.nodes.between(np.cumsum(turn if where is None else turn * where)))
+
+
+def constant_laws(frame: Frame) -> dict[str, Law]:
+    """Laws that every fit has: bias, and of a vehicle whose wheels differ the track and the wheels' asymmetry."""
+    found = {"bias": law(frame, "gyro_bias")}
+    if frame.series.differential:
+        found["track"] = law(frame, "skid_slip", law=0.0, shape=0.0)
+        found["asymmetry"] = law(frame, "wheel_asymmetry")
+    return found
+
+
+def candidate_laws(frame: Frame) -> dict[str, Law]:
+    """Laws that a log may hold besides; only those that it can show."""
+    series, found = frame.series, {}
+    if series.first_rest_s >= _LEAST_REST_S:
+        found["step"] = law(frame, "gyro_bias", where=series.moved.astype(np.float64))
+    temp = frame.conditions.temp_c
+    if temp is not None:
+        slope = law(frame, "bias_temperature")
+        # The law counts from the first row, the constant bias belongs to the reference temperature.
+        away = float(temp[0]) - reference_temp_c(series)
+        found["slope"] = Law(slope.effect, slope.shape, slope.column + away * law(frame, "gyro_bias").column)
+    if series.differential:
+        found["delay"] = law(frame, "gyro_delay")
+        found["slip_turn_rate"] = law(frame, "skid_slip", law=0.0, shape=1.0)
+        found["slip_curvature"] = law(frame, "skid_slip", law=float(SLIP_LAWS.index("curvature")), shape=1.0)
+        saturating = float(SLIP_LAWS.index("curvature_saturating"))
+        for half in HALF_CURVATURES:
+            found[f"slip_saturating_{half:g}"] = law(frame, "skid_slip", law=saturating, shape=half)
+    return found
+
+
+def wheel_laws(frame: Frame, side: float, radius_m: float) -> tuple[Law, Law]:
+    """A wheel out of true, cosine and sine."""
+    first, second = (
+        law(frame, "wheel_eccentricity", side=side, wheel_radius_m=radius_m, phase_rad=phase)
+        for phase in (0.0, 0.5 * np.pi)
+    )
+    return first, second
+
+
+def strangers(frame: Frame) -> dict[str, Floats]:
+    """Columns of no name, one block for each coordinate: what no law of the catalogue does; coordinate -> (m, k)."""
+    c, series = frame.conditions, frame.series
+    if not series.differential:
+        return {}
+    turn, way = c.gyro_yaw_rad, c.distance_m
+    speed = np.divide(way, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
+    share = (c.t_s - c.t_s[0]) / series.duration_s - 0.5
+    heading = np.cumsum(turn)
+    acceleration = np.gradient(speed, c.t_s) if np.all(np.diff(c.t_s) > 0) else np.zeros_like(speed)
+    late = law(frame, "gyro_delay").column
+    moving = np.abs(speed) > 0
+    edges = np.quantile(np.abs(speed[moving]), [1 / 3, 2 / 3]) if moving.any() else np.zeros(2)
+    steps = [np.abs(speed) > edge for edge in edges]
+    rows = {
+        # Each wheel's scale in two steps of the speed.
+        "speed": [x * step for x in (c.left_m, c.right_m) for step in steps] + [way * np.abs(speed)],
+        "time": [turn * share, way * share, way * share**2],
+        "heading": [way * np.cos(heading), way * np.sin(heading)],
+        "turn_rate": [turn * (turn > 0), turn * c.gyro_dps, turn * c.gyro_dps**2],
+        "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way],
+    }
+    found = {name: frame.nodes.between(np.cumsum(np.stack(v, axis=1), axis=0)) for name, v in rows.items()}
+    at = (frame.nodes.t_s - c.t_s[0]) / series.duration_s - 0.5
+    return found | {"delay": (late * at)[:, None]}

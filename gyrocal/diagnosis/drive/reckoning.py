@@ -1,0 +1,119 @@
+"""Dead reckoning of a log with the figures of a robot: encoder distance along the gyro's heading, and its errors in m."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.units import DEG_TO_RAD
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What is taken out of a log before it is reckoned; all zero is the log as it is.
+
+    Attributes
+    ----------
+    bias_dps, temp_c : constant bias, and the temperature that it belongs to
+    bias_motion_dps : added from the first motion on
+    bias_slope_dps_per_c : bias by temperature
+    gyro_scale, left_scale, right_scale : measured = (1 + scale) times true
+    delay_s : the gyro is late; below 0: the encoders are
+    bias_from_rest : the mean of the rest at the start stands for `bias_dps` where there is one
+    """
+
+    bias_dps: float = 0.0
+    temp_c: float = float("nan")
+    bias_motion_dps: float = 0.0
+    bias_slope_dps_per_c: float = 0.0
+    gyro_scale: float = 0.0
+    left_scale: float = 0.0
+    right_scale: float = 0.0
+    delay_s: float = 0.0
+    bias_from_rest: bool = True
+
+    def but(self, name: str, value: float) -> Figures:
+        """The same with another value of one figure; ``wheel_scale`` stands for both wheels."""
+        names = ("left_scale", "right_scale") if name == "wheel_scale" else (name,)
+        changed: dict[str, Any] = dict.fromkeys(names, value)
+        return replace(self, **changed)
+
+
+@dataclass(frozen=True)
+class Reckoned:
+    """A reckoned drive, row by row: time, heading at the end of each row, steps and positions x + iy."""
+
+    t_s: Floats
+    dt_s: Floats
+    heading_rad: Floats
+    way_m: Floats
+    steps_m: Complexes
+
+    @property
+    def at_m(self) -> Complexes:
+        """Positions at the end of each row."""
+        return np.asarray(np.cumsum(self.steps_m))
+
+    def moved_by(self, heading_rad: Floats, way_m: Floats) -> Complexes:
+        """Change of the positions by small errors of the headings, and of the ways of the rows, shape (n,)."""
+        direction = np.exp(1j * _middle(self.heading_rad))
+        return np.asarray(np.cumsum(1j * _middle(heading_rad) * self.steps_m + way_m * direction))
+
+
+def _middle(heading: Floats) -> Floats:
+    return np.asarray(0.5 * (heading + np.concatenate([heading[:1], heading[:-1]])))
+
+
+def rest_mean_dps(series: DriveSeries) -> tuple[float, float] | None:
+    """Mean rate of the rest that the robot file promises, and its mean temperature; None where there is none."""
+    rest = (series.t_s - series.t_s[0] <= series.robot.static_s) & ~series.moved
+    if series.robot.static_s <= 0 or np.sum(series.dt_s[rest]) < 0.5 * series.robot.static_s:
+        return None
+    temp = temperature_c(series)
+    return float(np.mean(series.gyro_dps[rest])), float("nan") if temp is None else float(np.mean(temp[rest]))
+
+
+def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
+    """Reckon a log with the errors in `figures` taken out of it, each channel brought to the time of the earlier one."""
+    rest = rest_mean_dps(series) if figures.bias_from_rest else None
+    bias, at_c = rest if rest is not None else (figures.bias_dps, figures.temp_c)
+    rate = series.gyro_dps - bias - figures.bias_motion_dps * series.moved
+    temp = temperature_c(series)
+    if temp is not None and figures.bias_slope_dps_per_c:
+        rate = rate - figures.bias_slope_dps_per_c * (
+            temp - (at_c if np.isfinite(at_c) else reference_temp_c(series))
+        )
+    heading = np.cumsum(DEG_TO_RAD * rate * series.dt_s) / (1.0 + figures.gyro_scale)
+    left, right = series.left_m / (1.0 + figures.left_scale), series.right_m / (1.0 + figures.right_scale)
+    way = 0.5 * (left + right)
+    t = series.t_s
+    if figures.delay_s > 0:
+        heading = np.interp(t + figures.delay_s, t, heading)
+    elif figures.delay_s < 0:
+        whole = np.interp(t - figures.delay_s, t, np.cumsum(way))
+        way = np.diff(whole, prepend=0.0)
+    return Reckoned(t, series.dt_s, heading, way, way * np.exp(1j * _middle(heading)))
+
+
+def cost_m(series: DriveSeries, figures: Figures, name: str, value: float) -> float:
+    """Metres that one figure costs if it is not taken out beside the others: rms over the log from a common start."""
+    one, other = (reckon(series, figures.but(name, v)).at_m for v in (value, 0.0))
+    return float(np.sqrt(np.mean(np.abs(one - other) ** 2)))
+
+
+def laid_on(at_m: Complexes, truth_m: Complexes) -> tuple[Complexes, float]:
+    """Positions turned and shifted onto the truth by least squares, and their rms distance from it, m."""
+    known = np.isfinite(truth_m)
+    a, b = at_m[known], truth_m[known]
+    inner = complex(np.vdot(a - a.mean(), b - b.mean()))
+    turn = inner / abs(inner) if abs(inner) > 0 else 1.0 + 0.0j
+    laid = turn * (at_m - a.mean()) + b.mean()
+    return np.asarray(laid), float(np.sqrt(np.mean(np.abs(laid[known] - b) ** 2)))

@@ -1,0 +1,291 @@
+"""Which laws a log holds: alignment in time, forward selection by gain, a wheel out of true, and what has no name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.ndimage import median_filter
+
+from gyrocal.diagnosis.drive.laws import (
+    Frame,
+    Law,
+    candidate_laws,
+    constant_laws,
+    frame_of,
+    strangers,
+    wheel_laws,
+)
+from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
+from gyrocal.diagnosis.drive.yaw import Gram, YawModel, gram_of, yaw_model
+from gyrocal.units import RAD_TO_DEG
+
+Floats = NDArray[np.float64]
+
+#: Twice the log likelihood that a law must gain to be named, and a search over many radii; a second law also this
+#: share of the first. Measured on fresh drives without any effect: README, "Diagnosis of drives".
+GAIN, WHEEL_GAIN, SECOND = 20.0, 38.0, 0.02
+#: Chance at which columns of no name are located where there is nothing.
+STRANGER_P = 1e-5
+#: Laws of the gyro's bias: one log cannot measure its 1/f noise, so they are judged by no less than what is usual.
+_BY_FLOOR = frozenset({"step", "slope"})
+#: Reach and grid of the search for a delay, s, and the windows of the encoders that are tried.
+_REACH_S, _GRID_S = 2.0, 0.05
+_WINDOWS_S = (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
+#: What part of the variance a delay or a window must remove before anything else is looked at.
+_CLEARLY = 0.8
+#: A delay beyond this part of a node is taken out, and the rest estimated again.
+_SHIFT = 0.2
+_ROUNDS = 3
+#: Radii of wheels, m, and how many peaks of each side's spectrum are looked at.
+_RADII_M, _PEAKS = (0.02, 0.6), 3
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class YawAnswer:
+    """Laws of the heading difference.
+
+    Attributes
+    ----------
+    model, laws : noise, and every law that was looked at
+    chosen : names of the laws in the final fit, the constant ones always
+    values, covariance : their coefficients, SI (rates of the gyro in deg/s)
+    named : law -> gain, of those that earn their name
+    strangers : coordinate -> (gain, degrees of freedom, p-value) of columns without a name
+    odd : coordinates located by them
+    ahead_s, window_s : delay and window of the encoders that were taken out before the fit
+    """
+
+    model: YawModel
+    laws: Mapping[str, Law]
+    chosen: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    named: Mapping[str, float]
+    strangers: Mapping[str, tuple[float, int, float]]
+    odd: tuple[str, ...]
+    ahead_s: float
+    window_s: float
+    gram: Gram
+
+    def estimate(self, name: str) -> tuple[float, float]:
+        """Value and standard deviation of a law's coefficient, SI; a delay with what was taken out before."""
+        at = self.chosen.index(name)
+        value = float(self.values[at]) + (self.ahead_s if name == "delay" else 0.0)
+        return value, float(np.sqrt(max(self.covariance[at, at], 0.0)))
+
+    def law_rad(self, name: str) -> Floats:
+        """What a law adds to the difference in each interval."""
+        return np.asarray(self.values[self.chosen.index(name)] * self.laws[name].column)
+
+    @property
+    def left_rad(self) -> Floats:
+        """Difference of each interval that no law explains."""
+        y = self.model.y.copy()
+        for name in self.chosen:
+            y -= self.law_rad(name)
+        return y
+
+
+def examine_yaw(series: DriveSeries) -> YawAnswer:
+    """Fit noise and laws to a log, delays first."""
+    ahead_s, window_s = align(series) if series.differential else (0.0, 0.0)
+    for _ in range(_ROUNDS):
+        answer = _examine(series, ahead_s, window_s)
+        if "delay" not in answer.chosen:
+            break
+        rest_s = answer.values[answer.chosen.index("delay")]
+        if abs(rest_s) < _SHIFT * max(NODE_S, window_s):
+            break
+        ahead_s += float(rest_s)
+    return answer
+
+
+def align(series: DriveSeries) -> tuple[float, float]:
+    """By how much the gyro is late, and over what time the encoders average, by the correlation of their rates.
+
+    Returns
+    -------
+    delay_s, window_s : float
+        Zero each where it removes no clear part of the variance. The delay counts to the middle of the window.
+    """
+    grid = np.arange(series.t_s[0] + _REACH_S, series.t_s[-1] - _REACH_S, _GRID_S)
+    encoder = np.diff(np.interp(grid, series.t_s, series.encoder_rad))
+    best = {}
+    for window_s in _WINDOWS_S:
+        heading = averaged(series.t_s, series.gyro_rad, 0.0, window_s)
+        lags = np.arange(-_REACH_S, _REACH_S + 1e-9, _GRID_S)
+        turned = [np.diff(np.interp(grid + lag, series.t_s, heading)) for lag in lags]
+        left = np.array([1.0 - np.corrcoef(encoder, gyro)[0, 1] ** 2 for gyro in turned])
+        at = int(np.argmin(left))
+        best[window_s] = (float(left[at]), float(lags[at]), float(left[lags.size // 2]))
+    plain = best[0.0][2]
+    window_s = min(best, key=lambda w: best[w][0])
+    if best[window_s][0] > _CLEARLY**2 * best[0.0][0]:
+        window_s = 0.0
+    found, delay_s, _ = best[window_s]
+    return (delay_s, window_s) if found < _CLEARLY * plain else (0.0, 0.0)
+
+
+def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
+    nodes = nodes_of(series, max(NODE_S, window_s))
+    frame = frame_of(series, nodes, ahead_s, window_s, _rough_bias_dps(series))
+    constant, laws = constant_laws(frame), candidate_laws(frame)
+    everything = constant | laws
+    model = yaw_model(frame, list(everything.values()))
+    blocks = strangers(frame)
+    columns = {name: x.column for name, x in everything.items()}
+    columns |= {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
+    known = known_std(series)
+    grams = tuple(gram_of(model, columns, known, flicker_floor=floor) for floor in (False, True))
+    chosen = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
+    late = _delay_gain(grams[0], chosen, ahead_s)
+    chosen = _selected(grams, chosen, list(laws), late)
+    wheels = _wheels(frame, model, everything, chosen, known)
+    if wheels:
+        everything |= wheels
+        columns |= {name: x.column for name, x in wheels.items()}
+        grams = tuple(gram_of(model, columns, known, flicker_floor=floor) for floor in (False, True))
+        first = [*(n for n in chosen if n in constant or (n == "delay" and ahead_s)), *wheels]
+        chosen = _selected(grams, first, list(laws), late)
+    odd = {}
+    for coordinate, block in blocks.items():
+        names = [f"{coordinate}:{k}" for k in range(block.shape[1])]
+        gain = grams[0].added(chosen, names)
+        odd[coordinate] = (gain, len(names), float(stats.chi2.sf(gain, len(names))))
+    located = tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P)
+    beside = [n for n in columns if n.split(":")[0] in located and ":" in n]
+    named = _named(grams, chosen, beside, ahead_s)
+    chosen = [n for n in chosen if n in constant or n == "delay" or n in named or _pair_of(n) in named]
+    values, covariance = grams[0].solve(chosen)
+    return YawAnswer(
+        model, everything, tuple(chosen), values, covariance, named, odd, located, ahead_s, window_s, grams[0]
+    )
+
+
+def known_std(series: DriveSeries) -> dict[str, float]:
+    """What the robot file grants of track and asymmetry, as standard deviations about zero."""
+    std = series.robot.initial_std
+    return {
+        "track": max(std["wheel_separation_m"] / series.robot.wheel_separation_m, 1e-6),
+        "asymmetry": max(float(np.hypot(std["left_scale"], std["right_scale"])), 1e-6),
+    }
+
+
+def _rough_bias_dps(series: DriveSeries) -> float:
+    if series.resting.any():
+        return float(np.mean(series.gyro_dps[series.resting]))
+    if not series.differential:
+        return 0.0
+    return float(RAD_TO_DEG * (series.gyro_rad[-1] - series.encoder_rad[-1]) / series.duration_s)
+
+
+def _group(name: str) -> str:
+    """Laws of one group stand for each other: only one of them is taken."""
+    return "slip" if name.startswith("slip_") else name
+
+
+def _pair_of(name: str) -> str:
+    """The law that stands and falls with this one."""
+    return "wheel_cos" if name == "wheel_sin" else name
+
+
+def _gain(grams: Sequence[Gram], chosen: Sequence[str], name: str) -> float:
+    gram = grams[1] if name in _BY_FLOOR else grams[0]
+    return gram.added([n for n in chosen if n != name], [name])
+
+
+def _delay_gain(gram: Gram, chosen: Sequence[str], ahead_s: float) -> float:
+    """What a delay gains that was taken out beforehand, with what is left of it."""
+    if "delay" not in chosen:
+        return 0.0
+    values, covariance = gram.solve(chosen)
+    at = list(chosen).index("delay")
+    return float((values[at] + ahead_s) ** 2 / covariance[at, at])
+
+
+def _selected(
+    grams: Sequence[Gram], first: Sequence[str], candidates: Sequence[str], largest: float
+) -> list[str]:
+    """Forward selection by gain, then whatever lost its gain beside the others is taken out again.
+
+    `largest` is the gain of what is in `first` already.
+    """
+    chosen = list(first)
+    for _ in range(_MOST):
+        groups = {_group(n) for n in chosen}
+        gains = {
+            n: _gain(grams, chosen, n) for n in candidates if n not in chosen and _group(n) not in groups
+        }
+        best = max(gains, key=lambda n: gains[n], default=None)
+        if best is None or gains[best] < max(GAIN, SECOND * largest):
+            break
+        chosen.append(best)
+        largest = max(largest, gains[best])
+    return [n for n in chosen if n in first or _gain(grams, chosen, n) >= max(GAIN, SECOND * largest)]
+
+
+def _named(
+    grams: Sequence[Gram], chosen: Sequence[str], beside: Sequence[str], ahead_s: float
+) -> dict[str, float]:
+    """Gain of each law that earns its name, the strongest first; `beside` are columns without one."""
+    everything = [*chosen, *beside]
+    gains = {n: _gain(grams, everything, n) for n in chosen if n not in ("bias", "delay", "wheel_sin")}
+    if "wheel_cos" in chosen:
+        gains["wheel_cos"] = grams[0].dropped(everything, ["wheel_cos", "wheel_sin"])
+    if "delay" in chosen:
+        gains["delay"] = _delay_gain(grams[0], everything, ahead_s)
+    largest = max(gains.values(), default=0.0)
+    named = {n: g for n, g in gains.items() if g >= max(GAIN, SECOND * largest)}
+    return dict(sorted(named.items(), key=lambda item: -item[1]))
+
+
+def _wheels(
+    frame: Frame, model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], known: Mapping[str, float]
+) -> dict[str, Law]:
+    """The wheel out of true that fits best, if it clears its limit; its law as cosine and sine."""
+    if not frame.series.differential:
+        return {}
+    columns = np.column_stack([*(laws[n].column for n in chosen), model.y])
+    weighed = model.given(columns).inverse()
+    gram = columns[:, :-1].T @ weighed
+    score = weighed[:, -1] - weighed[:, :-1] @ np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
+    cases = [(side, r) for side in (-1.0, 1.0) for r in _radii(frame, score, side)]
+    best: tuple[float, dict[str, Law]] = (WHEEL_GAIN, {})
+    for side, radius in cases:
+        for near in radius * (1.0 + np.array([-0.5, 0.0, 0.5]) * _resolution(frame, side, radius)):
+            pair = dict(zip(("wheel_cos", "wheel_sin"), wheel_laws(frame, side, float(near)), strict=True))
+            tried = {n: laws[n].column for n in chosen} | {n: x.column for n, x in pair.items()}
+            gain = gram_of(model, tried, known).added(chosen, list(pair))
+            if gain > best[0]:
+                best = (gain, pair)
+    return best[1]
+
+
+def _resolution(frame: Frame, side: float, radius_m: float) -> float:
+    """Relative change of the radius that shifts a wheel's angle by half a turn over the drive."""
+    wheel = frame.conditions.right_m if side > 0 else frame.conditions.left_m
+    return float(np.pi * radius_m / max(np.abs(np.sum(wheel)), np.sum(np.abs(wheel)) * 0.1, 1e-6))
+
+
+def _radii(frame: Frame, score: Floats, side: float) -> list[float]:
+    """Radii of the strongest lines of a score over one wheel's distance."""
+    wheel = frame.conditions.right_m if side > 0 else frame.conditions.left_m
+    travelled = np.cumsum(wheel)
+    middle = 0.5 * (travelled[frame.nodes.rows[1:]] + travelled[frame.nodes.rows[:-1]])
+    weight = score * frame.nodes.between(travelled)
+    step_m = 0.25 * 2.0 * np.pi * _RADII_M[0] / 2.0
+    place = np.floor((middle - middle.min()) / step_m).astype(np.int64)
+    even = np.bincount(place, weight)
+    power = np.abs(np.fft.rfft(even, 4 * even.size)) ** 2
+    per_m = np.fft.rfftfreq(4 * even.size, step_m)
+    used = (per_m > 1 / (2 * np.pi * _RADII_M[1])) & (per_m < 1 / (2 * np.pi * _RADII_M[0]))
+    # Against the neighbourhood: the noise of the score is not white over the frequencies.
+    power = power / np.maximum(median_filter(power, 401, mode="nearest"), 1e-300)
+    peak = used & (power >= np.roll(power, 1)) & (power >= np.roll(power, -1))
+    order = np.argsort(np.where(peak, power, 0.0))[::-1][:_PEAKS]
+    return [float(1 / (2 * np.pi * per_m[k])) for k in order if peak[k]]

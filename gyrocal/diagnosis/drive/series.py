@@ -1,0 +1,275 @@
+"""A drive log as the diagnosis looks at it: clean channels row by row, rests, ticks, and the nodes of the comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot
+from gyrocal.units import DEG_TO_RAD
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+#: Spacing of the comparison in motion and at rest, s: closer brings nothing, wider loses delays and small wheels.
+NODE_S, REST_NODE_S = 0.1, 1.0
+#: A row rests where no wheel moves from so long before to so long after, s: between two ticks a robot may still turn.
+STILL_S = 0.6
+#: What counts as motion of a wheel without ticks, m/s.
+STILL_MPS = 1e-3
+#: A step of time above so many usual ones is a gap.
+GAP_STEPS = 5.0
+#: Rates for the laws are means over this time, s: a law must not carry the noise of what it explains.
+SMOOTH_S = 0.15
+_LEAST_S, _LEAST_M = 60.0, 1.0
+#: A gyro's sample this far from the median of its neighbours, in robust standard deviations and in deg/s, is a spike.
+_SPIKE_STDS, _SPIKE_DPS = 12.0, 2.0
+#: Multiples of a tick from which its size is told, and how far off they may lie.
+_MULTIPLES, _OFF = (3, 10, 40, 200, 1000), 0.1
+#: Steps below this are the file's rounding, m.
+_LEAST_TICK_M = 1e-5
+
+
+@dataclass(frozen=True)
+class DriveSeries:
+    """A drive log row by row, arrays of shape (n,).
+
+    Attributes
+    ----------
+    t_s, dt_s : time of the row, and since the row before (0 in the first)
+    left_m, right_m : distance of each side since the row before
+    gyro_dps : mean rate since the row before, calibrated, spikes bridged
+    temp_c, truth_x_m, truth_y_m, truth_heading_deg : NaN where there is none
+    resting, gap : whether the robot stands for sure, and whether a gap in time ends here
+    quiet, moved : whether no wheel moves about this row, and whether one has moved by now
+    tick_m : size of a tick of the left and right wheel; 0 where it has none
+    differential : whether the wheels differ at all, or one speed stands in both columns
+    """
+
+    source: str
+    t_s: Floats
+    dt_s: Floats
+    left_m: Floats
+    right_m: Floats
+    gyro_dps: Floats
+    temp_c: Floats
+    truth_x_m: Floats
+    truth_y_m: Floats
+    truth_heading_deg: Floats
+    resting: Bools
+    quiet: Bools
+    moved: Bools
+    gap: Bools
+    tick_m: tuple[float, float]
+    differential: bool
+    robot: Robot = field(repr=False)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """From the first row to the last."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    @property
+    def step_m(self) -> Floats:
+        """Distance of the robot's centre in each row (paper eq. 6)."""
+        return 0.5 * (self.left_m + self.right_m)
+
+    @property
+    def encoder_rad(self) -> Floats:
+        """Heading by the encoders at the end of each row, by the robot file's wheel separation."""
+        return np.asarray(np.cumsum(self.right_m - self.left_m) / self.robot.wheel_separation_m)
+
+    @property
+    def gyro_rad(self) -> Floats:
+        """Heading by the gyro at the end of each row; its rows are means over the time before."""
+        return np.asarray(np.cumsum(DEG_TO_RAD * self.gyro_dps * self.dt_s))
+
+    @property
+    def first_rest_s(self) -> float:
+        """How long the log stands at its start."""
+        moving = np.flatnonzero(~self.resting)
+        return float(self.t_s[moving[0]] - self.t_s[0]) if moving.size else self.duration_s
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether there are true positions."""
+        return bool(np.any(np.isfinite(self.truth_x_m) & np.isfinite(self.truth_y_m)))
+
+
+def drive_series(
+    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None
+) -> DriveSeries:
+    """Prepare a log; the gyro is calibrated first where coefficients are given.
+
+    Raises
+    ------
+    DataError
+        Too short or without motion, or coefficients without a temperature in the log.
+    """
+    t_s = log.t_s
+    if t_s.size < 100 or t_s[-1] - t_s[0] < _LEAST_S:
+        long = float(t_s[-1] - t_s[0]) if t_s.size else 0.0
+        raise DataError(
+            f"{source}: {long:.0f} s are too short to compare encoders and gyro; log at least {_LEAST_S:g} s."
+        )
+    dt_s = np.diff(t_s, prepend=t_s[0])
+    gap = dt_s > GAP_STEPS * float(np.median(dt_s[1:]))
+    notes = [f"{gap.sum()} gaps of more than {GAP_STEPS:g} usual steps are left out"] if gap.any() else []
+    gyro, said = _gyro(source, log, coefficients)
+    for name, values in {"left": log.left_m, "right": log.right_m}.items():
+        empty = int(np.count_nonzero(~np.isfinite(values)))
+        if empty:
+            notes.append(f"{empty} rows without {name} count as no motion of that wheel")
+    left, right = np.nan_to_num(log.left_m), np.nan_to_num(log.right_m)
+    if max(np.abs(left).sum(), np.abs(right).sum()) < _LEAST_M:
+        raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
+    ticks = (tick_size(left), tick_size(right))
+    moving = _moving(dt_s, (left, right), ticks)
+    apart = float(np.sum(np.abs(right - left)))
+    return DriveSeries(
+        source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, log.truth_x_m, log.truth_y_m, log.truth_heading_deg,
+        _still(t_s, moving, STILL_S), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not log.speed_only and apart > 1e-4 * float(np.sum(np.abs(right))), robot,
+        (*log.notes, *notes, *said),
+    )  # fmt: skip
+
+
+def _gyro(source: str, log: DriveBlock, coefficients: Coefficients | None) -> tuple[Floats, list[str]]:
+    """The gyro, calibrated where there are coefficients, empty rows and spikes bridged by their neighbours."""
+    gyro_dps, notes = log.gyro_dps, []
+    if coefficients is not None:
+        if not np.any(np.isfinite(log.gyro_temp_c)):
+            raise DataError(
+                f"{source}: has no gyro_temp_c, so coefficients cannot be applied. Leave --coefficients out."
+            )
+        gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
+        notes.append("the gyro was calibrated with the coefficients given")
+    gyro_dps, bridged = _bridged(log.t_s, gyro_dps)
+    notes += bridged
+    off = gyro_dps - median_filter(gyro_dps, 5, mode="nearest")
+    limit = max(_SPIKE_STDS * 1.4826 * float(np.median(np.abs(off))), _SPIKE_DPS)
+    spikes = np.abs(off) > limit
+    if spikes.any():
+        notes.append(
+            f"{spikes.sum()} spikes of the gyro, up to {np.abs(off).max():.3g} deg/s, are bridged in the comparison"
+        )
+        gyro_dps = np.where(spikes, gyro_dps - off, gyro_dps)
+    return gyro_dps, notes
+
+
+def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[str]]:
+    """The gyro with empty rows interpolated: a turn goes on where a sample is lost."""
+    known = np.isfinite(gyro_dps)
+    if known.all():
+        return gyro_dps, []
+    if not known.any():
+        return np.zeros_like(gyro_dps), ["no row has a gyro"]
+    note = f"{np.count_nonzero(~known)} rows without gyro are bridged by their neighbours"
+    return np.interp(t_s, t_s[known], gyro_dps[known]), [note]
+
+
+def tick_size(step_m: Floats) -> float:
+    """Distance of a tick of one wheel: all its steps are whole multiples of it; 0 where they are not.
+
+    Small steps tell it, by least squares: the file's rounding hides it in single ones.
+    """
+    moved = np.abs(step_m[np.abs(step_m) > 1e-9])
+    if moved.size < 50:
+        return 0.0
+    values, counts = np.unique(np.round(moved, 7), return_counts=True)
+    common = values[counts >= max(2, 1e-4 * moved.size)]
+    if common.size < 2:
+        return 0.0
+    # A slow wheel shows single ticks, a fast one only that its steps are a tick apart.
+    first = [float(common[0]) / part for part in (1, 2, 3)] + [float(np.min(np.diff(common)))]
+    for tick in first:
+        for reach in _MULTIPLES:
+            near = moved[moved < (reach + 0.5) * tick]
+            times = np.round(near / tick)
+            if times.any():
+                tick = float(times @ near / (times @ times))
+        near = moved[moved < (_MULTIPLES[-1] + 0.5) * tick]
+        off = np.abs(near / tick - np.round(near / tick))
+        if tick > _LEAST_TICK_M and near.size > 0.05 * moved.size and np.quantile(off, 0.98) < _OFF:
+            return tick
+    return 0.0
+
+
+def _moving(dt_s: Floats, wheels: tuple[Floats, Floats], ticks: tuple[float, float]) -> Bools:
+    """Rows in which a wheel moves."""
+    moving = np.zeros(dt_s.size, dtype=bool)
+    for step, tick in zip(wheels, ticks, strict=True):
+        moving |= np.abs(step) > (0.5 * tick if tick else STILL_MPS * np.maximum(dt_s, 1e-3))
+    return moving
+
+
+def _still(t_s: Floats, moving: Bools, margin_s: float) -> Bools:
+    """Rows without motion from a margin before to a margin after."""
+    count = np.concatenate([[0], np.cumsum(moving)])
+    begin = np.searchsorted(t_s, t_s - margin_s, side="left")
+    end = np.searchsorted(t_s, t_s + margin_s, side="right")
+    return np.asarray(count[end] == count[begin])
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Rows between which encoders and gyro are compared; arrays of shape (m,), one entry an interval.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (m + 1,)
+        Row of each node; interval k lies between nodes k and k + 1.
+    resting : whether the robot stands in the whole interval
+    broken : whether a gap lies in the interval
+    """
+
+    rows: Ints
+    t_s: Floats
+    dt_s: Floats
+    resting: Bools
+    broken: Bools
+
+    def between(self, cumulated: Floats) -> Floats:
+        """Change of a cumulated channel, one value a row, over each interval."""
+        return np.asarray(np.diff(cumulated[self.rows], axis=0))
+
+
+def nodes_of(series: DriveSeries, spacing_s: float = NODE_S) -> Nodes:
+    """Nodes at most every `spacing_s` in motion and `REST_NODE_S` at rest, always on a row."""
+    since = series.t_s - series.t_s[0]
+    step_s = np.where(series.resting, max(REST_NODE_S, spacing_s), spacing_s)
+    # Half a nanosecond keeps a row that lies on a border of the grid on one side of it.
+    key = 2 * np.floor(since / step_s + 1e-9).astype(np.int64) + series.resting
+    ends = np.flatnonzero(np.diff(key, append=-1) != 0)
+    rows = np.unique(np.concatenate([[0], ends]))
+    gaps = np.concatenate([[0], np.cumsum(series.gap)])
+    return Nodes(
+        rows,
+        series.t_s[rows[1:]],
+        np.diff(series.t_s[rows]),
+        series.resting[rows[1:]] & series.resting[np.minimum(rows[:-1] + 1, series.t_s.size - 1)],
+        (gaps[rows[1:] + 1] - gaps[rows[:-1] + 1]) > 0,
+    )
+
+
+def averaged(t_s: Floats, cumulated: Floats, ahead_s: float, window_s: float) -> Floats:
+    """A cumulated channel at ``t_s + ahead_s``, averaged over a window about that time; shape (n,)."""
+    at = t_s + ahead_s
+    if window_s <= 0.0:
+        return np.asarray(np.interp(at, t_s, cumulated))
+    # The integral of a channel that is linear between its rows, on a grid fine enough to be so itself.
+    fine_s = min(window_s / 8.0, float(np.median(np.diff(t_s))))
+    grid = np.arange(t_s[0] - window_s, t_s[-1] + window_s + fine_s, fine_s)
+    values = np.interp(grid, t_s, cumulated)
+    whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * fine_s)])
+    half = 0.5 * window_s
+    ends = np.clip(np.stack([at - half, at + half]), grid[0], grid[-1])
+    upper, lower = np.interp(ends[1], grid, whole), np.interp(ends[0], grid, whole)
+    return np.asarray((upper - lower) / window_s)

@@ -1,0 +1,478 @@
+"""A drive against true positions and headings: scales of gyro and wheels, bias, lever arm, by generalised least squares.
+
+The error of a reckoned path is no noise of single positions: an error of the heading moves all that follows. The path
+is linearised, and its covariance is what the gyro's noise (white, 1/f, walk) and the wheels' slip make of it, beside a
+truth whose own noise is white and wandering; what the heading difference knows of the bias comes in as one more row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize, stats
+
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, laid_on, reckon
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.yaw import YawNoise
+from gyrocal.physics.drive import FLICKER_TAUS_S
+from gyrocal.units import DEG_TO_RAD
+
+Ints = NDArray[np.int64]
+
+#: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
+BELIEVED = 3.8
+#: From here on the path as a whole is not asked: its distance from the truth hangs on its own noise too.
+_BEYOND_DOUBT = 8.0
+#: What time stamps and straight steps between rows are worth: no scale is known better, relative.
+_MODEL_STD = 1e-4
+#: Chance at which structure is located where there is nothing.
+STRANGER_P = 1e-5
+_MOST_KNOTS, _LEAST_KNOTS = 150, 12
+_CELLS = 300
+#: Memory of what wanders in the truth, s.
+_WANDER_S = 60.0
+#: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), bias where nothing tells (deg/s).
+_SCALE, _CLOCK_S, _LEVER_M = 0.2, 0.3, 1.0
+#: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
+_HORIZONS = (0.06, 0.12, 0.25, 0.5, 1.0)
+#: Levels' logarithms beforehand: the truth's are free, those of dead reckoning are known from the heading difference.
+_FREE, _WAY_FREE = 4.0, 1.0
+_ODD_M = 0.03
+_MIRRORED_BY, _MIRRORED_BETTER = 60.0, 3.0
+INTERESTS = ("gyro_bias", "gyro_scale", "wheel_scale")
+
+
+@dataclass(frozen=True)
+class TruthAnswer:
+    """What the truth says.
+
+    Attributes
+    ----------
+    values, stds : mapping
+        ``gyro_bias`` (deg/s, beyond what was taken out), ``gyro_scale``, ``wheel_scale`` (relative), ``lever_ahead``,
+        ``lever_left`` (m), ``clock`` (s, the truth is late), ``mounting`` (rad, where there are headings).
+    covariance : ndarray, shape (3, 3)
+        Of `INTERESTS`.
+    before_m, after_m : float
+        Rms distance of the reckoned path from the truth, with the frame laid on it: as it came, and with these out.
+    white_m, wander_m : float
+        Noise of the truth.
+    odd : mapping
+        Coordinate -> p-value of structure that nothing here explains.
+    nearer : tuple of str
+        Scales that bring the whole path nearer to the truth when they alone are taken out.
+    mirrored : bool
+        The truth follows the path in a mirror only.
+    """
+
+    values: Mapping[str, float]
+    stds: Mapping[str, float]
+    covariance: Floats
+    before_m: float
+    after_m: float
+    white_m: float
+    wander_m: float
+    odd: Mapping[str, float]
+    headings: bool
+    nearer: tuple[str, ...] = ()
+    mirrored: bool = False
+
+    def believed(self, name: str) -> bool:
+        """Whether a scale is sure: far from zero for the noise, and, where not by far, no worse for the path as a whole."""
+        away = abs(self.values[name]) / self.stds[name]
+        return not self.mirrored and away > (BELIEVED if name in self.nearer else _BEYOND_DOUBT)
+
+
+@dataclass(frozen=True)
+class _Knots:
+    """Truth averaged over equal times, shape (k,); `seen` are the positions of its `rows`."""
+
+    rows: Ints
+    seen: Complexes
+    at: Ints
+    count: Floats
+    t_s: Floats
+    position: Complexes
+    heading: Floats | None
+
+    def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
+        """Mean of a row-wise channel over each knot."""
+        seen = rows[self.rows]
+        if np.iscomplexobj(seen):
+            return np.asarray(self.mean(rows.real) + 1j * self.mean(rows.imag))
+        return np.asarray(np.bincount(self.at, seen) / self.count)
+
+
+def _knots(series: DriveSeries, reckoned: Reckoned) -> _Knots | None:
+    position = series.truth_x_m + 1j * series.truth_y_m
+    rows = np.flatnonzero(np.isfinite(position))
+    if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < 0.2 * series.duration_s:
+        return None
+    t = series.t_s[rows]
+    width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
+    at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
+    count = np.bincount(at).astype(np.float64)
+    knots = _Knots(rows, position[rows], at, count, series.t_s, position, None)
+    heading = None
+    if np.all(np.isfinite(series.truth_heading_deg[rows])):
+        # As a difference to the gyro's heading, so that nothing wraps within a knot.
+        apart = DEG_TO_RAD * series.truth_heading_deg - reckoned.heading_rad
+        apart[rows] = np.unwrap(apart[rows])
+        heading = knots.mean(apart)
+    return replace(knots, t_s=knots.mean(series.t_s), position=knots.mean(position), heading=heading)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Where the linearisation stands: parameters, direction of the frame, and whether headings are used."""
+
+    values: Mapping[str, float]
+    turn: float
+
+
+def _reckoned(base: Reckoned, state: _State) -> Reckoned:
+    v = state.values
+    since = base.t_s - base.t_s[0]
+    heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * v["gyro_bias"] * since + state.turn
+    middle = 0.5 * (heading + np.concatenate([heading[:1], heading[:-1]]))
+    way = base.way_m / (1.0 + v["wheel_scale"])
+    return Reckoned(base.t_s, base.dt_s, heading, way, way * np.exp(1j * middle))
+
+
+def _stack(knots: _Knots, positions: Complexes, headings: Floats) -> Floats:
+    parts = [positions.real, positions.imag]
+    return np.concatenate([*parts, headings] if knots.heading is not None else parts)
+
+
+def _columns(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
+    """What each parameter does to positions and headings, ``name -> (rows,)``."""
+    at, heading = path.at_m, path.heading_rad
+    flat, k = np.zeros(knots.count.size), knots.count.size
+    ahead = np.exp(1j * heading)
+    speed = np.divide(path.steps_m, path.dt_s, out=np.zeros_like(path.steps_m), where=path.dt_s > 0)
+    rate = np.gradient(heading) / np.maximum(np.gradient(path.t_s), 1e-9)
+    one = np.ones(k, dtype=np.complex128)
+
+    def by(heading_rad: Floats, way_m: Floats) -> Floats:
+        return _stack(knots, knots.mean(path.moved_by(heading_rad, way_m)), knots.mean(heading_rad))
+
+    nothing = np.zeros(at.size)
+    columns = {
+        "east": _stack(knots, one, flat),
+        "north": _stack(knots, 1j * one, flat),
+        "turn": by(np.ones(at.size), nothing),
+        "clock": _stack(knots, -knots.mean(speed), -knots.mean(rate)),
+        "lever_ahead": _stack(knots, knots.mean(ahead), flat),
+        "lever_left": _stack(knots, knots.mean(1j * ahead), flat),
+        "gyro_bias": by(-DEG_TO_RAD * (path.t_s - path.t_s[0]), nothing),
+        "gyro_scale": by(-(heading - heading[0]), nothing),
+        "wheel_scale": by(nothing, -path.way_m),
+    }
+    if knots.heading is not None:
+        columns["mounting"] = _stack(knots, np.zeros(k, dtype=np.complex128), np.ones(k))
+    return columns
+
+
+def _strangers(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
+    """Columns of no name; coordinate -> (rows, m)."""
+    turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
+    share = (path.t_s - path.t_s[0]) / float(np.ptp(path.t_s)) - 0.5
+    speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    rate = np.divide(np.abs(turned), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    nothing = np.zeros(share.size)
+    errors = {
+        "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
+        "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
+        "time": [(turned * share, nothing), (nothing, path.way_m * share)],
+        "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
+    }
+    return {
+        name: np.stack(
+            [
+                _stack(knots, knots.mean(path.moved_by(np.cumsum(turn), way)), knots.mean(np.cumsum(turn)))
+                for turn, way in parts
+            ],
+            axis=1,
+        )
+        for name, parts in errors.items()
+    }
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Parts of the covariance of positions and headings."""
+
+    gyro: Floats
+    way: Floats
+    white: Floats
+    wander: Floats
+    heading: Floats | None
+
+    def whole(self, logs: Floats) -> Floats:
+        """Covariance at logarithms of the levels (way, white, wander, heading)."""
+        found = (
+            self.gyro
+            + np.exp(logs[0]) * self.way
+            + np.exp(logs[1]) * self.white
+            + np.exp(logs[2]) * self.wander
+        )
+        return np.asarray(found if self.heading is None else found + np.exp(logs[3]) * self.heading)
+
+    def cut(self, keep: NDArray[np.bool_]) -> _Noise:
+        """For some of the rows."""
+        at = np.ix_(keep, keep)
+        heading = None if self.heading is None else self.heading[at]
+        return _Noise(self.gyro[at], self.way[at], self.white[at], self.wander[at], heading)
+
+
+def _noise(knots: _Knots, path: Reckoned, noise: YawNoise) -> _Noise:
+    begin, end = path.t_s[0], path.t_s[-1]
+    edges = np.linspace(begin, end, min(_CELLS, 2 * knots.count.size) + 1)
+    width = float(edges[1] - edges[0])
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    at_row = path.at_m
+    at_cell = np.interp(middle, path.t_s, at_row.real) + 1j * np.interp(middle, path.t_s, at_row.imag)
+    at_knot = knots.mean(at_row)
+    after = np.clip((knots.t_s[:, None] - edges[None, :-1]) / width, 0.0, 1.0)
+    # The part of a turn within a cell acts from that turn on.
+    turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
+    turn = _blocks(knots, turned, after)
+    lag = np.abs(middle[:, None] - middle[None, :])
+    since = middle - begin
+    rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
+    rate = rate + (DEG_TO_RAD * noise.walk_dps_per_rt_s) ** 2 * np.minimum(since[:, None], since[None, :])
+    kernel = rate * width**2 + np.eye(middle.size) * (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * width
+    way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
+    ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
+    along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
+    k = knots.count.size
+    one = 1.0 / knots.count
+    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / _WANDER_S)
+    zero = np.zeros((k, k))
+    parts = 3 if knots.heading is not None else 2
+    return _Noise(
+        turn @ kernel @ turn.T + 1e-12 * np.eye(parts * k),
+        noise.slip_m_per_rt_m**2 * (along @ along.T),
+        linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2)),
+        linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2)),
+        linalg.block_diag(zero, zero, np.diag(one) + 0.1 * fade) if parts == 3 else None,
+    )
+
+
+def _blocks(knots: _Knots, positions: Complexes, headings: Floats) -> Floats:
+    parts = [positions.real, positions.imag]
+    return np.vstack([*parts, headings] if knots.heading is not None else parts)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Rows of one linearisation: residual, columns, what is known of each coefficient, noise."""
+
+    residual: Floats
+    columns: Mapping[str, Floats]
+    known: Mapping[str, tuple[float, float]]
+    noise: _Noise
+
+    def cut(self, keep: NDArray[np.bool_]) -> _Problem:
+        """For some of the rows."""
+        return _Problem(
+            self.residual[keep],
+            {n: c[keep] for n, c in self.columns.items()},
+            self.known,
+            self.noise.cut(keep),
+        )
+
+    def solve(self, logs: Floats) -> tuple[Floats, Floats, float]:
+        """Coefficients, covariance, and -2 log restricted likelihood (infinite where V is none)."""
+        x = np.column_stack([*self.columns.values()])
+        size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
+        try:
+            lower = np.linalg.cholesky(self.noise.whole(logs))
+        except np.linalg.LinAlgError:
+            return np.zeros(x.shape[1]), np.eye(x.shape[1]), np.inf
+        white = linalg.solve_triangular(lower, np.column_stack([x / size, self.residual]), lower=True)
+        matrix, right = white[:, :-1].T @ white[:, :-1], white[:, :-1].T @ white[:, -1]
+        total = float(white[:, -1] @ white[:, -1])
+        matrix[np.diag_indices_from(matrix)] += 1e-12
+        for k, name in enumerate(self.columns):
+            if name in self.known:
+                mean, std = self.known[name]
+                weight = 1.0 / (std * size[k]) ** 2
+                matrix[k, k] += weight
+                right[k] += weight * mean * size[k]
+                total += (mean / std) ** 2
+        covariance = np.linalg.inv(matrix)
+        values = covariance @ right
+        loss = 2.0 * float(np.sum(np.log(np.diag(lower)))) + float(np.linalg.slogdet(matrix)[1])
+        loss += total - float(right @ values)
+        return values / size, covariance / np.outer(size, size), loss
+
+
+def _problem(knots: _Knots, base: Reckoned, state: _State, bias_std_dps: float, noise: YawNoise) -> _Problem:
+    path = _reckoned(base, state)
+    apart = knots.position - knots.mean(path.at_m)
+    headings = np.zeros(knots.count.size)
+    if knots.heading is not None:
+        headings = knots.heading - knots.mean(path.heading_rad - base.heading_rad)
+        headings = headings - 2 * np.pi * np.round(np.median(headings) / (2 * np.pi))
+    v = state.values
+    known = {
+        "gyro_bias": (-v["gyro_bias"], bias_std_dps),
+        "gyro_scale": (-v["gyro_scale"], _SCALE),
+        "wheel_scale": (-v["wheel_scale"], _SCALE),
+        "clock": (0.0, _CLOCK_S),
+        "lever_ahead": (0.0, _LEVER_M),
+        "lever_left": (0.0, _LEVER_M),
+    }
+    return _Problem(_stack(knots, apart, headings), _columns(knots, path), known, _noise(knots, path, noise))
+
+
+def _levels(problem: _Problem, first: Floats) -> Floats:
+    spread = np.array([_WAY_FREE, *[_FREE] * (first.size - 1)])
+
+    def loss(logs: Floats) -> float:
+        found = problem.solve(logs)[2]
+        return min(found, 1e12) + float(np.sum(((logs - first) / spread) ** 2))
+
+    found = optimize.minimize(
+        loss, first, method="L-BFGS-B", options={"maxiter": 12, "eps": 1e-2, "ftol": 1e-5},
+        bounds=[(m - 3 * s, m + 3 * s) for m, s in zip(first, spread, strict=True)],
+    )  # fmt: skip
+    return np.asarray(found.x)
+
+
+def _first_levels(knots: _Knots) -> Floats:
+    """Levels from neighbouring knots: a path is smooth, noise is not."""
+    if knots.count.size > 4:
+        second = knots.position[2:] - 2 * knots.position[1:-1] + knots.position[:-2]
+        white = float(np.median(np.abs(second) ** 2) / 1.386 / 6.0 * np.median(knots.count))
+    else:
+        white = 1e-4
+    white = float(np.clip(white, 1e-8, 1.0))
+    logs = [0.0, np.log(white), np.log(0.1 * white)]
+    return np.array([*logs, np.log(DEG_TO_RAD**2)] if knots.heading is not None else logs)
+
+
+def _laid(
+    knots: _Knots, base: Reckoned, bias_std_dps: float, noise: YawNoise
+) -> tuple[_State, _Problem, Floats, float]:
+    """Gauss and Newton over growing parts of the drive, then levels and path in turn."""
+    logs = _first_levels(knots)
+    state = _State(dict.fromkeys(INTERESTS, 0.0), 0.0)
+    reach = knots.t_s - knots.t_s[0]
+    at = knots.mean(base.at_m)
+    loss = np.inf
+    for horizon in _HORIZONS:
+        near = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
+        if horizon == _HORIZONS[0]:
+            a, b = at[near] - at[near].mean(), knots.position[near] - knots.position[near].mean()
+            state = replace(state, turn=float(np.angle(np.vdot(a, b))))
+        keep = np.tile(near, 3 if knots.heading is not None else 2)
+        last = horizon == _HORIZONS[-1]
+        for round_ in range(4 if last else 2):
+            problem = _problem(knots, base, state, bias_std_dps, noise)
+            part = problem if last else problem.cut(keep)
+            if last and round_ in (0, 2):
+                logs = _levels(part, logs if round_ else _first_levels(knots))
+            values, _, loss = part.solve(logs)
+            step = dict(zip(part.columns, values, strict=True))
+            moved = {n: float(np.clip(state.values[n] + step[n], -0.5, 0.5)) for n in INTERESTS}
+            state = _State(moved, state.turn + step["turn"])
+    return state, _problem(knots, base, state, bias_std_dps, noise), logs, loss
+
+
+def ask_truth(
+    series: DriveSeries, figures: Figures, bias_std_dps: float, noise: YawNoise
+) -> TruthAnswer | None:
+    """Lay the path on the truth; None where there is none, or too little of it.
+
+    Parameters
+    ----------
+    figures : Figures
+        What the heading difference has found, taken out first.
+    bias_std_dps : float
+        How well that knows the bias.
+    """
+    base = reckon(series, figures)
+    knots = _knots(series, base)
+    if knots is None or np.std(knots.position) < 0.01 * np.std(base.at_m):
+        return None
+    state, problem, logs, _ = _laid(knots, base, bias_std_dps, noise)
+    mirrored = False
+    miss = _miss(knots, problem, logs)
+    if miss > _ODD_M * float(np.std(knots.position)):
+        other = replace(knots, seen=np.conj(knots.seen), position=np.conj(knots.position), heading=None)
+        turned = _laid(other, base, bias_std_dps, noise)
+        plain = _laid(replace(knots, heading=None), base, bias_std_dps, noise)
+        missed = _miss(other, turned[1], turned[2])
+        mirrored = plain[3] - turned[3] > _MIRRORED_BY and miss > _MIRRORED_BETTER * missed
+    return replace(_answer(knots, base, state, problem, logs), mirrored=mirrored)
+
+
+def _miss(knots: _Knots, problem: _Problem, logs: Floats) -> float:
+    """Rms distance that is left between path and truth, m."""
+    values, _, _ = problem.solve(logs)
+    left = problem.residual - np.column_stack([*problem.columns.values()]) @ values
+    k = knots.count.size
+    return float(np.sqrt(np.mean(left[:k] ** 2 + left[k : 2 * k] ** 2)))
+
+
+def _answer(knots: _Knots, base: Reckoned, state: _State, problem: _Problem, logs: Floats) -> TruthAnswer:
+    odd: dict[str, float] = {}
+    beside: dict[str, Floats] = {}
+    for coordinate, block in _strangers(knots, _reckoned(base, state)).items():
+        more = {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
+        odd[coordinate] = float(stats.chi2.sf(_gain(problem, more, logs), len(more)))
+        beside |= more if odd[coordinate] < STRANGER_P else {}
+    # A scale must hold beside whatever else is in the path.
+    problem = replace(problem, columns={**problem.columns, **beside})
+    values, covariance, _ = problem.solve(logs)
+    names = list(problem.columns)
+    for name in ("gyro_scale", "wheel_scale"):
+        covariance[names.index(name), names.index(name)] += _MODEL_STD**2
+    found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
+    stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
+    at = [names.index(n) for n in INTERESTS]
+    # A wrong bias would let any scale look like a gain: it is taken out of both paths.
+    steady = {**dict.fromkeys(INTERESTS, 0.0), "gyro_bias": found["gyro_bias"]}
+    apart = {n: _apart(knots, _reckoned(base, _State({**steady, n: found[n]}, 0.0))) for n in INTERESTS}
+    seen = ("lever_ahead", "lever_left", "clock", "mounting")
+    return TruthAnswer(
+        {n: found[n] for n in (*INTERESTS, *seen) if n in found},
+        {n: stds[n] for n in (*INTERESTS, *seen) if n in stds},
+        covariance[np.ix_(at, at)],
+        _apart(knots, base),
+        _miss(knots, problem, logs),
+        float(np.exp(0.5 * logs[1])),
+        float(np.exp(0.5 * logs[2])),
+        odd,
+        knots.heading is not None,
+        tuple(n for n in INTERESTS[1:] if apart[n] < apart["gyro_bias"]),
+    )
+
+
+def _apart(knots: _Knots, path: Reckoned) -> float:
+    """Rms distance of a path from all positions of the truth, turned and shifted onto them, m."""
+    return laid_on(path.at_m[knots.rows], knots.seen)[1]
+
+
+def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:
+    """Twice the log likelihood that columns add."""
+    lower = np.linalg.cholesky(problem.noise.whole(logs))
+    wider = replace(problem, columns={**problem.columns, **more})
+
+    def left(p: _Problem) -> float:
+        values = p.solve(logs)[0]
+        rest = linalg.solve_triangular(
+            lower, p.residual - np.column_stack([*p.columns.values()]) @ values, lower=True
+        )
+        total = float(rest @ rest)
+        for name, value in zip(p.columns, values, strict=True):
+            if name in p.known:
+                total += float(((value - p.known[name][0]) / p.known[name][1]) ** 2)
+        return total
+
+    return left(problem) - left(wider)

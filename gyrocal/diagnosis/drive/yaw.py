@@ -1,0 +1,314 @@
+"""The heading by the encoders against that by the gyro: noise levels, laws and their gains, in one state space.
+
+An interval's difference of turns is, with the states of `_field`,
+
+    y_k = e_k - e_(k-1) - (g_1 + g_2 + g_3 + r) dt + o dphi + laws + w_k
+
+e is the error of ticks and clock, which does not accumulate; g are three Gauss-Markov biases of equal strength (1/f
+noise), r a random walk of the bias, o the wandering of the effective track; w is what accumulates: angle random walk,
+wheel slip, slip in turns. At rest nothing but the gyro speaks, so rests are rows like all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.drive.laws import Frame, Law, difference
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
+from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS
+
+Floats = NDArray[np.float64]
+
+#: 1/f noise that is usual for an angle random walk of one deg/sqrt(h), deg/h: one log cannot measure it.
+_FLICKER_DPH_PER_ARW = 25.0
+#: Walk of the bias, in standard deviations of the 1/f noise over its longest memory.
+_WALK_PER_FLICKER = 0.3
+#: Standard deviations of the levels' logarithms beforehand.
+_SPREAD = {"slip": 1.5, "turn": 1.5, "tick": 1.5, "flicker": 0.7, "wander": 1.5, "jitter": 1.5}
+_USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
+#: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
+_LEAST_TICK_M, _STILL = 1e-6, 1e-5
+#: An interval that says nothing: a gap, a spinning wheel, rad^2.
+_LEFT_OUT = 1.0
+#: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
+_FAR, _NEIGHBOURS = 5.0, 2
+#: The bias of a single log is judged by 1/f noise of at least so many times what is usual.
+FLICKER_FLOOR = 1.4
+
+
+@dataclass(frozen=True)
+class YawNoise:
+    """Noise levels of encoders and gyro.
+
+    Attributes
+    ----------
+    arw_dps_per_rt_hz : angle random walk
+    slip_m_per_rt_m : of each wheel
+    turn : slip in turns, rad per sqrt(rad)
+    tick_m : standard deviation of the difference of the two distances that does not accumulate
+    flicker_dps : of each of the three Gauss-Markov biases; the walk follows it
+    wander : of the effective track, relative
+    jitter_s : of the clock between encoders and gyro
+    """
+
+    arw_dps_per_rt_hz: float
+    slip_m_per_rt_m: float
+    turn: float
+    tick_m: float
+    flicker_dps: float
+    wander: float
+    jitter_s: float
+
+    @property
+    def walk_dps_per_rt_s(self) -> float:
+        """Random walk of the bias."""
+        return _WALK_PER_FLICKER * self.flicker_dps / float(np.sqrt(FLICKER_TAUS_S[-1]))
+
+
+def usual_flicker_dps(arw_dps_per_rt_hz: float) -> float:
+    """1/f noise that goes with an angle random walk, of each Gauss-Markov bias."""
+    return _FLICKER_DPH_PER_ARW * DPH_TO_DPS * arw_dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+
+
+def usual_noise(series: DriveSeries) -> YawNoise:
+    """Noise to begin with: the gyro's white noise from its rows at rest, the rest from robot file and ticks."""
+    given = series.robot.noise
+    arw = _white_at_rest(series)
+    if arw is None:
+        arw = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * given["angle_random_walk_deg_per_rt_h"]
+    tick = float(np.hypot(*series.tick_m)) / np.sqrt(12.0)
+    return YawNoise(
+        max(arw, 1e-6),
+        max(given["wheel_slip_m_per_rt_m"], 1e-5),
+        max(given["turn_slip_deg_per_rt_deg"] * np.sqrt(DEG_TO_RAD), 1e-5),
+        tick if tick > 0 else _USUAL_TICK_M,
+        usual_flicker_dps(max(arw, 1e-6)),
+        _USUAL_WANDER,
+        _USUAL_JITTER_S,
+    )
+
+
+def _white_at_rest(series: DriveSeries, spacing_s: float = 0.1) -> float | None:
+    """White noise of the gyro, deg/s per sqrt(Hz), from neighbouring means at rest; None without rest."""
+    every = max(1, round(spacing_s / max(float(np.median(series.dt_s[1:])), 1e-6)))
+    rest = np.flatnonzero(series.resting)
+    runs = np.split(rest, np.flatnonzero(np.diff(rest) > 1) + 1)
+    squares = []
+    for run in runs:
+        count = run.size // every
+        if count < 3:
+            continue
+        means = series.gyro_dps[run[: count * every]].reshape(count, every).mean(axis=1)
+        squares.append(np.diff(means) ** 2)
+    found = np.concatenate(squares) if squares else np.zeros(0)
+    if found.size < 20:
+        return None
+    width_s = every * float(np.median(series.dt_s[1:]))
+    # The median of a squared normal variable is 0.4549 of its mean; a difference has twice the variance. Where the
+    # gyro's own steps hide it the mean has to do.
+    middle = float(np.median(found)) / 0.4549 or float(np.mean(found))
+    return float(np.sqrt(0.5 * middle * width_s)) if middle > 0 else None
+
+
+def _field(frame: Frame, noise: YawNoise, left_out: Floats) -> MarkovField:
+    """The states e, g_1, g_2, g_3, r, o for a log."""
+    nodes, robot = frame.nodes, frame.series.robot
+    dt, moving = nodes.dt_s, ~nodes.resting
+    separation = robot.wheel_separation_m
+    c = frame.conditions
+    turn = nodes.between(np.cumsum(c.gyro_yaw_rad))
+    way = nodes.between(np.cumsum(np.abs(frame.series.left_m) + np.abs(frame.series.right_m)))
+    rate = np.divide(turn, dt, out=np.zeros_like(dt), where=dt > 0)
+    unsteady = (max(noise.tick_m, _LEAST_TICK_M) / separation) ** 2 + (noise.jitter_s * rate) ** 2
+    taus = np.array([*FLICKER_TAUS_S, WANDER_TAU_S])
+    fade = np.exp(-dt[:, None] / taus)
+    flicker, walk = ((DEG_TO_RAD * x) ** 2 for x in (noise.flicker_dps, noise.walk_dps_per_rt_s))
+    levels = np.array([flicker, flicker, flicker, noise.wander**2])
+    keep = np.column_stack([nodes.resting, fade[:, :3], np.ones_like(dt), fade[:, 3:]])
+    push = np.column_stack(
+        [
+            np.where(moving, unsteady, _STILL * unsteady),
+            levels[:3] * (1 - fade[:, :3] ** 2),
+            walk * dt,
+            levels[3] * (1 - fade[:, 3] ** 2),
+        ]
+    )
+    zero = np.zeros_like(dt)
+    before = np.column_stack([-np.ones_like(dt), zero, zero, zero, zero, zero])
+    after = np.column_stack([np.ones_like(dt), -dt, -dt, -dt, -dt, turn])
+    white = (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * dt
+    slipping = (noise.slip_m_per_rt_m / separation) ** 2 * way + noise.turn**2 * np.abs(turn)
+    start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, levels[3]])
+    quiet = np.maximum(push, 1e-24)
+    return MarkovField(start, keep, quiet, before, after, white + slipping * moving + left_out + 1e-18)
+
+
+@dataclass(frozen=True)
+class YawModel:
+    """Noise of a log, and which intervals say nothing.
+
+    Attributes
+    ----------
+    y : ndarray, shape (m,)
+        Encoder turn minus gyro turn, rad.
+    left_out : ndarray, shape (m,)
+        Variance added to gaps and outliers, rad^2.
+    outliers : ndarray
+        Intervals where a wheel spun or the gyro spiked.
+    """
+
+    frame: Frame
+    y: Floats
+    noise: YawNoise
+    usual: YawNoise
+    left_out: Floats
+    outliers: NDArray[np.int64]
+
+    def given(self, columns: Floats, *, flicker_floor: bool = False) -> Given:
+        """Columns under the noise; with the floor, 1/f noise of at least what is usual."""
+        noise = self.noise
+        if flicker_floor:
+            noise = replace(noise, flicker_dps=max(noise.flicker_dps, FLICKER_FLOOR * self.usual.flicker_dps))
+        return _field(self.frame, noise, self.left_out).given(columns)
+
+
+def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
+    """Estimate the noise with all `laws` free in the mean, then again without the intervals that stand out."""
+    y = difference(frame)
+    usual = usual_noise(frame.series)
+    columns = _independent(np.column_stack([x.column for x in laws]))
+    # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
+    starting = ~frame.nodes.resting & ~frame.series.moved[frame.nodes.rows[:-1]]
+    left_out = np.where(frame.nodes.broken | starting, _LEFT_OUT, 0.0)
+    if not frame.series.differential:
+        left_out = np.where(frame.nodes.resting, left_out, _LEFT_OUT)
+    noise = _levels(frame, y, columns, usual, left_out)
+    model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64))
+    outliers = _outliers(model, columns)
+    if not outliers.size:
+        return model
+    near = np.clip(outliers[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0, y.size - 1)
+    left_out[near.ravel()] = _LEFT_OUT
+    # From the start again: with the outliers the fit may have gone astray for good.
+    noise = _levels(frame, y, columns, usual, left_out)
+    return YawModel(frame, y, noise, usual, left_out, outliers)
+
+
+def _independent(columns: Floats) -> Floats:
+    """The columns that add something to those before them."""
+    kept: list[Floats] = []
+    basis = np.zeros((columns.shape[0], 0))
+    for column in columns.T:
+        free = column - basis @ (basis.T @ column)
+        free = free - basis @ (basis.T @ free)
+        if np.linalg.norm(free) > 1e-6 * np.linalg.norm(column) > 0:
+            basis = np.column_stack([basis, free / np.linalg.norm(free)])
+            kept.append(column)
+    return np.column_stack(kept)
+
+
+def _levels(frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats) -> YawNoise:
+    names = {
+        "slip": "slip_m_per_rt_m",
+        "turn": "turn",
+        "tick": "tick_m",
+        "flicker": "flicker_dps",
+        "wander": "wander",
+        "jitter": "jitter_s",
+    }
+    if not frame.series.differential:
+        names = {"flicker": "flicker_dps"}
+
+    def noise_of(logs: Floats) -> YawNoise:
+        return replace(usual, **{n: float(np.exp(x)) for n, x in zip(names.values(), logs, strict=True)})
+
+    prior = np.log([getattr(usual, n) for n in names.values()])
+    spread = np.array([_SPREAD[n] for n in names])
+    return noise_of(
+        restricted_maximum(lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread)
+    )
+
+
+def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:
+    both = np.column_stack([columns, model.y])
+    given = model.given(both)
+    weighed, gram = given.inverse(), given.gram[:-1]
+    values = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
+    moving = ~model.frame.nodes.resting & (model.left_out == 0)
+    if not moving.any():
+        return np.zeros(0, dtype=np.int64)
+    score = weighed[:, -1] - weighed[:, :-1] @ values
+    score = score * np.sqrt(_field(model.frame, model.noise, model.left_out).noise)
+    # Twice the limit in the tails of a mixture of speeds; the scale is that of the moving intervals.
+    scale = 1.4826 * float(np.median(np.abs(score[moving])))
+    return np.flatnonzero(moving & (np.abs(score) > _FAR * scale))
+
+
+@dataclass(frozen=True)
+class Gram:
+    """All tests of a log: inner products of columns and difference under the noise, with what is known beforehand.
+
+    Attributes
+    ----------
+    names : tuple of str
+    matrix : ndarray, shape (p, p)
+        ``X' V^-1 X`` plus the inverse variances known beforehand.
+    right : ndarray, shape (p,)
+        ``X' V^-1 y``.
+    """
+
+    names: tuple[str, ...]
+    matrix: Floats = field(repr=False)
+    right: Floats = field(repr=False)
+
+    def solve(self, chosen: Sequence[str]) -> tuple[Floats, Floats]:
+        """Coefficients of some columns, and their covariance."""
+        at = [self.names.index(n) for n in chosen]
+        part = self.matrix[np.ix_(at, at)]
+        # Coefficients of many units: scaled, so that only true dependence counts as such.
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
+        inverse = np.linalg.pinv(part * np.outer(scale, scale), hermitian=True, rcond=1e-10)
+        covariance = inverse * np.outer(scale, scale)
+        return np.asarray(covariance @ self.right[at]), np.asarray(covariance, dtype=np.float64)
+
+    def gain(self, chosen: Sequence[str]) -> float:
+        """Twice the log likelihood that some columns gain over none."""
+        if not chosen:
+            return 0.0
+        at = [self.names.index(n) for n in chosen]
+        return float(self.right[at] @ self.solve(chosen)[0])
+
+    def added(self, chosen: Sequence[str], more: Sequence[str]) -> float:
+        """Twice the log likelihood that columns add to others."""
+        return self.gain([*chosen, *(n for n in more if n not in chosen)]) - self.gain(chosen)
+
+    def dropped(self, chosen: Sequence[str], less: Sequence[str]) -> float:
+        """Twice the log likelihood that is lost without some of the columns."""
+        return self.gain(chosen) - self.gain([n for n in chosen if n not in less])
+
+
+def gram_of(
+    model: YawModel,
+    columns: Mapping[str, Floats],
+    known_std: Mapping[str, float],
+    *,
+    flicker_floor: bool = False,
+) -> Gram:
+    """Inner products of columns, name -> (m,), under a model's noise.
+
+    `known_std` holds what is known of coefficients beforehand, about zero.
+    """
+    names = tuple(columns)
+    stacked = np.column_stack([*columns.values(), model.y])
+    whole = model.given(stacked, flicker_floor=flicker_floor).gram
+    matrix = whole[:-1, :-1].copy()
+    for name, std in known_std.items():
+        if name in names:
+            matrix[names.index(name), names.index(name)] += 1.0 / std**2
+    return Gram(names, matrix, whole[:-1, -1])

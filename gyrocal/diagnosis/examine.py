@@ -1,0 +1,136 @@
+"""A recording taken apart: patterns within data sets, the layers of their means, and the laws among them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.coil import Candidate, TableSearch, averaged
+from gyrocal.diagnosis.laws import Laws, laws_of
+from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import Naming, errors_of_each_rate, name, present, settle_direction
+from gyrocal.diagnosis.parts import PASSING, Basis, passing
+from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.within import Pattern, patterns
+from gyrocal.inference.additive import Component, Solution
+from gyrocal.physics.surface import SHAPE, Surface
+
+Floats = NDArray[np.float64]
+
+#: Where the variances of smooth parts start a second time: low, so that what passes is tried first.
+_LOW_START = -9.0
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What a recording was taken apart into.
+
+    Attributes
+    ----------
+    series : Series
+        Less the patterns within data sets.
+    whole : Fitted
+        Every part that is alive, no law.
+    worth : mapping
+        What each block of `whole` is worth, nats.
+    naming : Naming
+        With laws in place of parts.
+    candidates : tuple
+        Of a table of sweeps with a lag of the coil or a law of time: the models near the best, with their weights.
+    ranked : tuple of Candidate
+        All of them, the best first.
+    """
+
+    series: Series
+    patterns: tuple[Pattern, ...]
+    whole: Fitted
+    worth: Mapping[str, float]
+    naming: Naming
+    laws: Laws
+    candidates: tuple[tuple[float, Candidate], ...] = ()
+    ranked: tuple[Candidate, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """The model at the end."""
+        return self.naming.fitted.model
+
+
+def examine(series: Series, level: float) -> Examination:
+    """Take a recording apart: patterns within data sets at the false-alarm rate `level`, then its layers."""
+    found = tuple(patterns(series, level))
+    left = replace(series, gyro_dps=series.gyro_dps - sum((p.values for p in found), np.zeros(len(series))))
+    means = means_of(left)
+    # A table of sweeps has no ramps in which the coil's lag could be seen by itself.
+    if series.is_table and np.ptp(series.rate_dps) > 0:
+        return _table(left, found, full_model(means, memory=False))
+    whole, gain = settle_direction(alive(fit_twice(full_model(means))))
+    laws = laws_of(means, surface_of(whole.model, whole.solve()))
+    settled, worth = present(errors_of_each_rate(whole, draws_of(whole.model)))
+    return Examination(left, found, whole, worth, name(settled, worth, laws, gain), laws)
+
+
+def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examination:
+    ranked = TableSearch(base).run()
+    # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
+    wandering = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
+    first = ranked[0].fitted
+    best = alive(first.refit(replace(first.model, components={**first.model.components, **wandering})))
+    laws = laws_of(base.means, surface_of(best.model, best.solve()))
+    settled, gain = settle_direction(best)
+    settled, worth = present(settled)
+    naming = name(settled, worth, laws, gain)
+    joint = ranked[0].coil is not None or ranked[0].changes != ()
+    near = tuple(averaged(ranked)) if joint else ()
+    return Examination(series, found, best, worth, naming, laws, near, tuple(ranked))
+
+
+def draws_of(model: Model) -> Component | None:
+    """The component of an error of each rate, where the record has rates enough."""
+    passes = passing(model.means, model.basis.frame)
+    return next((c for c in passes if PASSING.get(c.name) == "each rate"), None)
+
+
+def fit_twice(model: Model) -> Fitted:
+    """The better of two fits: from equal shares, and from what passes."""
+    first = fit_model(model)
+    low = {p.name: _LOW_START for p in model.parts if p.block != "surface"}
+    second = fit_model(model, low)
+    return min(first, second, key=lambda f: f.nll)
+
+
+def alive(fitted: Fitted) -> Fitted:
+    """The same less what has died."""
+    return Fitted(fitted.model.alive(fitted.fit), fitted.fit, fitted.contrasts)
+
+
+def surface_of(model: Model, solution: Solution) -> Surface:
+    """The surface of a model, over the input rate."""
+    frame = model.basis.frame
+    powers = (legendre_to_powers() @ model.legendre(solution)).reshape(SHAPE)
+    return Surface(powers, 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c, "input")
+
+
+def block_curve(fitted: Fitted, solution: Solution, block: str, basis: Basis | None = None) -> Floats:
+    """What a block of smooth parts adds at the rows of the model, or of another basis, deg/s."""
+    rows = fitted.model.basis if basis is None else basis
+    total = np.zeros(len(rows.means))
+    for part in fitted.model.parts:
+        if part.block == block and part.name in solution.amplitudes:
+            columns = rows.component(part).columns
+            if columns is not None:
+                total += columns @ solution.amplitudes[part.name]
+    for n, b in fitted.model.blocks.items():
+        if b == block and n in solution.random:
+            total += solution.random[n][rows.means.group_of(fitted.model.means)]
+        elif b == block and n not in {p.name for p in fitted.model.parts}:
+            columns = fitted.model.components[n].columns
+            if columns is not None:
+                here = columns @ solution.amplitudes[n]
+                total += here[rows.means.group_of(fitted.model.means)]
+    return total

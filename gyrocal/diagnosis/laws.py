@@ -1,0 +1,102 @@
+"""Laws of the catalogue as columns at the rows of a record, each at the shapes that are tried for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.columns import conditions_of, offer_of
+from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.series import Series
+from gyrocal.physics.catalogue import CATALOGUE, law_of
+from gyrocal.physics.effect import Conditions, Effect
+from gyrocal.physics.offer import Offer
+from gyrocal.physics.rate import FIT_DIRECTION
+from gyrocal.physics.surface import Surface
+
+Floats = NDArray[np.float64]
+
+#: Columns that are nothing at these rows, as a share of the largest.
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A law at one shape: columns at unit amplitude, shape (n, q), deg/s."""
+
+    effect: Effect
+    shape: Mapping[str, float]
+    columns: Floats
+
+
+@dataclass(frozen=True)
+class Laws:
+    """Evaluates laws at the means of a record.
+
+    Attributes
+    ----------
+    surface : Surface
+        Over the input rate; what laws act through that act through the surface.
+    """
+
+    means: Means
+    conditions: Conditions
+    offer: Offer
+    surface: Surface
+
+    def at(self, effect: Effect, shape: Mapping[str, float]) -> Floats:
+        """Columns of a law at unit amplitude, shape (n, q): evaluated where the record was sampled, then averaged."""
+        own = effect.columns(self.conditions, shape, self.surface)
+        return np.column_stack([self.means.spread(x) for x in own.T])
+
+    def trials(self, effect: Effect) -> list[Trial]:
+        """All shapes of an effect that this record may show."""
+        if not wanted(effect) or effect.why_not(self.offer) is not None:
+            return []
+        found = []
+        for shape in effect.search.grid(self.offer):
+            columns = self.at(effect, shape)
+            if np.isfinite(columns).all() and np.any(np.abs(columns) > _NOTHING):
+                found.append(Trial(effect, shape, columns))
+        return found
+
+
+def wanted(effect: Effect) -> bool:
+    """Whether an effect is looked for by columns over means of data sets."""
+    search = effect.search
+    within = {"table_angle", "time_since_step"}
+    # Whether the surface is one of the input is a part of the model itself.
+    if effect is FIT_DIRECTION:
+        return False
+    return search.by_columns and not search.draws and not search.twin_of and effect.seen_in not in within
+
+
+def laws_of(means: Means, surface: Surface) -> Laws:
+    """Laws at the rows of a record."""
+    return Laws(means, conditions_of(means.series), offer_of(means.series), surface)
+
+
+def effects_of(block: str) -> list[Effect]:
+    """Effects of the catalogue that may be what a block of smooth parts stands for."""
+    own = BLOCKS[block]
+    found = []
+    for effect in CATALOGUE.values():
+        if not wanted(effect) or effect.family != own.family or block == "each rate":
+            continue
+        by_rate = "rate_dps" in effect.needs
+        if own.family == "time" and by_rate != (block == "scale in time"):
+            continue
+        found.append(effect)
+    return found
+
+
+def untestable(series: Series) -> dict[str, str]:
+    """Effect to the reason why this record cannot show it."""
+    offer = offer_of(series)
+    searched = [e for e in CATALOGUE.values() if e.search.by_columns and not e.search.draws]
+    reasons = {e.id: CATALOGUE[law_of(e.id)].why_not(offer) for e in searched}
+    return {effect: reason for effect, reason in reasons.items() if reason is not None}

@@ -1,0 +1,289 @@
+"""Laws in place of smooth parts: what has a name.
+
+A law takes the place of a block of smooth parts where it explains as much; where it takes most of the block's
+evidence it is named and the block stays beside it; where no law does, the block stays, without a name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.laws import Laws, Trial, effects_of
+from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.inference.additive import Component
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.rate import RATE_ORDER
+
+Floats = NDArray[np.float64]
+
+#: Blocks whose removal costs less, nats, are not there.
+_ABSENT = 2.5
+#: What a law gains at least, nats, with the logarithm of the root of the number of its shapes.
+_GAIN = 8.0
+#: A further law of the same block leaves nothing of the block, or takes this share of its evidence.
+_SECOND = 0.2
+#: Laws stand for a block that gains no more than this beside them, and a nat for each of them.
+_REPLACED = 2.0
+#: A law that takes this share of a block's evidence names it, lack of fit and all.
+_NAMED_SHARE = 0.6
+#: A law worth less at the end is dropped, nats.
+_DROPPED = 4.0
+_REFITTED = 3
+_MOST_LAWS = 3
+#: Shapes are refined over these factors either way, in turn.
+_SPREADS = (1.5, 1.12)
+_POINTS = 7
+
+
+@dataclass(frozen=True)
+class Named:
+    """A law that was named.
+
+    Attributes
+    ----------
+    gain : float
+        Evidence for it, nats.
+    share : float
+        Part of its block's evidence that the laws take; below one there is lack of fit.
+    rivals : mapping
+        Other effects to how much worse they explain the same, nats.
+    trials : int
+        Shapes that were tried.
+    """
+
+    law: Law
+    block: str
+    gain: float
+    share: float
+    rivals: dict[str, float]
+    trials: int
+
+
+@dataclass(frozen=True)
+class Naming:
+    """The model at the end: names, and the blocks that have none, with their evidence in nats.
+
+    `input_gain`: how much better a surface over the input is than one over the output, nats.
+    """
+
+    fitted: Fitted
+    named: tuple[Named, ...]
+    unnamed: dict[str, float] = field(default_factory=dict)
+    nearest: dict[str, dict[str, float]] = field(default_factory=dict)
+    input_gain: float = 0.0
+
+
+def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
+    """The model with a surface of the output or of the input, where either does as well as what is between.
+
+    Also how much better the input is, nats. Around itself: what bends is the surface that stands beside all else.
+    """
+    model = fitted.model
+    if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
+        return fitted, 0.0
+    bend = model.legendre(fitted.solve())
+    free = fitted.refit(model.directed("free", bend), 40)
+    bend = free.model.legendre(free.solve())
+    free = free.refit(model.directed("free", bend), 20)
+    ways = {d: free.refit(free.model.directed(d, bend), 40) for d in ("output", "input")}
+    gain = ways["output"].nll - ways["input"].nll
+    best = ways["input"] if gain > 0.0 else ways["output"]
+    # What is between the two is neither: it takes evidence to be believed.
+    return (best if best.nll < free.nll + _GAIN else free), gain
+
+
+def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
+    """The model with an error of each rate in place of odd smooth parts, where it explains as much.
+
+    A few rates can be followed by anything smooth; independent errors of one size are the simpler account of them.
+    """
+    odd = [n for n, b in fitted.model.blocks.items() if b == "odd rate"]
+    if draws is None or not odd:
+        return fitted
+    without = fitted.model.without(odd)
+    other = replace(without, components={**without.components, draws.name: draws})
+    found = fitted.refit(other, 40)
+    return found if found.nll <= fitted.nll + _REPLACED else fitted
+
+
+def evidence(fitted: Fitted, block: str) -> tuple[float, Fitted]:
+    """What a block is worth, nats, and the model without it."""
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    without = fitted.refit(fitted.model.without(names), 30)
+    return without.nll - fitted.nll, without
+
+
+def present(fitted: Fitted) -> tuple[Fitted, dict[str, float]]:
+    """The model less the blocks that are not there, and what each of the others is worth."""
+    while True:
+        found = {b: evidence(fitted, b) for b in sorted(set(fitted.model.blocks.values()))}
+        weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
+        if not weak:
+            return fitted, {b: gain for b, (gain, _) in found.items()}
+        # The weakest at once, so that one of two that share a pattern stays.
+        fitted = found[weak[0][1]][1]
+        for _, block in weak[1:]:
+            gain, without = evidence(fitted, block)
+            if gain < _ABSENT:
+                fitted = without
+
+
+def name(fitted: Fitted, worth: Mapping[str, float], laws: Laws, input_gain: float) -> Naming:
+    """Name what can be named, the strongest block first.
+
+    Parameters
+    ----------
+    fitted, worth : the model with the blocks that are there, and what each is worth
+    input_gain : how much better a surface over the input is, nats
+    """
+    named: list[Named] = []
+    nearest: dict[str, dict[str, float]] = {}
+    for block in sorted(worth, key=lambda b: -worth[b]):
+        if block not in fitted.model.blocks.values() or not effects_of(block):
+            continue
+        fitted, new, nearest[block] = _name_block(fitted, block, laws)
+        named += new
+    fitted, named = _backward(fitted, named)
+    left = {b: evidence(fitted, b)[0] for b in sorted(set(fitted.model.blocks.values()))}
+    return Naming(fitted, tuple(_mechanisms(named)), left, nearest, input_gain)
+
+
+def _mechanisms(named: list[Named]) -> list[Named]:
+    """Less the orders of the rate beside a law of the rate: they claim no mechanism, and are its misfit."""
+    others = [
+        n
+        for n in named
+        if CATALOGUE[n.law.effect].family == RATE_ORDER.family and n.law.effect != RATE_ORDER.id
+    ]
+    return [n for n in named if not others or n.law.effect != RATE_ORDER.id]
+
+
+def _name_block(fitted: Fitted, block: str, laws: Laws) -> tuple[Fitted, list[Named], dict[str, float]]:
+    worth, without = evidence(fitted, block)
+    trials = [t for e in effects_of(block) for t in laws.trials(e)]
+    current = without
+    chosen: list[Named] = []
+    near: dict[str, float] = {}
+    while trials and len(chosen) < _MOST_LAWS:
+        found = _best_law(fitted, current, block, trials, {n.law.effect for n in chosen}, laws)
+        if not found:
+            break
+        trial, better, rivals, count = found
+        gain = current.nll - better.nll
+        if not chosen:
+            near = {trial.effect.id: worth - gain} | {e: worth - gain + r for e, r in rivals.items()}
+        if gain < _GAIN + 0.5 * np.log(count) - trial.effect.search.prior_nats:
+            break
+        whole = better.nll <= fitted.nll + _REPLACED + len(chosen) + 1
+        if chosen and not whole and gain < _SECOND * worth:
+            # The misfit of a law of another kind is no second effect.
+            break
+        chosen.append(Named(better.model.laws[-1], block, gain, 0.0, rivals, count))
+        current = better
+    if not chosen:
+        return fitted, [], near
+    share = (without.nll - current.nll) / worth
+    chosen = [replace(n, share=share) for n in chosen]
+    if current.nll <= fitted.nll + _REPLACED + len(chosen):
+        robot = all(CATALOGUE[n.law.effect].runtime for n in chosen) or not BLOCKS[block].stays
+        # What a robot cannot evaluate as a law stays as a smooth part.
+        return (current if robot else fitted), chosen, near
+    if BLOCKS[block].stays:
+        return fitted, chosen if share >= _NAMED_SHARE else [], near
+    # A walk follows a line without being one: the line must say more than the walk does.
+    beside = fitted.refit(replace(fitted.model, laws=current.model.laws), 30)
+    return (beside, chosen, near) if fitted.nll - beside.nll > _GAIN else (fitted, [], near)
+
+
+def _best_law(
+    fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial], taken: set[str], laws: Laws
+) -> tuple[Trial, Fitted, dict[str, float], int] | None:
+    """The law that explains most of what a block did, its rivals and how many shapes it had; None where none is left.
+
+    Shapes are compared under the variances that the block leaves to the others: without it these would swell to
+    take its place. Gains can be compared after a new fit only, so the best few are fitted.
+    """
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    model = replace(fitted.model.without(names), laws=current.model.laws)
+    logs = {**current.fit.log_variance, **fitted.fit.log_variance}
+    score, p = fitted.contrasts.precision(model.all, logs)
+
+    def gain_of(trial: Trial) -> float:
+        beyond = fitted.contrasts.beyond(trial.columns)
+        if trial.effect.positive and float(np.sum(beyond.T @ score)) < 0.0:
+            return -np.inf
+        return _gain(beyond, score, p, model.law_variance)
+
+    best: dict[str, tuple[float, Trial]] = {}
+    counts: dict[str, int] = {}
+    for trial in trials:
+        if trial.effect.id in taken:
+            continue
+        gain = gain_of(trial) + trial.effect.search.prior_nats
+        counts[trial.effect.id] = counts.get(trial.effect.id, 0) + 1
+        if trial.effect.id not in best or gain > best[trial.effect.id][0]:
+            best[trial.effect.id] = gain, trial
+    top = sorted((b for b in best.values() if np.isfinite(b[0])), key=lambda x: -x[0])[:_REFITTED]
+    if not top:
+        return None
+    refined = [_refined(trial, laws, gain_of) for _, trial in top]
+    refits = []
+    for trial in refined:
+        law = Law(trial.effect.id, trial.shape, trial.columns)
+        refits.append((current.refit(replace(current.model, laws=(*current.model.laws, law)), 30), trial))
+    refits.sort(key=lambda x: x[0].nll - x[1].effect.search.prior_nats)
+    winner = refits[0]
+    rivals = {t.effect.id: f.nll - winner[0].nll for f, t in refits[1:]}
+    return winner[1], winner[0], rivals, counts[winner[1].effect.id]
+
+
+def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Trial:
+    """The same law with its shape between the points of the grid, one parameter after the other."""
+    best, best_gain = trial, gain_of(trial)
+    grid = trial.effect.search.grid(laws.offer)
+    for spread in _SPREADS:
+        for parameter in trial.effect.search.refined:
+            value = best.shape.get(parameter, 0.0)
+            if value <= 0.0:
+                continue
+            around, tried = best, [s[parameter] for s in grid]
+            for factor in np.geomspace(1.0 / spread, spread, _POINTS):
+                shape = {**around.shape, parameter: float(np.clip(value * factor, min(tried), max(tried)))}
+                new = Trial(trial.effect, shape, laws.at(trial.effect, shape))
+                gain = gain_of(new) if np.isfinite(new.columns).all() else -np.inf
+                if gain > best_gain:
+                    best, best_gain = new, gain
+    return best
+
+
+def _gain(columns: Floats, score: Floats, p: Floats, variance: float) -> float:
+    """Evidence of columns under fixed variances, with their wide prior, nats."""
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    x = columns / np.where(size > 0, size, 1.0)
+    information = x.T @ p @ x
+    b = x.T @ score
+    whole = np.eye(b.size) + variance * information
+    return float(0.5 * variance * b @ np.linalg.solve(whole, b) - 0.5 * np.linalg.slogdet(whole)[1])
+
+
+def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named]]:
+    """Drop laws that the others have made superfluous."""
+    beside = [n for n in named if n.block in fitted.model.blocks.values()]
+    named = [n for n in named if n not in beside]
+    while named:
+        gains = []
+        for n in named:
+            laws = tuple(law for law in fitted.model.laws if law.name != n.law.name)
+            gains.append((fitted.refit(replace(fitted.model, laws=laws), 30), n))
+        gains.sort(key=lambda x: x[0].nll)
+        without, weakest = gains[0]
+        if without.nll - fitted.nll >= _DROPPED:
+            worth = {n.law.name: f.nll - fitted.nll for f, n in gains}
+            return fitted, beside + [replace(n, gain=worth[n.law.name]) for n in named]
+        fitted, named = without, [n for n in named if n is not weakest]
+    return fitted, beside

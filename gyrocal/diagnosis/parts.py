@@ -1,0 +1,314 @@
+"""Everything that a calibration may contain, as parts of an additive model of the error over the input rate.
+
+Parts that stay with the gyro are sums of columns that a robot can evaluate (`gyrocal.physics.smooth`); what passes
+(a drift, an error of the table, noise) is fitted beside them and left out of the correction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.means import Means
+from gyrocal.inference.additive import Component
+from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
+from gyrocal.physics.effect import Conditions
+from gyrocal.physics.shapes import DRIVERS
+from gyrocal.physics.smooth import Column, Factor, Frame, design, histories, rate_factors, temperature_factors
+from gyrocal.physics.surface import SHAPE
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_LINEAR = Factor("linear")
+#: Driver of the time since power-on.
+_SINCE_ON = next(kind for kind, d in DRIVERS.items() if d.channel == "since_power_on_s")
+#: Each further order of the rate is expected to be this much smaller.
+_STEP = 0.2
+#: Standard deviation of the bumps: in rate as a share of the range, in scaled temperature, in asinh(u/0.001).
+_RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
+_LAGS_S = 40.0 * 2.0 ** np.arange(6)
+_WARM_UPS_S = 150.0 * 2.0 ** np.arange(6)
+#: Half widths of the plays, as shares of the range of temperatures.
+_PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
+_FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
+#: Fewer temperatures say nothing of their history, degC.
+_LEAST_SPAN_C = 0.5
+_LEAST_SUPPLY_V = 0.02
+_SAME_RATE_DPS = 0.01
+_MOST_RATES = 80
+
+
+def _legendre(order: int) -> Factor:
+    return Factor("legendre", (float(order),)) if order else Factor()
+
+
+#: The twelve terms of the surface as products of Legendre polynomials, row-major as in `physics.surface`.
+SURFACE = tuple(
+    Column(_LINEAR if i == 1 else _legendre(i), _legendre(j))
+    for i in range(SHAPE[0])
+    for j in range(SHAPE[1])
+)
+#: Of these: cubic in the rate and linear in temperature for bias and scale factor are always free ...
+FLAT = (0, 3, 6, 9, 1, 4)
+#: ... and the others are expected to be small, with one variance.
+SHRUNK = {2: 1.0, 5: 1.0, 7: 0.5, 10: 0.5, 8: 0.25, 11: 0.25}
+
+
+@dataclass(frozen=True)
+class Part:
+    """Columns with one variance.
+
+    Attributes
+    ----------
+    block : str
+        What it is taken out and kept together with, a key of `BLOCKS`.
+    weights : tuple of float
+        Expected size of each column's amplitude, relative to each other.
+    """
+
+    name: str
+    block: str
+    columns: tuple[Column, ...]
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Family and coordinate of what is decided together; `stays`: whether it is part of the gyro."""
+
+    family: str
+    coordinate: str
+    stays: bool = True
+
+
+BLOCKS = {
+    "memory": Block("thermal transient", "temperature_rate"),
+    "odd rate": Block("rate shape", "rate"),
+    "even rate": Block("rate shape", "rate"),
+    "temperature": Block("temperature shape", "temperature"),
+    "warm-up": Block("time", "time_since_power_on"),
+    "supply": Block("supply", "supply"),
+    "bias in time": Block("time", "time", stays=False),
+    "scale in time": Block("time", "time", stays=False),
+    "each rate": Block("rate shape", "rate", stays=False),
+}
+
+
+def frame_of(means: Means) -> Frame:
+    """Scales that span the record; the supply counts from its median."""
+    temp_c = means.series.history.temp_c
+    low, high = float(temp_c.min()), float(temp_c.max())
+    supply = 0.0 if means.supply_v is None else float(np.median(means.supply_v))
+    return Frame(
+        float(np.max(np.abs(means.rate_dps))) or 1.0, 0.5 * (low + high), max(0.5 * (high - low), 0.5), supply
+    )
+
+
+@dataclass
+class Basis:
+    """Columns at the rows of a record, each driver worked out once.
+
+    Drivers run on the fine grid of the temperature history and are averaged over each row.
+    """
+
+    means: Means
+    frame: Frame
+    _known: dict[Factor, Floats] = field(default_factory=dict)
+
+    def drivers(self, wanted: list[Factor]) -> dict[Factor, Floats]:
+        """Means of drivers over the rows."""
+        new = [d for d in dict.fromkeys(wanted) if d not in self._known]
+        m, h = self.means, self.means.series.history
+        past = Conditions(t_s=h.t_s, rate_dps=np.zeros(h.t_s.size), temp_c=h.temp_c)
+        on_grid = [d for d in new if DRIVERS[d.kind].channel == "temp_c" and d != Factor()]
+        for driver, values in histories(past, self.frame, on_grid)[0].items():
+            self._known[driver] = self._averaged(values)
+        here = Conditions(m.t_s, m.rate_dps, m.temp_c, supply_v=m.supply_v, since_power_on_s=since_on(m))
+        self._known |= histories(here, self.frame, [d for d in new if d not in on_grid])[0]
+        return self._known
+
+    def _averaged(self, values: Floats) -> Floats:
+        m, h = self.means, self.means.series.history
+        points = np.interp(m.t_s, h.t_s, values)
+        length = m.to_s - m.from_s
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1])) * h.step_s])
+        ends = [np.interp(np.clip(t, h.t_s[0], h.t_s[-1]), h.t_s, total) for t in (m.from_s, m.to_s)]
+        wide = length > 2.0 * h.step_s
+        return np.where(wide, (ends[1] - ends[0]) / np.where(wide, length, 1.0), points)
+
+    def at(self, columns: tuple[Column, ...]) -> Floats:
+        """Columns, shape (n, p)."""
+        drivers = self.drivers([c.driver for c in columns])
+        return design(self.means.rate_dps, self.means.temp_c, self.frame, columns, drivers)
+
+    def component(self, part: Part) -> Component:
+        """A part freed of the surface's polynomials, and scaled by its weights."""
+        own = self.at(part.columns)
+        if part.block != "surface":
+            own = own - self.at(SURFACE) @ polynomials(part.columns, self.frame)
+        return Component(part.name, own * np.array(part.weights))
+
+
+def design_at(rate_dps: Floats, temp_c: Floats, frame: Frame) -> Floats:
+    """The twelve terms of the surface at rates and temperatures, shape (n, 12)."""
+    one = {Factor(): np.ones(rate_dps.size)}
+    return design(rate_dps, temp_c, frame, SURFACE, one)
+
+
+def since_on(means: Means) -> Floats:
+    """Time since power-on; since the record began where nobody says."""
+    known = means.since_power_on_s
+    return means.t_s - means.t_s[0] if known is None else known
+
+
+def polynomials(columns: tuple[Column, ...], frame: Frame) -> Floats:
+    """What the surface's polynomials take of memoryless columns, on a uniform grid: shape (12, p)."""
+    u, v = np.linspace(-1.0, 1.0, 401), np.linspace(-1.0, 1.0, 201)
+    temps = frame.temp_center_c + frame.temp_scale_c * v
+    rates = rate_factors(u * frame.rate_scale_dps, frame, (c.rate for c in (*columns, *SURFACE)))
+    temperatures = temperature_factors(temps, frame, (c.temperature for c in (*columns, *SURFACE)))
+    of_rate = np.linalg.pinv(np.column_stack([rates[SURFACE[3 * i].rate] for i in range(SHAPE[0])]))
+    of_temp = np.linalg.pinv(np.column_stack([temperatures[SURFACE[j].temperature] for j in range(SHAPE[1])]))
+    found = np.zeros((len(SURFACE), len(columns)))
+    for k, c in enumerate(columns):
+        if c.driver == Factor():
+            found[:, k] = np.outer(of_rate @ rates[c.rate], of_temp @ temperatures[c.temperature]).ravel()
+    return found
+
+
+def surface_part(carried: Ints) -> Part:
+    """The terms of the surface that are not free, as far as a record carries them."""
+    kept = {k: w for k, w in SHRUNK.items() if k in carried}
+    return Part("surface", "surface", tuple(SURFACE[k] for k in kept), tuple(kept.values()))
+
+
+def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -> list[Part]:
+    """All parts that stay with the gyro and that this record may tell of.
+
+    Parameters
+    ----------
+    carried : terms of the surface that rates and temperatures can tell apart
+    memory : whether parts that remember the temperature, and a warm-up, are among them
+    """
+    found = [surface_part(carried)]
+    turning = np.unique(np.round(means.rate_dps, 2)).size > 3
+    span_c = float(np.ptp(means.series.history.temp_c))
+    if turning:
+        found += _of_rate(frame)
+    if span_c > 4.0 * _LEAST_SPAN_C:
+        found += _of_temperature(frame, turning)
+    if memory and span_c > _LEAST_SPAN_C:
+        found += _of_history(span_c, float(np.ptp(means.t_s)), turning)
+    if memory:
+        warm = tuple(
+            Column(driver=Factor(_SINCE_ON, (float(tau),)))
+            for tau in _WARM_UPS_S
+            if tau < 2.0 * np.ptp(means.t_s)
+        )
+        found.append(_part("warm-up", "warm-up", warm))
+    if means.supply_v is not None and np.ptp(means.supply_v) > _LEAST_SUPPLY_V:
+        found.append(_part("supply", "supply", (Column(driver=Factor("supply")),)))
+        if turning:
+            found.append(_part("supply on scale", "supply", (Column(_LINEAR, driver=Factor("supply")),)))
+    return [p for p in found if p.columns]
+
+
+def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[float, ...] = ()) -> Part:
+    return Part(name, block, columns, weights or (1.0,) * len(columns))
+
+
+def _of_rate(frame: Frame) -> list[Part]:
+    falling = tuple(_STEP**k for k in range(4))
+    found = []
+    centers = frame.rate_scale_dps * np.arange(13) / 12.0
+    near_zero = np.arange(0.0, np.arcsinh(1e3), _NEAR_ZERO_BUMP)
+    for parity, block, orders, first in (
+        ("odd", "odd rate", (5, 7, 9, 11), 1),
+        ("even", "even rate", (4, 6, 8, 10), 0),
+    ):
+        found.append(_part(f"{parity} orders", block, tuple(Column(_legendre(n)) for n in orders), falling))
+        width = _RATE_BUMP * frame.rate_scale_dps
+        bumps = [Factor(f"{parity}_bump", (float(c), width)) for c in centers[first:]]
+        found.append(_part(f"{parity} bumps", block, tuple(map(Column, bumps))))
+        bumps = [Factor(f"{parity}_asinh_bump", (float(c), _NEAR_ZERO_BUMP)) for c in near_zero[first:]]
+        found.append(_part(f"{parity} near zero", block, tuple(map(Column, bumps))))
+        with_t = tuple(Column(_legendre(n), _legendre(j)) for n in orders[:2] for j in (1, 2))
+        found.append(_part(f"{parity} orders by temperature", block, with_t, (1.0, 1.0, _STEP, _STEP)))
+    found.append(_part("absolute rate", "even rate", (Column(Factor("absolute")),)))
+    return found
+
+
+def _of_temperature(frame: Frame, turning: bool) -> list[Part]:
+    centers = frame.temp_center_c + frame.temp_scale_c * np.linspace(-1.0, 1.0, 11)
+    bumps = [Factor("bump", (float(c), _TEMP_BUMP * frame.temp_scale_c)) for c in centers]
+    found = [_part("temperature on bias", "temperature", tuple(Column(temperature=b) for b in bumps))]
+    if turning:
+        scale = tuple(Column(_LINEAR, b) for b in bumps)
+        found.append(_part("temperature on scale", "temperature", scale))
+    return found
+
+
+def _of_history(span_c: float, span_s: float, turning: bool) -> list[Part]:
+    lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
+    bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
+    plays = [Factor("play", (share * span_c,)) for share in _PLAYS]
+    slope, one = _legendre(1), Factor()
+    found = [
+        _part("lag on bias", "memory", tuple(Column(driver=d) for d in lags)),
+        _part("lag on bias by temperature", "memory", tuple(Column(one, slope, d) for d in lags)),
+        _part("band on bias", "memory", tuple(Column(driver=d) for d in bands)),
+        _part("temperature rate", "memory", (Column(driver=Factor("temperature_rate")),)),
+        _part("play on bias", "memory", tuple(Column(driver=d) for d in plays)),
+        _part("play on bias by temperature", "memory", tuple(Column(one, slope, d) for d in plays)),
+    ]
+    if turning:
+        found += [
+            _part("lag on scale", "memory", tuple(Column(_LINEAR, one, d) for d in lags)),
+            _part("lag on scale by temperature", "memory", tuple(Column(_LINEAR, slope, d) for d in lags)),
+            _part("band on scale", "memory", tuple(Column(_LINEAR, one, d) for d in bands)),
+            _part("play on scale", "memory", tuple(Column(_LINEAR, one, d) for d in plays)),
+        ]
+    return found
+
+
+#: Blocks of what passes, by the name of the component.
+PASSING = {
+    "bias walk": "bias in time",
+    "scale line": "scale in time",
+    "scale walk": "scale in time",
+    "each rate": "each rate",
+}
+
+
+def passing(means: Means, frame: Frame) -> list[Component]:
+    """What does not stay: the bias and the scale factor in time, an error of each rate, noise."""
+    u = means.rate_dps / frame.rate_scale_dps
+    walk = wiener(means.t_s)
+    found = [Component("bias walk", covariance=walk)]
+    if np.any(u != 0.0):
+        ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
+        found.append(Component("scale line", (ahead * u)[:, None]))
+        found.append(Component("scale walk", covariance=walk * np.outer(u, u)))
+        sizes = np.round(np.abs(means.rate_dps) / _SAME_RATE_DPS)
+        kinds = np.unique(sizes[sizes > 0])
+        if 3 < kinds.size < _MOST_RATES:
+            found.append(Component("each rate", np.where(sizes[:, None] == kinds, u[:, None], 0.0)))
+        found.append(Component("jitter", covariance=np.diag(u**2)))
+    return found + noise(means)
+
+
+def noise(means: Means) -> list[Component]:
+    """White noise and 1/f noise of the bias."""
+    row_s = means.to_s - means.from_s
+    nearest = float(np.median(np.diff(means.t_s)))
+    found = [
+        Component(f"flicker {tau:g} s", covariance=ornstein_uhlenbeck(means.t_s, row_s, tau))
+        for tau in _FLICKER_S
+        if tau > nearest
+    ]
+    white = means.white_dps**2
+    return [*found, Component("white", covariance=np.diag(white / np.mean(white)))]

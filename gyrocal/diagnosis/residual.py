@@ -1,0 +1,74 @@
+"""What surface, laws and smooth parts leave of every row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.coil import coil_design
+from gyrocal.diagnosis.columns import conditions_of
+from gyrocal.diagnosis.examine import Examination, block_curve
+from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.layers import DIRECTION, direction_at
+from gyrocal.diagnosis.means import rows_of
+from gyrocal.diagnosis.parts import BLOCKS, Basis
+from gyrocal.diagnosis.series import Series
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.catalogue import CATALOGUE
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Arrays of shape (rows of the series,), deg/s.
+
+    Attributes
+    ----------
+    surface : Coefficients
+        The surface alone.
+    before_dps, after_dps : recorded minus the surface alone, and minus the whole model
+    effects_dps : mapping
+        What each named effect adds.
+    wandering_dps : what the bias does in time that follows no law; noise, and not in `after_dps`
+    """
+
+    surface: Coefficients
+    before_dps: Floats
+    after_dps: Floats
+    effects_dps: Mapping[str, Floats]
+    wandering_dps: Floats
+
+
+def residuals(found: Examination, series: Series, surface: Coefficients) -> Residuals:
+    """What is left of a series, patterns within its data sets included, before and after."""
+    plain = surface.surface.error_at_output_dps(series.gyro_dps, series.temp_c)
+    before = series.gyro_dps - series.rate_dps - plain
+    fitted = found.naming.fitted
+    model, solution = fitted.model, fitted.solve()
+    rows = Basis(rows_of(found.series), model.basis.frame)
+    coil = found.ranked[0].coil if found.ranked else None
+    design = coil_design(rows, coil)
+    total = design @ model.legendre(solution)
+    if model.direction != "input" and model.bend is not None:
+        share = solution.amplitudes.get(DIRECTION, np.ones(1 if model.direction == "output" else 0))
+        total += direction_at(rows, model.bend) * float(np.sum(share))
+    curves = {b: block_curve(fitted, solution, b, rows) for b in BLOCKS}
+    total += sum(curves.values(), np.zeros(len(series)))
+    effects = {p.effect: p.values for p in found.patterns}
+    c = conditions_of(series)
+    laws = Laws(rows.means, c, found.laws.offer, found.laws.surface)
+    for law in model.laws:
+        effect = CATALOGUE[law.effect]
+        columns = law.columns if law.from_end else laws.at(effect, law.shape)
+        own = columns @ solution.amplitudes[law.name]
+        total += own
+        effects[law.effect] = effects.get(law.effect, np.zeros(len(series))) + own
+    for named in found.naming.named:
+        if named.law.effect not in effects:
+            effects[named.law.effect] = curves[named.block]
+    after = found.series.gyro_dps - found.series.rate_dps - total
+    return Residuals(surface, before, after, effects, curves["bias in time"])

@@ -1,0 +1,136 @@
+"""What each layer is worth on data left out, from the surface alone down to the noise.
+
+Whole data sets, and whole temperatures or sweeps, are left out in turn. Under a Gaussian model the prediction of
+what is left out, and its covariance, follow from the precision matrix at once (`P_oo^-1 P y`), surface included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.folds import fold_numbers
+from gyrocal.diagnosis.layers import Fitted, Model
+from gyrocal.diagnosis.result import Improvement, Layer
+from gyrocal.inference.additive import precision
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_BOOTSTRAP = 1000
+#: Noise of a prediction, in units of the usual one, from which on it is an extrapolation.
+_EXTRAPOLATED = 4.0
+_SCHEME = "whole data sets (every eighth segment) and whole temperatures or sweeps in turn"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Each row left out: squared error, log-loss of its share of a block, variance of the prediction; shape (m,)."""
+
+    squares: Floats
+    logloss: Floats
+    variance: Floats
+
+
+def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints]) -> LeftOut:
+    """Predict what is left out under some of the components of a fitted model, at its variances."""
+    flat = model.design[:, model.flat]
+    score, p = precision(model.error_dps, flat, model.all, fitted.fit.variance)
+    squares, logloss, variance = [], [], []
+    for rows in folds:
+        block = p[np.ix_(rows, rows)]
+        block = block + 1e-12 * np.trace(block) / len(block) * np.eye(len(block))
+        covariance = np.linalg.inv(block)
+        error = covariance @ score[rows]
+        squares.append(error**2)
+        variance.append(np.diag(covariance))
+        each = 0.5 * error * score[rows] - 0.5 * np.linalg.slogdet(block)[1] / len(rows)
+        logloss.append(each)
+    return LeftOut(np.concatenate(squares), np.concatenate(logloss), np.concatenate(variance))
+
+
+def improvement(
+    before: LeftOut, after: LeftOut, sure: NDArray[np.bool_], rng: np.random.Generator
+) -> Improvement:
+    """How much better the second model predicts the rows that count."""
+    squares = np.column_stack([before.squares, after.squares])[sure]
+    loss = np.column_stack([before.logloss, after.logloss])[sure]
+    rms = np.sqrt(squares.mean(axis=0))
+    floor = float(np.sqrt(after.variance[sure].mean()))
+    draws = rng.integers(0, len(squares), (_BOOTSTRAP, len(squares)))
+    drop = np.sqrt(squares[draws, 0].mean(axis=1)) - np.sqrt(squares[draws, 1].mean(axis=1))
+    nats = (loss[draws, 0] - loss[draws, 1]).mean(axis=1)
+    excess = float(rms[0] ** 2 - floor**2)
+    removed = float((rms[0] ** 2 - rms[1] ** 2) / excess) if excess > 0.02 * floor**2 else float("nan")
+    low, high = np.quantile(drop, [0.025, 0.975])
+    nats_low, nats_high = np.quantile(nats, [0.025, 0.975])
+    means = loss.mean(axis=0)
+    return Improvement(
+        float(rms[0]),
+        float(rms[1]),
+        floor,
+        (float(low), float(high)),
+        float(means[0]),
+        float(means[1]),
+        (float(nats_low), float(nats_high)),
+        min(removed, 1.0) if np.isfinite(removed) else removed,
+        _SCHEME,
+    )
+
+
+@dataclass(frozen=True)
+class Staircase:
+    """The layers one after the other, and each by itself."""
+
+    layers: tuple[Layer, ...]
+    total: Improvement | None
+    each: dict[str, Improvement]
+
+
+def staircase(fitted: Fitted, groups: Sequence[tuple[str, Sequence[str]]], seed: int) -> Staircase:
+    """Left-out errors of the surface alone, of every further layer on top, and of all but each one.
+
+    Parameters
+    ----------
+    groups : name of each layer and its components, the strongest first
+    """
+    means = fitted.model.means
+    folds = fold_numbers(means)
+    if not groups:
+        return Staircase((), None, {})
+    sets = np.concatenate([means.is_set[rows] for rows in folds])
+    sets = sets if sets.any() else ~sets
+    rng = np.random.default_rng([seed, 7])
+    own = [n for _, names in groups for n in names]
+    bare = _less(fitted.model, own)
+    whole = leave_out(fitted, fitted.model, folds)
+    # What noise alone moves this much is extrapolated from what is left: no model is judged by it.
+    sure = sets & (whole.variance < _EXTRAPOLATED**2 * np.median(whole.variance[sets]))
+    plain = leave_out(fitted, bare, folds)
+    layers = [_layer("", plain, sure)]
+    for k in range(1, len(groups)):
+        rest = [n for _, names in groups[k:] for n in names]
+        layers.append(_layer(groups[k - 1][0], leave_out(fitted, _less(fitted.model, rest), folds), sure))
+    layers.append(_layer(groups[-1][0], whole, sure))
+    each = {}
+    for name, names in groups:
+        without = leave_out(fitted, _less(fitted.model, names), folds)
+        each[name] = improvement(without, whole, sure, rng)
+    return Staircase(tuple(layers), improvement(plain, whole, sure, rng), each)
+
+
+def _layer(name: str, found: LeftOut, sure: NDArray[np.bool_]) -> Layer:
+    return Layer(
+        name,
+        float(np.sqrt(found.squares[sure].mean())),
+        float(np.sqrt(found.variance[sure].mean())),
+        float(found.logloss[sure].mean()),
+    )
+
+
+def _less(model: Model, names: Sequence[str]) -> Model:
+    kept = {n: c for n, c in model.components.items() if n not in names}
+    return replace(model, components=kept, laws=tuple(law for law in model.laws if law.name not in names))

@@ -1,0 +1,232 @@
+"""What a simulation lacks: the difference diagnosed, the law of it, and whether it helps on sets left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.base import raised
+from gyrocal.diagnosis.columns import conditions_of
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.intervals import NORMAL_95
+from gyrocal.diagnosis.result import Diagnosis, Estimate
+from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.diagnosis.versus.match import Match, match
+from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.smooth import SmoothTerm
+from gyrocal.physics.surface import SHAPE
+from gyrocal.physics.terms import Term
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "gyrocal-law/1"
+
+#: Neighbouring data sets are left out together, in so many blocks, every second of which is held out at a time.
+_BLOCKS = 10
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Recording less simulation on data sets that the law was not fitted to, deg/s, rms of their means.
+
+    Attributes
+    ----------
+    interval_95 : tuple of float
+        Of the drop, by a bootstrap of whole blocks.
+    sets : int
+        Data sets left out in turn.
+    """
+
+    before_dps: float
+    after_dps: float
+    interval_95: tuple[float, float]
+    sets: int
+
+    @property
+    def helps(self) -> bool:
+        """Whether the simulation is nearer to the recording with the law, surely."""
+        return self.interval_95[0] > 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Entry ``left_out``."""
+        return {
+            "rms_before_dps": self.before_dps,
+            "rms_after_dps": self.after_dps,
+            "drop_interval_95_dps": list(self.interval_95),
+            "sets": self.sets,
+            "helps": self.helps,
+        }
+
+
+@dataclass(frozen=True)
+class Versus:
+    """A recording against a simulation: partners, what is in the difference, the law to add, and what it brings.
+
+    `law`: surface of the gyro, and terms; what both add to the output, less what the simulation's own surface
+    (``match.surface``) adds already, is to be added to the simulated output. `comparison` is None where the sets
+    are too few to leave some out.
+    """
+
+    recording: str
+    simulation: str
+    match: Match
+    diagnosis: Diagnosis
+    law: Coefficients
+    comparison: Comparison | None
+
+    @property
+    def helps(self) -> bool:
+        """Whether the law is worth adding."""
+        return self.comparison is not None and self.comparison.helps
+
+    def to_json(self) -> dict[str, Any]:
+        """``law.json``."""
+        return {
+            "schema": SCHEMA,
+            "recording": self.recording,
+            "simulation": self.simulation,
+            "verdict": self.diagnosis.verdict,
+            "matching": self.match.to_json(),
+            "law": {
+                "says": "output = simulated output + S - S_simulated + sum of the terms, S and S_simulated in deg/s",
+                "surface": _surface_json(self.law),
+                "simulated_surface": self.match.surface.to_json(),
+                "terms": _terms_json(self.law, self.diagnosis),
+            },
+            "left_out": None if self.comparison is None else self.comparison.to_json(),
+        }
+
+
+def versus(real: Series, simulated: Series, options: Options) -> Versus:
+    """Match, examine the difference, and compare on sets left out.
+
+    Raises
+    ------
+    DataError
+        The two hardly overlap, or what they share is too little to be examined.
+    """
+    matched = match(real, simulated)
+    found = diagnose(matched.difference, None, options)
+    comparison = compare(matched, options) if options.heldout else None
+    return Versus(real.name, simulated.name, matched, found, law_of(found, matched.difference), comparison)
+
+
+def law_of(found: Diagnosis, difference: Series) -> Coefficients:
+    """The model of the difference, bench and all: surface, terms, and what was named that no robot sees.
+
+    A coefficient file keeps of a drift or a jump only where it left the gyro. Here the laws themselves stand, and the
+    surface gives back what it held of them: bias and scale factor are fitted again beside them.
+    """
+    law = found.improved or found.surface
+    if law is None:
+        raise DataError(f"{found.recording}: the difference has no surface. Give recordings of a bench.")
+    known = {term.name for term in law.terms}
+    bench = tuple(
+        Term(
+            e.effect,
+            {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in e.parameters.items()},
+            False,
+        )
+        for e in found.effects
+        if e.effect not in known and difference.has_time and _is_function(e.effect)
+    )
+    law = replace(law, terms=(*law.terms, *bench))
+    if all(term.runtime for term in law.terms):
+        return law
+    rows = np.flatnonzero(difference.is_set | ~difference.is_set.any())
+    weight = 1.0 / difference.white_std_dps[rows]
+    X = np.column_stack([np.ones(rows.size), difference.rate_dps[rows]]) * weight[:, None]
+    constant, share = np.linalg.lstsq(X, left_by(law, difference)[rows] * weight, rcond=None)[0]
+    return replace(law, surface=raised(law.surface, float(constant), float(share)))
+
+
+def _is_function(effect_id: str) -> bool:
+    """Whether a law says what each sample gets: not what the sampling does to it, nor a draw that nobody knows."""
+    effect = find_effect(effect_id)
+    return effect.family != "sampling" and all(p.name != "seed" for p in effect.parameters)
+
+
+def left_by(law: Coefficients, difference: Series) -> Floats:
+    """What a law leaves of a difference, row by row, deg/s."""
+    c = conditions_of(difference)
+    added = sum(term.error_dps(c, law.surface) for term in law.terms)
+    return np.asarray(
+        difference.gyro_dps - law.surface.output_dps(difference.rate_dps, difference.temp_c) - added
+    )
+
+
+def compare(matched: Match, options: Options) -> Comparison | None:
+    """Two-fold: the law of every second block of data sets, on the blocks between; and the other way round."""
+    difference = matched.difference
+    simulated = matched.surface.output_dps(difference.rate_dps, difference.temp_c)
+    numbers, plain = set_means(difference, difference.gyro_dps - simulated)
+    block = np.arange(numbers.size) * _BLOCKS // max(numbers.size, 1)
+    after = np.full(numbers.size, np.nan)
+    for side in (0, 1):
+        held = block % 2 == side
+        known = ~np.isin(difference.set_index, numbers[held])
+        try:
+            part = difference.take(known)
+            law = law_of(diagnose(part, None, replace(options, heldout=False)), part)
+        except DataError:
+            return None
+        after[held] = set_means(difference, left_by(law, difference))[1][held]
+    rng = np.random.default_rng(options.seed)
+    squares = np.array([[np.sum(x[block == k] ** 2) for k in range(_BLOCKS)] for x in (plain, after)])
+    sizes = np.bincount(block, minlength=_BLOCKS)
+    drawn = rng.integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
+    rms = np.sqrt(squares[:, drawn].sum(axis=2) / sizes[drawn].sum(axis=1))
+    low, high = np.quantile(rms[0] - rms[1], [0.025, 0.975])
+    before, left = (float(np.sqrt(np.mean(x**2))) for x in (plain, after))
+    return Comparison(before, left, (float(low), float(high)), int(numbers.size))
+
+
+def _surface_json(law: Coefficients) -> dict[str, Any]:
+    std = np.sqrt(np.maximum(np.diag(law.covariance_dps2), 0.0)).reshape(SHAPE)
+    values = law.surface.coefficients_dps
+    x = "output" if law.surface.direction == "output" else "true rate"
+    return law.surface.to_json() | {
+        "direction": law.surface.direction,
+        "equation": f"S = sum c[i][j] u^i v^j, u = ({x} - center_dps)/scale_dps, v = (T - center_c)/scale_c",
+        "interval_95_dps": np.stack([values - NORMAL_95 * std, values + NORMAL_95 * std], axis=2).tolist(),
+    }
+
+
+def _terms_json(law: Coefficients, found: Diagnosis) -> list[dict[str, Any]]:
+    estimates = {effect.effect: effect.parameters for effect in found.effects}
+    entries = []
+    for term in law.terms:
+        if isinstance(term, SmoothTerm):
+            entries.append(
+                term.to_json() | {"equation": "e = sum of coefficient × rate × temperature × driver"}
+            )
+            continue
+        effect = find_effect(term.effect)
+        entries.append(
+            {
+                "effect": effect.id,
+                "family": effect.family,
+                "equation": effect.equation,
+                "statement": effect.statement,
+                "parameters": {
+                    name: _parameter_json(entry, estimates.get(effect.id, {}).get(name))
+                    for name, entry in term.parameters.items()
+                },
+            }
+        )
+    return entries
+
+
+def _parameter_json(entry: Mapping[str, Any], estimate: Estimate | None) -> dict[str, Any]:
+    if estimate is not None:
+        return estimate.to_json() | {"value": float(entry["value"])}
+    value, std = float(entry["value"]), float(entry.get("std") or 0.0)
+    interval = [value - NORMAL_95 * std, value + NORMAL_95 * std]
+    return {"value": value, "std": std, "unit": entry.get("unit", ""), "interval_95": interval}

@@ -1,0 +1,189 @@
+"""What lives within data sets: patterns of the table angle, and settling after a step of rate.
+
+Each data set is freed of its mean; normal equations are summed over the sets. The test does not trust any model of
+the noise: every data set is one draw of the score (cluster-robust covariance), so that 1/f noise, whose course
+within a set is of no fixed sign, makes no pattern.
+
+References
+----------
+Liang and Zeger, Biometrika 73 (1986): covariance from independent clusters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as fisher
+
+from gyrocal.diagnosis.columns import conditions_of, offer_of
+from gyrocal.diagnosis.result import Located
+from gyrocal.diagnosis.series import Series
+from gyrocal.physics.catalogue import CATALOGUE
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Coordinates that a data set runs through.
+_WITHIN = ("table_angle", "time_since_step")
+#: Harmonics of the table angle beyond those of the catalogue's laws.
+STRANGE_HARMONICS = (3, 4, 5, 6)
+#: Fewer data sets than this for each column say nothing robustly.
+_SETS_A_COLUMN = 3
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A pattern within data sets that is there beyond noise.
+
+    Attributes
+    ----------
+    effect : str
+    shape : mapping
+        Its shape parameters.
+    columns : ndarray, shape (rows, q)
+        At the rows of the series, means of the sets included.
+    amplitudes, covariance : ndarray, shape (q,), (q, q)
+    p_value : float
+    """
+
+    effect: str
+    shape: Mapping[str, float]
+    columns: Floats
+    amplitudes: Floats
+    covariance: Floats
+    p_value: float
+
+    @property
+    def family(self) -> str:
+        """Family of the effect."""
+        return CATALOGUE[self.effect].family
+
+    @property
+    def values(self) -> Floats:
+        """What it adds to each row, deg/s."""
+        return np.asarray(self.columns @ self.amplitudes)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    effect: str
+    shape: Mapping[str, float]
+    columns: Floats
+
+
+def patterns(series: Series, level: float) -> list[Pattern]:
+    """Patterns within data sets, the strongest first; family-wise false-alarm rate `level`.
+
+    Each is tested beside those found before it.
+    """
+    candidates = _candidates(series)
+    rows = _usable(series)
+    if not candidates or rows.sum() < 30:
+        return []
+    sets = np.unique(series.set_index[rows], return_inverse=True)[1]
+    found: list[_Candidate] = []
+    result: list[Pattern] = []
+    for _ in range(4):
+        best: tuple[float, _Candidate] | None = None
+        for candidate in candidates:
+            if any(c.effect == candidate.effect and c.shape == candidate.shape for c in found):
+                continue
+            p = _test(series, rows, sets, [*found, candidate])[-1].p_value
+            if best is None or p < best[0]:
+                best = p, candidate
+        if best is None or best[0] * len(candidates) > level:
+            break
+        found.append(best[1])
+        candidates = [c for c in candidates if not _same_kind(c, best[1])]
+        result = _test(series, rows, sets, found)
+    return sorted(result, key=lambda p: p.p_value)
+
+
+def strange_turns(series: Series, level: float) -> list[Located]:
+    """Patterns of the table angle that no law of the catalogue has: higher harmonics, of one size or with the rate.
+
+    Parameters
+    ----------
+    series : less the patterns that have a name
+    level : rate of false alarms over all harmonics together
+    """
+    rows = _usable(series)
+    if series.is_table or series.angle_deg is None or rows.sum() < 30:
+        return []
+    angle, rate = (
+        np.radians(series.angle_deg),
+        series.rate_dps / max(float(np.max(np.abs(series.rate_dps))), 1e-9),
+    )
+    sets = np.unique(series.set_index[rows], return_inverse=True)[1]
+    candidates = []
+    for k in STRANGE_HARMONICS:
+        turns = np.column_stack([np.cos(k * angle), np.sin(k * angle)])
+        candidates += [_Candidate("", {"harmonic": float(k)}, turns)]
+        candidates += [_Candidate("", {"harmonic": float(k)}, turns * rate[:, None])]
+    places = []
+    for candidate in candidates:
+        if not np.isfinite(candidate.columns[rows]).all():
+            return []
+        (found,) = _test(series, rows, sets, [candidate])
+        p = min(1.0, found.p_value * len(candidates))
+        if p < level:
+            rms = float(np.sqrt(np.mean(found.values**2)))
+            follows = f"{found.shape['harmonic']:.0f} a turn"
+            places.append(Located("table_angle", "mean", "", p, 1.0, True, target=follows, rms_dps=rms))
+    return sorted(places, key=lambda place: place.p_value)
+
+
+def _same_kind(a: _Candidate, b: _Candidate) -> bool:
+    """Whether two are the same pattern, or only other shapes of one."""
+    return a.effect == b.effect and (CATALOGUE[a.effect].search.refined != () or a.shape == b.shape)
+
+
+def _usable(series: Series) -> NDArray[np.bool_]:
+    return np.asarray(series.is_set & (not series.is_table), dtype=np.bool_)
+
+
+def _candidates(series: Series) -> list[_Candidate]:
+    """Laws of the catalogue that live within data sets, at every shape that is tried."""
+    c, offer = conditions_of(series), offer_of(series)
+    found = []
+    for effect in CATALOGUE.values():
+        if effect.seen_in not in _WITHIN or effect.search.twin_of or not effect.search.by_columns:
+            continue
+        if effect.why_not(offer) is None:
+            grid = effect.search.grid(offer)
+            found += [_Candidate(effect.id, shape, effect.columns(c, shape, None)) for shape in grid]
+    return found
+
+
+def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[_Candidate]) -> list[Pattern]:
+    """Least squares within sets; each candidate's p-value given the others, by Hotelling's law over the sets."""
+    weight = 1.0 / series.white_std_dps[rows] ** 2
+    total = np.bincount(sets, weight)
+    sizes = [c.columns.shape[1] for c in candidates]
+    block = np.concatenate([c.columns[rows] for c in candidates], axis=1)
+    block = np.column_stack([series.gyro_dps[rows] - series.rate_dps[rows], block])
+    means = np.column_stack([np.bincount(sets, weight * x) / total for x in block.T])
+    block = (block - means[sets]) * np.sqrt(weight)[:, None]
+    y, z = block[:, 0], block[:, 1:]
+    bread = np.linalg.pinv(z.T @ z, rcond=1e-10, hermitian=True)
+    b = bread @ (z.T @ y)
+    left = y - z @ b
+    score = np.column_stack([np.bincount(sets, x * left) for x in z.T])
+    used = int(np.count_nonzero(np.any(score != 0.0, axis=1)))
+    free = max(used - z.shape[1], 1)
+    covariance = bread @ (score.T @ score) @ bread * used / free
+    found, first = [], 0
+    for candidate, size in zip(candidates, sizes, strict=True):
+        own = slice(first, first + size)
+        first += size
+        v = covariance[own, own]
+        dof = used - size
+        t2 = float(b[own] @ np.linalg.pinv(v, rcond=1e-10, hermitian=True) @ b[own])
+        p = 1.0
+        if dof >= _SETS_A_COLUMN * size:
+            p = float(fisher.sf(t2 * dof / ((used - 1.0) * size), size, dof))
+        found.append(Pattern(candidate.effect, candidate.shape, candidate.columns, b[own], v, p))
+    return found

@@ -1,0 +1,363 @@
+"""The drive model as an error-state filter: the paper's nine states and what real wheels and gyros add to them.
+
+One observation a node: encoder heading minus gyro heading (eq. 13), at nodes of fixed spacing, so that the rate of the
+log does not matter. Beside the nine errors of eq. 12 stand the encoders' tick and clock error, which does not
+accumulate; three Gauss-Markov parts of the gyro's bias, which make up its 1/f noise; and the wander of the effective
+track. Wheels slip in proportion to distance and turn. At rest only the gyro makes an error, so that its bias is seen.
+
+Without the filter the encoders' turn is used at rest only: heading from the gyro alone, with the bias of its rests.
+
+The covariance is carried for the difference psi - phi in the place of psi: what is measured then stays small, while
+the heading's own variance may grow without limit. Signs, units and the first nine places as in `filter`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from gyrocal.fusion.filter import (
+    BIAS,
+    BIAS_WALK,
+    BLIND,
+    FILE_LEFT,
+    FILE_RIGHT,
+    FILE_SCALE,
+    FILE_WIDTH,
+    GATE,
+    GATED,
+    LEFT,
+    MOVED,
+    MOVED_M,
+    NU,
+    PHI,
+    PLACE,
+    PSI,
+    RATE,
+    RIGHT,
+    SCALE,
+    SLIP,
+    SPEED,
+    STD,
+    TURN,
+    UNIT,
+    UPDATES,
+    WALK,
+    WIDTH,
+    X,
+    Y,
+    part,
+    rate_of,
+    usable,
+    whole,
+)  # fmt: skip
+from gyrocal.fusion.filter import (
+    MEMORY_SIZE as PAPER_SIZE,
+)
+from gyrocal.physics.slip import widened
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
+
+#: Memories of the three parts of the gyro's 1/f noise and of the wander of the track, s.
+FLICKER_TAUS_S = (6.0, 60.0, 600.0)
+WANDER_TAU_S = 4.0
+#: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
+STILL_S = 0.6
+#: Variance of a measurement, rad^2: none but rounding, since the tick error is a state.
+_ROUNDING = 1e-12
+
+# Error states after the nine.
+TICK, FLICKER_1, FLICKER_2, FLICKER_3, WANDER = range(9, 14)
+_N = 14
+# Their estimates, and what a node has gathered: time, distance, way of right over left wheel, turn by the gyro as it
+# came, turn as it was navigated, variance of turns without a gyro, rows that lack something; then time since the wheels moved, and by how much
+# the smoothed gyro heading is ahead of the plain one.
+AHEAD = PAPER_SIZE
+E, G1, G2, G3, STRAY, SINCE, TRAVEL, ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(
+    AHEAD, AHEAD + 14
+)
+MEMORY_SIZE = AHEAD + 14
+
+# Figures after those of `filter`: spacing of the nodes, s; variance of the tick error, rad^2; of the clocks, s^2; of each
+# part of the flicker, (rad/s)^2; of the wander; of the bias step, (rad/s)^2; law of slip, amplitude, shape.
+SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, LAW, AMPLITUDE, SHAPE = range(15, 24)
+FIGURES_SIZE = 24
+
+# Rows of the matrix: the covariance, then scratch.
+_GAIN, _V = _N, _N + 1
+MATRIX_ROWS = _N + 2
+
+_widened = part(widened)
+
+
+@part
+def _row(
+    nav: Any, figures: Any, dt: float, left: float, right: float, rate: float, encoders: bool, gyro: bool
+) -> None:
+    """Dead reckoning over a row, and what the node gathers."""
+    if encoders:
+        nav[BLIND] = 0.0
+        u_right, u_left = nav[RIGHT] * right, nav[LEFT] * left  # eq. 7
+        travel, across = 0.5 * (u_right + u_left), u_right - u_left
+        if dt > 0.0:
+            nav[SPEED] = travel / dt
+    else:
+        nav[BLIND] += 1.0
+        travel, across = nav[SPEED] * dt, 0.0
+    if gyro:
+        nav[RATE] = rate
+    turned = (nav[SCALE] * nav[RATE] + nav[BIAS] + nav[G1] + nav[G2] + nav[G3]) * dt  # eq. 10
+    if not gyro and encoders:
+        turned = across / nav[WIDTH]
+        nav[UNSEEN] += figures[TURN] * abs(turned) + figures[SLIP] * abs(2.0 * travel) / nav[WIDTH] ** 2
+    elif not gyro:
+        nav[UNSEEN] += (2.0 * nav[BLIND] - 1.0) * turned * turned
+    if not encoders:
+        across = turned * nav[WIDTH]
+    if not (encoders and gyro):
+        nav[LOST] += 1.0
+    middle = nav[PHI] + 0.5 * turned
+    # An arc's chord: rows of a second hold turns of which the distance is not the way straight ahead.
+    chord = travel * (1.0 - turned * turned / 24.0)
+    nav[X] += math.cos(middle) * chord
+    nav[Y] += math.sin(middle) * chord
+    nav[PHI] += turned
+    nav[SINCE] += dt
+    nav[TRAVEL] += travel
+    nav[ACROSS] += across
+    nav[TURNED] += turned
+    nav[BY_GYRO] += nav[RATE] * dt if gyro else turned
+    moving = encoders and (abs(left) > MOVED_M or abs(right) > MOVED_M)
+    nav[STILL] = 0.0 if moving or not encoders else nav[STILL] + dt
+
+
+@part
+def _transit(
+    p: Any, i: int, columns: bool, sin: float, cos: float, right: float, left: float, width: float, raw: float,
+    dt: float, keep: float, f1: float, f2: float, f3: float, f4: float,
+) -> None:  # fmt: skip
+    """The errors of one column of P (or row) over a node (eqs. 8, 9, 11), at the mid-point heading."""
+    travel, turned = 0.5 * (right + left), (right - left) / width
+    if columns:
+        x, y, psi, phi = p[X, i], p[Y, i], p[PSI, i], p[PHI, i]
+        b, s, r, le, d = p[BIAS, i], p[SCALE, i], p[RIGHT, i], p[LEFT, i], p[WIDTH, i]
+        e, g1, g2, g3, o = p[TICK, i], p[FLICKER_1, i], p[FLICKER_2, i], p[FLICKER_3, i], p[WANDER, i]
+    else:
+        x, y, psi, phi = p[i, X], p[i, Y], p[i, PSI], p[i, PHI]
+        b, s, r, le, d = p[i, BIAS], p[i, SCALE], p[i, RIGHT], p[i, LEFT], p[i, WIDTH]
+        e, g1, g2, g3, o = p[i, TICK], p[i, FLICKER_1], p[i, FLICKER_2], p[i, FLICKER_3], p[i, WANDER]
+    by_gyro = raw * s + dt * (b + g1 + g2 + g3)
+    by_wheels = (right * r - left * le - turned * d) / width + turned * o
+    heading, along = phi + 0.5 * by_gyro, 0.5 * (right * r + left * le)
+    x, y = x + cos * along - sin * travel * heading, y + sin * along + cos * travel * heading
+    psi, phi = psi + by_wheels - by_gyro, phi + by_gyro
+    e, g1, g2, g3, o = keep * e, f1 * g1, f2 * g2, f3 * g3, f4 * o
+    if columns:
+        p[X, i], p[Y, i], p[PSI, i], p[PHI, i] = x, y, psi, phi
+        p[TICK, i], p[FLICKER_1, i], p[FLICKER_2, i], p[FLICKER_3, i], p[WANDER, i] = e, g1, g2, g3, o
+    else:
+        p[i, X], p[i, Y], p[i, PSI], p[i, PHI] = x, y, psi, phi
+        p[i, TICK], p[i, FLICKER_1], p[i, FLICKER_2], p[i, FLICKER_3], p[i, WANDER] = e, g1, g2, g3, o
+
+
+@part
+def _noise(p: Any, variance: float, x: float, y: float, psi: float, phi: float) -> None:
+    """Add variance v v' to P, v given by its entries."""
+    p[_V, X], p[_V, Y], p[_V, PSI], p[_V, PHI] = x, y, psi, phi
+    for i in range(PHI + 1):
+        for j in range(PHI + 1):
+            p[i, j] += variance * p[_V, i] * p[_V, j]
+
+
+@part
+def _spread(
+    nav: Any, p: Any, figures: Any, sin: float, cos: float, right: float, left: float, width: float, rest: bool,
+    quiet: bool, f1: float, f2: float, f3: float, f4: float,
+) -> None:  # fmt: skip
+    """Process noise of a node."""
+    dt, travel, turned = nav[SINCE], 0.5 * (right + left), nav[TURNED]
+    _noise(p, figures[WALK] * dt + nav[UNSEEN], -0.5 * sin * travel, 0.5 * cos * travel, -1.0, 1.0)
+    if nav[BLIND] > 0.0:
+        _noise(p, (2.0 * nav[BLIND] - 1.0) * travel * travel, cos, sin, 0.0, 0.0)
+    p[BIAS, BIAS] += figures[BIAS_WALK] * dt
+    p[FLICKER_1, FLICKER_1] += figures[FLICKER] * (1.0 - f1 * f1)
+    p[FLICKER_2, FLICKER_2] += figures[FLICKER] * (1.0 - f2 * f2)
+    p[FLICKER_3, FLICKER_3] += figures[FLICKER] * (1.0 - f3 * f3)
+    p[WANDER, WANDER] += figures[WANDERING] * (1.0 - f4 * f4)
+    if quiet and not rest:
+        # Wheels that have just stopped may still turn by less than a tick, which the encoders do not see.
+        p[TICK, TICK] += turned * turned
+    elif not quiet:
+        _noise(p, figures[SLIP] * abs(right), 0.5 * cos, 0.5 * sin, 1.0 / width, 0.0)
+        _noise(p, figures[SLIP] * abs(left), 0.5 * cos, 0.5 * sin, -1.0 / width, 0.0)
+        p[PSI, PSI] += figures[TURN] * abs(turned)
+        rate = turned / dt
+        p[TICK, TICK] += figures[TICKS] + figures[JITTER] * rate * rate
+
+
+@part
+def _variance(p: Any) -> Any:
+    """Variance of psi - phi with its tick error."""
+    return p[PSI, PSI] + 2.0 * p[PSI, TICK] + p[TICK, TICK] + _ROUNDING
+
+
+@part
+def _measure(nav: Any, p: Any, figures: Any, counts: Any) -> Any:
+    """Measurement z = psi - phi (eq. 13), its gate, and the feedback; returns innovation and its variance."""
+    nu = nav[PSI] - nav[PHI] - nav[SMOOTHED] - nav[E]
+    expected = variance = _variance(p)
+    counts[UPDATES] += 1
+    if nu * nu > figures[GATE] * variance:
+        # Wheels slip, gyros do not: psi takes the jump.
+        counts[GATED] += 1
+        p[PSI, PSI] += nu * nu - variance
+        variance = _variance(p)
+    for i in range(_N):
+        p[_GAIN, i] = (p[i, PSI] + p[i, TICK]) / variance
+    for i in range(_N):
+        for j in range(_N):
+            p[i, j] -= variance * p[_GAIN, i] * p[_GAIN, j]
+    for i in (X, Y, PHI, BIAS, SCALE, WIDTH):
+        nav[i] -= p[_GAIN, i] * nu
+    nav[PSI] -= (p[_GAIN, PSI] + p[_GAIN, PHI]) * nu  # P holds the difference
+    nav[RIGHT] *= 1.0 - p[_GAIN, RIGHT] * nu
+    nav[LEFT] *= 1.0 - p[_GAIN, LEFT] * nu
+    nav[E] += p[_GAIN, TICK] * nu
+    for i in range(FLICKER_1, _N):
+        nav[E + i - TICK] -= p[_GAIN, i] * nu
+    return nu, expected
+
+
+@part
+def _forget(nav: Any, p: Any) -> None:
+    """Take what the wheels say from here on only: the encoders' heading starts anew at the gyro's."""
+    for i in range(_N):
+        p[PSI, i] = p[i, PSI] = p[TICK, i] = p[i, TICK] = 0.0
+    nav[PSI], nav[E] = nav[PHI] + nav[SMOOTHED], 0.0
+
+
+@part
+def _node(nav: Any, p: Any, figures: Any, counts: Any, filtering: bool) -> Any:
+    """Errors over the rows since the last node, and the measurement at their end: innovation and variance, or 0."""
+    dt, turned, width = nav[SINCE], nav[TURNED], nav[WIDTH]
+    rest, quiet = nav[STILL] >= STILL_S + dt, nav[STILL] >= (1.0 - 1e-9) * dt
+    rate, speed = turned / dt * RAD_TO_DEG, nav[TRAVEL] / dt
+    wider = 1.0 + figures[AMPLITUDE] * _widened(figures[LAW], rate, speed, width, figures[SHAPE])
+    nav[PSI] += nav[ACROSS] / (width * wider) * (1.0 + nav[STRAY])
+    f1, f2, f3 = (
+        math.exp(-dt / FLICKER_TAUS_S[0]),
+        math.exp(-dt / FLICKER_TAUS_S[1]),
+        math.exp(-dt / FLICKER_TAUS_S[2]),
+    )
+    f4, keep = math.exp(-dt / WANDER_TAU_S), 1.0 if quiet else 0.0
+    middle = nav[PHI] - 0.5 * turned
+    sin, cos = math.sin(middle), math.cos(middle)
+    # The wheels' errors act on the true turn. At rest that is none, and the gyro's noise in its place would look like
+    # a wrong track.
+    half = 0.0 if quiet else 0.5 * width * turned
+    right, left = nav[TRAVEL] + half, nav[TRAVEL] - half
+    for i in range(_N):
+        _transit(p, i, True, sin, cos, right, left, width, nav[BY_GYRO], dt, keep, f1, f2, f3, f4)
+    for i in range(_N):
+        _transit(p, i, False, sin, cos, right, left, width, nav[BY_GYRO], dt, keep, f1, f2, f3, f4)
+    _spread(nav, p, figures, sin, cos, right, left, width, rest, quiet, f1, f2, f3, f4)
+    nav[E], nav[G1], nav[G2], nav[G3], nav[STRAY] = (
+        keep * nav[E],
+        f1 * nav[G1],
+        f2 * nav[G2],
+        f3 * nav[G3],
+        f4 * nav[STRAY],
+    )
+    nu = expected = 0.0
+    if nav[LOST] > 0.0 or not (filtering or rest):
+        _forget(nav, p)
+    else:
+        nu, expected = _measure(nav, p, figures, counts)
+    for i in range(SINCE, STILL):
+        nav[i] = 0.0
+    return nu, expected
+
+
+@part
+def _report(nav: Any, p: Any, figures: Any, out: Any, k: int) -> None:
+    """States and standard deviations in the paper's order (eq. 12), degrees; errors of the assumed figures."""
+    out[k, 0], out[k, 1], out[k, 2] = nav[X], nav[Y], nav[PSI] * RAD_TO_DEG
+    out[k, 3] = figures[FILE_RIGHT] / nav[RIGHT] - 1.0
+    out[k, 4] = figures[FILE_LEFT] / nav[LEFT] - 1.0
+    out[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
+    out[k, 6], out[k, 7] = nav[PHI] * RAD_TO_DEG, figures[FILE_SCALE] - nav[SCALE]
+    out[k, 8] = -(nav[BIAS] + nav[G1] + nav[G2] + nav[G3]) * RAD_TO_DEG
+    for c in range(9):
+        variance = p[PLACE[c], PLACE[c]]
+        if c == 2:
+            variance += p[PHI, PHI] + 2.0 * p[PSI, PHI]
+        out[k, STD + c] = UNIT[c] * math.sqrt(max(variance, 0.0))
+
+
+def initial_covariance(std: Any, figures: Any) -> Any:
+    """Matrix of the loop, from standard deviations in the paper's order, radians, shape (9,)."""
+    p = np.zeros((MATRIX_ROWS, _N))
+    p[PLACE, PLACE] = std**2
+    # The encoders cannot tell the gyro's scale from the track, and the gyro's is the better known.
+    p[SCALE, SCALE] = 0.0
+    p[(FLICKER_1, FLICKER_2, FLICKER_3), (FLICKER_1, FLICKER_2, FLICKER_3)] = figures[FLICKER]
+    p[WANDER, WANDER] = figures[WANDERING]
+    return p
+
+
+def covariance(p: Any) -> Any:
+    """Covariance of the errors in the paper's order, radians, shape (9, 9)."""
+    rows = np.zeros((9, _N))
+    rows[range(9), PLACE] = 1.0
+    rows[2, PHI] = 1.0
+    rows[8, [FLICKER_1, FLICKER_2, FLICKER_3]] = 1.0
+    return rows @ p[:_N] @ rows.T
+
+
+@part
+def _take(
+    nav: Any, p: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float, temp: float,
+    smooth: float, out: Any, k: int, filtering: bool,
+) -> None:  # fmt: skip
+    """One row, the node that ends with it, and what is reported."""
+    moved = nav[MOVED]
+    some, encoders, good = usable(nav, figures, counts, dt, left, right, gyro)
+    out[k, NU] = out[k, NU + 1] = math.nan
+    if some:
+        rate = rate_of(nav, figures, gyro, temp, left, right)
+        if nav[MOVED] > moved:
+            p[BIAS, BIAS] += figures[STEP_VARIANCE]
+        _row(nav, figures, dt, left, right, rate, encoders, good)
+        nav[SMOOTHED] += smooth * dt * DEG_TO_RAD
+        # Half a row early is as good as half a row late.
+        if nav[SINCE] > 0.0 and nav[SINCE] + 0.5 * dt >= figures[SPACING]:
+            nu, expected = _node(nav, p, figures, counts, filtering)
+            if expected > 0.0:
+                out[k, NU], out[k, NU + 1] = nu * RAD_TO_DEG, math.sqrt(expected) * RAD_TO_DEG
+    _report(nav, p, figures, out, k)
+
+
+@whole
+def navigate(
+    nav: Any, p: Any, figures: Any, counts: Any, dt: Any, left: Any, right: Any, gyro: Any, temp: Any, smooth: Any,
+    out: Any, filtering: bool,
+) -> None:  # fmt: skip
+    """Run rows through dead reckoning and filter, as `gyrocal.fusion.filter.navigate` does.
+
+    `smooth`, shape (n,), deg/s: what smoothing the gyro as the encoders are smoothed adds to its rate.
+    """
+    for k in range(dt.size):
+        _take(
+            nav, p, figures, counts, dt[k], left[k], right[k], gyro[k], temp[k], smooth[k], out, k, filtering
+        )
+
+
+@whole
+def step(
+    nav: Any, p: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float, temp: float,
+    smooth: float, out: Any, filtering: bool,
+) -> Any:  # fmt: skip
+    """`navigate` for a single row: the same numbers; whether they are finite."""
+    _take(nav, p, figures, counts, dt, left, right, gyro, temp, smooth, out, 0, filtering)
+    return math.isfinite(nav[X] + nav[Y] + nav[PSI] + nav[PHI])

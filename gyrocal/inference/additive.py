@@ -1,0 +1,400 @@
+"""An additive Gaussian model whose variances are estimated together, by restricted maximum likelihood.
+
+``y = X b + sum_k Z_k a_k + n``, with `b` unknown (flat), ``a_k ~ N(0, s_k I)`` and noise ``n ~ N(0, sum_j s_j V_j)``.
+Every variance may become zero: that is the whole guard against taking too much.
+
+References
+----------
+Patterson and Thompson, Biometrika 58 (1971): likelihood of error contrasts.
+Harville, J. Am. Stat. Assoc. 72 (1977): derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.optimize import minimize
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Bounds of the logarithm of a variance, relative to that of the record.
+_LOW, _HIGH = -34.0, 1.0
+#: Where a variance starts that nothing is known of.
+START = -4.0
+#: A part that has died in an earlier fit starts this far below at the most, or it could not come back.
+_REVIVED = -7.0
+#: Directions of a record that a fit looks at.
+MOST_DIRECTIONS = 240
+#: Of these, directions beside the span, which tell of the level of the noise.
+_BESIDE = 60
+_SEED = 20
+#: Information on the logarithm of a variance that a record tells nothing of: a factor of e^2 either way.
+_VAGUE = 0.25
+#: Rate of the exponential prior of each component's standard deviation, relative to that of the record: large parts
+#: that cancel each other are not believed where small ones do as well (Simpson et al., Stat. Sci. 32, 2017).
+_PRIOR_RATE = 1.0
+#: Steps of the climb before Newton-like ones.
+_CLIMBS = 8
+#: Added to the diagonal, relative to the mean of the diagonal, so that rounding cannot make a matrix indefinite.
+_JITTER = 1e-10
+
+
+@dataclass(frozen=True)
+class Component:
+    """A part of the model: columns with independent amplitudes of one variance, or a covariance of the rows.
+
+    Attributes
+    ----------
+    name : str
+    columns : ndarray, shape (n, q); None where `covariance` is given
+    covariance : ndarray, shape (n, n)
+    held : float, optional
+        Its variance, in the unit of the record squared, where that is not to be estimated.
+    """
+
+    name: str
+    columns: Floats | None = None
+    covariance: Floats | None = None
+    held: float | None = None
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A component in the space of error contrasts, scaled to a mean diagonal of one."""
+
+    name: str
+    factor: Floats | None
+    matrix: Floats | None
+    scale: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Estimated variances.
+
+    Attributes
+    ----------
+    log_variance : mapping
+        Component to the natural logarithm of its variance relative to the record's, for a component of mean
+        diagonal one.
+    variance : mapping
+        Component to its variance, in the square of the record's unit and for the columns as given.
+    nll : float
+        Negative log of the evidence under flat coefficients of `X`, nats.
+    """
+
+    log_variance: Mapping[str, float]
+    variance: Mapping[str, float]
+    nll: float
+
+
+class Contrasts:
+    """The record freed of its flat columns: all that the variances can be learned from.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+    flat : ndarray, shape (n, p)
+        Columns of unknown coefficients, of full rank.
+    span : ndarray, shape (n, q), optional
+        Of a long record only as many directions are looked at as a fit can be paid for: those of these columns
+        first. Every choice of directions has a true likelihood; what is left out tells of the noise alone.
+    unit : float, optional
+        What variances are relative to: that of another model of the record, with which this one is compared.
+    """
+
+    def __init__(
+        self, y: Floats, flat: Floats, span: Floats | None = None, unit: float | None = None
+    ) -> None:
+        q, _ = linalg.qr(flat / np.linalg.norm(flat, axis=0))
+        self.y, self.flat = y, flat
+        self._across = np.ascontiguousarray(q[:, flat.shape[1] :])
+        if span is not None and self._across.shape[1] > MOST_DIRECTIONS:
+            self._across = _directions(self._across, span)
+        left = self._across.T @ y
+        self.unit = unit or float(np.sqrt(np.mean(left**2))) or 1.0
+        self._left = left / self.unit
+        # With this the likelihood is the evidence under flat coefficients, comparable between flat columns.
+        self._flat = float(np.linalg.slogdet(flat.T @ flat)[1]) / 2.0
+        self._parts: dict[int, tuple[Component, _Part]] = {}
+
+    def part(self, component: Component) -> _Part:
+        """A component in the space of contrasts; kept, since models share most of them."""
+        known = self._parts.get(id(component))
+        if known is None or known[0] is not component:
+            known = (component, self._projected(component))
+            self._parts[id(component)] = known
+        return known[1]
+
+    def _projected(self, component: Component) -> _Part:
+        if component.columns is not None:
+            factor = self._across.T @ component.columns
+            scale = float(np.sum(factor**2)) / factor.shape[0]
+            return _Part(component.name, factor / np.sqrt(scale or 1.0), None, scale or 1.0)
+        matrix = self._across.T @ component.covariance @ self._across
+        scale = float(np.trace(matrix)) / matrix.shape[0]
+        return _Part(component.name, None, matrix / (scale or 1.0), scale or 1.0)
+
+    def fit(
+        self,
+        components: Sequence[Component],
+        start: Mapping[str, float] | None = None,
+        iterations: int = 60,
+    ) -> Fit:
+        """Variances of the largest posterior, from `start` (logarithms) where it knows a component."""
+        likelihood = _Likelihood([self.part(c) for c in components], self._left)
+        known = start or {}
+        first = np.array([max(known.get(c.name, START), START + _REVIVED) for c in components])
+        bounds = np.tile([_LOW, _HIGH], (len(components), 1))
+        for k, c in enumerate(components):
+            if c.held is not None:
+                bounds[k] = np.log(c.held * self.part(c).scale) - 2.0 * np.log(self.unit)
+        found = minimize(
+            likelihood,
+            _climb(likelihood, first, bounds),
+            method="L-BFGS-B",
+            jac=True,
+            bounds=[(float(low), float(high)) for low, high in bounds],
+            options={"maxiter": iterations, "ftol": 1e-7, "gtol": 3e-3},
+        )
+        nll = float(found.fun) + self._left.size * float(np.log(self.unit)) + self._flat
+        logs = {c.name: float(x) for c, x in zip(components, found.x, strict=True)}
+        return Fit(logs, self.variances(components, logs), nll)
+
+    def variances(self, components: Sequence[Component], logs: Mapping[str, float]) -> dict[str, float]:
+        """Variances in the unit of the record squared, from relative logarithms."""
+        return {c.name: float(np.exp(logs[c.name])) * self.unit**2 / self.part(c).scale for c in components}
+
+    def beyond(self, columns: Floats) -> Floats:
+        """Columns freed of the flat ones, shape (n, q)."""
+        return np.asarray(self._across @ (self._across.T @ columns))
+
+    def nll(self, components: Sequence[Component], logs: Mapping[str, float]) -> float:
+        """Negative restricted log-likelihood at given variances."""
+        likelihood = _Likelihood([self.part(c) for c in components], self._left)
+        value = likelihood(np.array([logs[c.name] for c in components]))[0]
+        return value + self._left.size * float(np.log(self.unit)) + self._flat
+
+    def precision(self, components: Sequence[Component], logs: Mapping[str, float]) -> tuple[Floats, Floats]:
+        """``(P y, P)``: what a scan for further columns needs, shapes (n,) and (n, n).
+
+        A column x raises the log-likelihood by up to ``(x' P y)^2 / (2 x' P x)``.
+        """
+        likelihood = _Likelihood([self.part(c) for c in components], self._left)
+        inverse = likelihood.inverse(np.array([logs[c.name] for c in components]))
+        whole = self._across @ inverse @ self._across.T / self.unit**2
+        return whole @ self.y, whole
+
+
+def _directions(across: Floats, span: Floats) -> Floats:
+    """The strongest directions of a span among contrasts, and some beside it, shape (n, MOST_DIRECTIONS)."""
+    own = across.T @ (span / np.maximum(np.linalg.norm(span, axis=0), 1e-300))
+    left = linalg.svd(own, full_matrices=False)[0][:, : MOST_DIRECTIONS - _BESIDE]
+    beside = np.random.default_rng(_SEED).standard_normal((own.shape[0], MOST_DIRECTIONS - left.shape[1]))
+    chosen, _ = linalg.qr(np.concatenate([left, beside], axis=1), mode="economic")
+    return np.ascontiguousarray(across @ chosen)
+
+
+class _Likelihood:
+    """Negative log-likelihood of the contrasts and its gradient by the logarithms of the variances."""
+
+    def __init__(self, parts: Sequence[_Part], left: Floats) -> None:
+        self.left = left
+        self.with_columns = [k for k, p in enumerate(parts) if p.factor is not None]
+        self.dense = [k for k, p in enumerate(parts) if p.matrix is not None]
+        factors = [p.factor for p in parts if p.factor is not None]
+        self.columns = np.concatenate([np.empty((left.size, 0)), *factors], axis=1)
+        self.owner = np.repeat(self.with_columns, [f.shape[1] for f in factors]).astype(np.int64)
+        self.matrices = [p.matrix for p in parts if p.matrix is not None]
+
+    def covariance(self, logs: Floats) -> Floats:
+        """Covariance of the contrasts, shape (m, m)."""
+        size = np.exp(logs)
+        a = (self.columns * size[self.owner]) @ self.columns.T
+        for k, matrix in zip(self.dense, self.matrices, strict=True):
+            a += size[k] * matrix
+        a[np.diag_indices_from(a)] += _JITTER * np.trace(a) / len(a)
+        return np.asarray(a)
+
+    def inverse(self, logs: Floats) -> Floats:
+        """Inverse of the covariance."""
+        lower = linalg.cholesky(self.covariance(logs), lower=True, overwrite_a=True, check_finite=False)
+        inverse, _ = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
+        inverse = np.tril(inverse)
+        return np.asarray(inverse + np.tril(inverse, -1).T)
+
+    def __call__(self, logs: Floats) -> tuple[float, Floats]:
+        """Value and gradient."""
+        value, size, trace, square = self.terms(logs)
+        sd = np.sqrt(size)
+        value += _PRIOR_RATE * float(np.sum(sd))
+        return value, 0.5 * (size * (trace - square) + _PRIOR_RATE * sd)
+
+    def terms(self, logs: Floats) -> tuple[float, Floats, Floats, Floats]:
+        """Value, variances, and for each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``."""
+        lower = linalg.cholesky(self.covariance(logs), lower=True, overwrite_a=True, check_finite=False)
+        half_log = float(np.sum(np.log(np.diag(lower))))
+        inverse, _ = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
+        inverse = np.tril(inverse)
+        inverse = inverse + np.tril(inverse, -1).T
+        weighted = inverse @ self.left
+        value = half_log + 0.5 * float(self.left @ weighted)
+        each = np.sum((inverse @ self.columns) * self.columns, axis=0)
+        trace = np.bincount(self.owner, each, minlength=logs.size).astype(np.float64)
+        squared = (weighted @ self.columns) ** 2
+        square = np.bincount(self.owner, squared, minlength=logs.size).astype(np.float64)
+        for k, matrix in zip(self.dense, self.matrices, strict=True):
+            trace[k] = np.sum(inverse * matrix)
+            square[k] = weighted @ matrix @ weighted
+        return value, np.exp(logs), trace, square
+
+
+def _climb(likelihood: _Likelihood, logs: Floats, bounds: Floats) -> Floats:
+    """Some steps that cannot lose likelihood, from anywhere (Zhou et al., J. Comput. Graph. Stat. 28, 2019)."""
+    logs = np.clip(logs, *bounds.T)
+    for _ in range(_CLIMBS):
+        trace, square = likelihood.terms(logs)[2:]
+        ratio = np.maximum(square, 1e-30) / np.maximum(trace, 1e-30)
+        logs = np.clip(logs + 0.5 * np.log(ratio), *bounds.T)
+    return logs
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Amplitudes at given variances: best linear unbiased prediction, with its covariance.
+
+    Attributes
+    ----------
+    flat : ndarray, shape (p,)
+    amplitudes : mapping
+        Component to the amplitudes of its columns.
+    covariance : ndarray, shape (p + q, p + q)
+        Of flat coefficients and of the amplitudes of `order`, in this order; the error of the prediction.
+    order : tuple of str
+    left : ndarray, shape (n,)
+        What flat columns and all components with columns leave.
+    random : mapping
+        Component to its predicted values at the rows, shape (n,), for those that are given by a covariance.
+    """
+
+    flat: Floats
+    amplitudes: Mapping[str, Floats]
+    covariance: Floats
+    order: tuple[str, ...]
+    left: Floats
+    random: Mapping[str, Floats]
+
+
+def solve(
+    y: Floats, flat: Floats, components: Sequence[Component], variance: Mapping[str, float]
+) -> Solution:
+    """Amplitudes and their covariance at given variances (Henderson's mixed-model equations, in row space)."""
+    noise = sum(
+        (variance[c.name] * c.covariance for c in components if c.covariance is not None),
+        np.zeros((y.size, y.size)),
+    )
+    parts = [c for c in components if c.columns is not None]
+    stacked = np.concatenate([flat, *(c.columns for c in parts if c.columns is not None)], axis=1)
+    prior = np.concatenate(
+        [
+            np.zeros(flat.shape[1]),
+            *(np.full(c.columns.shape[1], variance[c.name]) for c in parts if c.columns is not None),
+        ]
+    )
+    z = stacked[:, flat.shape[1] :]
+    v = noise + (z * prior[flat.shape[1] :]) @ z.T
+    v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
+    factor = linalg.cho_factor(v, lower=True, overwrite_a=True)
+    vx = linalg.cho_solve(factor, flat)
+    information = flat.T @ vx
+    b = linalg.solve(information, vx.T @ y, assume_a="pos")
+    p = flat.shape[1]
+    # Error of the prediction: D - D Z'P Z D for the amplitudes, (X'V^-1X)^-1 for the flat ones, and across.
+    vz = linalg.cho_solve(factor, z)
+    inverse = linalg.inv(information)
+    d = prior[p:]
+    across = -inverse @ (vx.T @ z) * d
+    zpz = z.T @ vz - (z.T @ vx) @ inverse @ (vx.T @ z)
+    covariance = np.zeros((p + d.size, p + d.size))
+    covariance[:p, :p] = inverse
+    covariance[:p, p:] = across
+    covariance[p:, :p] = across.T
+    covariance[p:, p:] = np.diag(d) - d[:, None] * zpz * d
+    a = d * (vz.T @ (y - flat @ b))
+    ends = np.cumsum([0, *(c.columns.shape[1] for c in parts if c.columns is not None)])
+    amplitudes = {c.name: a[i:j] for c, i, j in zip(parts, ends[:-1], ends[1:], strict=True)}
+    weighted = linalg.cho_solve(factor, y - flat @ b)
+    random = {
+        c.name: variance[c.name] * (c.covariance @ weighted) for c in components if c.covariance is not None
+    }
+    return Solution(b, amplitudes, covariance, tuple(c.name for c in parts), y - flat @ b - z @ a, random)
+
+
+def precision(
+    y: Floats, flat: Floats, components: Sequence[Component], variance: Mapping[str, float]
+) -> tuple[Floats, Floats]:
+    """``(P y, P)`` of all rows at given variances, shapes (n,) and (n, n): what leaving rows out needs."""
+    v = np.zeros((y.size, y.size))
+    for c in components:
+        if c.columns is not None:
+            v += variance[c.name] * (c.columns @ c.columns.T)
+        if c.covariance is not None:
+            v += variance[c.name] * c.covariance
+    v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
+    inverse = linalg.inv(v)
+    vx = inverse @ flat
+    p = inverse - vx @ linalg.solve(flat.T @ vx, vx.T, assume_a="pos")
+    return p @ y, p
+
+
+def widened(
+    y: Floats,
+    flat: Floats,
+    components: Sequence[Component],
+    variance: Mapping[str, float],
+    solution: Solution,
+) -> Floats:
+    """Covariance of a solution with that of the variances, which are estimates themselves, shape as its own.
+
+    First order in the logarithms of the variances, whose covariance is the inverse of their expected information
+    (Kackar and Harville, J. Am. Stat. Assoc. 79, 1984).
+    """
+    score, p = precision(y, flat, components, variance)
+    factors = [_factor(c, variance[c.name]) for c in components]
+    weighted = [p @ f for f in factors]
+    information = np.array([[0.5 * float(np.sum((a.T @ w) ** 2)) for w in weighted] for a in factors])
+    information[np.diag_indices_from(information)] += _VAGUE
+    spread = linalg.inv(information)
+    pulls = np.column_stack([f @ (f.T @ score) for f in factors])
+    # b = G y with G X = 1; P = V^-1 (1 - X G).
+    moved = [-_flat_gain(flat, components, variance) @ pulls]
+    for c in components:
+        if c.columns is not None:
+            change = -variance[c.name] * (c.columns.T @ (p @ pulls))
+            change[:, [k.name for k in components].index(c.name)] += solution.amplitudes[c.name]
+            moved.append(change)
+    slopes = np.concatenate(moved)
+    return np.asarray(solution.covariance + slopes @ spread @ slopes.T)
+
+
+def _factor(component: Component, variance: float) -> Floats:
+    """A square root of what a component adds to the covariance of the rows."""
+    if component.columns is not None:
+        return np.asarray(np.sqrt(variance) * component.columns)
+    values, vectors = np.linalg.eigh(np.asarray(component.covariance))
+    return np.asarray(vectors * np.sqrt(variance * np.maximum(values, 0.0)))
+
+
+def _flat_gain(flat: Floats, components: Sequence[Component], variance: Mapping[str, float]) -> Floats:
+    v = np.zeros((len(flat), len(flat)))
+    for c in components:
+        factor = _factor(c, variance[c.name])
+        v += factor @ factor.T
+    v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
+    vx = linalg.solve(v, flat, assume_a="pos")
+    return np.asarray(linalg.solve(flat.T @ vx, vx.T, assume_a="pos"))

@@ -1,0 +1,162 @@
+"""Noise of a drive by maximum likelihood of the filter's own innovations, where the robot file is silent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from gyrocal.fusion import Navigator, RobotParameters, Rows
+from gyrocal.fusion.robot import SEPARATION_RELATIVE_STD
+from gyrocal.records.robot import Robot
+from gyrocal.units import DPH_TO_DPS
+
+Floats = NDArray[np.float64]
+
+#: Noise that is estimated: figure -> its usual size on a wheeled robot and the spread of its logarithm.
+USUAL: Mapping[str, tuple[float, float]] = {
+    "wheel_slip_m_per_rt_m": (1e-3, 2.0),
+    "turn_slip_deg_per_rt_deg": (0.1, 2.0),
+    "tick_m": (5e-4, 2.0),
+    "jitter_s": (2e-3, 2.0),
+    "track_wander": (0.01, 2.0),
+    "flicker_dps": (math.nan, 0.7),  # by the angle random walk
+}
+#: A gyro's flicker in deg/h for each deg/sqrt(h) of its angle random walk (drive-report.md, section 1).
+_FLICKER_BY_WALK = 25.0
+#: Innovations of a filter that describes the log. On the 18 practice drives they were 0.99 to 1.13 and -0.07 to 0.12;
+#: encoders that are smoothed or late are far outside (the Husky's: 1.1 and 0.8).
+NIS_RANGE, LAG1_LIMIT = (0.75, 1.33), 0.15
+#: Seconds over which the gyro's samples at rest are averaged to tell its angle random walk, and how many are needed.
+_REST_BIN_S, _LEAST_BINS = 0.1, 20
+_STILL_S = 0.6
+_WALK = "angle_random_walk_deg_per_rt_h"
+#: No noise figure is known better than this share of its value.
+_FIRMEST = 0.05
+
+
+def rest_walk(rows: Rows) -> float | None:
+    """Angle random walk in deg/sqrt(h) from the rows at rest; None where there are too few."""
+    moving = np.flatnonzero(np.abs(rows.left_m) + np.abs(rows.right_m) > 0.0)
+    after = np.searchsorted(moving, np.arange(rows.t_s.size))
+    ends = np.concatenate([[-math.inf], rows.t_s[moving], [math.inf]])
+    rest = (rows.t_s - ends[after] > _STILL_S) & (ends[after + 1] - rows.t_s > _STILL_S)
+    rest &= np.isfinite(rows.gyro_dps)
+    if np.count_nonzero(rest) < _LEAST_BINS:
+        return None
+    dt_s = float(np.median(np.diff(rows.t_s)))
+    size = max(1, round(_REST_BIN_S / dt_s)) if dt_s > 0.0 else 1
+    index = np.flatnonzero(rest)
+    cut = index[: index.size // size * size].reshape(-1, size)
+    whole = cut[:, -1] - cut[:, 0] == size - 1
+    means = rows.gyro_dps[cut].mean(axis=1)
+    steps = np.diff(means)[whole[1:] & whole[:-1] & (np.diff(cut[:, 0]) == size)]
+    if steps.size < _LEAST_BINS:
+        return None
+    # The median of chi-square with one degree of freedom is 0.4549; a difference has twice the variance.
+    variance = float(np.median(steps**2)) / 0.4549 / 2.0
+    return 60.0 * math.sqrt(variance * size * dt_s)
+
+
+def fit_noise(rows: Rows, robot: Robot, navigator: Callable[[RobotParameters], Navigator]) -> RobotParameters:
+    """The robot with its noise figures by maximum posterior likelihood on these rows.
+
+    A figure that the file gives with a standard deviation is held by it, one without by a factor of e, and one that the
+    file does not give by its usual size (`USUAL`). The angle random walk is the file's, or that of the rows at rest.
+
+    Parameters
+    ----------
+    navigator : callable
+        Makes a filter that starts at the first row, from what it is to be told of the robot.
+    """
+    parameters = robot.parameters
+    walk = None if f"noise.{_WALK}" in robot.given else rest_walk(rows)
+    if walk is not None:
+        noise = replace(parameters.noise, angle_random_walk_deg_per_rt_h=walk)
+        silent = "initial_std.gyro_bias_dps" not in robot.given
+        std = replace(parameters.initial_std, gyro_bias_dps=None) if silent else parameters.initial_std
+        parameters = replace(parameters, noise=noise, initial_std=std)
+    names, usual, spread = _priors(robot, parameters)
+    wide = _wide(parameters)
+
+    def told(logs: Floats, base: RobotParameters) -> RobotParameters:
+        return replace(
+            base, noise=replace(base.noise, **dict(zip(names, np.exp(logs).tolist(), strict=True)))
+        )
+
+    def cost(logs: Floats) -> float:
+        return float(np.sum(((logs - usual) / spread) ** 2)) + misfit(rows, navigator(told(logs, wide)))
+
+    bounds = [(u - 3.0 * s, min(u + 3.0 * s, 0.0)) for u, s in zip(usual, spread, strict=True)]
+    best = minimize(
+        cost, usual, method="L-BFGS-B", bounds=bounds, options={"maxiter": 15, "eps": 1e-3, "ftol": 1e-6}
+    )
+    # Levels that were bent to innovations of another law are worth less than the usual ones.
+    fitted = told(best.x, parameters)
+    return (
+        fitted if describes(*whiteness(_innovations(rows, navigator(fitted))[0])) else told(usual, parameters)
+    )
+
+
+def _priors(robot: Robot, parameters: RobotParameters) -> tuple[list[str], Floats, Floats]:
+    """Names of the figures, their logarithms before the log is seen, and how firmly they hold."""
+    flicker = _FLICKER_BY_WALK * parameters.noise.angle_random_walk_deg_per_rt_h * DPH_TO_DPS
+    usual, spread = [], []
+    for name, (size, width) in USUAL.items():
+        told = robot.noise[name]
+        if f"noise.{name}" in robot.given and told > 0.0:
+            usual.append(math.log(told))
+            spread.append(min(max(robot.noise_std.get(name, told) / told, _FIRMEST), width))
+        else:
+            usual.append(math.log(flicker if math.isnan(size) else size))
+            spread.append(width)
+    return list(USUAL), np.minimum(usual, 0.0), np.array(spread)
+
+
+def _wide(parameters: RobotParameters) -> RobotParameters:
+    """The same with a wide geometry, so that a wrong one does not swell the noise."""
+    std = parameters.initial_std
+    wide = replace(
+        std,
+        right_scale=max(std.right_scale, 0.01),
+        left_scale=max(std.left_scale, 0.01),
+        wheel_separation_m=max(
+            std.wheel_separation_m or 0.0, SEPARATION_RELATIVE_STD * parameters.wheel_separation_m
+        ),
+    )
+    return replace(parameters, initial_std=wide)
+
+
+def misfit(rows: Rows, navigator: Navigator) -> float:
+    """Minus twice the log likelihood of the innovations, but for a constant; what the gate takes counts as its edge."""
+    normalised, sigma = _innovations(rows, navigator)
+    squared = normalised**2
+    edge = navigator.robot.gate_sigma**2
+    # Beyond the gate it grows as a logarithm does, so that a slip does not swell the noise.
+    bounded = np.where(squared <= edge, squared, edge * (1.0 + np.log(np.maximum(squared, edge) / edge)))
+    return float(np.sum(bounded + 2.0 * np.log(sigma)))
+
+
+def _innovations(rows: Rows, navigator: Navigator) -> tuple[Floats, Floats]:
+    """Innovations over their deviations, and the deviations in deg, at the nodes."""
+    out = navigator.run(rows.t_s, rows.left_m, rows.right_m, rows.gyro_dps, rows.temp_c, rows.smooth_dps)
+    seen = np.isfinite(out.innovation_deg)
+    sigma = out.innovation_sigma_deg[seen]
+    return out.innovation_deg[seen] / sigma, sigma
+
+
+def whiteness(normalised: Floats) -> tuple[float, float]:
+    """Mean square of normalised innovations and the correlation of neighbours; NaN where there are none."""
+    if normalised.size == 0:
+        return math.nan, math.nan
+    square = float(normalised @ normalised)
+    return square / normalised.size, float(normalised[1:] @ normalised[:-1]) / square
+
+
+def describes(nis: float, lag1: float) -> bool:
+    """Whether innovations of this mean square and correlation are those of a filter that describes the log."""
+    return bool(NIS_RANGE[0] < nis < NIS_RANGE[1] and abs(lag1) < LAG1_LIMIT)

@@ -1,0 +1,133 @@
+"""The paper's four conditions, and what is kept of a log that was navigated in one of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.fusion import Counts, Navigator, RobotParameters, StaticBias, Trajectory
+from gyrocal.navigation.align import Alignment, PositionErrors
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The rest at the start: its bias, and the gyro's mean temperature in it, None where that is not known."""
+
+    bias: StaticBias
+    temp_c: float | None
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One of the paper's four ways to navigate."""
+
+    id: str
+    label: str
+    calibrated: bool
+    filtering: bool
+
+
+CONDITIONS = (
+    Condition("uncalibrated", "no calibration, no filter", False, False),
+    Condition("uncalibrated_filter", "no calibration, filter", False, True),
+    Condition("calibrated", "calibration, no filter", True, False),
+    Condition("calibrated_filter", "calibration, filter", True, True),
+)
+
+
+@dataclass(frozen=True)
+class Track:
+    """A log navigated in one condition, at the kept rows.
+
+    Attributes
+    ----------
+    x_m, y_m, heading_deg : ndarray, shape (k,)
+        Start at the origin along +x (REP 103).
+    states, std : ndarray, shape (k, 9)
+        In the order of `gyrocal.fusion.STATES`; NaN without the filter.
+    innovation_deg, innovation_sigma_deg : ndarray, shape (k,)
+    covariance : ndarray, shape (9, 9)
+        Of the state errors at the end.
+    nis, nis_rows, lag1 : float, int, float
+        Mean of the squared normalised innovations over all rows (1 when consistent), how many there were, and the
+        correlation of neighbours (0 when white).
+    robot : RobotParameters
+        What the filter was told, noise estimated on this log included.
+    alignment, errors : None where there is no truth
+    """
+
+    condition: Condition
+    x_m: Floats
+    y_m: Floats
+    heading_deg: Floats
+    states: Floats
+    std: Floats
+    innovation_deg: Floats
+    innovation_sigma_deg: Floats
+    covariance: Floats
+    counts: Counts
+    nis: float
+    nis_rows: int
+    lag1: float
+    bias: StaticBias | None
+    robot: RobotParameters
+    alignment: Alignment | None = None
+    errors: PositionErrors | None = None
+
+
+class Recorder:
+    """Kept rows of one condition, and sums over all rows."""
+
+    def __init__(self) -> None:
+        self._parts: list[list[Floats]] = []
+        self._nis_sum, self._nis_rows = 0.0, 0
+        self._pair_sum, self._last = 0.0, 0.0
+
+    def add(self, t: Trajectory, keep: NDArray[np.bool_]) -> None:
+        """Take the rows that are kept, and the innovations of all."""
+        arrays = (
+            t.x_m,
+            t.y_m,
+            t.heading_deg,
+            t.states,
+            t.std,
+            t.innovation_deg,
+            t.innovation_sigma_deg,
+        )
+        self._parts.append([a[keep] for a in arrays])
+        normalised = t.innovation_deg / t.innovation_sigma_deg
+        normalised = normalised[np.isfinite(normalised)]
+        if normalised.size:
+            self._nis_sum += float(normalised @ normalised)
+            self._nis_rows += normalised.size
+            self._pair_sum += float(normalised[:-1] @ normalised[1:] + self._last * normalised[0])
+            self._last = float(normalised[-1])
+
+    def track(self, condition: Condition, navigator: Navigator, rest: Rest | None) -> Track:
+        """What was recorded."""
+        x, y, heading, states, std, z, sigma = (
+            np.concatenate(parts) for parts in zip(*self._parts, strict=True)
+        )
+        nis = self._nis_sum / self._nis_rows if self._nis_rows else math.nan
+        return Track(
+            condition,
+            x,
+            y,
+            heading,
+            states,
+            std,
+            z,
+            sigma,
+            navigator.covariance,
+            navigator.counts,
+            nis,
+            self._nis_rows,
+            self._pair_sum / self._nis_sum if self._nis_sum else math.nan,
+            rest.bias if rest else None,
+            navigator.robot,
+        )

@@ -1,0 +1,111 @@
+"""UMBmark: wheel scales and track of a robot from squares driven in both directions.
+
+Borenstein and Feng, Measurement and Correction of Systematic Odometry Errors in Mobile Robots, IEEE Transactions on
+Robotics and Automation 12(6), 869-880 (1996). A square of side L is driven several times each way; at the end the
+robot's true position is measured, less the one that its odometry believes: the return error. Unequal wheels bend the
+straight legs, the same way round in both directions; a wrong track turns every corner by too much or too little. The
+mean return errors of the two directions tell them apart.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.errors import DataError
+
+Floats = NDArray[np.float64]
+
+#: Runs in each direction below which a mean has no honest scatter.
+LEAST_RUNS = 3
+_DRAWS = 20_000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Umbmark:
+    """What the squares tell.
+
+    Attributes
+    ----------
+    wheel_ratio : E_d, right wheel diameter over left
+    track_ratio : E_b, true wheel separation over the one of the robot file
+    left_scale, right_scale : wheel scales of a robot file: measured = (1 + S) true (paper eq. 7), mean of both zero
+    wheel_separation_m : corrected
+    before_m : E_max,syst: the larger distance of the two mean return errors from the start
+    """
+
+    wheel_ratio: Estimate
+    track_ratio: Estimate
+    left_scale: Estimate
+    right_scale: Estimate
+    wheel_separation_m: Estimate
+    before_m: float
+
+
+def umbmark(cw_m: Floats, ccw_m: Floats, side_m: float, separation_m: float, seed: int = 0) -> Umbmark:
+    """Corrections from return errors, in the frame of the start: x along the first leg, y to the left of it.
+
+    Parameters
+    ----------
+    cw_m, ccw_m : ndarray, shape (n, 2)
+        Return errors (measured less believed) of clockwise and counter-clockwise runs.
+    side_m, separation_m : side of the square, and wheel separation in use
+    seed : of the draws behind the intervals (means of n runs are Student t about theirs)
+
+    Raises
+    ------
+    DataError
+        Fewer than `LEAST_RUNS` in a direction, or errors so large that the method's small angles do not hold.
+    """
+    for name, runs in (("clockwise", cw_m), ("counter-clockwise", ccw_m)):
+        if len(runs) < LEAST_RUNS:
+            msg = f"{len(runs)} {name} runs are given, and {LEAST_RUNS} are wanted in each direction (UMBmark takes five): drive more."
+            raise DataError(msg)
+    mean_cw, mean_ccw = cw_m.mean(axis=0), ccw_m.mean(axis=0)
+    before = float(max(np.hypot(*mean_cw), np.hypot(*mean_ccw)))
+    if before > 0.35 * side_m:
+        msg = f"The mean return error is {before:.2f} m on a square of {side_m:g} m, too much for small angles: check side, units and signs, correct what is gross, and drive again."
+        raise DataError(msg)
+    rng = np.random.default_rng([seed, 17])
+    centre = _corrections(mean_cw[None], mean_ccw[None], side_m, separation_m)
+    drawn = _corrections(_means(rng, cw_m), _means(rng, ccw_m), side_m, separation_m)
+    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    wheels, track, left, right, separation = (
+        Estimate(float(c), float(a), float(b)) for c, a, b in zip(centre[0], low, high, strict=True)
+    )
+    return Umbmark(wheels, track, left, right, separation, before)
+
+
+def _means(rng: np.random.Generator, runs: Floats) -> Floats:
+    """Draws of the true mean: each coordinate a t about the mean of the runs, shape (_DRAWS, 2)."""
+    n = len(runs)
+    error = runs.std(axis=0, ddof=1) / math.sqrt(n)
+    return np.asarray(runs.mean(axis=0) + error * rng.standard_t(n - 1, (_DRAWS, 2)))
+
+
+def _corrections(cw: Floats, ccw: Floats, side_m: float, separation_m: float) -> Floats:
+    """E_d, E_b, left and right scale, separation, shape (m, 5).
+
+    A corner that falls short by alpha and a leg that bends by beta end a square at -2 L alpha and 2 L beta off, to
+    first order, with the signs that follow; both coordinates are averaged, as the reference recommends.
+    """
+    x_cw, y_cw, x_ccw, y_ccw = cw[:, 0], cw[:, 1], ccw[:, 0], ccw[:, 1]
+    alpha = 0.5 * ((x_cw + x_ccw) / (-4.0 * side_m) + (y_cw - y_ccw) / (-4.0 * side_m))
+    beta = 0.5 * ((x_cw - x_ccw) / (-4.0 * side_m) + (y_cw + y_ccw) / (-4.0 * side_m))
+    bend = 2.0 * np.sin(0.5 * beta) * separation_m / side_m  # separation over the radius of the bent leg
+    ratio = (1.0 + 0.5 * bend) / (1.0 - 0.5 * bend)
+    track = (0.5 * np.pi) / (0.5 * np.pi - alpha)
+    left, right = 2.0 / (ratio + 1.0), 2.0 / (1.0 / ratio + 1.0)
+    return np.column_stack([ratio, track, 1.0 / left - 1.0, 1.0 / right - 1.0, separation_m * track])

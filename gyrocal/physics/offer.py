@@ -1,0 +1,134 @@
+"""What a record offers an effect: the ranges that grids of shapes and blind draws are made for, and what is lacking."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+#: Fewer different rates than this carry no shape beyond the cubic.
+_FEWEST_RATES = 6
+#: Rates below this are rest, deg/s.
+_REST_DPS = 0.01
+#: Half of a gyro's warm-up is over by then, and the rest of it is a drift, s.
+_WARM_S = 5400.0
+
+
+@dataclass(frozen=True)
+class Offer:
+    """Ranges of a record.
+
+    Attributes
+    ----------
+    t_s : (first, last) time of its rows, s
+    rates_dps : ndarray, the different rates, to a thousandth, ascending, deg/s
+    largest_rate_dps : largest size of a rate, deg/s
+    temp_c : (lowest, highest) temperature of its rows, deg C
+    temp_span_c : range of the temperatures as they were sampled, deg C
+    turn_starts_s : ndarray, beginnings of data sets between the first turns of the table and its last, s
+    since_power_on_s : least time since the gyro was switched on, s; None: nobody knows when that was
+    has_time : whether the times are known, and not only the order
+    channels : fields of `Conditions` that the record has
+    lacking : coordinate to the reason why the record cannot show it
+    """
+
+    t_s: tuple[float, float]
+    rates_dps: Floats
+    largest_rate_dps: float
+    temp_c: tuple[float, float]
+    temp_span_c: float
+    turn_starts_s: Floats
+    since_power_on_s: float | None
+    has_time: bool
+    channels: frozenset[str]
+    lacking: Mapping[str, str]
+
+    @property
+    def span_s(self) -> float:
+        """Length of the record, s."""
+        return self.t_s[1] - self.t_s[0]
+
+    @property
+    def sizes_dps(self) -> Floats:
+        """The different sizes of its rates, ascending, deg/s."""
+        return np.unique(np.abs(self.rates_dps))
+
+    @property
+    def turns(self) -> bool:
+        """Whether the table turned at all."""
+        return self.largest_rate_dps > 0
+
+    def why_unseen(self, coordinate: str) -> str | None:
+        """Why a coordinate does not show in the record; None where it does.
+
+        Time is never lacking (the order of the rows stands for it), and where times are known a warm-up has the
+        same shape whenever it is first seen.
+        """
+        if coordinate == "time" or (coordinate == "time_since_power_on" and self.has_time):
+            return None
+        return self.lacking.get(coordinate)
+
+
+#: Why a record does not meet a need of an effect; None: it does.
+Requirement = Callable[[Offer], str | None]
+
+
+def table_turns(offer: Offer) -> str | None:
+    """The table turned."""
+    return None if offer.turns else "the table did not turn"
+
+
+def many_rates(offer: Offer) -> str | None:
+    """Enough rates for a shape that a cubic leaves over."""
+    count = offer.rates_dps.size
+    if count >= _FEWEST_RATES:
+        return None
+    return f"it has {count} different rates, and shapes in rate need at least {_FEWEST_RATES}"
+
+
+def both_ways(offer: Offer) -> str | None:
+    """Turns to the left and to the right."""
+    return None if offer.rates_dps.min() < 0 < offer.rates_dps.max() else "it turns one way only"
+
+
+def data_at_rest(offer: Offer) -> str | None:
+    """Rows at rest."""
+    return None if np.any(np.abs(offer.rates_dps) < _REST_DPS) else "it has no data at rest"
+
+
+def steps_of_rate(offer: Offer) -> str | None:
+    """Samples that say how long ago the rate changed, and by how much."""
+    return (
+        None
+        if {"since_step_s", "step_dps"} <= offer.channels
+        else "the record has no samples after a step of rate"
+    )
+
+
+def begins_warm(offer: Offer) -> str | None:
+    """A beginning soon after power-on, where that is known."""
+    late = offer.since_power_on_s is not None and offer.since_power_on_s > _WARM_S
+    return "the record begins more than 1.5 h after power-on" if late else None
+
+
+def temperature_changes(by_c: float, otherwise: str) -> Requirement:
+    """A change of temperature of at least so much; `otherwise` is said where there is less."""
+
+    def requirement(offer: Offer) -> str | None:
+        span = offer.temp_c[1] - offer.temp_c[0]
+        return otherwise if span < by_c else None
+
+    return requirement
+
+
+def either(first: Requirement, second: Requirement) -> Requirement:
+    """One of two needs; the reason of the second where neither is met."""
+
+    def requirement(offer: Offer) -> str | None:
+        return None if first(offer) is None else second(offer)
+
+    return requirement

@@ -1,0 +1,101 @@
+"""How `diagnose` looks for an effect: shapes to try, columns to regress on, what it needs and what it is mistaken for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.physics.offer import Offer, Requirement
+from gyrocal.physics.surface import Surface
+
+if TYPE_CHECKING:
+    from gyrocal.physics.effect import Conditions, Effect
+
+Floats = NDArray[np.float64]
+
+#: Values of the parameters that shape an effect; the amplitude is not among them.
+Shape = Mapping[str, float]
+#: Shapes to try with a record that offers so much; none where it can show none of them.
+Grid = Callable[[Offer], Sequence[Shape]]
+
+
+class Columns(Protocol):
+    """Columns in which an effect of a given shape is linear, at unit amplitude, shape (n, k), deg/s."""
+
+    def __call__(self, effect: Effect, c: Conditions, shape: Shape, surface: Surface | None, /) -> Floats: ...
+
+
+def one_column(effect: Effect, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+    """The law itself."""
+    return effect.unit_dps(c, shape, surface)[:, None]
+
+
+def with_phase(effect: Effect, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+    """Cosine and sine of a law with a phase: amplitude and phase become linear."""
+    return np.column_stack(
+        [effect.unit_dps(c, {**shape, "phase_rad": phase}, surface) for phase in (0.0, -np.pi / 2)]
+    )
+
+
+def no_shape(offer: Offer) -> list[dict[str, float]]:
+    """The grid of a law that has an amplitude and nothing else."""
+    return [{}]
+
+
+def scales(name: str, low: float, high: float, count: int) -> Grid:
+    """Time constants `name` from `low` to `high` seconds, evenly in the logarithm, below the length of the record."""
+
+    def grid(offer: Offer) -> list[dict[str, float]]:
+        return [{name: float(x)} for x in np.geomspace(low, high, count) if x < offer.span_s]
+
+    return grid
+
+
+@dataclass(frozen=True)
+class Search:
+    """How an effect is looked for.
+
+    Attributes
+    ----------
+    grid : Grid
+        Shapes that are tried.
+    columns : Columns
+        What is regressed on at a shape.
+    refined : tuple of str
+        Parameters of shape that are refined between the points of the grid; the others are what the grid says.
+    requires : tuple of Requirement
+        Needs beyond the channels and the coordinate in which the effect is seen.
+    twin_of : str
+        The effect of exactly the same law that is looked for in its stead; empty: none.
+    alike_without : mapping
+        Coordinate to the effect that it is alike where the record lacks that coordinate.
+    told_apart : mapping
+        Another effect to what a hand must do to tell the two apart, where no profile can.
+    prior_nats : float
+        Evidence it starts with. What claims no mechanism starts below a law.
+    draws : bool
+        The amplitudes of its columns are independent draws of one size, not parameters each.
+    by_columns : bool
+        Whether it is found by its columns; otherwise a test of its own on the samples finds it.
+    scatters : bool
+        Whether it widens the scatter of the rows as well as their mean.
+    accounts_for : tuple of str
+        Effects that need not be named beside it: they are a part of it.
+    """
+
+    grid: Grid = no_shape
+    columns: Columns = one_column
+    refined: tuple[str, ...] = ()
+    requires: tuple[Requirement, ...] = ()
+    twin_of: str = ""
+    alike_without: Mapping[str, str] = field(default_factory=dict)
+    told_apart: Mapping[str, str] = field(default_factory=dict)
+    prior_nats: float = 0.0
+    draws: bool = False
+    by_columns: bool = True
+    scatters: bool = False
+    accounts_for: tuple[str, ...] = ()

@@ -1,0 +1,169 @@
+"""Plain logs of a gyro from whoever wrote them: our CSV, PX4 (ULog, extra ``px4``) or ArduPilot (extra ``ardupilot``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gyrocal.errors import GyrocalError, InputError
+from gyrocal.records.csvio import Floats
+from gyrocal.records.files import reading
+from gyrocal.records.static_log import StaticBlock, cut_at_steps, iterate_static_log
+from gyrocal.records.timeline import Timeline, usual_step
+from gyrocal.units import RAD_TO_DEG
+
+#: Axes that a gyro of an autopilot may be asked for; a minus turns the sign.
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+#: PX4: topics that hold rates in rad/s, the one nearest to the sensor first, and their fields.
+_PX4 = (
+    ("sensor_gyro", {"x": "x", "y": "y", "z": "z"}),
+    ("sensor_combined", {"x": "gyro_rad[0]", "y": "gyro_rad[1]", "z": "gyro_rad[2]"}),
+)
+_ARDUPILOT = {"x": "GyrX", "y": "GyrY", "z": "GyrZ"}
+_CHUNK_ROWS = 500_000
+_US_PER_S = 1e6
+#: No gyro of a vehicle turns so fast.
+_LARGEST_RPS = 1e6
+
+
+def iterate_gyro_log(path: Path, axis: str = "z", instance: int = 0) -> Iterator[StaticBlock]:
+    """Yield the log `path` in blocks: ``.ulg`` of PX4, ``.bin`` of ArduPilot, else a CSV (see `iterate_static_log`).
+
+    Parameters
+    ----------
+    axis : str
+        Of an autopilot's log: one of `AXES`.
+    instance : int
+        Of an autopilot's log: which of its gyros, from 0.
+
+    Raises
+    ------
+    InputError
+        The extra is not installed; a damaged file; no such gyro in it; an axis or instance asked of a CSV.
+    """
+    if path.suffix.lower() == ".ulg":
+        return _iterate_ulog(path, axis, instance)
+    if path.suffix.lower() == ".bin":
+        return _iterate_dataflash(path, axis, instance)
+    if axis != "z" or instance:
+        raise InputError(
+            f"{path}: is a CSV, and axis and instance are of an autopilot's log. Leave them out."
+        )
+    return iterate_static_log(path)
+
+
+def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]:
+    """PX4; pyulog holds the one topic in memory, 40 bytes a sample."""
+    with _parsing(path, "pyulog", "px4"):
+        from pyulog import ULog
+
+        with path.open("rb") as file:
+            log = ULog(file, [name for name, _ in _PX4])
+        found = {(data.name, data.multi_id): data.data for data in log.data_list}
+        damaged = ("parts of the file are damaged and left out",) if log.file_corruption else ()
+    for topic, fields in _PX4:
+        data = found.get((topic, instance))
+        if data is None:
+            continue
+        stamp = data["timestamp_sample"] if "timestamp_sample" in data else data["timestamp"]
+        nothing = np.full(stamp.shape, np.nan)
+        blocks = _blocks(
+            path,
+            _numbers(stamp) / _US_PER_S,
+            _numbers(data[fields[axis[-1]]]),
+            _numbers(data.get("temperature", nothing)),
+            axis,
+        )
+        yield from (replace(b, notes=(*damaged, *b.notes)) if k == 0 else b for k, b in enumerate(blocks))
+        return
+    known = ", ".join(f"{name} {number}" for name, number in sorted(found)) or "none"
+    raise InputError(f"{path}: holds no gyro {instance} (found: {known}). Choose another instance.")
+
+
+def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]:
+    """ArduPilot: messages ``IMU``, streamed."""
+    rows: list[tuple[float, float, float]] = []
+    seen: set[int] = set()
+    clock: list[Timeline] = []
+    with _parsing(path, "pymavlink", "ardupilot"):
+        messages = _dataflash_messages(path)
+    while True:
+        with _parsing(path, "pymavlink", "ardupilot"):
+            message = next(messages, None)
+            if message is not None:
+                number = int(getattr(message, "I", 0))
+                seen.add(number)
+                if number == instance:
+                    rate = float(getattr(message, _ARDUPILOT[axis[-1]]))
+                    rows.append((message.TimeUS / _US_PER_S, rate, float(getattr(message, "T", np.nan))))
+        if rows and (message is None or len(rows) == _CHUNK_ROWS):
+            t_s, rate_rps, temp_c = np.array(rows, dtype=np.float64).T
+            yield from _blocks(path, t_s, rate_rps, temp_c, axis, clock)
+            rows = []
+        if message is None:
+            break
+    if instance not in seen:
+        known = ", ".join(map(str, sorted(seen))) or "none"
+        raise InputError(f"{path}: holds no gyro {instance} (found: {known}). Choose another instance.")
+
+
+def _dataflash_messages(path: Path) -> Iterator[Any]:
+    from pymavlink.DFReader import DFReader_binary
+
+    log = DFReader_binary(str(path))
+    try:
+        while (message := log.recv_match(type="IMU")) is not None:
+            yield message
+    finally:
+        log.close()
+
+
+def _numbers(column: Any) -> Floats:
+    with np.errstate(invalid="ignore"):  # what damage made of a number may be any kind of NaN
+        return np.asarray(column, dtype=np.float64)
+
+
+def _blocks(
+    path: Path,
+    t_s: Floats,
+    rate_rps: Floats,
+    temp_c: Floats,
+    axis: str,
+    clock: list[Timeline] | None = None,
+) -> Iterator[StaticBlock]:
+    """Rows as blocks; `clock` keeps the timeline of a log that comes in several pieces."""
+    timelines = [] if clock is None else clock
+    if not timelines:
+        timelines.append(Timeline(path, usual_step(path, t_s[:1000]), closes=False))
+    huge = np.flatnonzero(np.abs(rate_rps) > _LARGEST_RPS)
+    if huge.size:
+        msg = f"{path}, sample {huge[0] + 1}: the rate is {rate_rps[huge[0]]:.3g} rad/s, which no gyro measures. The file is damaged."
+        raise InputError(msg)
+    sign = -1.0 if axis.startswith("-") else 1.0
+    columns = {"t_s": t_s, "gyro_dps": sign * RAD_TO_DEG * rate_rps, "temp_c": temp_c}
+    for start in range(0, t_s.size, _CHUNK_ROWS):
+        piece = {name: values[start : start + _CHUNK_ROWS] for name, values in columns.items()}
+        yield from cut_at_steps(timelines[0], 1 + start, piece)
+
+
+@contextmanager
+def _parsing(path: Path, library: str, extra: str) -> Iterator[None]:
+    """What a parser by other hands does at damaged bytes becomes a sentence."""
+    try:
+        with reading(path):
+            yield
+    except ImportError as error:
+        msg = f"{path}: reading it needs the {library} library; install it with: pip install 'gyrocal[{extra}]'."
+        raise InputError(msg) from error
+    except GyrocalError:
+        raise
+    except Exception as error:
+        said = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise InputError(
+            f"{path}: cannot be read as a log of an autopilot ({said}). Check that it was closed properly."
+        ) from error

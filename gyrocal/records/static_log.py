@@ -1,0 +1,105 @@
+"""Plain logs of a gyro that stands, or turns at one rate, for hours: CSV, PX4 ULog, ArduPilot; in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gyrocal.errors import InputError
+from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
+from gyrocal.records.timeline import Timeline, usual_step
+
+COLUMNS = ("t_s", "gyro_dps", "temp_c", "rate_dps")
+#: Columns of the run directory that a plain log may have as well; nothing is made of them here.
+_PASSED_OVER = ("status", "chamber_temp_c", "supply_v")
+_CHUNK_ROWS = 500_000
+_HEAD_ROWS = 1000
+
+
+@dataclass(frozen=True)
+class StaticBlock:
+    """Consecutive samples of one segment, arrays of shape (n,).
+
+    Attributes
+    ----------
+    first_line : int
+        Line of the first sample in the file (CSV), or its number from 1.
+    segment : int
+        Blocks of one segment follow each other; a step of the clock begins another.
+    t_s, gyro_dps : ndarray, s, deg/s
+        NaN where the sample is missing.
+    temp_c, rate_dps : ndarray, deg C, deg/s
+        Temperature, and the rate at which the table turned; NaN where the log has none.
+    usual_dt_s : float, s
+        Median step of the first rows of the log.
+    notes : tuple of str
+        Where the clock stepped just before this block, in words.
+    """
+
+    first_line: int
+    segment: int
+    t_s: Floats
+    gyro_dps: Floats
+    temp_c: Floats
+    rate_dps: Floats
+    usual_dt_s: float
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return int(self.t_s.size)
+
+
+def iterate_static_log(path: Path, chunk_rows: int = _CHUNK_ROWS) -> Iterator[StaticBlock]:
+    """Yield the CSV log `path` (``t_s, gyro_dps`` and perhaps ``temp_c, rate_dps``) in blocks of bounded memory.
+
+    Raises
+    ------
+    InputError
+        A missing or unknown column, a cell that is text or infinite, time that is empty, going backwards or not in
+        seconds, no rows.
+    """
+    header = read_header(path)
+    require_columns(path, header, ("t_s", "gyro_dps"), (*COLUMNS, *_PASSED_OVER))
+    only = [name for name in COLUMNS if name in header]
+    timeline: Timeline | None = None
+    for first_line, columns in iterate_columns(path, header, max(chunk_rows, _HEAD_ROWS), only):
+        if columns["t_s"].size == 0:
+            continue
+        _refuse_infinite(path, first_line, columns)
+        if timeline is None:
+            timeline = Timeline(path, usual_step(path, columns["t_s"][:_HEAD_ROWS]), closes=False)
+        yield from cut_at_steps(timeline, first_line, columns)
+    if timeline is None:
+        raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")
+
+
+def cut_at_steps(timeline: Timeline, first_line: int, columns: dict[str, Floats]) -> Iterator[StaticBlock]:
+    """The rows of `columns` (`COLUMNS`, the last two if there) as blocks, none of which spans a step of the clock."""
+    t_s, segments, said = timeline.take(first_line, columns["t_s"])
+    nothing = np.full(t_s.shape, np.nan)
+    c = {name: columns.get(name, nothing) for name in COLUMNS}
+    cuts = np.flatnonzero(np.diff(segments)) + 1
+    # A step may lie before the very first row; then each sentence belongs to one block, else to all but the first.
+    spoken = [*said] if len(said) > cuts.size else [None, *said]
+    for start, stop, note in zip([0, *cuts], [*cuts, t_s.size], spoken, strict=True):
+        rows = slice(int(start), int(stop))
+        yield StaticBlock(
+            first_line + int(start),
+            int(segments[start]),
+            c["t_s"][rows],
+            c["gyro_dps"][rows],
+            c["temp_c"][rows],
+            c["rate_dps"][rows],
+            timeline.usual_dt_s,
+            () if note is None else (note,),
+        )
+
+
+def _refuse_infinite(path: Path, first_line: int, columns: dict[str, Floats]) -> None:
+    for name, values in columns.items():
+        bad = np.flatnonzero(np.isinf(values))
+        if bad.size:
+            raise InputError(f"{path}, line {first_line + bad[0]}: {name} is infinite. Repair the log.")

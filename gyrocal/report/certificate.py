@@ -1,0 +1,183 @@
+"""`gyrocal certify`: the dossier of a unit as page, JSON, coefficient file and (with weasyprint) PDF."""
+
+from __future__ import annotations
+
+import json
+import logging
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gyrocal
+from gyrocal.calibration.calibrate import FitConfig
+from gyrocal.calibration.dossier import Dossier, Row, compile_dossier, read_limits, unit_run
+from gyrocal.calibration.summary import said, verdict
+from gyrocal.errors import InputError
+from gyrocal.report.drawings import DRAWINGS
+from gyrocal.report.gather import gather
+from gyrocal.report.output import check_output, write_directory
+from gyrocal.report.page import Page, Picture, Table, Tone, render_page
+from gyrocal.report.style import render
+
+#: Pictures of a certificate, of those of a report.
+_SHOWN = ("figure_1", "figure_3b", "residual_map", "allan_deviation")
+
+
+@dataclass(frozen=True)
+class CertifyConfig:
+    """Runs of one unit in the order in which they were made, limits, and where to write."""
+
+    runs: tuple[Path, ...]
+    out: Path
+    limits: Path | None = None
+    counts_per_dps: float | None = None
+    pdf: bool = False
+
+
+def write_certificate(config: CertifyConfig, tell: Callable[[float, str], None]) -> Dossier:
+    """Fit every run, compile the dossier, write it to ``config.out``.
+
+    Raises
+    ------
+    InputError, DataError, ProfileError, OutputError
+        Nothing is written then.
+    """
+    check_output(config.out)
+    limits = read_limits(config.limits) if config.limits else {}
+    runs = []
+    for number, path in enumerate(config.runs):
+        tell(0.7 * number / len(config.runs), path.name)
+        runs.append(unit_run(path, FitConfig(config.counts_per_dps)))
+    dossier = compile_dossier(runs, limits, str(config.limits))
+    tell(0.75, "pictures")
+    pictures = _pictures(dossier, config.counts_per_dps)
+    text = render_page(certificate_page(dossier, pictures))
+    files: dict[str, bytes | str] = {
+        "certificate.html": text,
+        "certificate.json": json.dumps(to_json(dossier), indent=1) + "\n",
+        "coefficients.json": dossier.runs[-1].calibration.coefficients.to_text(),
+    }
+    if config.pdf:
+        tell(0.9, "PDF")
+        files["certificate.pdf"] = _pdf(text)
+    write_directory(config.out, files)
+    tell(1.0, "")
+    return dossier
+
+
+def _pictures(dossier: Dossier, counts_per_dps: float | None) -> list[Picture]:
+    """Pictures of the newest run with its own coefficients."""
+    newest = dossier.runs[-1]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "coefficients.json"
+        file.write_text(newest.calibration.coefficients.to_text(), encoding="utf-8")
+        material = gather(newest.path, file, counts_per_dps, False, lambda share, what: None)
+    pictures = []
+    for drawing in DRAWINGS:
+        if drawing.name in _SHOWN:
+            drawn = drawing.draw(material)
+            png = None if isinstance(drawn, str) else render(drawn, "png")
+            missing = drawn if isinstance(drawn, str) else ""
+            pictures.append(Picture(drawing.name, drawing.title, drawing.caption, png, missing))
+    return pictures
+
+
+def certificate_sentence(dossier: Dossier) -> tuple[str, Tone]:
+    """The verdict, and how it is meant."""
+    limited = [row for row in dossier.rows if row.judgement is not None]
+    fit = f"Newest run: {verdict(dossier.runs[-1].calibration)}."
+    if dossier.failed:
+        names = ", ".join(row.before.title for row in dossier.failed)
+        return f"FAIL: beyond the limit with all of its uncertainty: {names}. {fit}", "bad"
+    if dossier.undecided:
+        names = ", ".join(row.before.title for row in dossier.undecided)
+        return (
+            f"NOT DECIDED: the measurement cannot tell whether the limit is kept: {names}. {fit}",
+            "warning",
+        )
+    if limited:
+        return f"PASS: all {len(limited)} limits are kept with all of their uncertainty. {fit}", "good"
+    return f"CALIBRATED; no limits were given. {fit}", "plain"
+
+
+def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:
+    """The page: identity and verdict, figures, pictures, what was not tested, limits of the data, provenance."""
+    sentence, tone = certificate_sentence(dossier)
+    serial = dossier.identity["Serial number"]
+    table = Table("figures", "Figures, with 95 % intervals", *figure_rows(dossier), csv="")
+    untested = Table("not_tested", "Not tested", ("what",), [(text,) for text in dossier.not_tested], csv="")
+    return Page(
+        title=f"Certificate of calibration: {dossier.identity['Gyro']}, serial number {serial}",
+        verdict=sentence,
+        key_figures=list(dossier.identity.items()),
+        remarks=[
+            "Figures are named after IEEE Std 952. After: on data that the fit has not seen. An interval that reaches over a "
+            "limit decides nothing."
+        ],
+        pictures=pictures,
+        tables=[untested],
+        lead=[table],
+        quality=dossier.quality,
+        tone=tone,
+        banner="SIMULATED: NOTHING WAS MEASURED" if dossier.simulated else "",
+        provenance=provenance(dossier),
+        beside="certificate.json holds everything with all digits; coefficients.json is the newest run's.",
+    )
+
+
+def figure_rows(dossier: Dossier) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Columns and rows of the table of figures."""
+    limited = any(row.judgement for row in dossier.rows)
+    columns = ("figure", "before", "after", "unit", *(("limit", "") if limited else ()), "definition, sample")
+    return columns, [_cells(row, limited) for row in dossier.rows]
+
+
+def _cells(row: Row, limited: bool) -> tuple[str, ...]:
+    after = "" if row.after is None else said(row.after)
+    judged = (row.limit, row.judgement or "") if limited else ()
+    about = f"{row.before.definition}; {row.before.sample}" if row.before.sample else row.before.definition
+    return (row.before.title, said(row.before), after, row.before.unit, *judged, about)
+
+
+def provenance(dossier: Dossier) -> dict[str, str]:
+    """Checksums of what was read, and the program."""
+    entries = {"Software": f"gyrocal {gyrocal.__version__}"}
+    for run in dossier.runs:
+        entries[f"{run.path.name}, sha256"] = run.calibration.recording.sha256
+        if "profile_sha256" in run.head:
+            entries[f"{run.path.name}, profile sha256"] = str(run.head["profile_sha256"])
+    return entries
+
+
+def to_json(dossier: Dossier) -> dict[str, Any]:
+    """``gyrocal-certificate/1``."""
+    sentence, _ = certificate_sentence(dossier)
+    return {
+        "schema": "gyrocal-certificate/1",
+        "verdict": sentence,
+        "simulated": dossier.simulated,
+        "identity": dict(dossier.identity),
+        "figures": {
+            row.before.name: {
+                "before": row.before.to_json(),
+                "after": None if row.after is None else row.after.to_json(),
+                "limit": row.limit or None,
+                "judgement": row.judgement,
+            }
+            for row in dossier.rows
+        },
+        "not_tested": list(dossier.not_tested),
+        "quality": list(dossier.quality),
+        "provenance": provenance(dossier),
+    }
+
+
+def _pdf(text: str) -> bytes:
+    try:
+        import weasyprint
+    except (ImportError, OSError) as error:
+        raise InputError(f"--pdf needs the extra: pip install 'gyrocal[pdf]' ({error}).") from error
+    logging.getLogger("weasyprint").setLevel(logging.ERROR)
+    return bytes(weasyprint.HTML(string=text).write_pdf())

@@ -1,0 +1,52 @@
+"""What `gyrocal compare` says of its changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from gyrocal.calibration.compare import ALARM_RATE, Change
+from gyrocal.calibration.summary import said
+
+
+def changes_sentence(changes: Sequence[Change]) -> str:
+    """The answer in one sentence."""
+    changed = [c.figures[0].title for c in changes if c.changed]
+    if not changed:
+        return f"Nothing changed from the first run to the last by more than noise (at {ALARM_RATE:.0%} false alarms)."
+    return f"Changed from the first run to the last by more than noise: {', '.join(changed)}."
+
+
+def change_rows(
+    changes: Sequence[Change], names: Sequence[str]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Columns and rows: a figure a row, a run a column, then the change."""
+    rows = [
+        (
+            c.figures[0].title,
+            c.figures[0].unit,
+            *(said(f) for f in c.figures),
+            "-" if c.change is None else f"{c.change:+.4g} ({c.low:+.4g} to {c.high:+.4g})",
+            f"{c.p_value:.2g}" + (" changed" if c.changed else ""),
+        )
+        for c in changes
+    ]
+    return ("figure", "unit", *names, "last less first (95 %)", "p (Holm)"), rows
+
+
+def to_json(changes: Sequence[Change], names: Sequence[str]) -> dict[str, Any]:
+    """``gyrocal-comparison/1``."""
+    return {
+        "schema": "gyrocal-comparison/1",
+        "runs": list(names),
+        "figures": {
+            c.figures[0].name: {
+                "runs": [f.to_json() for f in c.figures],
+                "change": c.change,
+                "interval_95": None if c.change is None else [c.low, c.high],
+                "p_value": c.p_value,
+                "changed": c.changed,
+            }
+            for c in changes
+        },
+    }

@@ -1,0 +1,181 @@
+"""A drive's diagnosis in plain sentences, and its tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
+from gyrocal.diagnosis.drive.improved import DriveEstimate
+from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
+from gyrocal.report.page import Table
+from gyrocal.report.words import region_words
+
+#: Evidence that tells nothing apart.
+_ALIKE = 3.0
+#: Metres below which an estimate is not worth a sentence, and how many get one.
+_LEAST_M, _MOST = 0.001, 5
+_PATHS = {
+    "gyro": "along the gyro's heading",
+    "encoders": "along the encoders' heading",
+    "truth": "of the truth's own frame",
+}
+
+
+def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
+    """What there is to say of a drive, in order."""
+    diagnosis = found.diagnosis
+    lines = [_first_sentence(found)]
+    lines += [_effect_sentence(e) for e in diagnosis.effects]
+    lines += [_shown_sentence(s) for s in found.shown]
+    lines += _estimate_sentences(found.estimates, at_rest=found.series.robot.static_s > 0)
+    if found.yaw.model.outliers.size:
+        count = found.yaw.model.outliers.size
+        lines.append(
+            f"Isolated slips of a wheel (or spikes of the gyro) in {count} intervals are left out of all fits"
+        )
+    for place in diagnosis.located:
+        if place.remains:
+            where = place.coordinate.replace("_", " ")
+            what = "scatter" if place.statistic == "variance" else "structure"
+            lines.append(
+                f"Unexplained {what} remains over {where}: {region_words(place)} (p = {place.p_value:.1g})"
+            )
+    if not found.series.differential:
+        lines.append(
+            "The log has one speed for both wheels: rests tell the gyro's bias and true positions its scale and that of "
+            "the speed; of track, wheels and delay nothing can be said"
+        )
+    lines += _inseparable(found)
+    return tuple(lines)
+
+
+def _first_sentence(found: DriveDiagnosis) -> str:
+    if not found.series.differential and not found.diagnosis.effects:
+        return "The vehicle logs no turn of its wheels, so that encoders and gyro cannot be compared."
+    return {
+        "consistent": "Encoders and gyro agree within their noise and what the robot file grants.",
+        "explained": "The log departs from the robot file, and the physics named below explains it.",
+        "partly_explained": "The log departs from the robot file; the physics named below explains a part of it.",
+        "unexplained": "The log departs from the robot file, and no effect of the catalogue explains it.",
+    }[found.diagnosis.verdict]
+
+
+def _effect_sentence(effect: NamedEffect) -> str:
+    others = [_other(a) for a in effect.alternatives]
+    rest = f"; it could also be {', '.join(others)}" if others else ""
+    return f"{effect.effect}: {effect.statement.rstrip('.')}: {_value(effect.parameters['amplitude'])}{rest}"
+
+
+def _other(a: Alternative) -> str:
+    if 1 / _ALIKE < a.evidence_ratio < _ALIKE:
+        return f"{a.effect} (about as well)"
+    return f"{a.effect} ({a.evidence_ratio:.2g} to 1 against it)"
+
+
+def _shown_sentence(shown: Shown) -> str:
+    if not np.isfinite(shown.before_m):
+        return f"On {shown.part} the path along the gyro's heading moves by {shown.apart_m:.2g} m rms; there is no truth to say whether for the better"
+    better = "falls" if shown.after_m <= shown.before_m else "rises"
+    return f"On {shown.part} the position error along the gyro's heading {better} from {shown.before_m:.3g} to {shown.after_m:.3g} m rms"
+
+
+def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) -> list[str]:
+    said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
+    lines = []
+    for e in said:
+        remark = "" if e.named else ", not distinct enough to be named"
+        if e.name == "gyro_bias" and not e.named:
+            remark = ", and the rest at the start takes it off" if at_rest else ", as the robot file expects"
+        lines.append(
+            f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit} costs {e.metres:.2g} m rms {_PATHS[e.path]}{remark}"
+        )
+    return lines
+
+
+def _inseparable(found: DriveDiagnosis) -> list[str]:
+    """Estimates that this log cannot tell apart, from their correlation."""
+    yaw = found.yaw
+    std = np.sqrt(np.maximum(np.diag(yaw.covariance), 1e-300))
+    correlation = yaw.covariance / np.outer(std, std)
+    lines = []
+    for i, one in enumerate(yaw.chosen):
+        for j in range(i):
+            if abs(correlation[i, j]) > 0.95:
+                pair = f"{yaw.chosen[j].replace('_', ' ')} and {one.replace('_', ' ')}"
+                lines.append(f"This drive hardly tells {pair} apart (correlation {correlation[i, j]:.2f})")
+    return lines
+
+
+def _decimals(std: float) -> int:
+    """Decimals that show two digits of a standard deviation."""
+    return int(np.clip(1 - np.floor(np.log10(std)), 0, 9)) if std > 0 and np.isfinite(std) else 3
+
+
+def _pair(value: float, std: float) -> str:
+    d = _decimals(std)
+    return f"{value:.{d}f} ± {std:.{d}f}"
+
+
+def _value(e: Estimate) -> str:
+    """Value, unit and interval, all rounded to the same decimal."""
+    unit = "" if e.unit == "1" else f" {e.unit}"
+    if np.isnan(e.interval_95[0]):
+        return f"{e.value:.4g}{unit}"
+    d = _decimals(e.std)
+    return f"{e.value:.{d}f}{unit} (95 %: {e.interval_95[0]:.{d}f} to {e.interval_95[1]:.{d}f})"
+
+
+def drive_tables(diagnosis: Diagnosis) -> list[Table]:
+    """All estimates of a drive by the metres that they cost, and the position errors before and after."""
+    if diagnosis.drive is None:
+        return []
+    estimates = [
+        (
+            e["name"],
+            _cell(e, "value"),
+            _cell(e, "std"),
+            e["unit"],
+            _cell(e, "metres"),
+            _PATHS[e["path"]],
+            "yes" if e["named"] else "",
+        )
+        for e in diagnosis.drive["estimates"]
+    ]
+    errors = [
+        (e["part"], _cell(e, "before_rms_m"), _cell(e, "after_rms_m"), _cell(e, "apart_rms_m"))
+        for e in diagnosis.drive["position_error"]
+    ]
+    return [
+        _table(
+            "estimates",
+            "Every estimate, by the metres it costs",
+            ("Figure", "Value", "Std", "Unit", "Cost, m rms", "Path", "Named"),
+            estimates,
+            "Cost: rms position error over this log if the figure is not taken out. What is not named does not stand out "
+            "of the noise, or lies within what the robot file grants.",
+        ),
+        _table(
+            "position_error",
+            "Position error on what the figures were not fitted to",
+            ("Part", "Before, m rms", "After, m rms", "Paths apart, m rms"),
+            errors,
+            "",
+        ),
+    ]
+
+
+def _table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str) -> Table:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return Table(name, title, columns, rows, text.getvalue(), note if rows else "")
+
+
+def _cell(row: Mapping[str, Any], key: str) -> str:
+    return "-" if row[key] is None else f"{row[key]:.3g}"

@@ -1,0 +1,240 @@
+"""`gyrocal fleet`: many units beside each other, as page, JSON, CSV and (with pyarrow) Parquet."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+import gyrocal
+from gyrocal.calibration.calibrate import FitConfig
+from gyrocal.calibration.fleet import ALARM_RATE, Fleet, compare_units, measure_all
+from gyrocal.errors import DataError, DeviceError, InputError
+from gyrocal.report import style
+from gyrocal.report.output import check_output, write_directory
+from gyrocal.report.page import Page, Picture, Table, render_page
+
+#: Figures a picture shows: those of a gyro, not its coefficients.
+_LISTED = 40
+
+
+@dataclass(frozen=True)
+class FleetConfig:
+    """Which recordings, where to write, and who does the work: processes of this machine, or a Dask cluster."""
+
+    recordings: tuple[Path, ...]
+    out: Path
+    jobs: int | None = None
+    dask: str | None = None
+    counts_per_dps: float | None = None
+
+
+@dataclass(frozen=True)
+class FleetResult:
+    """The comparison, and the files that say it."""
+
+    fleet: Fleet
+    files: tuple[str, ...]
+    verdict: str
+
+
+def write_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> FleetResult:
+    """Fit every recording, compare, and write it to ``config.out``.
+
+    Raises
+    ------
+    DataError
+        Nothing to compare. OutputError, DeviceError: where it cannot be written, or no cluster answers.
+    """
+    check_output(config.out)
+    if len(config.recordings) < 2:
+        raise DataError("One recording is given, and a fleet has two at least: give more, or use `fit`.")
+    with _workers(config) as executor:
+        units = list(measure_all(config.recordings, FitConfig(config.counts_per_dps), executor, tell))
+    fleet = compare_units(units)
+    frame = _frame(fleet)
+    verdict = _verdict(fleet)
+    figure = distributions(fleet)
+    files: dict[str, bytes | str] = {
+        "fleet.json": json.dumps(_finite(to_json(fleet)), indent=1) + "\n",
+        "fleet.csv": frame.to_csv(index=False),
+        "distributions.png": style.render(figure, "png"),
+        "distributions.svg": style.render(figure, "svg"),
+    }
+    parquet = _parquet(frame)
+    if parquet is not None:
+        files["fleet.parquet"] = parquet
+    files["fleet.html"] = render_page(_page(fleet, verdict, bytes(files["distributions.png"])))  # type: ignore[arg-type]
+    write_directory(config.out, files)
+    return FleetResult(fleet, tuple(files), verdict)
+
+
+@contextmanager
+def _workers(config: FleetConfig) -> Iterator[Executor]:
+    if config.dask is None:
+        with ProcessPoolExecutor(config.jobs or os.cpu_count()) as pool:
+            yield pool
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError as error:
+        raise InputError("--dask needs the extra: pip install 'gyrocal[dask]'.") from error
+    try:
+        client = Client(config.dask, timeout="10s")
+    except (OSError, TimeoutError) as error:
+        raise DeviceError(
+            f"No Dask scheduler answers at {config.dask} ({error}): start one, or leave out --dask."
+        ) from error
+    # A task whose worker dies goes to another one: the scheduler sees to that.
+    with client, client.get_executor(retries=3) as executor:
+        yield executor
+
+
+def to_json(fleet: Fleet) -> dict[str, Any]:
+    """``gyrocal-fleet/1``."""
+    units = [
+        {
+            "serial": u.serial,
+            "source": u.source,
+            "created_utc": u.created_utc,
+            "error": u.error or None,
+            "figures": {name: {"value": v, "std": s} for name, (v, s) in u.figures.items()},
+        }
+        for u in fleet.units
+    ]
+    return {
+        "schema": "gyrocal-fleet/1",
+        "software": f"gyrocal {gyrocal.__version__}",
+        "alarm_rate": ALARM_RATE,
+        "units": units,
+        "spreads": [vars(spread) for spread in fleet.spreads],
+        "outlying": [vars(o) for o in fleet.outlying],
+        "drifts": [vars(d) for d in fleet.drifts],
+    }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _frame(fleet: Fleet) -> pd.DataFrame:
+    rows = []
+    for unit in fleet.units:
+        row: dict[str, Any] = {"serial": unit.serial, "source": unit.source, "model": unit.model}
+        row |= {"created_utc": unit.created_utc, "error": unit.error}
+        for name, (value, std) in unit.figures.items():
+            row[name], row[f"{name} std"] = value, std
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _parquet(frame: pd.DataFrame) -> bytes | None:
+    """The table as Parquet; None without pyarrow."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        return None
+    stream = io.BytesIO()
+    frame.to_parquet(stream, index=False)
+    return stream.getvalue()
+
+
+def _verdict(fleet: Fleet) -> str:
+    good = len(fleet.units) - len(fleet.failed)
+    out = sorted({o.serial for o in fleet.outlying})
+    parts = [f"{good} of {len(fleet.units)} recordings are fitted"]
+    if out:
+        parts.append(f"out of line: {', '.join(out[:8])}{' and others' if len(out) > 8 else ''}")
+    else:
+        parts.append(f"no unit is out of line (at a rate of false alarms of {ALARM_RATE:.0%})")
+    if fleet.drifts:
+        parts.append(f"changing along the serials: {', '.join(d.figure for d in fleet.drifts[:4])}")
+    return "; ".join(parts) + "."
+
+
+@style.styled
+def distributions(fleet: Fleet) -> Figure:
+    """Each figure over the units: a point a unit, in standard deviations between units about the median."""
+    shown = [s for s in fleet.spreads if s.n >= 2 and s.between > 0][:_LISTED]
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 0.8 + 0.24 * max(len(shown), 1))
+    axes = figure.subplots()
+    strange = {(o.figure, o.source) for o in fleet.outlying}
+    for k, spread in enumerate(shown):
+        units = [u for u in fleet.units if spread.figure in u.figures]
+        x = np.array([(u.figures[spread.figure][0] - spread.median) / spread.between for u in units])
+        out = np.array([(spread.figure, u.source) in strange for u in units], dtype=bool)
+        axes.plot(x[~out], np.full(int((~out).sum()), k), "|", color=style.BLUE, markersize=7)
+        axes.plot(x[out], np.full(int(out.sum()), k), "o", color=style.ORANGE, fillstyle="none")
+    axes.set_yticks(range(len(shown)), [f"{s.figure}" for s in shown], fontsize=6)
+    axes.invert_yaxis()
+    axes.set_xlabel("departure from the median, in standard deviations between units (ringed: out of line)")
+    return figure
+
+
+def _page(fleet: Fleet, verdict: str, png: bytes) -> Page:
+    picture = Picture(
+        "distributions",
+        "Figures over the units",
+        "A tick is a unit. Ringed: out of line by Rosner's test, "
+        f"with {ALARM_RATE:.0%} false alarms over all figures of a fleet that has none.",
+        png,
+    )
+    model = next((u.model for u in fleet.units if u.model), "")
+    return Page(
+        title=f"{len(fleet.units)} units{' of ' + model if model else ''}",
+        verdict=verdict,
+        key_figures=[
+            ("Units", str(len(fleet.units))),
+            ("Not fitted", str(len(fleet.failed))),
+            ("Out of line", str(len({o.serial for o in fleet.outlying}))),
+        ],
+        remarks=[f"{u.source}: {u.error}" for u in fleet.failed],
+        pictures=[picture],
+        tables=tables(fleet),
+        provenance={"Software": f"gyrocal {gyrocal.__version__}"},
+        beside="fleet.csv (and fleet.parquet where pyarrow is installed) hold every figure of every unit.",
+    )
+
+
+def tables(fleet: Fleet) -> list[Table]:
+    """Spread of each figure, units out of line, drifts along the serials."""
+    spread = [
+        (s.figure, str(s.n), *(f"{v:.4g}" for v in (s.median, s.low, s.high, s.between, s.within)))
+        for s in fleet.spreads
+    ]
+    out = [
+        (o.serial, o.figure, f"{o.value:.4g}", f"{o.deviations:+.1f}", f"{o.p_value:.1g}")
+        for o in fleet.outlying
+    ]
+    drift = [
+        (d.figure, f"{d.per_unit:+.3g}", f"{d.low:+.3g} to {d.high:+.3g}", f"{d.p_value:.1g}")
+        for d in fleet.drifts
+    ]
+    columns = ("figure", "units", "median", "least", "largest", "between units", "within a unit")
+    return [
+        _table(
+            "outlying", "Out of line", ("serial", "figure", "value", "deviations of the others", "p"), out
+        ),
+        _table("drifts", "Change along the serials", ("figure", "per unit", "95 %", "p"), drift),
+        _table("spreads", "Spread", columns, spread),
+    ]
+
+
+def _table(name: str, title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
+    csv = "\n".join(",".join(f'"{cell}"' for cell in row) for row in (columns, *rows)) + "\n"
+    return Table(name, title, columns, rows, csv)

@@ -1,0 +1,84 @@
+"""A record at rest in a table, sentences and pictures: what `gyrocal noise` prints and writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure as Picture
+
+from gyrocal.calibration.course import Course
+from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.static import StaticConfig, StaticFigures, examine_static
+from gyrocal.report import style
+from gyrocal.report.figures_noise import allan_deviation
+from gyrocal.report.output import check_output, write_directory
+from gyrocal.units import DPS_TO_DPH, S_PER_H
+
+
+def examine_noise(
+    config: StaticConfig, out: Path | None, progress: Callable[[float, str], None]
+) -> StaticFigures:
+    """Examine a record, and write what was found to `out` if it is given.
+
+    Raises
+    ------
+    InputError, DataError, OutputError
+        Nothing is written then.
+    """
+    if out is not None:
+        check_output(out)
+    found = examine_static(config, progress)
+    if out is not None:
+        progress(0.9, "pictures")
+        files: dict[str, bytes | str] = {
+            "noise.json": json.dumps(found.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n",
+            "course.png": style.render(course_of(found.course), "png"),
+        }
+        if found.noise.points:
+            files["allan_deviation.png"] = style.render(allan_deviation(found.noise), "png")
+            files["allan_deviation.svg"] = style.render(allan_deviation(found.noise), "svg")
+        write_directory(out, files)
+    progress(1.0, "")
+    return found
+
+
+def noise_rows(found: StaticFigures) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+    """Columns, rows and title of the table of figures."""
+    rows = tuple(
+        (f.title, *_cells(f), f.unit, f.reason or f.definition)
+        for f in (*found.noise.figures.values(), *found.figures.values())
+    )
+    title = f"{found.source.name}: {found.samples} samples, {found.noise.record_s:.4g} s at rest"
+    return ("figure", "value", "95 %", "unit", "what it is, or why there is none"), rows, title
+
+
+def _cells(figure: Figure) -> tuple[str, str]:
+    if figure.interval is None:
+        return "-", "-" if figure.high is None else f"< {figure.high:.3g}"
+    return f"{figure.interval[0]:.4g}", f"{figure.interval[1]:.4g} .. {figure.interval[2]:.4g}"
+
+
+def noise_sentences(found: StaticFigures) -> list[str]:
+    """How well the model fits, what is missing, and notes."""
+    said = [found.noise.fit_statement or f"noise figures: {found.noise.statement}"]
+    said += [f"{found.missing} samples are missing, bad or not finite, and left out"] if found.missing else []
+    return said + list(found.notes)
+
+
+@style.styled
+def course_of(course: Course) -> Picture:
+    """Output over the record in means, and the temperature where it is known."""
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 3.0)
+    axes = figure.add_subplot()
+    hours = (course.t_s - course.t_s[0]) / S_PER_H
+    axes.plot(hours, course.gyro_dps * DPS_TO_DPH, color=style.BLUE, linewidth=0.8, label="output")
+    axes.set_xlabel("Time, h")
+    axes.set_ylabel("Output, deg/h")
+    if np.isfinite(course.temp_c).any():
+        beside = axes.twinx()
+        beside.plot(hours, course.temp_c, color=style.ORANGE, linewidth=0.8, label="temperature")
+        beside.set_ylabel("Temperature, °C")
+    return figure

@@ -1,0 +1,282 @@
+"""The answer in plain sentences."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gyrocal.diagnosis.intervals import NORMAL_95
+from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Located, NamedEffect
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.catalogue import described
+from gyrocal.physics.terms import Term
+from gyrocal.report.folds import Fold, fold_of
+from gyrocal.report.words import (
+    coordinate_words,
+    decimals,
+    estimate_text,
+    fixed,
+    listed,
+    p_equals,
+    parameter_words,
+    place_words,
+    range_text,
+    region_words,
+    value_text,
+)
+
+_COEFFICIENTS = 12
+#: An interval that includes zero, beside a smaller p than this, is that of an amplitude traded for a shape.
+_SURE = 1e-3
+#: Families whose gain lives in ramps, within a turn or after a step, and hardly in the means of data sets.
+_NOT_IN_MEANS = ("thermal transient", "angle, constant", "angle, with rate", "step")
+#: Larger errors than this are read in deg/s.
+_LARGE_DPS = 0.3
+_FEWEST_UNITS = 8
+_MOST_PLACES = 4
+
+_VERDICTS = {
+    "consistent": "The recording agrees with the simulated sequence: nothing beyond noise.",
+    "explained": "The recording departs from the simulated sequence, and the physics named below explains it.",
+    "partly_explained": "The recording departs from the simulated sequence; the physics named below explains a part of it.",
+    "unexplained": "The recording departs from the simulated sequence, and no physics of the catalogue explains it.",
+}
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What errors are means of, in words: ``data set``, ``data-set means``."""
+
+    each: str
+    means: str
+
+
+def counted(d: Diagnosis) -> Counted:
+    """What is left out, and what its errors are means of: data sets, segments of a run, or the steps of a log."""
+    rows = d.rows
+    if d.counted_in:
+        return Counted(d.counted_in, "bins")
+    if rows is None:
+        return Counted("data set", "data-set means")
+    pieces = np.unique(rows.set_index).size
+    if pieces == rows.t_s.size and np.ptp(rows.rate_dps) == 0:
+        step = f"{np.median(np.diff(rows.t_s)):.2g} s"
+        return Counted(f"{step} step", f"{step} means") if has_times(d) else Counted("row", "rows")
+    if pieces < _FEWEST_UNITS:
+        return Counted("stretch of time", "means over stretches of time")
+    return Counted("data set", "data-set means") if rows.is_set.all() else Counted("segment", "segment means")
+
+
+def has_times(d: Diagnosis) -> bool:
+    """Whether the recording says when its rows were."""
+    return "time" not in d.not_testable
+
+
+def verdict_sentence(d: Diagnosis) -> str:
+    """The verdict; of a drive it is the first thing that was said of it."""
+    return d.sentences[0] if d.sentences else _VERDICTS[d.verdict]
+
+
+def plain_sentences(d: Diagnosis) -> list[str]:
+    """What there is to say, in order, each thing once."""
+    said = [*(d.sentences or _sentences(d)), *(note[0].upper() + note[1:] for note in d.notes)]
+    if d.next_experiment is not None:
+        said.append(d.next_experiment["statement"])
+    said += not_testable_sentences(d)
+    return list(dict.fromkeys(s.rstrip(".") + "." for s in said))
+
+
+def document(d: Diagnosis) -> dict[str, Any]:
+    """What `diagnose` writes: the answer, and the same in words."""
+    found = d.to_json()
+    for entry, place in zip(found["located"], d.located, strict=True):
+        entry["region"] = region_words(place)
+    for entry, effect in zip(found["effects"], d.effects, strict=True):
+        law = described(effect.effect)
+        entry |= {"equation": law.equation, "reference": law.reference}
+    return found | {"statements": plain_sentences(d)}
+
+
+def _sentences(d: Diagnosis) -> list[str]:
+    """Does the recording agree with the simulation; where not; which physics; how sure; what is gained."""
+    said = [_VERDICTS[d.verdict], *_places(d)]
+    for effect in d.effects:
+        said += _effect(effect, d)
+    measured = [e for e in d.effects if e.improvement is not None]
+    if d.improvement is not None and len(measured) > 1:
+        said.append(
+            "All named physics together, against the surface alone: " + _gain(d.improvement, counted(d))
+        )
+    return said
+
+
+def not_testable_sentences(d: Diagnosis) -> list[str]:
+    """What this record cannot show, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for what, why in d.not_testable.items():
+        by_reason.setdefault(why.rstrip("."), []).append(what)
+    return [
+        f"Not testable with this record: {', '.join(things)}, because {why}."
+        for why, things in by_reason.items()
+    ]
+
+
+def _places(d: Diagnosis) -> list[str]:
+    """Where it departs: the strongest place in full, what only mirrors it by name, and what is still there."""
+    means = [p for p in d.located if p.statistic == "mean" and not p.finding]
+    said = []
+    if means:
+        first, others = means[0], means[1:]
+        mirrored = dict.fromkeys(_coordinate(d, p) for p in others if p.coordinate != first.coordinate)
+        also = f"; it is also seen in {listed(list(mirrored))}" if mirrored else ""
+        said.append(f"The mean departs most in {_where(d, first)}{also}.")
+        names = [e.effect for e in d.effects]
+        if d.verdict == "explained" and names and not any(p.remains for p in means):
+            said.append(f"With {listed(names)} in the model nothing is left there.")
+    left = [p for p in means if p.remains][:_MOST_PLACES]
+    if left:
+        found = "all that was found" if d.effects or d.notes else "the surface"
+        said.append(f"Still there with {found} in the model: {'; '.join(_where(d, p) for p in left)}.")
+    scatter = [p for p in d.located if p.statistic == "variance" and p.remains and not p.finding][
+        :_MOST_PLACES
+    ]
+    return said + [f"Scatter beyond the noise: {_where(d, p)}." for p in scatter]
+
+
+def _coordinate(d: Diagnosis, place: Located) -> str:
+    # A table without samples shows nothing since a step, but it shows what earlier data sets did to later ones.
+    if place.coordinate == "time_since_step" and place.coordinate in d.not_testable:
+        return "the rates measured before"
+    return coordinate_words(place.coordinate)
+
+
+def _where(d: Diagnosis, place: Located) -> str:
+    return f"{place_words(place, _coordinate(d, place))}, {p_equals(place.p_value)}"
+
+
+def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
+    values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
+    sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
+    said = [f"{effect.effect}: {effect.statement} {sure[0].upper() + sure[1:]}."]
+    traded = traded_sentence(effect, d.improved)
+    if traded:
+        said.append(traded)
+    if effect.alternatives:
+        said.append("The same data could be " + "; ".join(_other(a) for a in effect.alternatives) + ".")
+    if effect.improvement is not None:
+        others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
+        beside = f", beside {listed(others)}" if others else ""
+        transient = effect.family in _NOT_IN_MEANS
+        said.append(f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient))
+    folded = fold_of(d, effect)
+    if folded is not None:
+        said.append(f"{effect.effect}: " + _folded(folded))
+    return said
+
+
+def _other(a: Alternative) -> str:
+    odds = "equally well" if a.evidence_ratio < 1.05 else f"{a.evidence_ratio:.2g} to 1 against it"
+    return f"{a.effect} ({odds})"
+
+
+def traded_sentence(effect: NamedEffect, improved: Coefficients | None) -> str:
+    """For an amplitude whose interval includes zero only because a shape is traded for it: what is well known."""
+    amplitude = effect.parameters.get("amplitude")
+    shapes = {n: e for n, e in effect.parameters.items() if n != "amplitude" and e.std > 0}
+    if amplitude is None or not shapes or effect.p_value > _SURE:
+        return ""
+    low, high = amplitude.interval_95
+    if not low <= 0.0 <= high:
+        return ""
+    held = listed([f"{parameter_words(n)} at {value_text(e)}" for n, e in shapes.items()])
+    text = f"{effect.effect}: amplitude and {listed([parameter_words(n) for n in shapes])} are traded for one another"
+    std = None if improved is None else _std_at_the_shape(effect.effect, improved)
+    if std is None:
+        return f"{text}: each interval allows for the other, and that the effect is there is sure."
+    half = NORMAL_95 * std
+    known = range_text(amplitude.value - half, amplitude.value + half)
+    return f"{text}: with {held} the amplitude is {fixed(amplitude.value, decimals(half))} (95 %: {known})."
+
+
+def _std_at_the_shape(effect: str, improved: Coefficients) -> float | None:
+    """Standard deviation of an amplitude with the shape held, from the covariance in the coefficient file."""
+    names = [
+        (t.effect, n)
+        for t in improved.terms
+        if isinstance(t, Term)
+        for n in sorted(t.parameters)
+        if "covariance" in t.parameters[n]
+    ]
+    own = [k for k, (e, _) in enumerate(names) if e == effect]
+    rows = {(t.effect, n): p["covariance"] for t in improved.terms if isinstance(t, Term) for n, p in t.parameters.items() if "covariance" in p}  # fmt: skip
+    if (effect, "amplitude") not in names or len(own) < 2:
+        return None
+    covariance = np.array([[rows[names[i]][_COEFFICIENTS + j] for j in own] for i in own])
+    k = own.index(names.index((effect, "amplitude")))
+    precision = float(np.linalg.pinv(covariance, hermitian=True)[k, k])
+    return 1.0 / math.sqrt(precision) if precision > 0 else None
+
+
+def _gain(i: Improvement, c: Counted, transient: bool = False) -> str:
+    """What is gained on data left out: the error first, or first what shows an effect that errors of means hide."""
+    parts = [_logloss(i, c), _rms(i, c)] if transient or in_the_noise(i) else [_rms(i, c), _logloss(i, c)]
+    return f"on data left out {'; '.join(parts)}."
+
+
+def in_the_noise(i: Improvement) -> bool:
+    """Whether the error was within the noise before anything was named, so that it can show no gain."""
+    return not math.isfinite(i.excess_removed) or i.heldout_rms_before_dps <= i.noise_floor_dps
+
+
+def scale_of(i: Improvement) -> tuple[float, str]:
+    """Factor and unit in which errors of this size are read."""
+    return (1.0, "deg/s") if i.heldout_rms_before_dps > _LARGE_DPS else (1e3, "mdeg/s")
+
+
+def logloss_gain(i: Improvement) -> tuple[str, str]:
+    """Drop of the held-out log-loss and its 95 % interval, nats."""
+    low, high = i.logloss_interval_95
+    return fixed(i.logloss_before - i.logloss_after, decimals(0.5 * (high - low))), range_text(low, high)
+
+
+def _logloss(i: Improvement, c: Counted) -> str:
+    gain, interval = logloss_gain(i)
+    sure = "" if i.logloss_interval_95[0] > 0 else ", no sure gain"
+    return f"the log-loss falls by {gain} nats a {c.each} (95 %: {interval}{sure})"
+
+
+def _folded(folded: Fold) -> str:
+    before, after, noise = folded.rms()
+    places = decimals(noise)
+    label = folded.coordinate.label.rsplit(",", 1)[0]
+    label = label[0].lower() + label[1:] if label[1:2].islower() else label
+    moves = "falls" if after < before else "rises"
+    return (
+        f"folded on {label} the rms of the residual {moves} from {fixed(before, places)} to {fixed(after, places)} "
+        f"{folded.coordinate.unit}."
+    )
+
+
+def _rms(i: Improvement, c: Counted) -> str:
+    scale, unit = scale_of(i)
+    low, high = i.interval_95
+    # Two or three digits of the noise, as the drop is known.
+    least = decimals(scale * i.noise_floor_dps)
+    places = min(max(decimals(0.5 * scale * (high - low)), least), least + 1)
+    before, after, floor = (
+        fixed(scale * x, places)
+        for x in (i.heldout_rms_before_dps, i.heldout_rms_after_dps, i.noise_floor_dps)
+    )
+    if in_the_noise(i):
+        return (
+            f"the rms of {c.means} ({before} before, {after} after) is within the noise of such a mean "
+            f"({floor} {unit}): see the folded figure and the log-loss"
+        )
+    drop = range_text(low, high, scale)
+    sure = "" if low > 0 else ", no sure gain"
+    reached = i.heldout_rms_after_dps <= i.noise_floor_dps
+    noise = f"which is the noise ({floor})" if reached else f"where noise alone would leave {floor}"
+    return f"the rms of {c.means} falls from {before} to {after} {unit} (drop {drop} at 95 %{sure}), {noise}"

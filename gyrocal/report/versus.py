@@ -1,0 +1,99 @@
+"""`gyrocal diagnose --simulation`: what to add to somebody's own simulation, in words, as JSON and as Python."""
+
+from __future__ import annotations
+
+import json
+
+from gyrocal.diagnosis.versus.answer import Comparison, Versus
+from gyrocal.diagnosis.versus.law_file import python_file
+from gyrocal.diagnosis.versus.match import Clock, Match
+from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.smooth import SmoothTerm
+from gyrocal.report.words import decimals, estimate_text, fixed, listed, parameter_words, range_text
+
+LAW_JSON, LAW_PYTHON = "law.json", "law.py"
+
+_MOST_RATES = 6
+_MDPS = 1e3
+
+
+def law_files(found: Versus) -> dict[str, bytes | str]:
+    """``law.json`` always; ``law.py`` where the law brings the simulation nearer on sets left out."""
+    files: dict[str, bytes | str] = {
+        LAW_JSON: json.dumps(found.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n"
+    }
+    if found.helps:
+        title = f"What {found.simulation} lacks against {found.recording}."
+        formula = "\n".join(["Terms beside the surface, with 95 % intervals:", *_formula(found)])
+        files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula)
+    return files
+
+
+def told(found: Versus) -> tuple[str, ...]:
+    """The answer in sentences: partners, clocks, what the law brings."""
+    sentences = _partners(found.match)
+    if found.match.clock is not None:
+        sentences.append(_clock(found.match.clock))
+    if found.comparison is None:
+        sentences.append("The data sets are too few to leave some out; whether the law helps is not known.")
+    else:
+        sentences.append(_gain(found.comparison))
+    return tuple(sentences)
+
+
+def _partners(m: Match) -> list[str]:
+    by = "rate, temperature and order" if m.in_order else "rate and temperature; their orders differ"
+    if m.clock is not None:
+        by = "rate, temperature, order and time"
+    sentences = [
+        f"{m.matched_sets} of {m.sets} data sets have a partner in the simulation, matched by {by}; its temperature "
+        f"differs by {m.temp_apart_c:.2g} °C rms."
+    ]
+    if m.lonely_temp_c:
+        rates = [f"{rate:g}" for rate in m.lonely_rates_dps[:_MOST_RATES]]
+        more = len(m.lonely_rates_dps) - len(rates)
+        names = f"{', '.join(rates)} and {more} more" if more else listed(rates)
+        sentences.append(
+            f"{m.sets - m.matched_sets} have none, at {names} deg/s and {range_text(*m.lonely_temp_c)} °C: there the "
+            "simulation does not overlap, and nothing is said."
+        )
+    return sentences
+
+
+def _clock(clock: Clock) -> str:
+    offset, drift = clock.offset_s, clock.drift_ppm
+    return (
+        f"The simulation's clock is {_plus_minus(offset, clock.offset_std_s)} s ahead of the recording's and gains "
+        f"{_plus_minus(drift, clock.drift_std_ppm)} ppm on it; that leaves {clock.left_s:.2g} s rms of the starts."
+    )
+
+
+def _plus_minus(value: float, std: float) -> str:
+    places = min(max(decimals(2.0 * std), 0), 3) if std > 0 else 3
+    return f"{fixed(value, places)} ± {fixed(std, places)}"
+
+
+def _gain(c: Comparison) -> str:
+    before, after = _MDPS * c.before_dps, _MDPS * c.after_dps
+    low, high = (_MDPS * x for x in c.interval_95)
+    what = (
+        f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
+        f"the law by {after:.3g} (less by {range_text(low, high)}, 95 %)."
+    )
+    if c.helps:
+        return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
+    return f"{what} That is no sure gain, so no {LAW_PYTHON} is written."
+
+
+def _formula(found: Versus) -> list[str]:
+    estimates = {effect.effect: effect.parameters for effect in found.diagnosis.effects}
+    lines = []
+    for term in found.law.terms:
+        if isinstance(term, SmoothTerm):
+            lines.append(f"- {term.family}, no name: {term.label}, {len(term.columns)} columns")
+            continue
+        effect = find_effect(term.effect)
+        known = estimates.get(effect.id, {})
+        values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
+        lines.append(f"- {effect.id}: {effect.equation}; {listed(values)}")
+    return lines or ["- none: the surfaces differ, and nothing else"]

@@ -1,0 +1,1 @@
+"""The blind trial: hidden physics with sealed answers, on the user's own profile."""

@@ -1,0 +1,37 @@
+"""Whole runs of `gyrocal acquire` on ports, in real time: what was recorded against what the devices truly did."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from tests.bench.strangers.gyros import GYROS
+from tests.bench.strangers.runs import CHAMBERS, acquire, bench, differences, profile
+from tests.bench.strangers.tables import TABLES
+
+#: Every gyro, every table and every chamber once; the product of all is under `slow`.
+EACH_ONCE = (
+    ("kvh-dsp3000", "json-lines", "espec"),
+    ("kvh-ecore2000", "zaber", "watlow-f4"),
+    ("kvh-frame-a", "aerosmith", "weiss"),
+    ("kvh-frame-b", "acutrol", "watlow-f4t-scpi"),
+    ("vn100", "json-lines", "watlow-f4t-modbus"),
+    ("ascii-line", "acutrol", "espec"),
+)
+
+
+@pytest.mark.parametrize(("gyro", "table", "chamber"), EACH_ONCE)
+def test_a_small_run_is_recorded_as_it_was(tmp_path: Path, gyro: str, table: str, chamber: str) -> None:
+    with bench(gyro, table, chamber) as b:
+        outcome = acquire(tmp_path, profile(b, temperatures="[24.0]"))
+        assert differences(b, outcome) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gyro", "table", "chamber"), list(itertools.product(GYROS, TABLES, CHAMBERS)))
+def test_every_bench_is_recorded_as_it_was(tmp_path: Path, gyro: str, table: str, chamber: str) -> None:
+    with bench(gyro, table, chamber) as b:
+        outcome = acquire(tmp_path, profile(b))
+        assert differences(b, outcome) == []

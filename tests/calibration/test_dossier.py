@@ -1,0 +1,95 @@
+"""Several runs of a unit: pooled figures, repeatability, limits with guard band, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.calibration.calibrate import FitConfig
+from gyrocal.calibration.compare import compare_runs
+from gyrocal.calibration.dossier import Limit, Row, _judged, compile_dossier, pooled, read_limits, unit_run
+from gyrocal.calibration.figure import Figure
+from gyrocal.errors import DataError, ProfileError
+from tests.calibration.test_fleet import write_table
+
+
+def figure(value: float, half: float) -> Figure:
+    return Figure("bias", "deg/h", "what", value, value - half, value + half)
+
+
+def test_pooled_intervals_cover_where_runs_differ() -> None:
+    rng = np.random.default_rng(8)
+    inside = 0
+    for _ in range(400):
+        truth = 5.0 + rng.normal(0, 2.0, 4)
+        found = pooled([figure(t + rng.normal(0, 0.5), 0.98) for t in truth])
+        assert found.low is not None
+        assert found.high is not None
+        inside += found.low <= 5.0 <= found.high
+    # 400 at 95 %: 363 is undershot, or 394 overshot, once in a thousand each.
+    assert 363 <= inside <= 394
+
+
+def test_pooled_never_says_less_than_the_error_within_a_run() -> None:
+    found = pooled([figure(1.0, 2.0), figure(1.0, 2.0)])
+    assert found.high == pytest.approx(1.0 + 2.0 / np.sqrt(2), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "judgement"),
+    [(1.0, 0.5, "pass"), (-1.0, 0.5, "pass"), (1.8, 0.5, "open"), (-3.0, 0.5, "fail"), (3.0, 1.5, "open")],
+)
+def test_guard_band(value: float, half: float, judgement: str) -> None:
+    assert _judged(Row(figure(value, half), None), Limit(2.0)).judgement == judgement
+
+
+def test_a_bound_passes_and_a_reason_is_not_tested() -> None:
+    bound = replace(figure(0, 0), value=None, low=None, high=1.0, reason="not told from noise")
+    assert _judged(Row(bound, None), Limit(2.0)).judgement == "pass"
+    assert _judged(Row(replace(bound, high=None), None), Limit(2.0)).judgement == "not tested"
+
+
+def test_limits_are_read_strictly(tmp_path: Path) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text('bias = { most = 3.0, state = "after" }\n')
+    assert read_limits(path) == {"bias": Limit(3.0, "after")}
+    path.write_text("bias = { less = 3.0 }\n")
+    with pytest.raises(ProfileError, match=r"limits.toml: bias is \{'less': 3.0\}; wanted is"):
+        read_limits(path)
+
+
+def test_runs_become_one_dossier(tmp_path: Path) -> None:
+    runs = [unit_run(write_table(tmp_path / f"run{k}.csv", k), FitConfig()) for k in (1, 2, 3)]
+    dossier = compile_dossier(runs, {"bias": Limit(1e6)}, "limits.toml")
+    rows = {row.before.name: row for row in dossier.rows}
+    assert rows["bias"].judgement == "pass"
+    assert rows["bias_repeatability"].before.value is not None
+    assert rows["maximum_rate_tested"].before.value == pytest.approx(100.0)
+    assert any(text.startswith("angle random walk: a table of data sets") for text in dossier.not_tested)
+    for row in dossier.rows:
+        assert (row.before.value is None) == bool(row.before.reason), row.before
+    with pytest.raises(ProfileError, match="there is no figure bais"):
+        compile_dossier(runs, {"bais": Limit(1.0)}, "limits.toml")
+    changes = compare_runs([run.calibration for run in runs])
+    assert not any(change.changed for change in changes)
+
+
+def test_a_change_is_seen(tmp_path: Path) -> None:
+    first = unit_run(write_table(tmp_path / "a.csv", 1), FitConfig()).calibration
+    text = (tmp_path / "a.csv").read_text().splitlines()
+    rows = [line.split(",") for line in text[1:]]
+    moved = [f"{w},{float(g) + 0.02:.6f},{t},{s}" for w, g, t, s in rows]
+    (tmp_path / "b.csv").write_text("\n".join([text[0], *moved]) + "\n")
+    last = unit_run(tmp_path / "b.csv", FitConfig()).calibration
+    changed = {c.figures[0].name: c for c in compare_runs([first, last]) if c.changed}
+    assert set(changed) == {"bias"}
+    assert changed["bias"].change == pytest.approx(72.0, rel=1e-3)
+
+
+def test_one_run_is_no_comparison(tmp_path: Path) -> None:
+    first = unit_run(write_table(tmp_path / "a.csv", 1), FitConfig()).calibration
+    with pytest.raises(DataError, match="a comparison takes two"):
+        compare_runs([first])

@@ -1,0 +1,177 @@
+"""Records of a gyro that stands: figures with intervals, gaps that are gaps, earth rate and clock."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.calibration.course import CourseSums
+from gyrocal.calibration.noise import gaps
+from gyrocal.calibration.static import StaticConfig, StaticFigures, earth_rate_dph, examine_static
+from gyrocal.cli import gyrocal_command
+from gyrocal.errors import DataError
+from tests.calibration.runs import Part, gyro_row, write_run
+from tests.calibration.simulation import flicker
+
+Floats = NDArray[np.float64]
+
+ARW_DPS_RT_S = 1.389e-3
+#: Chance that a correct test of coverage fails.
+FALSE_ALARM = 1e-3
+
+
+def write_log(
+    path: Path, t_s: NDArray[np.floating[Any]], gyro_dps: Floats, temp_c: Floats | None = None
+) -> Path:
+    columns = [t_s, gyro_dps] + ([] if temp_c is None else [temp_c])
+    header = "t_s,gyro_dps" + ("" if temp_c is None else ",temp_c")
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.7f")
+    return path
+
+
+def white(rng: np.random.Generator, samples: int, dt_s: float = 0.1) -> Floats:
+    return np.asarray(rng.normal(0.0, ARW_DPS_RT_S / np.sqrt(dt_s), samples))
+
+
+def interval(found: StaticFigures, name: str) -> tuple[float, float, float]:
+    figure = found.figures[name].interval or found.noise.figures[name].interval
+    if figure is None:
+        raise AssertionError(found.figures[name].reason)
+    return figure
+
+
+def test_a_log_without_temperature(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    t_s = 0.1 * (1.0 + 2e-4) * np.arange(60_000)
+    log = write_log(tmp_path / "still.csv", t_s, 0.005 + white(rng, t_s.size))
+    found = examine_static(StaticConfig(log, latitude_deg=30.0, rate_hz=10.0))
+    walk = found.noise.angle_random_walk_deg_per_rt_h
+    assert walk is not None
+    assert walk[0] == pytest.approx(60.0 * ARW_DPS_RT_S, rel=0.03)
+    assert walk[2] / walk[1] < 1.05
+    mean, without, clock = (
+        interval(found, n) for n in ("mean_bias", "bias_without_earth_rate", "clock_error")
+    )
+    assert mean[1] < 18.0 < mean[2]
+    assert mean[0] - without[0] == pytest.approx(15.04106864 * 0.5)
+    assert clock[0] == pytest.approx(-200.0, abs=1.0)
+    assert "varies by less" in found.figures["bias_temperature_sensitivity"].reason
+    assert "not told from noise" in found.figures["rate_ramp"].reason
+    assert found.samples == 60_000
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_earth_rate_by_axis() -> None:
+    assert earth_rate_dph(90.0, 90.0, 0.0) == pytest.approx(15.04106864)
+    assert earth_rate_dph(42.0, -90.0, 0.0) == pytest.approx(-15.04106864 * np.sin(np.radians(42.0)))
+    assert earth_rate_dph(60.0, 0.0, 0.0) == pytest.approx(15.04106864 / 2)
+    assert earth_rate_dph(60.0, 0.0, 90.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_drift_and_temperature_are_told_apart(tmp_path: Path) -> None:
+    """A box that heats and cools while the bias drifts: 20 deg/h each hour and 3 deg/h for each degree."""
+    rng = np.random.default_rng(2)
+    t_s = 0.1 * np.arange(72_000)
+    temp_c = 25.0 + 8.0 * np.sin(2.0 * np.pi * t_s / 3000.0)
+    gyro = white(rng, t_s.size) + (20.0 * t_s / 3600.0 + 3.0 * temp_c) / 3600.0
+    found = examine_static(StaticConfig(write_log(tmp_path / "warm.csv", t_s, gyro, temp_c)))
+    warm = found.figures["bias_temperature_sensitivity"]
+    assert warm.interval is None or warm.interval[1] < 3.0 < warm.interval[2]
+
+
+def test_a_run_s_long_record(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    values = white(rng, 8000) + 0.001
+    rows = [gyro_row(i / 10, f"{v:.6f}", status=int(i == 5)) for i, v in enumerate(values)]
+    parts = [Part(rows, kind="static"), Part([gyro_row(900.0 + i / 10, "50.0") for i in range(40)], 50.0)]
+    run = write_run(tmp_path / "run", parts, {"bench": {"latitude_deg": 90.0}})
+    found = examine_static(StaticConfig(run))
+    assert found.missing == 1
+    assert found.samples == 7999
+    assert interval(found, "mean_bias")[0] - interval(found, "bias_without_earth_rate")[0] == pytest.approx(
+        15.04106864
+    )
+    turning = write_run(tmp_path / "turning", [Part([gyro_row(i / 10, "50.0") for i in range(40)], 50.0)])
+    with pytest.raises(
+        DataError, match=r"holds no samples at rest\. Record some with the static_allan profile"
+    ):
+        examine_static(StaticConfig(turning))
+
+
+def test_late_samples_are_no_gaps_and_missing_ones_are() -> None:
+    rng = np.random.default_rng(4)
+    t_s = np.sort(0.02 * np.arange(5000) + rng.exponential(0.004, 5000))
+    t_s[700:720] = t_s[719]
+    kept = np.delete(t_s, np.arange(3000, 3003))
+    cuts, tail = gaps(np.empty(0), kept[:4000], 0.02)
+    assert cuts.tolist() == [3000]
+    again, _ = gaps(tail, kept[4000:], 0.02)
+    assert again.size == 0
+
+
+@pytest.mark.parametrize("cuts", [[], [1, 700, 701, 3333]])
+def test_a_course_is_the_same_however_it_is_read(cuts: list[int]) -> None:
+    t_s = 0.1 * np.arange(5000)
+    sums = CourseSums()
+    for part in np.split(t_s, cuts):
+        sums.add(part, 2.0 * part, np.full(part.size, np.nan))
+    course = sums.course()
+    assert 256 <= course.t_s.size <= 1024
+    assert course.n.sum() == 5000
+    np.testing.assert_allclose(course.gyro_dps, 2.0 * course.t_s)
+    assert course.t_s[0] == pytest.approx(0.1 * (course.n[0] - 1) / 2)
+    assert np.isnan(course.temp_c).all()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_interval_of_the_mean_covers(tmp_path: Path) -> None:
+    """White and 1/f noise that goes on below the record, to 1 uHz: at least 92 % (the fit allows for 200,000 s)."""
+    runs, hits = 200, 0
+    for k in range(runs):
+        rng = np.random.default_rng([5, k])
+        gyro = white(rng, 36_000) + flicker(rng, 36_000, 5e-4, 0.1)
+        log = write_log(tmp_path / "still.csv", 0.1 * np.arange(gyro.size), gyro)
+        low, high = interval(examine_static(StaticConfig(log)), "mean_bias")[1:]
+        hits += low <= 0.0 <= high
+    assert hits >= stats.binom.ppf(FALSE_ALARM, runs, 0.92)
+
+
+def test_the_command_prints_and_writes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    log = write_log(
+        tmp_path / "still.csv", 0.1 * np.arange(20_000), white(rng, 20_000), np.full(20_000, 21.0)
+    )
+    out = tmp_path / "noise"
+    result = CliRunner().invoke(gyrocal_command, ["noise", str(log), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "angle random walk" in result.output
+    assert "the model fits averaging times from" in result.output
+    assert sorted(p.name for p in out.iterdir()) == [
+        "allan_deviation.png",
+        "allan_deviation.svg",
+        "course.png",
+        "noise.json",
+    ]
+    written = json.loads((out / "noise.json").read_text())
+    assert written["schema"] == "gyrocal-noise/1"
+    assert written["figures"]["angle_random_walk"]["interval_95"][0] > 0
+    assert written["figures"]["clock_error"]["reason"] == "the nominal sample rate is not given (--rate-hz)"
+    shown = CliRunner().invoke(gyrocal_command, ["noise", str(log), "--json"])
+    assert json.loads(shown.stdout)["allan"] == written["allan"]
+
+
+@pytest.mark.parametrize("options", [[], ["--bias-only"]])
+def test_fit_says_what_a_record_at_rest_is_for(tmp_path: Path, options: list[str]) -> None:
+    rows = [gyro_row(i / 10, f"{0.001 * (i % 7):.4f}") for i in range(400)]
+    run = write_run(tmp_path / "run", [Part(rows, kind="static")])
+    result = CliRunner().invoke(gyrocal_command, ["fit", str(run), "-o", str(tmp_path / "c.json"), *options])
+    assert result.exit_code != 0
+    assert "gyrocal noise" in str(result.exception or result.output)

@@ -1,0 +1,93 @@
+"""Rests and whole turns on a mark, simulated with stops that miss it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.calibration.turns import calibrate_turns, find_rests
+from gyrocal.errors import DataError
+
+Floats = NDArray[np.float64]
+SAMPLE_HZ = 50.0
+
+
+@dataclass(frozen=True)
+class Gyro:
+    """Errors of a gyro: shares, and deg/s."""
+
+    scale: float
+    asymmetry: float
+    bias_dps: float
+
+
+def turned(
+    rng: np.random.Generator, gyro: Gyro, stop_std_deg: float, turns: list[int]
+) -> tuple[Floats, Floats]:
+    """A log of rests and turns by whole revolutions."""
+    rates, off = [np.zeros(int(5 * SAMPLE_HZ))], 0.0
+    for k in turns:
+        missed = stop_std_deg * rng.normal()
+        profile = np.hanning(int(rng.uniform(6, 15) * abs(k) * SAMPLE_HZ) + 2)[1:-1]
+        rates += [(360.0 * k + missed - off) * profile / profile.sum() * SAMPLE_HZ]
+        rates += [np.zeros(int(rng.uniform(3, 6) * SAMPLE_HZ))]
+        off = missed
+    rate = np.concatenate(rates)
+    output = rate * (1 + gyro.scale) + 0.5 * gyro.asymmetry * np.abs(rate) + gyro.bias_dps
+    return np.arange(rate.size) / SAMPLE_HZ, output + 0.05 * rng.normal(size=rate.size)
+
+
+def test_it_finds_scale_asymmetry_and_bias() -> None:
+    gyro = Gyro(3e-3, 8e-4, -0.12)
+    log = turned(np.random.default_rng(1), gyro, 0.02, [1, -1, 1, 1, -1, -1, 2, -2])
+    found = calibrate_turns(*log)
+    assert len(found.turns) == 8
+    assert [round(t.true_deg) for t in found.turns] == [360, -360, 360, 360, -360, -360, 720, -720]
+    assert found.scale.value == pytest.approx(3000.0, abs=60.0)
+    assert found.asymmetry is not None
+    assert found.asymmetry.value == pytest.approx(800.0, abs=120.0)
+    assert found.bias.low < -0.12 < found.bias.high
+
+
+def test_intervals_cover() -> None:
+    inside, n = [0, 0], 120
+    for seed in range(n):
+        rng = np.random.default_rng([7, seed])
+        gyro = Gyro(3e-3 * rng.normal(), 1e-3 * rng.normal(), 0.1 * rng.normal())
+        log = turned(rng, gyro, 10 ** rng.uniform(-2, 0), [*rng.choice([1, -1], 6), 1, -1])
+        found = calibrate_turns(*log)
+        inside[0] += found.scale.low <= 1e6 * gyro.scale <= found.scale.high
+        inside[1] += found.asymmetry is not None and (
+            found.asymmetry.low <= 1e6 * gyro.asymmetry <= found.asymmetry.high
+        )
+    # 120 at 95 %: 106 is undershot once in a thousand, 120 of 120 happens twice in a thousand.
+    assert all(106 <= k < n for k in inside), inside
+
+
+def test_a_stop_off_the_mark_is_wrong_for_both_turns_beside_it() -> None:
+    gyro = Gyro(0.0, 0.0, 0.0)
+    one_way = calibrate_turns(*turned(np.random.default_rng(3), gyro, 1.0, [1] * 10))
+    and_back = calibrate_turns(*turned(np.random.default_rng(3), gyro, 1.0, [1, -1] * 5))
+    assert one_way.asymmetry is None
+    # Ten turns one way are one angle of 3600 deg between two stops.
+    widths = [r.scale.high - r.scale.low for r in (one_way, and_back)]
+    assert widths[0] < widths[1]
+
+
+def test_a_turn_that_is_off_every_mark_is_said_and_left_out() -> None:
+    rng = np.random.default_rng(4)
+    t_s, output = turned(rng, Gyro(0.0, 0.0, 0.0), 0.02, [1, -1, 1, -1])
+    rests = find_rests(t_s, output)
+    output[(t_s > rests[1].end_s) & (t_s < rests[2].start_s)] *= 1.3
+    found = calibrate_turns(t_s, output)
+    assert [turn.used for turn in found.turns].count(False) == 1
+    assert "is not near a multiple of 360 deg" in next(t.remark for t in found.turns if not t.used)
+
+
+def test_a_log_without_turns_is_refused() -> None:
+    rng = np.random.default_rng(2)
+    with pytest.raises(DataError, match="three turns are wanted: stand still between the turns"):
+        calibrate_turns(np.arange(2000) / 50.0, 0.05 * rng.normal(size=2000))

@@ -1,0 +1,81 @@
+"""`gyrocal certify` and `gyrocal compare` as a user runs them; the page in a browser and on paper."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from gyrocal.cli import gyrocal_command, main
+from tests.calibration.test_fleet import write_table
+from tests.report.browser import look, needs_chromium, needs_pdftotext, printed_words
+
+SAMPLE = Path(__file__).parents[2] / "sample_data"
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("unit")
+    limits = folder / "limits.toml"
+    limits.write_text("bias_instability = { most = 100.0 }\n[angle_random_walk]\nmost = 0.2\n")
+    words = ["certify", str(SAMPLE / "run"), "--out", str(folder / "out"), "--limits", str(limits), "--pdf"]
+    done = CliRunner().invoke(gyrocal_command, words)
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith("certify: 0%") or "PASS: all 2 limits" in done.output
+    return folder / "out"
+
+
+def test_it_holds_all(certificate: Path) -> None:
+    data = json.loads((certificate / "certificate.json").read_text())
+    assert data["simulated"] is True
+    assert data["identity"]["Serial number"] == "virtual-1"
+    assert data["figures"]["angle_random_walk"]["judgement"] == "pass"
+    for name, entry in data["figures"].items():
+        assert (entry["before"]["value"] is None) == bool(entry["before"]["reason"]), name
+    page = (certificate / "certificate.html").read_text()
+    assert "SIMULATED" in page
+    assert 'class="verdict good"' in page
+    assert (certificate / "certificate.pdf").read_bytes().startswith(b"%PDF")
+
+
+@needs_chromium
+@pytest.mark.parametrize("width_px", [360, 1400])
+def test_it_fits_the_screen(certificate: Path, width_px: int, tmp_path: Path) -> None:
+    seen = look(certificate / "certificate.html", width_px, tmp_path)
+    assert seen.wide_px <= seen.given_px
+    assert seen.console == ""
+
+
+@needs_chromium
+@needs_pdftotext
+def test_it_prints_whole(certificate: Path, tmp_path: Path) -> None:
+    words, outside = printed_words(certificate / "certificate.html", tmp_path)
+    assert outside == 0
+    assert {"figure", "before", "after", "unit", "limit", "definition,", "sample"} <= set(words)
+
+
+def test_a_unit_beyond_its_limits_has_an_exit_code_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = tmp_path / "limits.toml"
+    limits.write_text("scale_factor_nonlinearity_rms = { most = 1.0 }\n")
+    table = write_table(tmp_path / "unit.csv", 1)
+    with pytest.raises(SystemExit) as ended:
+        main(["certify", str(table), "--out", str(tmp_path / "out"), "--limits", str(limits)])
+    assert ended.value.code == 13
+    said = capsys.readouterr()
+    assert "FAIL: beyond the limit with all of its uncertainty: scale factor nonlinearity rms" in said.out
+    assert "the unit is beyond its limits" in said.err
+    assert (tmp_path / "out/certificate.html").exists()
+
+
+def test_compare(tmp_path: Path) -> None:
+    tables = [str(write_table(tmp_path / f"run{k}.csv", k)) for k in (1, 2)]
+    done = CliRunner().invoke(gyrocal_command, ["compare", *tables])
+    assert done.exit_code == 0, done.output
+    assert "Nothing changed from the first run to the last by more than noise" in done.output
+    data = json.loads(CliRunner().invoke(gyrocal_command, ["compare", *tables, "--json"]).output)
+    assert data["runs"] == ["run1.csv", "run2.csv"]
+    assert data["figures"]["bias"]["changed"] is False

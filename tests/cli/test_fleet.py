@@ -1,0 +1,78 @@
+"""`gyrocal fleet` as a user runs it, on processes and on a cluster that loses a worker."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from distributed import LocalCluster
+
+from gyrocal.calibration.calibrate import FitConfig
+from gyrocal.calibration.fleet import measure_all
+from gyrocal.cli import gyrocal_command
+from gyrocal.report.fleet import FleetConfig, write_fleet
+from tests.calibration.test_fleet import write_table
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("units")
+    return [write_table(folder / f"U{k}.csv", k) for k in range(1, 7)]
+
+
+def test_it_writes_page_and_tables(tables: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "fleet"
+    done = CliRunner().invoke(gyrocal_command, ["fleet", *map(str, tables), "--out", str(out), "--jobs", "1"])
+    assert done.exit_code == 0, done.output
+    assert "6 of 6 recordings are fitted; no unit is out of line" in done.output
+    data = json.loads((out / "fleet.json").read_text())
+    assert data["schema"] == "gyrocal-fleet/1"
+    assert [u["serial"] for u in data["units"]] == [f"U{k}.csv" for k in range(1, 7)]
+    frame = pd.read_parquet(out / "fleet.parquet")
+    assert frame["c00 [deg/s]"].tolist() == pd.read_csv(out / "fleet.csv")["c00 [deg/s]"].tolist()
+    assert "data:image/png;base64," in (out / "fleet.html").read_text()
+
+
+def test_the_same_units_give_the_same_bytes(tables: list[Path], tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_fleet(FleetConfig(tuple(tables[:3]), tmp_path / name, jobs=2), lambda share, what: None)
+    for file in (tmp_path / "a").iterdir():
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
+
+
+def test_one_recording_is_no_fleet(tables: list[Path], tmp_path: Path) -> None:
+    done = CliRunner().invoke(gyrocal_command, ["fleet", str(tables[0]), "--out", str(tmp_path / "x")])
+    assert "a fleet has two at least" in str(done.exception)
+    assert not (tmp_path / "x").exists()
+
+
+def test_no_scheduler_is_said(tables: list[Path], tmp_path: Path) -> None:
+    config = FleetConfig(tuple(tables), tmp_path / "x", dask="tcp://127.0.0.1:9")
+    with pytest.raises(Exception, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        write_fleet(config, lambda share, what: None)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_a_cluster_that_loses_a_worker_loses_no_unit(tables: list[Path]) -> None:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        killed: list[int] = []
+
+        def tell(share: float, what: str) -> None:
+            if not killed:
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        with cluster.get_client() as client, client.get_executor(retries=3) as executor:
+            units = list(measure_all(tables * 4, FitConfig(), executor, tell))
+    with ThreadPoolExecutor(1) as pool:
+        alone = {u.source: u.figures for u in measure_all(tables, FitConfig(), pool, lambda s, w: None)}
+    assert killed
+    assert len(units) == 4 * len(tables)
+    assert all(repr(u.figures) == repr(alone[u.source]) for u in units)

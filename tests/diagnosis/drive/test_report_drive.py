@@ -1,0 +1,137 @@
+"""Pictures, words and files of a drive's diagnosis: every law on its own coordinate, paths before and after, in metres."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+
+from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
+from gyrocal.errors import InputError
+from gyrocal.records.drive import DriveBlock, format_drive_log
+from gyrocal.records.robot import read_robot
+from gyrocal.report import style
+from gyrocal.report.diagnosis_drive import drive_figures, seconds_of
+from gyrocal.report.drive_words import drive_sentences, drive_tables
+from tests.diagnosis.drive.fleet import Plan, drive
+from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> DriveDiagnosis:
+    """Encoders and gyro 0.3 s apart."""
+    path = tmp_path_factory.mktemp("robot") / "robot.toml"
+    path.write_text(f"wheel_separation_m = {SEPARATION_M}\nstatic_s = 0.0\n")
+    return diagnose_drive("drive.csv", simulate(Hidden(delay_s=0.3), 11), read_robot(path))
+
+
+@pytest.fixture(scope="module")
+def drawn(late: DriveDiagnosis) -> dict[str, Figure]:
+    return {p.name: figure for p, figure in drive_figures(late) if figure is not None}
+
+
+def _points(figure: Figure, panel: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Places and heights of each set of points with error bars."""
+    containers = [c for c in figure.axes[panel].containers if isinstance(c, ErrorbarContainer)]
+    return [(np.asarray(c[0].get_xdata()), np.asarray(c[0].get_ydata())) for c in containers]
+
+
+def test_turns_show_before_and_after(drawn: dict[str, Figure]) -> None:
+    spread = []
+    for panel in drawn["turns"].axes:
+        gyro, encoder = (np.asarray(v) for v in panel.lines[1].get_data())
+        spread.append(float(np.std(encoder - gyro)))
+    assert spread[1] < 0.5 * spread[0]
+
+
+def test_every_point_has_an_error_bar(drawn: dict[str, Figure]) -> None:
+    for name in ("coordinates", "effect_gyro_delay"):
+        for panel in range(len(drawn[name].axes)):
+            for container in drawn[name].axes[panel].containers:
+                assert isinstance(container, ErrorbarContainer)
+                lengths = [np.ptp(segment[:, 1]) for segment in container[2][0].get_segments()]
+                assert len(lengths) == len(_points(drawn[name], panel)[0][0])
+                assert min(lengths) > 0, name
+
+
+def test_legends_lie_outside_the_data(drawn: dict[str, Figure]) -> None:
+    for name, figure in drawn.items():
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            assert legend is None or legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1, name
+
+
+def test_pictures_are_the_same_each_time(late: DriveDiagnosis) -> None:
+    once, again = ({p.name: figure for p, figure in drive_figures(late)} for _ in range(2))
+    first, second = once["difference"], again["difference"]
+    assert first is not None
+    assert second is not None
+    assert style.render(first, "png") == style.render(second, "png")
+
+
+def test_seconds_add_up_to_the_drive(late: DriveDiagnosis) -> None:
+    """What is left and what the laws add is the difference as it was logged."""
+    seconds = seconds_of(late)
+    np.testing.assert_allclose(seconds.after + sum(seconds.law.values()), seconds.before, atol=1e-9)
+
+
+def test_delay_is_drawn_over_the_change_of_the_turn_rate(drawn: dict[str, Figure]) -> None:
+    """Before, the difference is the delay times the turn acceleration; after, nothing of it is left."""
+    figure = drawn["effect_gyro_delay"]
+    assert "Change of the turn rate" in figure.axes[0].get_xlabel()
+    slopes = []
+    for panel in (0, 1):
+        ((x, y),) = _points(figure, panel)
+        slopes.append(float(x @ y / (x @ x)))
+    assert slopes == pytest.approx([0.3, 0.0], abs=0.05)
+
+
+def test_words_say_metres_and_what_could_not_be_told(late: DriveDiagnosis) -> None:
+    said = " ".join(drive_sentences(late))
+    assert "gyro_delay" in said
+    assert "m rms" in said
+    tables = {t.name: t for t in drive_tables(late.diagnosis)}
+    rows = list(csv.reader(io.StringIO(tables["estimates"].csv)))
+    assert rows[0][0] == "Figure"
+    assert {"gyro_delay", "gyro_bias", "wheel_asymmetry", "effective_track"} <= {row[0] for row in rows}
+
+
+def _write(path: Path, log: DriveBlock) -> Path:
+    path.write_text(format_drive_log(log))
+    return path
+
+
+def test_command_writes_a_robot_file_and_paths(tmp_path: Path) -> None:
+    """Fit on one drive, shown on another; the robot file can be read and holds what was hidden."""
+    from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
+
+    robot = tmp_path / "robot.toml"
+    robot.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
+    plans = [
+        Plan(shape, 5.0, 10.0, arw_dps_rt_s=0.001, truth_m=0.02, effects={"gyro_scale": 2.0})
+        for shape in ("random", "lawn")
+    ]
+    logs = [_write(tmp_path / f"{k}.csv", drive(plan, k)) for k, plan in enumerate(plans)]
+    config = DiagnoseConfig(logs[0], tmp_path / "out", robot=robot, others=(logs[1],))
+    result = write_diagnosis(config, lambda share, what: None)
+    assert (tmp_path / "out" / "figures" / "paths_1.png").exists()
+    improved = read_robot(tmp_path / "out" / "improved_robot.toml").parameters
+    assert abs(improved.gyro.scale - 0.02) < 5 * improved.gyro.scale_std
+    drive_part = result.diagnosis.to_json()["drive"]
+    (error,) = drive_part["position_error"]
+    assert error["after_rms_m"] < 0.5 * error["before_rms_m"]
+    assert "data set" not in (tmp_path / "out" / "diagnosis.html").read_text().split("<h2>Tables")[0]
+
+
+def test_several_recordings_need_a_robot(tmp_path: Path) -> None:
+    from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
+
+    config = DiagnoseConfig(tmp_path / "a", tmp_path / "out", others=(tmp_path / "b",))
+    with pytest.raises(InputError, match="--robot"):
+        write_diagnosis(config, lambda share, what: None)

@@ -1,0 +1,96 @@
+"""The Python file of a law, run, against the objects that it was made from."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.versus.law_file import python_file
+from gyrocal.fusion import Coefficients, Term, Valid
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.surface import Direction
+from tests.calibration.test_export import smooth_part
+from tests.diagnosis.versus.tables import SURFACE
+
+N = 300
+
+
+def conditions() -> Conditions:
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.choice([0.1, 2.0, 30.0], N))
+    return Conditions(
+        t,
+        rng.uniform(-90, 90, N),
+        20 + 28 * np.sin(t / 900),
+        angle_deg=3.0 * t,
+        supply_v=12 + rng.normal(0, 0.1, N),
+        since_power_on_s=t + 60,
+        since_step_s=t % 50,
+        step_dps=np.full(N, 10.0),
+        data_set_index=np.floor(t / 50),
+    )
+
+
+def channels(c: Conditions) -> dict[str, Floats]:
+    names = ("t_s", "angle_deg", "supply_v", "since_power_on_s", "since_step_s", "step_dps", "data_set_index")
+    return {name: c.need(name) for name in names}
+
+
+def function_of(source: str) -> Callable[..., Floats]:
+    space: dict[str, Any] = {}
+    exec(compile(source, "law.py", "exec"), space)  # noqa: S102 - the file under test
+    function: Callable[..., Floats] = space["added_dps"]
+    return function
+
+
+def term(name: str) -> Any:
+    if name == "smooth":
+        return smooth_part()
+    return Term(name, {k: {"value": v} for k, v in CATALOGUE[name].typical().items()}, True)
+
+
+@pytest.mark.parametrize("direction", ["output", "input"])
+@pytest.mark.parametrize(
+    "names", [*((name,) for name in CATALOGUE), ("smooth",), ("smooth", *CATALOGUE)], ids="+".join
+)
+def test_every_law_of_the_catalogue_gives_its_numbers(names: tuple[str, ...], direction: Direction) -> None:
+    surface = replace(SURFACE, direction=direction)
+    already = replace(SURFACE, coefficients_dps=0.9 * SURFACE.coefficients_dps)
+    terms = tuple(term(name) for name in names)
+    law = Coefficients(
+        {"model": "t"}, surface, np.eye(12), Valid((-100.0, 100.0), (-10.0, 50.0)), terms=terms
+    )
+    c = conditions()
+    added = function_of(python_file(law, already, "Title.", "- formula"))(c.rate_dps, c.temp_c, **channels(c))
+    wanted = surface.output_dps(c.rate_dps, c.temp_c) - already.output_dps(c.rate_dps, c.temp_c)
+    wanted = wanted + sum(t.error_dps(c, surface) for t in terms)
+    np.testing.assert_allclose(added, wanted, atol=1e-10)
+
+
+def test_it_needs_numpy_alone_and_asks_for_its_channels(tmp_path: Path) -> None:
+    law = Coefficients(
+        {"model": "t"}, SURFACE, np.eye(12), Valid((-100.0, 100.0), (-10.0, 50.0)), terms=(term("warm_up"),)
+    )
+    path = tmp_path / "law.py"
+    path.write_text(python_file(law, SURFACE, "Title.", "- formula"), encoding="utf-8")
+    program = (
+        "import sys, law; print(law.added_dps([10.0], [20.0], since_power_on_s=[0.0])); "
+        "print('gyrocal' in sys.modules, 'scipy' in sys.modules); law.added_dps([10.0], [20.0])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.split("\n")[:2] == ["[0.01]", "False False"]
+    assert "the law needs since_power_on_s: give it by this name" in done.stderr

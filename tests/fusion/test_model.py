@@ -1,0 +1,242 @@
+"""The drive model as a filter: against dense matrices, against its own statistics, and what it does at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.fusion import (
+    FilterNoise,
+    GyroFigures,
+    InitialStd,
+    Navigator,
+    RobotParameters,
+    SlipFigures,
+    Trajectory,
+)
+from gyrocal.fusion.model import FLICKER_TAUS_S, WANDER_TAU_S
+from gyrocal.physics.slip import slip_shape
+
+Floats = NDArray[np.float64]
+DT, WIDTH = 0.1, 0.5
+NOISE = FilterNoise(0.002, 0.1, 0.2, tick_m=0.001, jitter_s=0.002, flicker_dps=0.002, track_wander=0.02)
+PRIOR = InitialStd(right_scale=0.002, left_scale=0.002, wheel_separation_m=0.005, gyro_bias_dps=0.02)
+ROBOT = RobotParameters(WIDTH, PRIOR, NOISE, static_s=0.0)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Log and truth."""
+
+    t_s: Floats
+    left_m: Floats
+    right_m: Floats
+    gyro_dps: Floats
+    heading_deg: Floats
+    x_m: Floats
+    y_m: Floats
+    moving: NDArray[np.bool_]
+
+
+def markov(rng: np.random.Generator, n: int, tau_s: float, sigma: float) -> Floats:
+    keep = np.exp(-DT / tau_s)
+    value, out = sigma * rng.normal(), np.empty(n)
+    for k, shock in enumerate(rng.normal(size=n)):
+        value = keep * value + sigma * np.sqrt(1.0 - keep * keep) * shock
+        out[k] = value
+    return out
+
+
+def draw(rng: np.random.Generator, rest_s: float = 10.0, duration_s: float = 300.0) -> Drive:
+    """A drive of the model: stand, wind, stand in the middle, wind, stand."""
+    t: Floats = np.arange(0.0, duration_s, DT)
+    n = t.size
+    middle = abs(t - 0.5 * duration_s) < 0.5 * rest_s
+    moving = (t > rest_s) & ~middle & (t < duration_s - rest_s)
+    omega = np.radians(25.0 * np.sin(t / 7.0) + 8.0) * moving
+    travel = (1.0 + 0.4 * np.sin(t / 11.0)) * DT * moving
+    turned = omega * DT
+    std, noise = ROBOT.initial_std, ROBOT.noise
+    right_scale, left_scale = rng.normal(0.0, std.right_scale), rng.normal(0.0, std.left_scale)
+    width = WIDTH - rng.normal(0.0, std.wheel_separation_m or 0.0)
+    right, left = travel + 0.5 * width * turned, travel - 0.5 * width * turned
+    constant = rng.normal(0.0, std.gyro_bias_dps or 0.0)
+    bias = constant + sum(markov(rng, n, tau, noise.flicker_dps) for tau in FLICKER_TAUS_S)
+    walk = noise.angle_random_walk_deg_per_rt_h / 60.0 / np.sqrt(DT) * rng.normal(size=n)
+    slip = noise.wheel_slip_m_per_rt_m * np.sqrt(np.abs([right, left])) * rng.normal(size=(2, n))
+    spin = np.radians(noise.turn_slip_deg_per_rt_deg * np.sqrt(np.degrees(np.abs(turned)))) * rng.normal(
+        size=n
+    )
+    spin = spin - markov(rng, n, WANDER_TAU_S, noise.track_wander) * turned
+    e = np.hypot(noise.tick_m / np.sqrt(6.0) / WIDTH, noise.jitter_s * omega) * rng.normal(size=n)
+    held = np.zeros(n)
+    for k in range(n):
+        held[k] = e[k] if moving[k] else (held[k - 1] if k else 0.0)
+    across = 0.5 * WIDTH * (spin + np.diff(held, prepend=0.0))
+    heading = np.cumsum(turned)
+    along = heading - 0.5 * turned
+    return Drive(
+        t,
+        (1 + left_scale) * left + slip[1] * moving - across,
+        (1 + right_scale) * right + slip[0] * moving + across,
+        np.degrees(omega) + bias + walk,
+        np.degrees(heading),
+        np.cumsum(travel * np.cos(along)),
+        np.cumsum(travel * np.sin(along)),
+        moving,
+    )
+
+
+def run(
+    drive: Drive, robot: RobotParameters = ROBOT, *, filtering: bool = True
+) -> tuple[Navigator, Trajectory]:
+    navigator = Navigator(robot, filtering=filtering)
+    return navigator, navigator.run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps)
+
+
+@pytest.mark.parametrize("filtering", [True, False])
+def test_position_and_heading_err_as_the_covariance_says(filtering: bool) -> None:
+    squares, drives = 0.0, 60
+    for seed in range(drives):
+        drive = draw(np.random.default_rng(seed))
+        navigator, out = run(drive, filtering=filtering)
+        error = np.array(
+            [
+                out.x_m[-1] - drive.x_m[-1],
+                out.y_m[-1] - drive.y_m[-1],
+                out.heading_deg[-1] - drive.heading_deg[-1],
+            ]
+        )
+        places = [0, 1, 6]
+        squares += float(error @ np.linalg.solve(navigator.covariance[np.ix_(places, places)], error))
+    # False alarm in 2 of 1000 sets of seeds.
+    assert stats.chi2.ppf(1e-3, 3 * drives) < squares < stats.chi2.ppf(1 - 1e-3, 3 * drives)
+
+
+def test_innovations_are_white_and_of_the_size_that_the_filter_expects() -> None:
+    z = []
+    for seed in range(20):
+        _, out = run(draw(np.random.default_rng(100 + seed)))
+        normalised = out.innovation_deg / out.innovation_sigma_deg
+        z.append(normalised[np.isfinite(normalised)])
+    whole = np.concatenate(z)
+    assert stats.chi2.ppf(1e-3, whole.size) < float(whole @ whole) < stats.chi2.ppf(1 - 1e-3, whole.size)
+    pairs = np.concatenate([v[1:] * v[:-1] for v in z])
+    assert abs(float(pairs.sum())) < 3.3 * np.sqrt(pairs.size)
+
+
+def test_the_filter_beats_the_gyro_alone_and_both_know_by_how_much() -> None:
+    errors = {True: [], False: []}  # type: dict[bool, list[float]]
+    sigma = dict.fromkeys(errors, 0.0)
+    for seed in range(30):
+        drive = draw(np.random.default_rng(300 + seed), rest_s=1.0)
+        for filtering in errors:
+            _, out = run(drive, filtering=filtering)
+            errors[filtering].append(float(out.heading_deg[-1] - drive.heading_deg[-1]))
+            sigma[filtering] = float(out.std[-1, 6])
+    rms = {k: float(np.sqrt(np.mean(np.square(v)))) for k, v in errors.items()}
+    assert rms[True] < rms[False]
+    assert sigma[True] < sigma[False]
+
+
+def test_a_log_of_any_rate_gives_the_same_path() -> None:
+    drive = draw(np.random.default_rng(5))
+    fine = 10
+    split = {name: np.repeat(getattr(drive, name) / fine, fine) for name in ("left_m", "right_m")}
+    t = np.concatenate(
+        [drive.t_s[:1] - DT + DT / fine * np.arange(1, fine + 1)]
+        + [s - DT + DT / fine * np.arange(1, fine + 1) for s in drive.t_s[1:]]
+    )
+    _, slow = run(drive)
+    fast = Navigator(ROBOT).run(t, split["left_m"], split["right_m"], np.repeat(drive.gyro_dps, fine))
+    for name in ("x_m", "y_m"):
+        np.testing.assert_allclose(getattr(fast, name)[fine - 1 :: fine], getattr(slow, name), atol=0.05)
+
+
+@pytest.mark.parametrize("filtering", [True, False])
+def test_a_rest_in_the_middle_gives_the_bias(filtering: bool) -> None:
+    drive = draw(np.random.default_rng(8), rest_s=20.0)
+    biased = replace(drive, gyro_dps=drive.gyro_dps + 0.3)
+    robot = replace(ROBOT, initial_std=replace(PRIOR, gyro_bias_dps=0.5))
+    _, out = run(biased, robot, filtering=filtering)
+    assert out.std[0, 8] == pytest.approx(0.5, rel=0.01)
+    assert out.std[-1, 8] < 0.01
+    assert abs(out.heading_deg[-1] - drive.heading_deg[-1]) < 4.0 * out.std[-1, 6]
+
+
+def test_blocks_of_any_size_and_single_rows_give_the_same_numbers() -> None:
+    drive = draw(np.random.default_rng(9), duration_s=60.0)
+    _, whole = run(drive)
+    by_step, by_block = Navigator(ROBOT), Navigator(ROBOT)
+    dt = np.diff(drive.t_s, prepend=0.0)
+    parts = [
+        by_block.run(
+            drive.t_s[k : k + 37],
+            drive.left_m[k : k + 37],
+            drive.right_m[k : k + 37],
+            drive.gyro_dps[k : k + 37],
+        )
+        for k in range(0, drive.t_s.size, 37)
+    ]
+    np.testing.assert_array_equal(np.concatenate([p.states for p in parts]), whole.states)
+    for k in range(drive.t_s.size):
+        row = by_step.step(float(dt[k]), drive.left_m[k], drive.right_m[k], drive.gyro_dps[k])
+        np.testing.assert_array_equal(row.states, whole.states[k])
+
+
+def test_what_the_file_knows_of_gyro_and_wheels_is_taken_away() -> None:
+    drive = draw(np.random.default_rng(10))
+    moved = np.cumsum(drive.moving) > 0
+    temp = 20.0 + 0.02 * drive.t_s
+    spoilt = 1.01 * drive.gyro_dps + 0.2 + 0.01 * (temp - 25.0) + 0.05 * moved
+    figures = GyroFigures(0.2, bias_motion_dps=0.05, bias_slope_dps_per_c=0.01, temp_c=25.0, scale=0.01)
+    robot = replace(ROBOT, gyro=figures)
+    _, clean = run(drive)
+    out = Navigator(robot).run(drive.t_s, drive.left_m, drive.right_m, spoilt, temp)
+    np.testing.assert_allclose(out.heading_deg, clean.heading_deg, atol=0.02)
+
+
+@pytest.mark.parametrize("law", ["turn_rate", "curvature", "curvature_saturating"])
+def test_the_slip_law_of_the_file_makes_the_encoders_agree(law: str) -> None:
+    drive = draw(np.random.default_rng(11))
+    turn, travel = drive.right_m - drive.left_m, 0.5 * (drive.right_m + drive.left_m)
+    rate, speed = np.degrees(turn / WIDTH / DT), travel / DT
+    wider = 1.0 + 0.3 * slip_shape(law, rate, speed, WIDTH, 1.0)
+    slipped = replace(drive, left_m=travel - 0.5 * turn * wider, right_m=travel + 0.5 * turn * wider)
+    known = replace(ROBOT, slip=SlipFigures(law, 0.3, shape=1.0))
+    (_, ignorant), (_, told), (_, clean) = run(slipped), run(slipped, known), run(drive)
+
+    # Without the law the track takes its part.
+    np.testing.assert_allclose(told.states[-1, 5], clean.states[-1, 5], atol=0.002)
+    assert abs(ignorant.states[-1, 5] - clean.states[-1, 5]) > 0.01
+
+
+def test_missing_cells_and_gaps_are_bridged() -> None:
+    drive = draw(np.random.default_rng(12))
+    rng = np.random.default_rng(13)
+    lost = rng.random(drive.t_s.size) < 0.02
+    lame = rng.random(drive.t_s.size) < 0.02
+    spoilt = replace(
+        drive,
+        gyro_dps=np.where(lost, np.nan, drive.gyro_dps),
+        left_m=np.where(lame & drive.moving, np.nan, drive.left_m),
+    )
+    navigator, out = run(spoilt)
+    assert navigator.counts.no_gyro == np.count_nonzero(lost)
+    assert abs(out.heading_deg[-1] - drive.heading_deg[-1]) < 4.0 * out.std[-1, 6]
+    error = np.hypot(out.x_m[-1] - drive.x_m[-1], out.y_m[-1] - drive.y_m[-1])
+    assert error < 4.0 * np.hypot(out.std[-1, 0], out.std[-1, 1])
+
+
+def test_a_slip_beyond_the_gate_is_the_wheels() -> None:
+    drive = draw(np.random.default_rng(14))
+    k = 600
+    spun = drive.right_m.copy()
+    spun[k : k + 5] += 0.05
+    (navigator, out), (_, clean) = run(replace(drive, right_m=spun)), run(drive)
+    assert navigator.counts.gated >= 1
+    assert abs(out.heading_deg[-1] - clean.heading_deg[-1]) < 2.0 * clean.std[-1, 6]

@@ -1,0 +1,161 @@
+"""Noise figures by model: intervals that cover, a filter that is not taken for noise, a fit that is tested."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from gyrocal.inference import allan_model
+from gyrocal.inference.allan import AllanCurve, AllanSums, covariance_parts
+from gyrocal.inference.allan_model import FLICKER, NoiseModel, fit_noise
+from tests.calibration.simulation import flicker
+
+Floats = NDArray[np.float64]
+
+#: Chance that a correct test of coverage fails.
+FALSE_ALARM = 1e-3
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Noise of a sensor in deg/s and s; `order` 0: the samples are means of white noise."""
+
+    white: float = 1.4e-3
+    flicker: float = 0.0
+    walk: float = 0.0
+    low_pass_s: float = 0.0
+    order: int = 0
+    step_dps: float = 0.0
+
+    @property
+    def coefficients(self) -> Floats:
+        """Of the model, from the second on, for samples of 0.1 s."""
+        return np.array(
+            [self.white**2 + 0.1 * self.step_dps**2 / 12.0, FLICKER * self.flicker**2, self.walk**2 / 3.0]
+        )
+
+    def record(self, rng: np.random.Generator, samples: int, dt_s: float = 0.1, finer: int = 4) -> Floats:
+        """Output at rest."""
+        step_s = dt_s / finer
+        gyro = rng.normal(0.0, self.white / np.sqrt(step_s), samples * finer)
+        if self.order:
+            b, a = signal.butter(self.order, step_s / (np.pi * self.low_pass_s))
+            gyro = np.asarray(signal.lfilter(b, a, gyro))[::finer]
+        else:
+            gyro = gyro.reshape(-1, finer).mean(axis=1)
+        if self.flicker:
+            gyro = gyro + flicker(rng, samples, 0.664 * self.flicker, dt_s)
+        gyro = gyro + np.cumsum(rng.normal(0.0, self.walk * np.sqrt(dt_s), samples))
+        return np.round(gyro / self.step_dps) * self.step_dps if self.step_dps else gyro
+
+
+def curve_of(values: Floats, dt_s: float = 0.1) -> AllanCurve:
+    sums = AllanSums(dt_s)
+    sums.add(values)
+    return sums.curve()
+
+
+def model_of(values: Floats, dt_s: float = 0.1) -> NoiseModel:
+    model = fit_noise([curve_of(values, dt_s)])
+    if model is None:
+        raise ValueError
+    return model
+
+
+FILTERED = Sensor(flicker=7e-4, low_pass_s=0.2, order=2, step_dps=1e-3)
+SENSORS = {
+    "white, 1/f": Sensor(flicker=1.5e-3),
+    "low-pass of first order": Sensor(flicker=7e-4, low_pass_s=0.3, order=1),
+    "low-pass of second order, rounded": FILTERED,
+    "walk": Sensor(walk=5e-5),
+    "low-pass, 1/f, walk": Sensor(flicker=7e-4, walk=3e-5, low_pass_s=0.2, order=1, step_dps=3e-3),
+}
+
+
+def coverage(sensor: Sensor, runs: int, seed: int) -> Floats:
+    """Share of intervals with the truth, shape (3,): angle random walk, bias instability, rate random walk."""
+    hits = np.zeros(3)
+    for k in range(runs):
+        model = model_of(sensor.record(np.random.default_rng([seed, k]), 36_000))
+        hits += [
+            part.low <= truth <= part.high
+            for part, truth in zip(model.parts[1:], sensor.coefficients, strict=True)
+        ]
+    return hits / runs
+
+
+def test_intervals_cover() -> None:
+    """Forty records: a correlation that is dropped, or an interval of half the length, is noticed."""
+    runs = 40
+    found = coverage(FILTERED, runs, 11)
+    assert np.all(found * runs >= stats.binom.ppf(FALSE_ALARM, runs, 0.95))
+
+
+def test_correlation_of_the_variances_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it the same records give intervals that are too short, and too few cover."""
+
+    def diagonal(curve: AllanCurve) -> Floats:
+        return np.asarray(covariance_parts(curve) * np.eye(curve.factor.size)[:, :, None, None])
+
+    values = FILTERED.record(np.random.default_rng(12), 36_000)
+    right = model_of(values)
+    monkeypatch.setattr(allan_model, "covariance_parts", diagonal)
+    wrong = model_of(values)
+    for k in (1, 2):
+        assert wrong.parts[k].high - wrong.parts[k].low < 0.9 * (right.parts[k].high - right.parts[k].low)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", SENSORS)
+def test_coverage(name: str) -> None:
+    """92 to 98 % for angle random walk and bias instability; at least 92 % for a walk that may be nothing."""
+    runs = 300
+    found = coverage(SENSORS[name], runs, 13)
+    slack = stats.norm.ppf(1.0 - FALSE_ALARM / 2.0) * np.sqrt(0.95 * 0.05 / runs)
+    assert np.all(found > 0.92 - slack)
+    assert np.all(found[:2][SENSORS[name].coefficients[:2] > 0] < 0.98 + slack)
+
+
+def test_a_low_pass_is_no_noise() -> None:
+    """At averaging times near the filter's memory the Allan deviation is too small by up to a half."""
+    sensor = Sensor(low_pass_s=0.5, order=1)
+    model = model_of(sensor.record(np.random.default_rng(14), 100_000))
+    white = model.parts[1]
+    assert white.low < sensor.white**2 < white.high
+    assert white.high / white.low < 1.5
+    assert model.coefficients[0] < 0
+    assert model.memory_s == pytest.approx(0.5, rel=0.2)
+    assert model.parts[2].low == 0.0
+    assert not model.used[0]
+    assert model.misfit[-5:] == pytest.approx(np.zeros(5), abs=4.0)
+
+
+def test_noise_of_slope_minus_one_has_no_angle_random_walk() -> None:
+    """A ring laser: the angle is rounded, and its increments are what is logged."""
+    rng = np.random.default_rng(15)
+    angle = np.round(rng.normal(0.0, 3e-5, 100_000) / 1e-4 + 0.3 * np.arange(100_000)) * 1e-4
+    model = model_of(np.diff(angle + rng.normal(0.0, 1e-4, 100_000)) / 0.01, 0.01)
+    quantised, white = model.parts[0], model.parts[1]
+    assert quantised.low > 0.0
+    assert white.low == 0.0
+    longest = curve_of(np.diff(angle) / 0.01, 0.01)
+    # What the curve itself allows at its longest averaging time.
+    assert white.high < 30.0 * longest.avar[-1] * longest.tau_s[-1]
+
+
+def test_a_curve_that_is_no_noise_fits_no_stretch_of_it_all() -> None:
+    rng = np.random.default_rng(16)
+    t_s = 0.1 * np.arange(72_000)
+    model = model_of(rng.normal(0.0, 4.4e-3, t_s.size) + 0.02 * np.sin(2.0 * np.pi * t_s / 60.0))
+    assert not np.all(model.used)
+    assert np.max(np.abs(model.misfit)) > 10.0
+
+
+def test_a_short_record_has_no_model() -> None:
+    assert fit_noise([curve_of(np.random.default_rng(17).normal(size=40))]) is None
+    assert fit_noise([]) is None

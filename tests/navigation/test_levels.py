@@ -1,0 +1,111 @@
+"""Noise by the filter's own likelihood, and whether the filter describes a log at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.fusion import Aligner, Navigator, RobotParameters, Rows
+from gyrocal.navigation.equip import equip
+from gyrocal.navigation.levels import rest_walk, whiteness
+from gyrocal.navigation.replay import LogReplay, replay_log
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot, read_robot
+from gyrocal.report.navigation import filter_sentence
+from tests.fusion.test_model import NOISE, ROBOT, Drive, draw
+from tests.navigation.drives import source
+
+SILENT = Robot(Path("robot.toml"), ROBOT)
+
+
+def log_of(drive: Drive) -> DriveBlock:
+    nothing = np.full(drive.t_s.size, np.nan)
+    truth = (drive.x_m, drive.y_m, drive.heading_deg)
+    return DriveBlock(2, drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps, nothing, *truth)
+
+
+def rows_of(log: DriveBlock) -> Rows:
+    return Aligner(ROBOT).push(log.t_s, log.left_m, log.right_m, log.gyro_dps, log.gyro_temp_c)
+
+
+def test_the_walk_of_the_gyro_is_that_of_its_rests() -> None:
+    found = [rest_walk(rows_of(log_of(draw(np.random.default_rng(s), rest_s=40.0)))) for s in range(5)]
+    known = [walk for walk in found if walk is not None]
+    assert len(known) == 5
+    assert np.mean(known) == pytest.approx(NOISE.angle_random_walk_deg_per_rt_h, rel=0.1)
+    moving = log_of(draw(np.random.default_rng(0), rest_s=0.0))
+    assert rest_walk(rows_of(replace(moving, left_m=moving.left_m + 1e-3))) is None
+
+
+def test_levels_that_the_file_leaves_open_are_found() -> None:
+    found = [
+        equip(source(log_of(draw(np.random.default_rng(s)))), SILENT, "model", None, None).robot.noise
+        for s in range(3)
+    ]
+    for name, spread in (("wheel_slip_m_per_rt_m", 0.5), ("turn_slip_deg_per_rt_deg", 0.4), ("tick_m", 0.7)):
+        size = np.exp(np.mean([np.log(getattr(noise, name)) for noise in found]))
+        assert abs(np.log(size / getattr(NOISE, name))) < spread, name
+
+
+def test_levels_of_the_file_with_their_deviations_hold() -> None:
+    given = SILENT.with_figures(
+        {"noise.wheel_slip_m_per_rt_m": 0.02, "noise.wheel_slip_m_per_rt_m_std": 0.0001}
+    )
+    noise = equip(source(log_of(draw(np.random.default_rng(1)))), given, "model", None, None).robot.noise
+    assert noise.wheel_slip_m_per_rt_m > 0.015
+
+
+def test_whiteness_of_white_and_of_smoothed_noise() -> None:
+    white = np.random.default_rng(2).normal(size=100_000)
+    assert whiteness(white) == pytest.approx((1.0, 0.0), abs=0.02)
+    nis, lag1 = whiteness(np.convolve(white, [0.5, 0.5], mode="valid"))
+    assert (nis, lag1) == pytest.approx((0.5, 0.5), abs=0.02)
+    assert np.isnan(whiteness(np.empty(0))).all()
+
+
+def replayed(drive: Drive) -> LogReplay:
+    return replay_log(source(log_of(drive)), SILENT, method="start")
+
+
+def test_a_filter_that_holds_is_said_to_hold_and_by_what_it_beats_the_gyro() -> None:
+    found = replayed(draw(np.random.default_rng(3), rest_s=1.0))
+    judged = found.judgements["uncalibrated_filter"]
+    assert judged.consistent
+    text = filter_sentence([found])
+    assert text.startswith("The filter is consistent (NIS ")
+    assert "the gyro" in text
+
+
+def test_encoders_that_are_smoothed_leave_the_heading_to_the_gyro() -> None:
+    drive = draw(np.random.default_rng(4))
+    box = np.full(15, 1.0 / 15.0)
+    late = replace(
+        drive,
+        left_m=np.convolve(drive.left_m, box)[: drive.t_s.size],
+        right_m=np.convolve(drive.right_m, box)[: drive.t_s.size],
+    )
+    found = replayed(late)
+    judged = found.judgements["uncalibrated_filter"]
+    assert not judged.consistent
+    assert judged.left_to_gyro
+    alone, filtered = found.tracks
+    np.testing.assert_array_equal(filtered.x_m, alone.x_m)
+    assert filter_sentence([found]).endswith("is left to the gyro.")
+
+
+def test_robot_and_replay_share_their_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 0\n")
+    drive = draw(np.random.default_rng(6), duration_s=60.0)
+    for kind in ("paper", "model"):
+        on_robot = Navigator(RobotParameters(0.5, static_s=0.0), kind=kind)
+        in_replay = equip(source(log_of(drive)), read_robot(path), "paper", None, None)
+        assert in_replay.robot == on_robot.robot
+        paths = [
+            n.run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps)
+            for n in (on_robot, Navigator(in_replay.robot, kind=kind))
+        ]
+        np.testing.assert_array_equal(paths[0].std, paths[1].std)

@@ -1,0 +1,141 @@
+"""What an effect's object says of itself: shapes, columns, needs, twins, draws, folds, C."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyrocal.physics.c_text import CMemory
+from gyrocal.physics.catalogue import CATALOGUE, find_effect, law_of, twins_of
+from gyrocal.physics.effect import Conditions, Effect
+from gyrocal.physics.fold import BY_COORDINATE
+from gyrocal.physics.offer import Offer
+from tests.physics.test_catalogue import COORDINATES, SURFACE, conditions
+
+EFFECTS = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
+
+#: A run of a day at eleven rates through sixty degrees, of which everything is logged.
+WHOLE = Offer(
+    t_s=(0.0, 86400.0),
+    rates_dps=np.linspace(-100.0, 100.0, 11),
+    largest_rate_dps=100.0,
+    temp_c=(-10.0, 50.0),
+    temp_span_c=61.0,
+    turn_starts_s=np.arange(1000.0, 80000.0, 1000.0),
+    since_power_on_s=30.0,
+    has_time=True,
+    channels=frozenset(Conditions.__dataclass_fields__),
+    lacking={},
+)
+#: The same at rest and at one temperature.
+STILL = replace(
+    WHOLE, rates_dps=np.zeros(1), largest_rate_dps=0.0, temp_c=(20.0, 20.0), temp_span_c=0.0, turn_starts_s=np.empty(0)
+)  # fmt: skip
+
+
+def known() -> Conditions:
+    """Rows with everything a law may depend on, and no gaps."""
+    c = conditions(200)
+    return replace(c, temp_c=np.nan_to_num(c.temp_c, nan=20.0), gyro_dps=None)
+
+
+@EFFECTS
+def test_every_shape_of_a_grid_is_one_that_the_law_allows(effect: Effect) -> None:
+    shapes = effect.search.grid(WHOLE)
+    assert shapes
+    known_names = {p.name for p in effect.parameters}
+    for shape in shapes:
+        effect.complete({name: value for name, value in shape.items() if name in known_names})
+        assert np.isfinite(effect.columns(known(), shape, SURFACE)).all()
+
+
+@EFFECTS
+def test_an_effect_is_linear_in_its_columns(effect: Effect) -> None:
+    if effect.search.draws or not effect.search.by_columns:
+        pytest.skip("found by its draws, or by a test of its own")
+    c = known()
+    shape = effect.search.grid(WHOLE)[-1]
+    columns = effect.columns(c, shape, SURFACE)
+    if "order_2" in shape:
+        amplitudes, whole = np.ones(2), sum(
+            effect.unit_dps(c, {**shape, "order": shape[name]}, SURFACE) for name in ("order", "order_2")
+        )  # fmt: skip
+    elif columns.shape[1] == 2:
+        # Cosine and sine of half a radian turn the phase by as much.
+        amplitudes = np.array([np.cos(0.5), -np.sin(0.5)])
+        whole = effect.unit_dps(c, {**shape, "phase_rad": 0.5}, SURFACE)
+    else:
+        amplitudes, whole = np.ones(1), effect.unit_dps(c, shape, SURFACE)
+    np.testing.assert_allclose(columns @ amplitudes, whole, atol=1e-12)
+
+
+@EFFECTS
+def test_a_whole_record_shows_every_effect_and_a_still_one_few(effect: Effect) -> None:
+    assert effect.why_not(WHOLE) is None
+    seen = effect.why_not(STILL) is None
+    in_rate_or_temperature = effect.family in ("rate shape", "thermal transient", "angle, constant")
+    if in_rate_or_temperature and not effect.search.draws:
+        assert not seen
+    without = replace(WHOLE, channels=WHOLE.channels - set(effect.needs))
+    assert effect.why_not(without) is not None
+
+
+def test_a_lacking_coordinate_says_why() -> None:
+    dark = replace(WHOLE, lacking={"table_angle": "nobody looked", "time_since_power_on": "nobody knows"})
+    assert find_effect("magnetic").why_not(dark) == "nobody looked"
+    assert find_effect("warm_up").why_not(dark) is None
+    assert find_effect("warm_up").why_not(replace(dark, has_time=False)) == "nobody knows"
+    assert "1.5 h after power-on" in str(
+        find_effect("warm_up").why_not(replace(WHOLE, since_power_on_s=6000.0))
+    )
+
+
+def test_twins_are_looked_for_as_the_first_of_them() -> None:
+    assert twins_of("earth_rate_tilt") == ("magnetic", "g_sensitivity")
+    assert {law_of(e) for e in ("earth_rate_tilt", *twins_of("earth_rate_tilt"))} == {"earth_rate_tilt"}
+    for effect in CATALOGUE.values():
+        first = CATALOGUE[law_of(effect.id)]
+        assert not first.search.twin_of
+        shape = effect.search.grid(WHOLE)[0]
+        np.testing.assert_array_equal(
+            effect.columns(known(), shape, SURFACE), first.columns(known(), shape, SURFACE)
+        )
+
+
+@EFFECTS
+def test_relations_name_effects_of_the_catalogue(effect: Effect) -> None:
+    search = effect.search
+    others = {*search.accounts_for, *search.told_apart, *search.alike_without.values()}
+    assert others <= set(CATALOGUE) - {effect.id}
+    assert set(search.alike_without) <= COORDINATES
+    assert set(search.refined) <= {p.name for p in effect.parameters}
+
+
+@EFFECTS
+def test_a_draw_is_within_the_bounds(effect: Effect) -> None:
+    drawn = [effect.hiding.draw(effect, WHOLE, np.random.default_rng(k)) for k in range(20)]
+    for p in drawn:
+        assert effect.complete(p) == p
+    free = [p for p in effect.parameters if p.name in ("tau_s", "at_s", "phase_rad", "seed", "knee_dps")]
+    for parameter in free:
+        assert len({p[parameter.name] for p in drawn}) > 1
+
+
+@EFFECTS
+def test_rows_have_a_place_on_the_coordinate_of_an_effect(effect: Effect) -> None:
+    assert effect.fold is not None or effect.seen_in in BY_COORDINATE
+    c = replace(known(), temp_rate_c_per_s=np.linspace(-0.01, 0.01, 200))
+    p = {**effect.typical(), **effect.hiding.draw(effect, WHOLE, np.random.default_rng(1))}
+    axis = effect.fold_axis(c, p, effect.unit_dps(c, p, SURFACE))
+    assert axis.x.shape == axis.gain.shape == (200,)
+    assert np.isfinite(axis.x).sum() > 20
+
+
+@EFFECTS
+def test_what_a_robot_evaluates_has_its_law_as_c(effect: Effect) -> None:
+    assert (effect.c_text is not None) == effect.runtime
+    if effect.c_text is not None:
+        law = effect.c_text.law(effect.typical(), repr, CMemory())
+        assert all(f"PREFIX_{name.split('@')[0]}" in "".join(effect.c_text.helpers) for name in law.split("PREFIX_")[1:])  # fmt: skip

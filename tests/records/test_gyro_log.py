@@ -1,0 +1,133 @@
+"""Logs of autopilots, written here byte by byte from the formats' descriptions, read by the libraries."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.errors import InputError
+from gyrocal.records.gyro_log import iterate_gyro_log
+
+T_S = 0.004 * np.arange(2000)
+RATES = np.stack([np.sin(T_S), 2.0 + 0.0 * T_S, -0.01 * T_S], axis=1)
+TEMP_C = 20.0 + T_S
+
+
+def ulog(path: Path, topic: str = "sensor_gyro") -> Path:
+    """ULog 1: header, format, subscription, data (docs.px4.io, "ULog file format")."""
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), kind[0]) + body
+
+    fields = {
+        "sensor_gyro": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float temperature;",
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;",
+    }[topic]
+    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    data += message(b"B", bytes(40)) + message(b"F", f"{topic}:{fields}".encode())
+    data += message(b"A", struct.pack("<BH", 0, 7) + topic.encode())
+    for t, rate, temp in zip(T_S, RATES, TEMP_C, strict=True):
+        stamp = struct.pack("<Q", round(1e6 * t))
+        body = stamp + stamp + struct.pack("<4f", *rate, temp)
+        if topic == "sensor_combined":
+            body = stamp + struct.pack("<3f", *rate)
+        data += message(b"D", struct.pack("<H", 7) + body)
+    path.write_bytes(data)
+    return path
+
+
+def dataflash(path: Path) -> Path:
+    """ArduPilot's DataFlash: FMT messages that describe the others, then IMU of two gyros in turn."""
+    head = b"\xa3\x95"
+
+    def described(kind: int, length: int, name: bytes, form: bytes, columns: bytes) -> bytes:
+        return head + struct.pack("<BBB4s16s64s", 128, kind, length, name, form, columns)
+
+    data = described(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+    data += described(130, 3 + 8 + 1 + 16, b"IMU", b"QBffff", b"TimeUS,I,GyrX,GyrY,GyrZ,T")
+    for t, rate, temp in zip(T_S, RATES, TEMP_C, strict=True):
+        for instance, sign in ((0, 1.0), (1, -1.0)):
+            row = struct.pack("<QBffff", round(1e6 * t) + 1000, instance, *(sign * rate), temp)
+            data += head + bytes([130]) + row
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "-z"])
+@pytest.mark.parametrize("topic", ["sensor_gyro", "sensor_combined"])
+def test_a_log_of_px4(tmp_path: Path, axis: str, topic: str) -> None:
+    pytest.importorskip("pyulog")
+    (block,) = iterate_gyro_log(ulog(tmp_path / "a.ulg", topic), axis)
+    sign = -1.0 if axis.startswith("-") else 1.0
+    np.testing.assert_allclose(block.t_s, T_S, atol=1e-9)
+    np.testing.assert_allclose(
+        block.gyro_dps, sign * np.degrees(RATES[:, "xyz".index(axis[-1])]), rtol=1e-6, atol=1e-7
+    )
+    expected = TEMP_C if topic == "sensor_gyro" else np.full(T_S.size, np.nan)
+    np.testing.assert_allclose(block.temp_c, expected, rtol=1e-6)
+    assert block.usual_dt_s == pytest.approx(0.004)
+
+
+def test_damage_that_the_parser_passes_over_is_said(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    path = ulog(tmp_path / "a.ulg")
+    sound = path.read_bytes()
+    path.write_bytes(sound[:20_000] + bytes(40) + sound[20_040:])
+    blocks = list(iterate_gyro_log(path))
+    assert sum(map(len, blocks)) < T_S.size
+    assert blocks[0].notes == ("parts of the file are damaged and left out",)
+
+
+@pytest.mark.parametrize("instance", [0, 1])
+def test_a_log_of_ardupilot(tmp_path: Path, instance: int) -> None:
+    pytest.importorskip("pymavlink")
+    (block,) = iterate_gyro_log(dataflash(tmp_path / "a.BIN"), "x", instance)
+    sign = 1.0 - 2.0 * instance
+    np.testing.assert_allclose(block.t_s, T_S + 1e-3, atol=1e-9)
+    np.testing.assert_allclose(block.gyro_dps, sign * np.degrees(RATES[:, 0]), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(block.temp_c, TEMP_C, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("library", "name", "make"), [("pyulog", "a.ulg", ulog), ("pymavlink", "a.bin", dataflash)]
+)
+def test_a_gyro_that_is_not_there_is_told(tmp_path: Path, library: str, name: str, make: object) -> None:
+    pytest.importorskip(library)
+    make(tmp_path / name)  # type: ignore[operator]
+    with pytest.raises(InputError, match=r"holds no gyro 5 \(found: .*0.*\). Choose another instance."):
+        list(iterate_gyro_log(tmp_path / name, instance=5))
+
+
+@pytest.mark.parametrize("name", ["a.ulg", "a.bin"])
+def test_what_is_no_log_is_refused(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("pyulog")
+    pytest.importorskip("pymavlink")
+    with pytest.raises(InputError, match="no such file"):
+        list(iterate_gyro_log(tmp_path / name))
+    (tmp_path / name).write_bytes(b"nothing of the kind" * 100)
+    with pytest.raises(InputError):
+        list(iterate_gyro_log(tmp_path / name))
+
+
+def test_a_csv_has_one_gyro(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t_s,gyro_dps\n0,1\n1,2\n")
+    assert sum(map(len, iterate_gyro_log(path))) == 2
+    with pytest.raises(InputError, match="is a CSV, and axis and instance are of an autopilot's log"):
+        iterate_gyro_log(path, "x")
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "extra"), [("pyulog", "a.ulg", "px4"), ("pymavlink.DFReader", "a.bin", "ardupilot")]
+)
+def test_without_the_extra_one_sentence_says_how_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, name: str, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(InputError, match=rf"install it with: pip install 'gyrocal\[{extra}\]'"):
+        list(iterate_gyro_log(tmp_path / name))
