@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,9 +176,12 @@ def to_json(dossier: Dossier) -> dict[str, Any]:
 
 
 def _pdf(text: str) -> bytes:
-    try:
-        import weasyprint
-    except (ImportError, OSError) as error:
-        raise InputError(f"--pdf needs the extra: pip install 'gyrocal[pdf]' ({error}).") from error
     logging.getLogger("weasyprint").setLevel(logging.ERROR)
-    return bytes(weasyprint.HTML(string=text).write_pdf())
+    with warnings.catch_warnings():
+        # of what its own next release will need from the system, which does not concern a reader of certificates
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            import weasyprint
+        except (ImportError, OSError) as error:
+            raise InputError(f"--pdf needs the extra: pip install 'gyrocal[pdf]' ({error}).") from error
+        return bytes(weasyprint.HTML(string=text).write_pdf())

@@ -49,8 +49,8 @@ class SlicedClock(VirtualClock):
     """A virtual clock that passes in slices, so that bytes arrive when they should."""
 
     def sleep(self, duration_s: float) -> None:
-        """Pass in slices."""
-        while duration_s > 1e-9:
+        """Pass in slices, and whole: who waits for the rest of a wait, however small, would wait for ever."""
+        while duration_s > 0.0:
             super().sleep(min(duration_s, SLICE_S))
             duration_s -= SLICE_S
 
