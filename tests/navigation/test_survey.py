@@ -23,7 +23,7 @@ def assert_same(a: Survey, b: Survey) -> None:
             np.testing.assert_allclose(getattr(b, name), value, err_msg=name, atol=1e-9)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(chunk_rows=st.integers(4, 500))
 def test_blocks_of_any_size_give_the_same_survey(chunk_rows: int) -> None:
     log = drive()

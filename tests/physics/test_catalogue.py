@@ -58,7 +58,7 @@ def whole(effect: Effect, c: Conditions, **given_p: float) -> Floats:
 
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 60), max_size=12), seed=st.integers(0, 1000))
 def test_any_split_gives_the_same_numbers(effect: Effect, cuts: list[int], seed: int) -> None:
     c = conditions(seed=seed)

@@ -50,7 +50,7 @@ def whole(effect: DriveEffect, c: DriveConditions, **p: float) -> DriveChange:
 
 
 @pytest.mark.parametrize("effect", DRIVE_CATALOGUE.values(), ids=list(DRIVE_CATALOGUE))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 60), max_size=10), seed=st.integers(0, 1000))
 def test_any_split_gives_the_same_numbers(effect: DriveEffect, cuts: list[int], seed: int) -> None:
     c = drive(60, seed)

@@ -119,7 +119,7 @@ def test_the_design_takes_drivers_averaged_elsewhere() -> None:
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(cuts=st.lists(st.integers(0, 80), max_size=8), seed=st.integers(0, 100))
 def test_any_split_gives_the_same_numbers(cuts: list[int], seed: int) -> None:
     c = record(80, seed)

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from gyrocal.errors import InputError
 from gyrocal.records.csvio import format_columns, iterate_columns, read_columns, read_header, require_columns
 
-SETTINGS = settings(
-    max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+SETTINGS = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 NUMBERS = st.floats(-1e20, 1e20, allow_subnormal=False) | st.just(float("nan"))
 
 

@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 from gyrocal.errors import InputError
 from gyrocal.records.datasets import DataSetTable, format_data_sets, read_data_sets
 
-SETTINGS = settings(
-    max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+SETTINGS = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 VALUES = st.floats(-200, 200)
 
 

@@ -119,7 +119,7 @@ def test_ticks_without_their_size_are_refused(tmp_path: Path) -> None:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.text(alphabet="0123456789.,-+eE\nnaif x", max_size=120))
 def test_any_text_is_read_or_refused_but_never_crashes(
     tmp_path_factory: pytest.TempPathFactory, body: str

@@ -1,0 +1,16 @@
+"""What holds for every test."""
+
+from __future__ import annotations
+
+import signal
+
+from hypothesis import settings
+
+# A first example pays for what is compiled or imported on the way; each test has its time-out. What is drawn is the
+# same each time, so that a change is judged by itself.
+settings.register_profile("gyrocal", deadline=None, derandomize=True)
+settings.load_profile("gyrocal")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell's background job ignores Ctrl-C, and so would every program that the tests start and interrupt.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
