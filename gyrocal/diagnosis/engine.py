@@ -30,9 +30,9 @@ from gyrocal.diagnosis.scatter import (
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run

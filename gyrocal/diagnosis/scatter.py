@@ -15,7 +15,7 @@ from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.gram import holm
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.series import FEWEST_OUTLIERS, Series, set_means
-from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel
+from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
 

@@ -56,12 +56,10 @@ from gyrocal.fusion.filter import (
 from gyrocal.fusion.filter import (
     MEMORY_SIZE as PAPER_SIZE,
 )
+from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
-#: Memories of the three parts of the gyro's 1/f noise and of the wander of the track, s.
-FLICKER_TAUS_S = (6.0, 60.0, 600.0)
-WANDER_TAU_S = 4.0
 #: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
 STILL_S = 0.6
 #: Variance of a measurement, rad^2: none but rounding, since the tick error is a state.

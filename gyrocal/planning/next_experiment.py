@@ -21,7 +21,7 @@ from gyrocal.diagnosis.gram import Projection, project
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.untimed import by_time
-from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel
+from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
 from gyrocal.physics.surface import Surface
 from gyrocal.planning.planned import Design, Reach, designs, duration_h, planned_series, to_profile

@@ -26,8 +26,8 @@ from gyrocal.diagnosis.gram import project
 from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.diagnosis.series import Series, series_of_run
-from gyrocal.diagnosis.whitening import NoiseLevels, NoiseModel, estimate_levels
 from gyrocal.errors import ProfileError
+from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.effect import Conditions, Effect
 from gyrocal.planning.next_experiment import to_toml

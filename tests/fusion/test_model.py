@@ -18,7 +18,7 @@ from gyrocal.fusion import (
     SlipFigures,
     Trajectory,
 )
-from gyrocal.fusion.model import FLICKER_TAUS_S, WANDER_TAU_S
+from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.physics.slip import slip_shape
 
 Floats = NDArray[np.float64]

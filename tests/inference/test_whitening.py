@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from gyrocal.diagnosis import whitening
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.series import Raw, Series
-from gyrocal.diagnosis.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels, look_for_walk
+from gyrocal.inference import whitening
+from gyrocal.inference.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 
 LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
 WALKING = replace(LEVELS, walk=4e-4)

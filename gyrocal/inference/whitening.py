@@ -10,7 +10,7 @@ one pass; the restricted likelihood of its innovations gives the levels.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,38 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.series import Series
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class Rows(Protocol):
+    """Rows of a record in time order, as the diagnosis bins them; every array has shape (n,)."""
+
+    @property
+    def t_s(self) -> Floats:
+        """Time."""
+        ...
+
+    @property
+    def rate_dps(self) -> Floats:
+        """Reference rate."""
+        ...
+
+    @property
+    def white_std_dps(self) -> Floats:
+        """White noise of a row, but for a factor common to all."""
+        ...
+
+    @property
+    def averaging_s(self) -> Floats:
+        """Time that a row averages over."""
+        ...
+
+    @property
+    def set_index(self) -> Ints:
+        """Data set that the row belongs to."""
+        ...
+
 
 try:
     from numba import njit
@@ -214,28 +242,28 @@ def _adjoint_numpy(
 
 
 class NoiseModel:
-    """Covariance of the rows of a series, but for its levels.
+    """Covariance of the rows of a record, but for its levels.
 
     Parameters
     ----------
-    series : Series
+    rows : Rows
         Its times, rates, data sets and relative white noise.
     """
 
-    def __init__(self, series: Series) -> None:
-        span_s = float(np.ptp(series.t_s))
+    def __init__(self, rows: Rows) -> None:
+        span_s = float(np.ptp(rows.t_s))
         longer = int(np.ceil(np.log10(max(span_s / TAUS_S[-1], 1.0))))
         taus = np.append(TAUS_S, TAUS_S[-1] * 10.0 ** np.arange(1, longer + 1))
-        self.gap_s = np.diff(series.t_s, prepend=series.t_s[0])
+        self.gap_s = np.diff(rows.t_s, prepend=rows.t_s[0])
         self.decay = np.exp(-self.gap_s[:, None] / taus)
         # A mean over T of an OU process scatters less than its points do; T = 0 reads the process itself.
-        x = np.maximum(series.averaging_s[:, None] / taus, 1e-6)
+        x = np.maximum(rows.averaging_s[:, None] / taus, 1e-6)
         self.read = np.sqrt(np.where(x < 1e-3, 1.0, 2.0 / x**2 * (x - 1.0 + np.exp(-x))))
-        self.fresh = np.diff(series.set_index, prepend=-1) != 0
-        self.white_var = series.white_std_dps**2
-        self.rate_var = series.rate_dps**2
+        self.fresh = np.diff(rows.set_index, prepend=-1) != 0
+        self.white_var = rows.white_std_dps**2
+        self.rate_var = rows.rate_dps**2
         self.typical_white = float(np.sqrt(np.median(self.white_var)))
-        self.turns = bool(np.any(series.rate_dps != 0))
+        self.turns = bool(np.any(rows.rate_dps != 0))
 
     def whiten(self, levels: NoiseLevels, X: Floats) -> tuple[Floats, Floats]:
         """Whitened columns, shape (n, m), and the standard deviations of the innovations, shape (n,)."""
