@@ -1,4 +1,4 @@
-"""Every command in the README runs, in order, as it stands there."""
+"""Every command in the README and in the tutorials runs, in order, as it stands there."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from gyrocal.cli import COMMANDS, main
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+TUTORIALS = sorted((ROOT / "tutorials").glob("*.md"))
 #: Marks in a comment above a block: run with the slow tests, needs ../shared, needs ports or a capture.
 MARKS = ("slow", "shared", "ports")
 
@@ -28,13 +29,13 @@ class Block:
     mark: str
 
 
-def blocks() -> list[Block]:
-    """The sh blocks of the README."""
-    found = re.findall(r"(?:<!-- (\w+) -->\n)?```sh\n(.*?)```", README, flags=re.DOTALL)
+def blocks(page: str) -> list[Block]:
+    """The sh blocks of a page."""
+    found = re.findall(r"(?:<!-- (\w+) -->\n)?```sh\n(.*?)```", page, flags=re.DOTALL)
     return [Block(tuple(text.strip().splitlines()), mark) for mark, text in found]
 
 
-BLOCKS = blocks()
+BLOCKS = blocks(README)
 PARSED = [block for block in BLOCKS if block.lines[0].startswith("gyrocal")]
 QUICK = [line for block in PARSED if not block.mark for line in block.lines]
 LONG = [line for block in PARSED if block.mark == "slow" for line in block.lines]
@@ -55,7 +56,8 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty directory with the sample data in it, and ../shared beside it where there is one."""
     place = tmp_path / "work"
     place.mkdir()
-    (place / "sample_data").symlink_to(ROOT / "sample_data")
+    for name in ("sample_data", "tutorials"):
+        (place / name).symlink_to(ROOT / name)
     if SHARED.exists():
         (tmp_path / "shared").symlink_to(SHARED)
     monkeypatch.chdir(place)
@@ -91,19 +93,46 @@ def test_commands_on_the_real_table_run(workplace: Path) -> None:
         run(line)
 
 
-def test_python_runs(workplace: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+def python_of(page: str) -> dict[str, object]:
+    """Names that the Python of a page defines when it is run."""
     names: dict[str, object] = {}
-    exec(compile(code, "README.md", "exec"), names)  # noqa: S102
+    for code in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(code, "page", "exec"), names)  # noqa: S102
+    return names
+
+
+def test_python_runs(workplace: Path) -> None:
+    names = python_of(README)
     assert isinstance(names["rate_dps"], float)
     assert names["flag"] == 0
 
 
-def test_pictures_exist() -> None:
-    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README)
-    assert pictures
-    for picture in pictures:
-        assert (ROOT / picture).read_bytes().startswith(b"\x89PNG"), picture
+def test_there_are_tutorials_and_the_readme_links_them() -> None:
+    assert TUTORIALS
+    for page in TUTORIALS:
+        assert f"(tutorials/{page.name})" in README
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_runs_from_its_first_line_to_its_last(
+    page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = page.read_text(encoding="utf-8")
+    for block in blocks(text):
+        assert not block.mark
+        for line in block.lines:
+            run(line)
+    monkeypatch.syspath_prepend(workplace)
+    python_of(text)
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *TUTORIALS], ids=lambda page: page.stem)
+def test_links_and_pictures_exist(page: Path) -> None:
+    linked = re.findall(r"\[[^\]]+\]\(([^)]+)\)", page.read_text(encoding="utf-8"))
+    assert linked
+    for link in linked:
+        whole = (page.parent / link).read_bytes()
+        assert whole.startswith(b"\x89PNG") == link.endswith(".png"), link
 
 
 @pytest.mark.slow
