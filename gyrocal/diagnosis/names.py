@@ -35,6 +35,8 @@ _NAMED_SHARE = 0.6
 _DROPPED = 4.0
 _REFITTED = 3
 _MOST_LAWS = 3
+#: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
+_BENDS = 4
 #: Shapes are refined over these factors either way, in turn.
 _SPREADS = (1.5, 1.12)
 _POINTS = 7
@@ -97,6 +99,17 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
     return (best if best.nll < free.nll + _GAIN else free), gain
 
 
+def around_itself(fitted: Fitted) -> Fitted:
+    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface."""
+    model = fitted.model
+    if model.direction == "input":
+        return fitted
+    for _ in range(_BENDS):
+        bend = model.legendre(replace(fitted, model=model).solve())
+        model = model.directed(model.direction, bend)
+    return fitted.refit(model, 20)
+
+
 def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
     """The model with an error of each rate in place of odd smooth parts, where it explains as much.
 
@@ -124,7 +137,7 @@ def present(fitted: Fitted) -> tuple[Fitted, dict[str, float]]:
         found = {b: evidence(fitted, b) for b in sorted(set(fitted.model.blocks.values()))}
         weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
         if not weak:
-            return fitted, {b: gain for b, (gain, _) in found.items()}
+            return around_itself(fitted), {b: gain for b, (gain, _) in found.items()}
         # The weakest at once, so that one of two that share a pattern stays.
         fitted = found[weak[0][1]][1]
         for _, block in weak[1:]:
@@ -149,6 +162,7 @@ def name(fitted: Fitted, worth: Mapping[str, float], laws: Laws, input_gain: flo
         fitted, new, nearest[block] = _name_block(fitted, block, laws)
         named += new
     fitted, named = _backward(fitted, named)
+    fitted = around_itself(fitted)
     left = {b: evidence(fitted, b)[0] for b in sorted(set(fitted.model.blocks.values()))}
     return Naming(fitted, tuple(_mechanisms(named)), left, nearest, input_gain)
 
@@ -189,15 +203,19 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> tuple[Fitted, list[Na
         return fitted, [], near
     share = (without.nll - current.nll) / worth
     chosen = [replace(n, share=share) for n in chosen]
+    # What a robot cannot evaluate as a law stays as a smooth part.
+    replaces = all(CATALOGUE[n.law.effect].runtime for n in chosen) or not BLOCKS[block].stays
     if current.nll <= fitted.nll + _REPLACED + len(chosen):
-        robot = all(CATALOGUE[n.law.effect].runtime for n in chosen) or not BLOCKS[block].stays
-        # What a robot cannot evaluate as a law stays as a smooth part.
-        return (current if robot else fitted), chosen, near
-    if BLOCKS[block].stays:
-        return fitted, chosen if share >= _NAMED_SHARE else [], near
-    # A walk follows a line without being one: the line must say more than the walk does.
+        return (current if replaces else fitted), chosen, near
+    if BLOCKS[block].stays and share < _NAMED_SHARE:
+        return fitted, [], near
+    if not replaces:
+        return fitted, chosen, near
     beside = fitted.refit(replace(fitted.model, laws=current.model.laws), 30)
-    return (beside, chosen, near) if fitted.nll - beside.nll > _GAIN else (fitted, [], near)
+    # A walk follows a line without being one: the line must say more than the walk does.
+    if not BLOCKS[block].stays and fitted.nll - beside.nll <= _GAIN:
+        return fitted, [], near
+    return beside, chosen, near
 
 
 def _best_law(

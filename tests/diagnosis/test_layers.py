@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import fit_twice
-from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.layers import direction_at, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import around_itself
 from gyrocal.diagnosis.parts import SURFACE, polynomials, staying
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.result import Diagnosis
@@ -117,6 +118,17 @@ def test_a_second_start_never_fits_worse() -> None:
     found = fit_twice(model)
     assert np.isfinite(found.nll)
     assert found.nll <= found.refit(model, 5).nll + 1.0
+
+
+def test_a_surface_of_the_output_bends_as_the_surface_that_it_has_in_the_end() -> None:
+    """Or the file, whose surface is one of the output, would be another model than the one that was fitted."""
+    fitted = fit_model(full_model(means_of(series_of_table(sweeps(1)[0])), memory=False), iterations=5)
+    other = 3.0 * fitted.model.legendre(fitted.solve())
+    found = around_itself(fitted.refit(fitted.model.directed("output", other), 5))
+    assert found.model.bend is not None
+    now = found.model.legendre(found.solve())
+    bends = [direction_at(found.model.basis, b) for b in (found.model.bend, now)]
+    np.testing.assert_allclose(bends[0], bends[1], atol=1e-4)
 
 
 def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:
