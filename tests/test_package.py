@@ -30,7 +30,6 @@ def test_nothing_unknown_stands_at_the_top_level() -> None:
         "tests",
         "bench_profiles",
         "sample_data",
-        "tutorials",
         "README.md",
         "LICENSE",
         "CHANGELOG.md",

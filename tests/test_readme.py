@@ -16,7 +16,7 @@ from gyrocal.cli import COMMANDS, main
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-TUTORIALS = sorted((ROOT / "tutorials").glob("*.md"))
+TUTORIALS = sorted((ROOT / "sample_data" / "tutorials").glob("*.md"))
 #: Marks in a comment above a block: run with the slow tests, needs ../shared, needs ports or a capture.
 MARKS = ("slow", "shared", "ports")
 
@@ -56,8 +56,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty directory with the sample data in it, and ../shared beside it where there is one."""
     place = tmp_path / "work"
     place.mkdir()
-    for name in ("sample_data", "tutorials"):
-        (place / name).symlink_to(ROOT / name)
+    (place / "sample_data").symlink_to(ROOT / "sample_data")
     if SHARED.exists():
         (tmp_path / "shared").symlink_to(SHARED)
     monkeypatch.chdir(place)
@@ -110,7 +109,7 @@ def test_python_runs(workplace: Path) -> None:
 def test_there_are_tutorials_and_the_readme_links_them() -> None:
     assert TUTORIALS
     for page in TUTORIALS:
-        assert f"(tutorials/{page.name})" in README
+        assert f"(sample_data/tutorials/{page.name})" in README
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
