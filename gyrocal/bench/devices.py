@@ -28,7 +28,7 @@ class GyroSamples:
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """Counters of a gyro's stream since it was opened."""
+    """Counters of a gyro's stream since it was opened; `in_sequence` frames followed the one before by the device's own."""
 
     bytes_in: int = 0
     bytes_skipped: int = 0
@@ -37,6 +37,7 @@ class StreamHealth:
     sequence_gaps: int = 0
     status_bad: int = 0
     restarts: int = 0
+    in_sequence: int = 0
 
     def since(self, before: StreamHealth) -> StreamHealth:
         """What was counted since `before`."""

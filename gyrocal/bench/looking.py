@@ -26,6 +26,8 @@ _SILENT_SAMPLES = 50.0
 #: An angle that differs by more, and by more than this share of the way, from what the rate leads to, has jumped.
 _JUMP_DEG = 5.0
 _JUMP_SHARE = 0.05
+#: A slope of the gyro's temperature wants so many points, over this share of the profile's span.
+_FEWEST_TEMPS, _SPAN_SHARE = 3, 0.8
 #: A question is asked so often before its device counts as failed: one damaged answer is no reason to lose a segment.
 _ASKED = 3
 
@@ -40,6 +42,7 @@ class Lookout:
         self._interlocks, self.requests = interlocks, requests
         self._rows: list[BenchRow] = []
         self._temps: deque[tuple[float, float]] = deque()
+        self._slope_span_s = _SPAN_SHARE * profile.soak.slope_over_s
         self._last_sample_s = clock.now_s()
         self._last: TableReading | None = None
         self._wraps = 0
@@ -121,16 +124,22 @@ class Lookout:
         if now_s - self._last_sample_s > silence_s:
             msg = f"The gyro has sent no sample for {silence_s:.0f} s (at {now_s:.0f} s). Check its supply and its cable, then --resume."
             raise DeviceError(msg)
-        while self._temps and self._temps[0][0] < now_s - self._profile.soak.slope_over_s:
-            self._temps.popleft()
+        self._forget_temperatures(now_s - self._profile.soak.slope_over_s)
         return samples
+
+    def _forget_temperatures(self, before_s: float) -> None:
+        """Let go of old ones, but for those without which, drained seldom, the rest would give no slope."""
+        while len(self._temps) > _FEWEST_TEMPS and self._temps[0][0] < before_s:
+            if self._temps[-1][0] - self._temps[1][0] < self._slope_span_s:
+                return
+            self._temps.popleft()
 
     def gyro_slope_c_per_min(self) -> float:
         """Least-squares slope of the gyro's temperature over the profile's span; NaN until the span is nearly full."""
-        if len(self._temps) < 3:
+        if len(self._temps) < _FEWEST_TEMPS:
             return float("nan")
         t_s, temp_c = np.array(self._temps).T
-        if t_s[-1] - t_s[0] < 0.8 * self._profile.soak.slope_over_s:
+        if t_s[-1] - t_s[0] < self._slope_span_s:
             return float("nan")
         centred = t_s - t_s.mean()
         return float(centred @ temp_c / (centred @ centred)) * S_PER_MIN

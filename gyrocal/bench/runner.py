@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Bench, ChamberReading, StreamHealth
-from gyrocal.bench.gyros.stream import StreamTally, judge_stream
+from gyrocal.bench.gyros.stream import StreamTally, clumps, judge_stream
 from gyrocal.bench.looking import Lookout
 from gyrocal.bench.plan import Plan, Step, ramp_time_s
 from gyrocal.bench.profile import Profile
@@ -64,7 +64,7 @@ class Runner:
         self._failed_at_c: float | None = None
         # The slope of the gyro's temperature wants a handful of points.
         self._slow_drain_s = min(_SLOW_DRAIN_S, profile.soak.slope_over_s / 10.0)
-        self._not_kept = 0
+        self._not_kept = self._jumps_told = 0
         self._why: str | None = None
         self._done_s = 0.0
         self._step_began_s = 0.0
@@ -218,9 +218,9 @@ class Runner:
                 self._lookout.look(_SETTLE_PERIOD_S)
                 self._take(recorder)
             recorder.finish()
-            self._note_stream(step, before)
             outcome = "unsettled" if outcome == "ok" and not settled else outcome
             verdict = None if outcome == "failed" else self._verdict(before, self._clock.now_s() - began_s)
+            self._note_stream(step, before, told=verdict is not None)
             if verdict is not None and left and not self._slow(step):
                 self._failed(step, verdict, left)
                 return False
@@ -244,11 +244,15 @@ class Runner:
         after = self._bench.gyro.health()
         return judge_stream(self._tally, before, after, rate_hz, limits, duration_s=duration_s)
 
-    def _note_stream(self, step: Step, before: StreamHealth) -> None:
-        """Say what of a segment's stream was damaged, lost or called bad, also where it is too little to fail it."""
+    def _note_stream(self, step: Step, before: StreamHealth, *, told: bool) -> None:
+        """Say what of a segment's stream was damaged, lost, late or called bad, also where it is too little to fail it."""
         seen = self._bench.gyro.health().since(before)
-        if seen.frames_bad or seen.sequence_gaps or seen.status_bad or seen.restarts:
-            self._writer.event("stream", self._clock.now_s(), durable=False, id=step.id, **asdict(seen))
+        late = clumps(self._tally, self._profile.stream)
+        if late or seen.frames_bad or seen.sequence_gaps or seen.status_bad or seen.restarts:
+            details = asdict(seen) | ({"clumps": late} if late else {})
+            self._writer.event("stream", self._clock.now_s(), durable=False, id=step.id, **details)
+        if late and not told:
+            self._watch.say(f"late: {step.describe()}: {late}")
 
     def _seal(self, step: Step, segment: SegmentWriter, recorder: Recorder, outcome: str) -> None:
         entry = segment.seal(
@@ -406,7 +410,6 @@ class Runner:
         """Record at one rate; a rate or a chamber that leaves its window makes the data set unsettled."""
         outcome = "ok" if self._soak_outcome == "ok" else "unsettled"
         self._why = self._why or (None if outcome == "ok" else "the soak was unsettled")
-        jumps = self._lookout.jumps
         end_s = self._clock.now_s() + length_s
         while end_s - self._clock.now_s() > 1e-9:
             until_s = min(end_s, self._clock.now_s() + self._slow_drain_s)
@@ -416,7 +419,9 @@ class Runner:
                 outcome = "unsettled"
                 why = f"while recording, the table was up to {off_dps:.3g} deg/s and the chamber {off_c:.3g} °C off"
                 self._warn(step, why)
-        if self._lookout.jumps != jumps:
+        # Also where it jumped on the way here: the angles of this data set are not those of the ones before.
+        if self._lookout.jumps != self._jumps_told:
+            self._jumps_told = self._lookout.jumps
             outcome = "unsettled"
             self._warn(
                 step, f"the table's angle jumped by {self._lookout.jumped_deg:.3g} deg: it lost its place"

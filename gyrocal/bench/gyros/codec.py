@@ -58,6 +58,7 @@ class Decoder(ABC):
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._bytes_in = self._skipped = self._good = self._bad = self._gaps = self._status_bad = 0
+        self._in_sequence = 0
         self._last_sequence: int | None = None
         self._last_raw = b""
 
@@ -93,14 +94,21 @@ class Decoder(ABC):
         self._status_bad += frame.status != GOOD
         if frame.sequence is not None and self.sequence_modulus is not None:
             if self._last_sequence is not None:
-                expected = (self._last_sequence + 1) % self.sequence_modulus
-                self._gaps += frame.sequence != expected
+                follows = frame.sequence == (self._last_sequence + 1) % self.sequence_modulus
+                self._in_sequence += follows
+                self._gaps += not follows
             self._last_sequence = frame.sequence
 
     def health(self) -> StreamHealth:
         """Counters since the decoder was made."""
         return StreamHealth(
-            self._bytes_in, self._skipped, self._good, self._bad, self._gaps, self._status_bad
+            self._bytes_in,
+            self._skipped,
+            self._good,
+            self._bad,
+            self._gaps,
+            self._status_bad,
+            in_sequence=self._in_sequence,
         )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import bdtrc
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import GyroSamples, StreamHealth
@@ -23,6 +24,8 @@ _BITS_PER_BYTE = 10
 _CLOSE, _PAUSE, _LATENCY_S = 0.2, 6.0, 0.02
 #: At a segment's end so much may still be on its way, s.
 _TAIL_S = 0.5
+#: A line that is just good enough fails so many of its segments.
+_BY_CHANCE = 0.01
 _LATENCY_REMEDY = (
     "On an FTDI adapter set its latency timer to 1 ms: echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer; "
     "else take other load off this computer"
@@ -248,7 +251,8 @@ class StreamLimits:
         Samples beyond those that were due: the device's data rate is not ``sensor.sample_rate_hz``.
     clump_share : float
         Samples that arrived less than a fifth of a period after the one before. On a fast line the frames of a clump
-        lie farther apart; there it counts when half of the time goes in the pauses of a 16 ms latency timer.
+        lie farther apart; there it counts when half of the time goes in the pauses of a 16 ms latency timer. Where the
+        device numbers its frames and none is missing, clumps are told and fail nothing.
     stuck_samples : int
         So many equal samples in a row are a stuck output; 0: never.
     """
@@ -326,9 +330,9 @@ def judge_stream(
     good, bad, called_bad, gaps = seen.frames_good, seen.frames_bad, seen.status_bad, seen.sequence_gaps
     if seen.restarts:
         return f"the gyro paused and started again {seen.restarts} times, and its mode was sent again; check its supply"
-    if bad > limits.bad_share * max(1, good + bad):
+    if _beyond(bad, good + bad, limits.bad_share):
         return f"{bad} of {good + bad} frames were damaged ({bad / (good + bad):.1%}); check cable, grounding and baud rate"
-    if called_bad > limits.bad_share * max(1, good):
+    if _beyond(called_bad, good, limits.bad_share):
         return f"the gyro calls {called_bad} of {good} samples bad; see its status bits, and let it warm up or replace it"
     if limits.stuck_samples and tally.longest_run >= limits.stuck_samples:
         return f"the gyro gave the same value {tally.longest_run} times in a row; it is stuck, or stream.stuck_samples is too low for its resolution"
@@ -336,7 +340,7 @@ def judge_stream(
     expected = max(came_in_s, duration_s - _TAIL_S) * sample_rate_hz + 1
     lost = max(0.0, 1.0 - tally.n / expected)
     # A damaged frame leaves a gap too, and was judged above.
-    if lost > limits.missing_share or gaps - bad > limits.gap_share * max(1, good):
+    if lost > limits.missing_share or _beyond(gaps - bad, good, limits.gap_share):
         return (
             f"{tally.n} samples came where {expected:.0f} were due, with {gaps} gaps in the device's counter; "
             "check the cable, the data rate against the line speed, and other load on this computer"
@@ -346,14 +350,23 @@ def judge_stream(
             f"{tally.n} samples came in {came_in_s:.3g} s, more than there are at {sample_rate_hz:g} Hz; set sensor.sample_rate_hz to the "
             "data rate of the device, on which the scale of its rate may hang"
         )
-    if tally.clumped > limits.clump_share * (tally.n - 1):
-        share = tally.clumped / (tally.n - 1)
-        return (
-            f"{share:.0%} of the samples arrived in clumps, so their times are not known. {_LATENCY_REMEDY}"
-        )
-    if tally.paused_s > 0.5 * came_in_s:
-        return (
-            f"{tally.paused_s / came_in_s:.0%} of the time went in pauses between clumps of samples, so their times are not known. "
-            f"{_LATENCY_REMEDY}"
-        )
-    return None
+    # Samples that the device numbered without a gap are all there and evenly spaced, however late they were read.
+    numbered = seen.in_sequence >= good
+    return None if numbered else clumps(tally, limits)
+
+
+def _beyond(count: int, n: int, share: float) -> bool:
+    """Whether `count` of `n` are more than a share of them, and more than chance makes of that share in a short segment."""
+    return count > share * n and float(bdtrc(count - 1, n, share)) < _BY_CHANCE
+
+
+def clumps(tally: StreamTally, limits: StreamLimits) -> str | None:
+    """How much of a segment's stream came in clumps, with the remedy; None where that is little."""
+    clumped, came_in_s = tally.clumped / max(1, tally.n - 1), tally.last_t_s - tally.first_t_s
+    if clumped > limits.clump_share:
+        seen = f"{clumped:.0%} of the samples arrived in clumps"
+    elif tally.paused_s > 0.5 * came_in_s:
+        seen = f"{tally.paused_s / came_in_s:.0%} of the time went in pauses between clumps of samples"
+    else:
+        return None
+    return f"{seen}, so their times are not known. {_LATENCY_REMEDY}"

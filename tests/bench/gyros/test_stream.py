@@ -116,6 +116,9 @@ NONE = StreamHealth()
         (STEADY * 1.03, StreamHealth(frames_good=1000), None),
         (STEADY, StreamHealth(frames_good=1000, frames_bad=50), "50 of 1050 frames were damaged"),
         (np.repeat(STEADY[::10], 10), StreamHealth(frames_good=1000), "latency_timer"),
+        # by a counter nothing is missing: samples were read late, by a busy computer perhaps
+        (np.repeat(STEADY[::10], 10), StreamHealth(frames_good=1000, in_sequence=1000), None),
+        (np.repeat(STEADY[::10], 10), StreamHealth(frames_good=1000, in_sequence=999), "latency_timer"),
         (STEADY[:1], StreamHealth(frames_good=1), "only 1 samples came"),
         (
             np.delete(STEADY, slice(100, 200)),
@@ -141,6 +144,29 @@ def test_a_segment_is_judged(
         tally.add(GyroSamples(part, np.random.default_rng(1).normal(size=part.size), part, part))
     verdict = judge_stream(tally, NONE, after, 100.0, StreamLimits(), duration_s=float(np.ptp(t_s)))
     assert (verdict is None) if text is None else (verdict is not None and text in verdict)
+
+
+@pytest.mark.parametrize(("share", "low", "high"), [(0.01, 0.0, 0.002), (0.02, 0.0, 0.015), (0.1, 0.55, 1.0)])
+@pytest.mark.parametrize("n", [60, 1000])
+def test_short_segments_are_not_failed_by_chance(share: float, low: float, high: float, n: int) -> None:
+    """By default 2 % of the frames may be damaged: of 2,000 segments of a line that damages a share, so many fail."""
+    tally = StreamTally(100.0)
+    t_s = np.arange(n) / 100.0
+    tally.add(GyroSamples(t_s, np.random.default_rng(1).normal(size=n), t_s, t_s))
+    damaged = np.bincount(np.random.default_rng(3).binomial(n, share, 2000))
+    failed = sum(
+        times
+        for bad, times in enumerate(damaged)
+        if judge_stream(
+            tally,
+            NONE,
+            StreamHealth(frames_good=n - bad, frames_bad=bad),
+            100.0,
+            StreamLimits(),
+            duration_s=n / 100.0,
+        )
+    )
+    assert low <= failed / 2000 <= high
 
 
 def test_a_stream_that_ends_in_a_segment_lacks_samples() -> None:

@@ -58,7 +58,13 @@ def check_safe(stand: WireStand, *, table_told: bool = True, chamber_told: bool 
 
 
 def refusing(data: bytes) -> bytes:
-    """The answer of a table that refuses, in the place of a good one, in its own words."""
+    """The answers of a table that refuses, in the place of good ones, in its own words."""
+    if data.endswith(b">"):
+        return b"?\r\n>" * data.count(b">")
+    return b"".join(map(_refusal, data.splitlines(keepends=True)))
+
+
+def _refusal(data: bytes) -> bytes:
     if data.startswith(b"{"):
         return json.dumps({"ok": False, "error": "busy", "id": json.loads(data).get("id")}).encode() + b"\n"
     if data.startswith(b"@"):
@@ -66,7 +72,7 @@ def refusing(data: bytes) -> bytes:
             data[1:].decode().partition(":")[0].replace(" OK ", " RJ ", 1).rsplit(" ", 1)[0] + " STATUSBUSY"
         )
         return f"@{body}:{zaber.lrc(body)}\r\n".encode()
-    return b"?\r\n>" if data.endswith(b">") else b"01130004busy\r\n"
+    return b"01130004busy\r\n"
 
 
 def bench_of(table: str, chamber: str) -> dict[str, Any]:
@@ -126,9 +132,18 @@ def restarting(stand: WireStand, now_s: float) -> None:
         stand.line("gyro", CutLine(Span(0.0, 30.5)))
 
 
-def overshoot(reading: TableReading) -> TableReading:
-    """Five per cent too fast at first, which is waited for."""
-    return replace(reading, rate_dps=reading.rate_dps * (1.05 if 26.0 < reading.t_s < 29.0 else 1.0))
+def overshooting() -> dict[str, Any]:
+    """A table that is five per cent too fast for three seconds after each command, which is waited for."""
+    commanded_s = [0.0]
+
+    def command(now_s: float, rate_dps: float) -> float:
+        commanded_s[0] = now_s
+        return rate_dps
+
+    def reading(now: TableReading) -> TableReading:
+        return replace(now, rate_dps=now.rate_dps * (1.05 if now.t_s - commanded_s[0] < 3.0 else 1.0))
+
+    return {"command": command, "reading": reading}
 
 
 def lost_place(reading: TableReading) -> TableReading:
@@ -259,7 +274,7 @@ FAULTS: dict[str, Fault] = {
     "table never at rate": Fault(
         "marked", says="the table reached", stand={"faulty_table": {"command": lambda t_s, dps: 0.99 * dps}}
     ),
-    "table overshoots": Fault("complete", stand={"faulty_table": {"reading": overshoot}}),
+    "table overshoots": Fault("complete", stand={"faulty_table": overshooting()}),
     "table stalls": Fault(
         "marked",
         says="the table reached",
@@ -271,7 +286,7 @@ FAULTS: dict[str, Fault] = {
         stand={"faulty_table": {"reading": lambda r: replace(r, rate_dps=r.rate_dps * (1 + 1e-4 * r.t_s))}},
     ),
     "table loses its place": Fault(
-        "marked", says="jumped by 90 deg: it lost its place", stand={"faulty_table": {"reading": lost_place}}
+        "marked", says="it lost its place", stand={"faulty_table": {"reading": lost_place}}
     ),
     "table's angle wraps at 360 deg": Fault("complete", stand={"faulty_table": {"reading": wrapped}}),
     "table reports a fault": Fault(
@@ -310,7 +325,7 @@ FAULTS: dict[str, Fault] = {
         },
     ),
     "chamber freezes": Fault(
-        "marked", says="the chamber was at 20", stand={"faulty_chamber": {"reading": frozen()}}
+        "marked", says="the chamber was at", stand={"faulty_chamber": {"reading": frozen()}}
     ),
     "chamber reports an alarm": Fault(
         "ended",

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +143,41 @@ def test_what_is_too_little_to_fail_a_segment_is_told(tmp_path: Path) -> None:
     told = events(stand.out, "stream")
     assert sum(line["frames_bad"] for line in told) >= 3
     assert all(line["frames_good"] > 0 for line in told)
+
+
+@dataclass
+class ClumpingLine:
+    """Hands its messages over in pieces of 0.4 s, as a computer does that has other work."""
+
+    _waiting: bytes = b""
+    _handed_s: float = 0.0
+
+    def carry(self, now_s: float, messages: Sequence[bytes], request: bytes) -> bytes:
+        """What came since the last piece."""
+        self._waiting += b"".join(messages)
+        if now_s - self._handed_s < 0.4:
+            return b""
+        due, self._waiting, self._handed_s = self._waiting, b"", now_s
+        return due
+
+
+def test_clumps_fail_no_segment_where_a_counter_shows_that_all_is_there(tmp_path: Path) -> None:
+    stand = WireStand(tmp_path / "r", gyro="kvh-frame-a").line("gyro", ClumpingLine())
+    summary = stand.run()
+    assert summary.complete, summary
+    assert summary.retried == []
+    told = events(stand.out, "stream")
+    assert len(told) == summary.recorded
+    assert all("of the samples arrived in clumps" in line["clumps"] for line in told)
+    assert all(line["in_sequence"] == line["frames_good"] for line in told)
+    assert any(text.startswith("late: rate at") and "latency_timer" in text for text in stand.watch.said)
+
+
+def test_clumps_fail_a_segment_where_nothing_shows_that_all_is_there(tmp_path: Path) -> None:
+    stand = WireStand(tmp_path / "r", gyro="vn100", retry__attempts=0).line("gyro", ClumpingLine())
+    summary = stand.run()
+    assert summary.recorded == 0
+    assert all("arrived in clumps" in text for text in summary.failed)
 
 
 def test_nothing_moves_when_the_gyro_is_too_hot_from_the_start(tmp_path: Path) -> None:

@@ -25,18 +25,16 @@ class ModbusChamber(ChamberDevice):
     blocks: tuple[tuple[int, int], ...] = ()
 
     def open(self, tcp: bool) -> None:
-        self._loop = asyncio.new_event_loop()
         self._started = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self._thread.start()
         if not self._started.wait(10.0):
             raise TimeoutError("the Modbus server does not start")
 
     def close(self) -> None:
         """End the server."""
-        end = self._server.shutdown()  # type: ignore[no-untyped-call]
-        asyncio.run_coroutine_threadsafe(end, self._loop).result(5.0)
-        self._thread.join(5.0)
+        self._loop.call_soon_threadsafe(self._ending.set)
+        self._thread.join()
 
     def registers(self) -> dict[int, int]:
         """What the registers hold now."""
@@ -46,11 +44,8 @@ class ModbusChamber(ChamberDevice):
         """Take what was written; False refuses it."""
         raise NotImplementedError
 
-    def _serve(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._loop.run_until_complete(self._run())
-
     async def _run(self) -> None:
+        self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
         data = [SimData(a, count=n, values=0, datatype=DataType.REGISTERS) for a, n in self.blocks]
         device = SimDevice(1, simdata=data, action=self._act)
         self._server = ModbusTcpServer(device, framer=FramerType.RTU, address=("127.0.0.1", 0))
@@ -58,7 +53,8 @@ class ModbusChamber(ChamberDevice):
         port = self._server.transport.sockets[0].getsockname()[1]  # type: ignore[attr-defined]
         self.url = f"socket://127.0.0.1:{port}"
         self._started.set()
-        await self._server.serving
+        await self._ending.wait()
+        await self._server.shutdown()  # type: ignore[no-untyped-call]
 
     async def _act(
         self, function: int, start: int, address: int, count: int, current: list[int], new: Any
