@@ -67,26 +67,33 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
     if missing:
         msg = (
             f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). "
-            f"{_hint(header)}Names carry the unit; known: {', '.join(known)}."
+            f"{_hint(header, known)}Names carry the unit; known: {', '.join(known)}."
         )
         raise InputError(msg)
     unknown = [name for name in header if name not in known]
     if unknown:
-        msg = f"{path}, line 1: unknown column {unknown[0]!r:.80}. Names carry the unit; known: {', '.join(known)}."
+        msg = (
+            f"{path}, line 1: unknown column {unknown[0]!r:.80}. "
+            f"{_hint(header, known)}Names carry the unit; known: {', '.join(known)}."
+        )
         raise InputError(msg)
 
 
-def _hint(header: Sequence[str]) -> str:
-    """What a header of other columns most likely is, as a sentence with a blank behind it; empty if nobody knows."""
+def _hint(header: Sequence[str], known: Sequence[str]) -> str:
+    """What a header of other columns most likely is, as a sentence with a blank behind it; empty if nobody knows.
+
+    It names every command that takes such a file, since this may be any other.
+    """
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             return (
                 f"The cells are separated by {name}: save the file with commas, and points in its numbers. "
             )
-    if {"left_m", "left_ticks"} & set(header) and {"right_m", "right_ticks"} & set(header):
-        return "This looks like the log of a drive: `diagnose` takes it with --robot. "
-    if {"rate_dps", "temp_c"} <= set(header):
-        return "This looks like a table of data sets: `diagnose` takes it without --robot. "
+    sides = {"left_m", "left_ticks"} & set(header) and {"right_m", "right_ticks"} & set(header)
+    if "left_m" not in known and (sides or {"speed_m", "speed_mps"} & set(header)):
+        return "This looks like the log of a drive, which `gyrocal replay` and `gyrocal diagnose` take with --robot. "
+    if "rate_dps" not in known and {"rate_dps", "temp_c"} <= set(header):
+        return "This looks like a table of data sets, which `gyrocal fit` and `gyrocal diagnose` take without --robot. "
     return ""
 
 

@@ -169,3 +169,31 @@ def test_a_file_without_lines_is_not_held_whole(tmp_path: Path) -> None:
     path.write_bytes(b"a,b\n" + b"1" * (1 << 25))
     with pytest.raises(InputError, match="holds a line of more than"):
         read_columns(path, ["a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("header", "known", "commands"),
+    [
+        (
+            ["t_s", "left_m", "right_m", "gyro_dps"],
+            ("rate_dps", "gyro_dps"),
+            "`gyrocal replay` and `gyrocal diagnose`",
+        ),
+        (
+            ["t_s", "speed_mps", "gyro_dps"],
+            ("t_s", "gyro_dps", "temp_c"),
+            "`gyrocal replay` and `gyrocal diagnose`",
+        ),
+        (
+            ["rate_dps", "gyro_dps", "temp_c"],
+            ("t_s", "left_m", "right_m"),
+            "`gyrocal fit` and `gyrocal diagnose`",
+        ),
+    ],
+)
+def test_a_file_of_another_kind_is_told_with_the_commands_that_take_it(
+    header: list[str], known: tuple[str, ...], commands: str
+) -> None:
+    for required in (known[:1], ()):
+        with pytest.raises(InputError, match=commands):
+            require_columns(Path("a.csv"), header, required, known)
