@@ -10,6 +10,10 @@ from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
+#: Units that positions come in by mistake, in metres.
+UNITS = {1e-3: "millimetres", 1e3: "kilometres"}
+#: Stretches of a path whose lengths tell the truth's unit.
+_STRETCHES = 50
 #: A factor this near to that of a wrong unit is one; dead reckoning is never off by so much.
 _UNIT_FACTOR = 3.0
 #: A mirrored truth fits this much better in a mirror than as it stands, and as it stands misses by this share of the
@@ -31,21 +35,37 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     own, told = path[known, :2], truth[known, :2]
     if own.shape[0] < 10:
         return None
-    return _wrong_unit(own, told) or _mirrored(own, told) or _in_radians(path[:, 2], truth[:, 2])
+    unit_m = truth_unit_m(own, told)
+    if unit_m != 1.0:
+        return f"the truth's positions are {1.0 / unit_m:g} times the path's: they are in {UNITS[unit_m]}. State their unit in a mapping with --columns."
+    if in_radians(path[:, 2], truth[:, 2]):
+        return "the truth's heading is in radians. Write it in degrees, or state its unit in a mapping with --columns."
+    return _mirrored(own, told)
+
+
+def truth_unit_m(own: Floats, told: Floats) -> float:
+    """The truth's unit in metres, by the lengths of stretches: a key of `UNITS`, or 1.
+
+    Parameters
+    ----------
+    own, told : ndarray, shape (n, 2)
+        Positions of dead reckoning, m, and of the truth at the same rows. Only lengths count, so that a heading that
+        drifts does no harm.
+    """
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own, axis=0).T))])
+    if way[-1] <= 0.0:
+        return 1.0
+    stretch_m = way[-1] / _STRETCHES
+    marks = np.searchsorted(way, np.arange(0.0, way[-1], stretch_m))
+    a, b = (np.hypot(*np.diff(points[marks], axis=0).T) for points in (own, told))
+    moved = a > 0.3 * stretch_m
+    ratio = float(np.median(b[moved] / a[moved])) if moved.any() else 0.0
+    fits = [unit for unit in UNITS if ratio > 0.0 and abs(np.log(ratio * unit)) < np.log(_UNIT_FACTOR)]
+    return fits[0] if fits else 1.0
 
 
 def _extent(points: Floats) -> float:
     return float(np.sqrt(np.sum(np.var(points, axis=0))))
-
-
-def _wrong_unit(own: Floats, told: Floats) -> str | None:
-    if min(_extent(own), _extent(told)) == 0.0:
-        return None
-    ratio = _extent(told) / _extent(own)
-    for factor, unit in ((1e3, "millimetres"), (1e-3, "kilometres")):
-        if 1.0 / _UNIT_FACTOR < ratio / factor < _UNIT_FACTOR:
-            return f"the truth reaches {ratio:.3g} times as far as the path: it is in {unit}. State its unit in a mapping with --columns."
-    return None
 
 
 def _mirrored(own: Floats, told: Floats) -> str | None:
@@ -60,17 +80,16 @@ def _misfit(own: Floats, told: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((aligned - told) ** 2, axis=1))))
 
 
-def _in_radians(own_deg: Floats, told: Floats) -> str | None:
+def in_radians(own_deg: Floats, told: Floats) -> bool:
+    """Whether a truth's headings, NaN where there is none, are in radians, by the turns of dead reckoning."""
     known = np.isfinite(told)
     if np.count_nonzero(known) < 10:
-        return None
+        return False
     turned, said = np.diff(own_deg[known]), np.diff(told[known])
     range_deg = float(np.ptp(own_deg[known]))
     if range_deg < _TURNED_DEG or float(np.ptp(told[known])) > 0.1 * range_deg:
-        return None
+        return False
     apart = [
         float(np.mean(np.abs((unit * said - turned + 180.0) % 360.0 - 180.0))) for unit in (1.0, RAD_TO_DEG)
     ]
-    if apart[1] >= 0.5 * apart[0]:
-        return None
-    return "the truth's heading is in radians. Write it in degrees, or state its unit in a mapping with --columns."
+    return apart[1] < 0.5 * apart[0]

@@ -22,7 +22,7 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
     "swapped": (lambda b: replace(b, truth_x_m=b.truth_y_m, truth_y_m=b.truth_x_m), "x and y are swapped"),
     "millimetres": (
         lambda b: replace(b, truth_x_m=1e3 * b.truth_x_m, truth_y_m=1e3 * b.truth_y_m),
-        "it is in millimetres",
+        "they are in millimetres",
     ),
     "radians": (
         lambda b: replace(b, truth_heading_deg=np.radians(b.truth_heading_deg)),

@@ -9,6 +9,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries, Floats
 from gyrocal.diagnosis.result import Estimate
+from gyrocal.navigation.sanity import UNITS, in_radians, truth_unit_m
 from gyrocal.units import RAD_TO_DEG
 
 _NONE = (float("nan"), float("nan"))
@@ -17,8 +18,6 @@ _UNIT_FACTOR = 3.0
 _WINDOW_S = 5.0
 #: Share of missing rows that is worth a name, and a step of time in usual ones from which a row is missing.
 _LOST, _STEP = 1e-3, 1.8
-#: Stretches of the truth that tell its unit, m by the encoders, and how many of them.
-_STRETCH_M, _STRETCHES = 2.0, 5
 
 
 @dataclass(frozen=True)
@@ -62,46 +61,19 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[str]]:
     notes: list[str] = []
     if not series.has_truth:
         return series, notes
-    factor = _truth_factor(series)
-    if factor != 1.0:
+    path = reckon(series, Figures())
+    known = np.isfinite(series.truth_x_m + series.truth_y_m)
+    own = np.column_stack([path.at_m.real, path.at_m.imag])[known]
+    unit_m = truth_unit_m(own, np.column_stack([series.truth_x_m, series.truth_y_m])[known])
+    if unit_m != 1.0:
         notes.append(
-            f"the truth's positions are {1 / factor:g} times too large: they are taken in {'millimetres' if factor < 1 else 'kilometres'}"
+            f"the truth's positions are {1 / unit_m:g} times too large: they are taken in {UNITS[unit_m]}"
         )
-        series = replace(series, truth_x_m=factor * series.truth_x_m, truth_y_m=factor * series.truth_y_m)
-    heading = series.truth_heading_deg
-    known = np.flatnonzero(np.isfinite(heading))
-    if known.size > 20:
-        gyro = RAD_TO_DEG * series.gyro_rad[known]
-        ratios = []
-        for unit in (1.0, RAD_TO_DEG):
-            steps = np.diff(unit * heading[known])
-            ratios.append(float(np.median(np.abs((steps - np.diff(gyro) + 180.0) % 360.0 - 180.0))))
-        if (
-            np.max(np.abs(heading[known])) < 2 * np.pi + 0.1
-            and np.ptp(gyro) > 60.0
-            and ratios[1] < 0.5 * ratios[0]
-        ):
-            notes.append("the truth's heading is in radians: it is taken as such")
-            series = replace(series, truth_heading_deg=RAD_TO_DEG * heading)
+        series = replace(series, truth_x_m=unit_m * series.truth_x_m, truth_y_m=unit_m * series.truth_y_m)
+    if in_radians(RAD_TO_DEG * path.heading_rad, series.truth_heading_deg):
+        notes.append("the truth's heading is in radians: it is taken as such")
+        series = replace(series, truth_heading_deg=RAD_TO_DEG * series.truth_heading_deg)
     return series, notes
-
-
-def _truth_factor(series: DriveSeries) -> float:
-    """What brings the truth's positions to metres, by the lengths of stretches: 1, 1/1000 or 1000."""
-    at = reckon(series, Figures()).at_m
-    truth = series.truth_x_m + 1j * series.truth_y_m
-    rows = np.flatnonzero(np.isfinite(truth))
-    way = np.cumsum(np.abs(series.step_m))[rows]
-    marks = rows[np.searchsorted(way, np.arange(way[0], way[-1], _STRETCH_M), side="left")]
-    if marks.size < _STRETCHES:
-        return 1.0
-    own, told = np.abs(np.diff(at[marks])), np.abs(np.diff(truth[marks]))
-    moved = own > 0.3 * _STRETCH_M
-    if np.count_nonzero(moved) < _STRETCHES or np.median(told[moved]) <= 0:
-        return 1.0
-    ratio = float(np.median(told[moved] / own[moved]))
-    nearest = min((1.0, 1e3, 1e-3), key=lambda unit: abs(np.log(ratio / unit)))
-    return 1.0 / nearest if abs(np.log(ratio / nearest)) < np.log(_UNIT_FACTOR) else 1.0
 
 
 def missing_rows(t_s: Floats) -> Found | None:
