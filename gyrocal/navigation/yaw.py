@@ -54,18 +54,25 @@ class YawComparison:
         """Plain data."""
         return dict(vars(self))
 
-    def sentence(self) -> str:
-        """What the data prove, in words."""
+    def sentence(self, told_s: float = 0.0) -> str:
+        """What the data prove, in words; `told_s` is the delay of the encoders that the robot file takes out."""
         text = (
             f"encoders turn {self.ratio:.3f} ± {self.ratio_sigma:.3f} times as far as the gyro "
             f"(effective wheel separation {self.effective_separation_m:.3f} m if the gyro's scale is right)"
         )
-        if abs(self.delay_s) > 3.0 * max(self.delay_sigma_s, _DELAY_STEP_S):
+        sure_s = 3.0 * max(self.delay_sigma_s, _DELAY_STEP_S)
+        if abs(self.delay_s) > sure_s:
             later = "later" if self.delay_s > 0 else "earlier"
             text += (
                 f", and {abs(self.delay_s):.2f} ± {self.delay_sigma_s:.2f} s {later} (correlation of 1 s turns "
-                f"{self.correlation_undelayed:.3f} as logged, {self.correlation:.3f} at that delay): the filter's model has no delay"
+                f"{self.correlation_undelayed:.3f} as logged, {self.correlation:.3f} at that delay): "
             )
+            if told_s == 0.0:
+                text += "the robot file gives no gyro.delay_s, so nothing takes it out; `gyrocal diagnose` estimates it"
+            elif abs(self.delay_s - told_s) <= sure_s:
+                text += "the robot file's gyro.delay_s takes it out"
+            else:
+                text += f"the robot file's gyro.delay_s takes {told_s:.2f} s out, which is not this delay"
         return text
 
 

@@ -195,7 +195,7 @@ def _remarks(
     for replay in replays if len(replays) <= 3 else ():
         if not replay.survey.speed_only:
             yaw = compare_yaw(replay.survey, robot.wheel_separation_m)
-            found.append(f"{replay.name}: {yaw.sentence()}.")
+            found.append(f"{replay.name}: {yaw.sentence(-robot.parameters.gyro.delay_s)}.")
         for condition, seen in replay.observability.items():
             label = next(c.label for c in CONDITIONS if c.id == condition)
             found.append(f"{replay.name}, {label}: {' '.join(seen.sentences())}")
@@ -332,7 +332,9 @@ def verdict(replays: Sequence[LogReplay], table: Table) -> str:
     """The result in words: first whether the filter holds and pays, then the table's means."""
     mean = table.means[-1].errors_m
     if table.measure == "none":
-        return f"{filter_sentence(replays)} {len(table.rows)} logs replayed; {MEASURES['none']}."
+        count = len(table.rows)
+        replayed = "1 log" if count == 1 else f"{count} logs"
+        return f"{filter_sentence(replays)} {replayed} replayed; {MEASURES['none']}."
     sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
     text = f"{filter_sentence(replays)} Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
     factors = [
