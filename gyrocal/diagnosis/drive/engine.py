@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.improved import (
     DriveEstimate,
     estimates_of,
     figures_of,
+    foretold_bias,
     improved_robot,
 )
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
@@ -76,7 +77,7 @@ class DriveDiagnosis:
 
 
 @dataclass(frozen=True)
-class _Examined:
+class Examined:
     """One log, or a part of it, fitted."""
 
     series: DriveSeries
@@ -109,7 +110,7 @@ def diagnose_drive(
     DataError
         The log is too short, does not move, or lacks a channel that was asked for.
     """
-    found = _examine(source, log, robot, coefficients)
+    found = examine(source, log, robot, coefficients)
     series, yaw, truth = found.series, found.yaw, found.truth
     effects = named_effects(series, yaw, truth, found.parts, found.checks)
     located = places(series, yaw, truth, effects)
@@ -137,7 +138,7 @@ def diagnose_drive(
     return DriveDiagnosis(diagnosis, series, yaw, truth, estimates, better, tuple(shown))
 
 
-def _examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None) -> _Examined:
+def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None) -> Examined:
     series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
     series, notes = wrong_truth(series)
     yaw = examine_yaw(series)
@@ -148,7 +149,7 @@ def _examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficie
     parts = scales(yaw, truth)
     clock = uneven_clock(log.t_s)
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
-    return _Examined(
+    return Examined(
         series,
         yaw,
         truth,
@@ -160,7 +161,7 @@ def _examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficie
 
 
 def _shown(
-    found: _Examined,
+    found: Examined,
     robot: Robot,
     coefficients: Coefficients | None,
     others: Sequence[tuple[str, DriveBlock]],
@@ -170,23 +171,28 @@ def _shown(
     shown = []
     for name, other in others:
         series = wrong_truth(wrong_gyro(drive_series(name, other, robot, coefficients))[0])[0]
-        shown.append(_compared(name, series, Figures(), found.figures, slice(None)))
+        shown.append(_compared(name, series, Figures(), _foretold(found), slice(None)))
     if others or not found.series.has_truth or found.truth is None or found.truth.mirrored:
         return shown
     split = int(np.searchsorted(log.t_s, log.t_s[0] + _FITTED * (log.t_s[-1] - log.t_s[0])))
     try:
-        part = _examine(found.series.source, cut(log, slice(0, split)), robot, coefficients)
+        part = examine(found.series.source, cut(log, slice(0, split)), robot, coefficients)
     except DataError:
         return shown
     rest = rest_mean_dps(found.series)
     before = Figures(bias_dps=0.0 if rest is None else rest[0], bias_from_rest=False)
     # One switch-on: the bias is that of the first part, at rest or not.
-    after = replace(part.figures, bias_from_rest=rest is not None)
+    after = replace(_foretold(part), bias_from_rest=rest is not None)
     name = (
         f"the last {100 * (1 - _FITTED):.0f} % of the log, with figures from the first {100 * _FITTED:.0f} %"
     )
     shown.append(_compared(name, found.series, before, after, slice(split, None)))
     return shown
+
+
+def _foretold(found: Examined) -> Figures:
+    """The figures of a log as another drive is to take them."""
+    return replace(found.figures, bias_dps=foretold_bias(found.yaw, found.truth))
 
 
 def _compared(name: str, series: DriveSeries, before: Figures, after: Figures, rows: slice) -> Shown:

@@ -94,6 +94,16 @@ def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
     return value + truth.values["gyro_bias"], min(std, truth.stds["gyro_bias"])
 
 
+def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
+    """The bias to expect on the next drive, deg/s.
+
+    Less of an estimate is taken the nearer it comes to its own error (the empirical Bayes mean about zero): one that
+    is no larger than its error would make half of all drives worse.
+    """
+    bias, std = bias_of(yaw, truth)
+    return bias * max(1.0 - std**2 / max(bias**2, 1e-300), 0.0)
+
+
 def estimates_of(
     series: DriveSeries,
     yaw: YawAnswer,
@@ -187,12 +197,13 @@ def improved_robot(
 ) -> Robot | None:
     """The robot file with everything that earned it; None where the drive tells nothing that a robot could use.
 
-    The bias is written wherever no rest takes it off; a law from its gain on, a scale from where the truth is sure.
+    The bias is written wherever no rest takes it off, as far as it foretells that of the next drive; a law from its
+    gain on, a scale from where the truth is sure.
     Left-out parts of the drive are no judge here: a step of the bias lives in a single rest.
     """
     keys: dict[str, Any] = {}
     if series.robot.static_s == 0:
-        keys |= _bias_keys(yaw, truth, figures)
+        keys |= _bias_keys(yaw, truth, figures.temp_c)
     for law, key in (("step", "bias_motion_dps"), ("slope", "bias_slope_dps_per_c"), ("delay", "delay_s")):
         if law in yaw.named:
             keys[f"gyro.{key}"], keys[f"gyro.{key}_std"] = yaw.estimate(law)
@@ -221,16 +232,16 @@ def improved_robot(
     return series.robot.with_figures(keys)
 
 
-def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, figures: Figures) -> dict[str, float]:
+def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
     bias, std = bias_of(yaw, truth)
     changes = float(np.hypot(_CHANGES * bias, _FLICKERS * yaw.model.noise.flicker_dps))
     keys = {
-        "gyro.bias_dps": bias,
+        "gyro.bias_dps": foretold_bias(yaw, truth),
         "gyro.bias_dps_std": std,
         "gyro.repeatability_dps": changes,
         "initial_std.gyro_bias_dps": float(np.hypot(std, changes)),
     }
-    return keys | ({"gyro.temp_c": figures.temp_c} if np.isfinite(figures.temp_c) else {})
+    return keys | ({"gyro.temp_c": temp_c} if np.isfinite(temp_c) else {})
 
 
 def _geometry_keys(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]) -> dict[str, float]:

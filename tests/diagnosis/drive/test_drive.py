@@ -88,6 +88,18 @@ def test_rests_and_truth_tell(resting: Robot, effects: dict[str, float], name: s
     assert result.robot is not None
 
 
+@pytest.mark.parametrize(("bias_dps", "kept"), [(0.0, False), (0.5, True)])
+def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
+    robot: Robot, bias_dps: float, kept: bool
+) -> None:
+    result = found(Hidden(bias_dps=bias_dps), robot, 8)
+    bias = next(e for e in result.estimates if e.name == "gyro_bias")
+    assert result.robot is not None
+    told_dps = result.robot.parameters.gyro.bias_dps
+    assert told_dps == pytest.approx(bias.value * max(1.0 - (bias.std / bias.value) ** 2, 0.0))
+    assert (abs(told_dps) > 0.8 * abs(bias.value)) == kept
+
+
 def test_two_effects_at_once(robot: Robot) -> None:
     result = found(Hidden(slip=0.4, delay_s=0.1), robot, 3)
     assert sorted(names(result)) == ["gyro_delay", "skid_slip"]
