@@ -5,7 +5,7 @@ The motion is integrated finely; gyro, wheels and truth are sampled from it, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ SHAPES = ("random", "lawn", "eights", "square", "straight", "slow", "reverse", "
 
 @dataclass(frozen=True)
 class Plan:
-    """One drive. Strengths of effects: zero is none."""
+    """One drive. Strengths of effects: zero is none; `flicker_dps` is the floor of the Allan deviation (1/f noise)."""
 
     shape: str = "random"
     minutes: float = 8.0
@@ -29,6 +29,8 @@ class Plan:
     arw_dps_rt_s: float = 0.006
     bias_walk: float = 0.0001
     bias_dps: float = 0.02
+    flicker_dps: float = 0.0
+    tick_m: float = 0.0
     wheel_noise: float = 0.003
     turn_noise: float = 0.0
     truth_m: float = 0.0
@@ -59,6 +61,40 @@ def any_plan(rng: np.random.Generator, effects: dict[str, float] | None = None) 
         lever_m=(float(rng.uniform(-0.3, 0.3)), float(rng.uniform(-0.2, 0.2))),
         effects=effects or {},
     )
+
+
+def scored_plan(rng: np.random.Generator) -> Plan:
+    """A drive as it is scored: as `any_plan`, with 1/f noise and ticks, standing at its start or not."""
+    plan = any_plan(rng)
+    flicker_dps = plan.arw_dps_rt_s * 60.0 * 25.0 / 3600.0 * float(np.exp(0.5 * rng.normal()))
+    bias_dps = float(rng.normal(0.0, 0.02))
+    return replace(
+        plan,
+        minutes=min(plan.minutes, 10.0),
+        rest_s=float(rng.choice([0.0, plan.rest_s])),
+        bias_dps=bias_dps,
+        bias_walk=0.0,
+        flicker_dps=flicker_dps,
+        tick_m=float(rng.choice([1e-4, 4e-4, 1.5e-3])),
+        lever_m=(0.0, 0.0),
+    )
+
+
+def again(plan: Plan, rng: np.random.Generator) -> Plan:
+    """The same robot switched on again, its bias changed by a twentieth, with a truth that is exact."""
+    bias_dps = plan.bias_dps * (1.0 + 0.05 * float(rng.normal()))
+    return replace(plan, bias_dps=bias_dps, truth_m=1e-6, truth_wander_m=0.0, truth_every_s=0.2)
+
+
+def _flicker(rng: np.random.Generator, rows: int, floor: float) -> Floats:
+    """1/f noise whose Allan deviation is flat at `floor`, made in the frequency domain over four times the length."""
+    count = 4 * rows
+    k = np.arange(1, count // 2 + 1)
+    lines = rng.normal(size=k.size) + 1j * rng.normal(size=k.size)
+    amplitude = floor / np.sqrt(2.0 * np.log(2.0)) * np.sqrt(1.0 / k)
+    spectrum = np.concatenate([[0.0], amplitude * lines])
+    noise = np.fft.irfft(spectrum, count) * count / 2.0
+    return np.asarray(noise[:rows])
 
 
 def _smooth(x: Floats, seconds: float) -> Floats:
@@ -147,7 +183,13 @@ def drive(plan: Plan, seed: int) -> DriveBlock:
     rate += rng.normal(size=rows) * plan.arw_dps_rt_s * np.sqrt(plan.hz)
     rate += e.get("bias_temperature", 0.0) / 1e3 * (summed(temp) / every - 20)
     times = np.asarray((np.arange(rows) + 1.0) / plan.hz)
-    rate += e.get("gyro_bias", 0.0) / 1e3
+    rate += e.get("gyro_bias", 0.0) / 1e3 * (np.cumsum(np.abs(moved[1])) > 0)
+    if plan.flicker_dps:
+        rate += _flicker(np.random.default_rng([seed, 21]), rows, plan.flicker_dps)
+    if plan.tick_m:
+        moved = [
+            plan.tick_m * np.diff(np.floor(np.cumsum(way) / plan.tick_m + 0.3), prepend=0.0) for way in moved
+        ]
     temps = summed(temp) / every + 0.01 * rng.normal(size=rows)
     truth = _truth(plan, rng, rows, place, theta, every)
     return DriveBlock(2, times, moved[0], moved[1], rate, temps, *truth)
