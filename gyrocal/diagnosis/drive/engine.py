@@ -139,6 +139,13 @@ def diagnose_drive(
 
 
 def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None) -> Examined:
+    """Fit one log, or a part of it.
+
+    Raises
+    ------
+    DataError
+        As `diagnose_drive`.
+    """
     series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
     series, notes = wrong_truth(series)
     yaw = examine_yaw(series)
