@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ _CHUNK_ROWS = 500_000
 _US_PER_S = 1e6
 #: No gyro of a vehicle turns so fast.
 _LARGEST_RPS = 1e6
+_DAMAGED = ("parts of the file are damaged and left out",)
 
 
 def iterate_gyro_log(path: Path, axis: str = "z", instance: int = 0) -> Iterator[StaticBlock]:
@@ -65,7 +68,7 @@ def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]
         with path.open("rb") as file:
             log = ULog(file, [name for name, _ in _PX4])
         found = {(data.name, data.multi_id): data.data for data in log.data_list}
-        damaged = ("parts of the file are damaged and left out",) if log.file_corruption else ()
+        notes = _DAMAGED if log.file_corruption else ()
     for topic, fields in _PX4:
         data = found.get((topic, instance))
         if data is None:
@@ -79,7 +82,7 @@ def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]
             _numbers(data.get("temperature", nothing)),
             axis,
         )
-        yield from (replace(b, notes=(*damaged, *b.notes)) if k == 0 else b for k, b in enumerate(blocks))
+        yield from _noted(blocks, notes)
         return
     known = ", ".join(f"{name} {number}" for name, number in sorted(found)) or "none"
     raise InputError(f"{path}: holds no gyro {instance} (found: {known}). Choose another instance.")
@@ -90,10 +93,10 @@ def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticB
     rows: list[tuple[float, float, float]] = []
     seen: set[int] = set()
     clock: list[Timeline] = []
-    with _parsing(path, "pymavlink", "ardupilot"):
-        messages = _dataflash_messages(path)
+    notes: tuple[str, ...] = ()
+    messages = _dataflash_messages(path)
     while True:
-        with _parsing(path, "pymavlink", "ardupilot"):
+        with _parsing(path, "pymavlink", "ardupilot") as said:
             message = next(messages, None)
             if message is not None:
                 number = int(getattr(message, "I", 0))
@@ -101,10 +104,11 @@ def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticB
                 if number == instance:
                     rate = float(getattr(message, _ARDUPILOT[axis[-1]]))
                     rows.append((message.TimeUS / _US_PER_S, rate, float(getattr(message, "T", np.nan))))
+        notes = _DAMAGED if said.getvalue() else notes
         if rows and (message is None or len(rows) == _CHUNK_ROWS):
             t_s, rate_rps, temp_c = np.array(rows, dtype=np.float64).T
-            yield from _blocks(path, t_s, rate_rps, temp_c, axis, clock)
-            rows = []
+            yield from _noted(_blocks(path, t_s, rate_rps, temp_c, axis, clock), notes)
+            rows, notes = [], ()
         if message is None:
             break
     if instance not in seen:
@@ -115,12 +119,36 @@ def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticB
 def _dataflash_messages(path: Path) -> Iterator[Any]:
     from pymavlink.DFReader import DFReader_binary
 
-    log = DFReader_binary(str(path))
+    with _compiled_code_silenced():
+        log = DFReader_binary(str(path))
     try:
         while (message := log.recv_match(type="IMU")) is not None:
             yield message
     finally:
         log.close()
+
+
+@contextmanager
+def _compiled_code_silenced() -> Iterator[None]:
+    """pymavlink's compiled indexer writes a line for each bad byte past Python, straight to the standard error."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # nobody listens there
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _noted(blocks: Iterator[StaticBlock], notes: tuple[str, ...]) -> Iterator[StaticBlock]:
+    """Blocks, the first with notes on the whole."""
+    for k, block in enumerate(blocks):
+        yield replace(block, notes=(*notes, *block.notes)) if k == 0 else block
 
 
 def _numbers(column: Any) -> Floats:
@@ -152,18 +180,19 @@ def _blocks(
 
 
 @contextmanager
-def _parsing(path: Path, library: str, extra: str) -> Iterator[None]:
-    """What a parser by other hands does at damaged bytes becomes a sentence."""
+def _parsing(path: Path, library: str, extra: str) -> Iterator[StringIO]:
+    """What a parser by other hands does at damaged bytes becomes a sentence; what it prints, line by line, is kept back."""
+    said = StringIO()
     try:
-        with reading(path):
-            yield
+        with reading(path), redirect_stdout(said), redirect_stderr(said):
+            yield said
     except ImportError as error:
         msg = f"{path}: reading it needs the {library} library; install it with: pip install 'gyrocal[{extra}]'."
         raise InputError(msg) from error
     except GyrocalError:
         raise
     except Exception as error:
-        said = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        why = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise InputError(
-            f"{path}: cannot be read as a log of an autopilot ({said}). Check that it was closed properly."
+            f"{path}: cannot be read as a log of an autopilot ({why}). Check that it was closed properly."
         ) from error

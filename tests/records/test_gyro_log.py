@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -72,14 +73,20 @@ def test_a_log_of_px4(tmp_path: Path, axis: str, topic: str) -> None:
     assert block.usual_dt_s == pytest.approx(0.004)
 
 
-def test_damage_that_the_parser_passes_over_is_said(tmp_path: Path) -> None:
-    pytest.importorskip("pyulog")
-    path = ulog(tmp_path / "a.ulg")
+@pytest.mark.parametrize(
+    ("library", "name", "make"), [("pyulog", "a.ulg", ulog), ("pymavlink", "a.bin", dataflash)]
+)
+def test_damage_that_the_parser_passes_over_is_said_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], library: str, name: str, make: Callable[[Path], Path]
+) -> None:
+    pytest.importorskip(library)
+    path = make(tmp_path / name)
     sound = path.read_bytes()
     path.write_bytes(sound[:20_000] + bytes(40) + sound[20_040:])
     blocks = list(iterate_gyro_log(path))
     assert sum(map(len, blocks)) < T_S.size
     assert blocks[0].notes == ("parts of the file are damaged and left out",)
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("instance", [0, 1])

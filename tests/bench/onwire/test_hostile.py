@@ -27,6 +27,7 @@ from gyrocal.bench.virtual.serving import wired
 from gyrocal.errors import DeviceError, InterruptedRunError, StopNotVerifiedError, exit_code
 from tests.bench.onwire.stand import WireStand
 from tests.bench.onwire.test_sim import SHORT, profile_file, serving
+from tests.bench.pulse import Pulse
 from tests.bench.test_runner import events
 from tests.bench.tiny import Silent, tiny
 from tests.bench.wire import LoopTransport
@@ -195,10 +196,11 @@ def test_a_port_that_babbles_is_read_in_a_moment(tmp_path: Path, tcp: bool) -> N
     thread.start()
     talk = Conversation(port, "ESPEC chamber", ended_by(b"\r\n"), 3.0)
     began_s = time.monotonic()
-    for _ in range(2):  # the second time it talks before it is asked
-        with pytest.raises(DeviceError, match="talks by itself"):
-            talk.ask(b"TEMP?\r\n", lambda answer: answer)
-    assert time.monotonic() - began_s < 5.0
+    with Pulse() as pulse:
+        for _ in range(2):  # the second time it talks before it is asked
+            with pytest.raises(DeviceError, match="talks by itself"):
+                talk.ask(b"TEMP?\r\n", lambda answer: answer)
+    assert pulse.given_s(began_s, time.monotonic()) < 5.0
     stop.set()
     thread.join()
     port.close()
@@ -242,7 +244,7 @@ def test_a_signal_is_served_at_once_whatever_a_line_does(tmp_path: Path, line: s
     requests = StopRequests()
     kinds: dict[str, str | None] = {"gyro": "kvh-dsp3000", "table": "zaber", "chamber": "espec"}
     asked: list[float] = []
-    with serving(profile, kinds, tmp_path) as served:
+    with Pulse() as pulse, serving(profile, kinds, tmp_path) as served:
         stops = stop_times(served, b" stop:")
 
         def spoil() -> None:
@@ -260,7 +262,7 @@ def test_a_signal_is_served_at_once_whatever_a_line_does(tmp_path: Path, line: s
         with pytest.raises((InterruptedRunError, DeviceError)):
             acquire(AcquireConfig(path, tmp_path / "r"), Silent(), requests)
         first = next(t for t in stops if t > asked[0] - 1.0)
-        assert first - asked[0] < 0.5
+        assert pulse.given_s(asked[0], first) < 0.5
         assert abs(served.server._world.read_table()[0]) < 1e-6
     (made_safe,) = events(tmp_path / "r", "make_safe")
     assert made_safe["table_stopped"] is True
