@@ -34,6 +34,19 @@ class BlindResult:
     out: Path
 
 
+class Commitments:
+    """What was committed to so far, in ``commitments.txt`` of a directory."""
+
+    def __init__(self, out: Path) -> None:
+        self._file = out / "commitments.txt"
+        self._seals: list[str] = []
+
+    def add(self, number: int, seal: str) -> None:
+        """Write down what trial `number` is sealed by; trials come in their order."""
+        self._seals.append(seal)
+        write_atomically(self._file, "".join(f"{n:4d} {s}\n" for n, s in enumerate(self._seals)))
+
+
 def write_blind(
     config: BlindConfig, out: Path, progress: Progress, finder: Finder | None = None
 ) -> BlindResult:
@@ -48,14 +61,7 @@ def write_blind(
     """
     check_profile(config)
     make_output_directory(out)
-    sealed = out / "commitments.txt"
-    commitments: list[str] = []
-
-    def commit(number: int, seal: str) -> None:
-        commitments.append(seal)
-        write_atomically(sealed, "".join(f"{n:4d} {s}\n" for n, s in enumerate(commitments)))
-
-    trials = run_trials(config, commit, progress, finder)
+    trials = run_trials(config, Commitments(out).add, progress, finder)
     summary = summarise(trials)
     drawn = {"confusion": confusion_matrix(summary), "strength": naming_by_strength(summary)}
     figures = {name: style.render(figure, "png") for name, figure in drawn.items()}

@@ -6,11 +6,10 @@ recordings made by other code do.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.effect import Conditions, Effect
 from gyrocal.planning.next_experiment import to_toml
 from gyrocal.records.run import Run, read_run
+from gyrocal.trial.sealed import Sealed
 
 Floats = NDArray[np.float64]
 #: What diagnoses a run directory; a test puts another in its place.
@@ -41,6 +41,8 @@ Progress = Callable[[float, str], None]
 
 #: Strengths that are drawn, d' after the surface is fitted: from what cannot be named to what cannot be missed.
 _D_PRIMES = (6.0, 8.0, 12.0, 20.0, 40.0, 100.0)
+#: The kind that hides single effects of the catalogue on the user's own profile; the others are made up whole.
+SINGLE = "single"
 #: How often nothing, one, two, or three effects are hidden.
 _COUNTS = (0.2, 0.5, 0.2, 0.1)
 _USUAL_ACCELERATION_DPS2 = VirtualTableSpec().max_acceleration_dps2
@@ -48,16 +50,17 @@ _USUAL_ACCELERATION_DPS2 = VirtualTableSpec().max_acceleration_dps2
 
 @dataclass(frozen=True)
 class BlindConfig:
-    """How many trials, with which seed, on which profile."""
+    """How many trials, with which seed, of which kind; single effects on which profile."""
 
     trials: int
     seed: int
     profile: str = "quick"
     false_alarm_rate: float = 0.01
+    kind: str = SINGLE
 
 
 @dataclass(frozen=True)
-class Secret:
+class Secret(Sealed):
     """What a trial hides: effect to parameters, and effect to d'; sealed with a nonce so that it cannot be guessed."""
 
     effects: Mapping[str, Mapping[str, float]]
@@ -65,14 +68,6 @@ class Secret:
     unit_seed: int
     noise_seed: int
     nonce: str
-
-    def text(self) -> str:
-        """Canonical JSON: what is hashed."""
-        return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-    def seal(self) -> str:
-        """The commitment: sha256 of the canonical text."""
-        return hashlib.sha256(self.text().encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -283,10 +278,8 @@ def judge(
     acceleration_dps2: float = _USUAL_ACCELERATION_DPS2,
 ) -> Trial:
     """Open a trial: check its seal, and compare the answer with the truth."""
-    if secret.seal() != commitment:
-        msg = f"trial {number}: what was opened is not what was sealed"
-        raise ValueError(msg)
-    counted = [e for e in found.effects if e.effect in secret.effects or not _always_there(e.effect)]
+    secret.check(number, commitment)
+    counted = [e for e in found.effects if e.effect in secret.effects or not always_there(e.effect)]
     return Trial(
         number,
         commitment,
@@ -299,7 +292,8 @@ def judge(
     )
 
 
-def _always_there(effect_id: str) -> bool:
+def always_there(effect_id: str) -> bool:
+    """Whether every recording has it, so that naming it is neither right nor wrong."""
     return CATALOGUE[effect_id].hiding.always_there
 
 

@@ -1,0 +1,148 @@
+"""A second run of the same gyro on another plan, without noise: what a correction leaves there."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from gyrocal.calibration.apply import ApplyConfig, apply_recording
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.records.csvio import read_columns, read_header
+from gyrocal.trial.conceal import Hidden, coil_c, error_dps
+from gyrocal.trial.gyros import Gyro, surface_columns
+from gyrocal.trial.plans import Bench
+
+Floats = NDArray[np.float64]
+
+#: Below this ratio of the surface's error to the oracle's there is nothing to remove, and no share.
+WORTH = 1.3
+_ROUNDS = 8
+_LEAST_SLOPE = 0.02
+
+
+@dataclass(frozen=True)
+class SecondRun:
+    """Truth of the second run.
+
+    Attributes
+    ----------
+    gyro_dps : ndarray, shape (n,)
+        Output without noise, with what stays with the gyro.
+    inside : ndarray of bool, shape (n,)
+        Rows within the temperatures of the first recording.
+    open_dps : ndarray, shape (n, k)
+        What steps and drifts of the first recording would add if they lasted: it counts either way.
+    """
+
+    bench: Bench
+    gyro_dps: Floats
+    inside: NDArray[np.bool_]
+    open_dps: Floats
+
+    def rms_dps(self, corrected_dps: Floats) -> float:
+        """Error of a correction: of means of data sets and, half and half in the mean square, of ramps and soaks.
+
+        Infinite where a row has no corrected rate. What is open counts as is best for the correction.
+        """
+        z = np.column_stack([corrected_dps - self.bench.rate_dps, -self.open_dps])
+        if self.bench.is_run:
+            rate = self.bench.is_rate
+            segments = [self.bench.segment == k for k in np.unique(self.bench.segment[rate])]
+            means = np.array([z[rows].mean(axis=0) for rows in segments if self.inside[rows].all()])
+            loose = z[~rate & self.inside]
+            z = np.vstack([m / np.sqrt(2 * len(m)) for m in (means, loose) if len(m)])
+        else:
+            z = z[self.inside] / np.sqrt(np.count_nonzero(self.inside))
+        if not np.isfinite(z).all():
+            return float("inf")
+        error, still = z[:, 0], z[:, 1:]
+        if still.shape[1]:
+            error = error - still @ lsq_linear(still, error, (-1e-9, 1.0 + 1e-9)).x
+        return float(np.linalg.norm(error))
+
+
+def second_run(first: Bench, second: Bench, gyro: Gyro, hidden: Sequence[Hidden]) -> SecondRun:
+    """The same gyro on the bench of `second`."""
+    stays = [h for h in hidden if h.law.stays]
+    lasting = [(h.amplitude, h.law.lasting(second, h.parameters)) for h in hidden]
+    still = [amplitude * column for amplitude, column in lasting if column is not None]
+    temp_c = second.temp_c
+    return SecondRun(
+        second,
+        second.rate_dps + error_dps(second, gyro, stays),
+        (temp_c >= first.temp_c.min()) & (temp_c <= first.temp_c.max()),
+        np.column_stack([np.zeros((temp_c.size, 0)), *still]),
+    )
+
+
+def oracle_rms_dps(
+    first: Bench, gyro_dps: Floats, second: SecondRun, gyro: Gyro, hidden: Sequence[Hidden]
+) -> float:
+    """What least squares leaves that knows the laws, their shapes and the noise, and fits only sizes.
+
+    A front end's sine is known whole, and the surface lives at the coil's temperature.
+    """
+    known = [h for h in hidden if h.law.acts == "front"]
+    sized = [h for h in hidden if h.law.acts == "adds"]
+
+    def design(bench: Bench, laws: Sequence[Hidden]) -> Floats:
+        return np.column_stack(
+            [surface_columns(bench, coil_c(bench, hidden)), *(h.column(bench) for h in laws)]
+        )
+
+    y = (
+        gyro_dps
+        - first.rate_dps
+        - np.sum([np.zeros(first.t_s.size), *(h.column(first) for h in known)], axis=0)
+    )
+    white = gyro.noise.whiten(first, np.column_stack([design(first, sized), y]))
+    size = np.linalg.norm(white[:, :-1], axis=0)
+    size[size == 0] = 1.0
+    fitted = np.linalg.lstsq(white[:, :-1] / size, white[:, -1], rcond=1e-10)[0] / size
+    staying = np.array([True] * (fitted.size - len(sized)) + [h.law.stays for h in sized])
+
+    def predicted(rate_dps: Floats) -> Floats:
+        bench = replace(second.bench, rate_dps=rate_dps)
+        sum_dps = design(bench, sized)[:, staying] @ fitted[staying]
+        return np.asarray(np.sum([sum_dps, *(h.column(bench) for h in known)], axis=0))
+
+    return second.rms_dps(inverted(second.gyro_dps, second.bench.rate_dps, predicted))
+
+
+def inverted(output_dps: Floats, start_dps: Floats, error: Callable[[Floats], Floats]) -> Floats:
+    """True rates whose output is `output_dps`, by Newton's method from `start_dps`."""
+    rate = start_dps
+    h = 1e-5 * float(np.abs(start_dps).max())
+    for _ in range(_ROUNDS):
+        slope = 1.0 + (error(rate + h) - error(rate - h)) / (2.0 * h)
+        rate = rate - (rate + error(rate) - output_dps) / np.maximum(slope, _LEAST_SLOPE)
+    return rate
+
+
+def corrected_rms_dps(recording: Path, second: SecondRun, coefficients: Coefficients | None) -> float | None:
+    """Error that a coefficient file leaves on the second run, through `gyrocal apply`; None without a file."""
+    if coefficients is None:
+        return None
+    with tempfile.TemporaryDirectory(prefix="gyrocal-second-") as place:
+        model, out = Path(place) / "model.json", Path(place) / "corrected.csv"
+        model.write_text(coefficients.to_text(), encoding="utf-8")
+        apply_recording(ApplyConfig(recording, model, out, force_sensor=True), lambda share, what: None)
+        return second.rms_dps(read_columns(out, read_header(out))["corrected_dps"])
+
+
+def share_removed(before: float | None, after: float | None, oracle: float) -> float | None:
+    """Share of the removable error that is removed: 1 all, 0 none, below 0 worse; None where there is none to remove.
+
+    A correction with rows that it cannot correct removes nothing.
+    """
+    if before is None or not WORTH * oracle < before < float("inf"):
+        return None
+    if after is None or after == float("inf"):
+        return 0.0
+    return (before - after) / (before - oracle)
