@@ -46,8 +46,8 @@ class Noise:
         """Standard deviation of each row's white noise."""
         return self.white / np.sqrt(bench.averaging_s) * (1.0 + self.grows * np.abs(bench.u))
 
-    def draw(self, bench: Bench, rng: np.random.Generator) -> Floats:
-        """One realisation."""
+    def draw(self, bench: Bench, rng: np.random.Generator) -> tuple[Floats, float]:
+        """One realisation, and where its walk of the bias has come to at the end."""
         gap = np.diff(bench.t_s, prepend=bench.t_s[0])
         out = self.white_dps(bench) * rng.standard_normal(gap.size)
         if self.outliers:
@@ -61,9 +61,9 @@ class Noise:
             for k, (share, kick) in enumerate(zip(keep.tolist(), push.tolist(), strict=True)):
                 level = share * level + kick
                 out[k] += level
-        out += self.walk / 60.0 * np.cumsum(np.sqrt(gap) * rng.standard_normal(gap.size))
+        walked = self.walk / 60.0 * np.cumsum(np.sqrt(gap) * rng.standard_normal(gap.size))
         each = self.jitter * rng.standard_normal(len(bench.segments))
-        return np.asarray(out + each[bench.segment] * bench.rate_dps, dtype=np.float64)
+        return np.asarray(out + walked + each[bench.segment] * bench.rate_dps), float(walked[-1])
 
     def whiten(self, bench: Bench, columns: Floats) -> Floats:
         """Columns, shape (n, m), as innovations of the noise's Kalman filter in their standard deviations.

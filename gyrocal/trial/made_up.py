@@ -108,12 +108,13 @@ def make_up(kind: str, seed: int, number: int) -> MadeUp:
         least=wish.least,
         fixed=wish.fixed,
     )
-    gyro_dps = bench.rate_dps + error_dps(bench, gyro, hidden) + gyro.noise.draw(bench, rng)
+    noise_dps, walked_dps = gyro.noise.draw(bench, rng)
+    gyro_dps = bench.rate_dps + error_dps(bench, gyro, hidden) + noise_dps
     if gyro.lsb_dps:
         gyro_dps = gyro.lsb_dps * np.round(gyro_dps / gyro.lsb_dps)
     told = bool(rng.random() < 0.5)
     answer = Concealed(kind, wish.make, wish.plan, wish.oddity.name, tuple(layers), rng.bytes(16).hex())
-    second = second_run(bench, _second_bench(wish, gyro.frame, rng), gyro, hidden)
+    second = second_run(bench, _second_bench(wish, gyro.frame, rng), gyro, hidden, walked_dps)
     return MadeUp(
         answer, gyro, tuple(hidden), bench, gyro_dps, gyro.read_temperature(bench.temp_c, rng), second, told
     )

@@ -37,7 +37,7 @@ class SecondRun:
     inside : ndarray of bool, shape (n,)
         Rows within the temperatures of the first recording.
     open_dps : ndarray, shape (n, k)
-        What steps and drifts of the first recording would add if they lasted: it counts either way.
+        What steps, drifts and walks of the first recording would add if they lasted: it counts either way.
     """
 
     bench: Bench
@@ -67,11 +67,15 @@ class SecondRun:
         return float(np.linalg.norm(error))
 
 
-def second_run(first: Bench, second: Bench, gyro: Gyro, hidden: Sequence[Hidden]) -> SecondRun:
-    """The same gyro on the bench of `second`."""
+def second_run(
+    first: Bench, second: Bench, gyro: Gyro, hidden: Sequence[Hidden], walked_dps: float = 0.0
+) -> SecondRun:
+    """The same gyro on the bench of `second`; its bias had walked by `walked_dps` at the end of the first."""
     stays = [h for h in hidden if h.law.stays]
     lasting = [(h.amplitude, h.law.lasting(second, h.parameters)) for h in hidden]
     still = [amplitude * column for amplitude, column in lasting if column is not None]
+    if walked_dps:
+        still.append(np.full(second.t_s.size, walked_dps))
     temp_c = second.temp_c
     return SecondRun(
         second,
