@@ -53,12 +53,16 @@ class Layer:
 
 @dataclass(frozen=True)
 class Concealed(Sealed):
-    """The answer of a recording: what it hides, in which gyro, on which plan; sealed with a nonce."""
+    """The answer of a recording: what it hides, in which gyro, on which plan; sealed with a nonce.
+
+    Names in `also` are true of the recording though no layer has them: they count neither way.
+    """
 
     kind: str
     gyro: str
     plan: str
     oddity: str
+    also: tuple[str, ...]
     layers: tuple[Layer, ...]
     nonce: str
 
@@ -156,7 +160,7 @@ def size_layers(
         if sized and beside[k] < max(_OWN_SHARE * alone[k], _SEEN_SHARE * whole, 1e-12):
             return None
         size = target / beside[k] if sized else 1.0
-        size = min(size, 1.0) if h.law.low_rates else size
+        size = min(size, h.law.most)
         d_input = size * float(beside[k])
         d = _against_output(bench, gyro, hidden, white, nuisances + k) if h.law.acts == "front" else d_input
         if d < least:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from gyrocal.trial.conceal import Concealed, Hidden, error_dps, hide
 from gyrocal.trial.gyros import Gyro, Oddity, make_gyro
-from gyrocal.trial.laws import LAWS, OTHER, PLAIN, Law
+from gyrocal.trial.laws import ON_TABLES, OPEN_LOOP, OTHER, PLAIN, TRUE_OF_ALL, TRUE_OF_OUTLIERS, Law
 from gyrocal.trial.plans import Bench, Frame, RunPlan, run_bench, sweep, table_bench
 from gyrocal.trial.recordings import write_run, write_table
 from gyrocal.trial.second import SecondRun, second_run
@@ -21,15 +21,6 @@ Floats = NDArray[np.float64]
 
 #: Rates near zero, in shares of the largest.
 _LOW = (1e-4, 2e-4, 4e-4, 7e-4, 1e-3, 1.5e-3, 2.5e-3, 5e-3)
-#: Laws of tables of means of an open-loop gyro, beside its sine.
-_ON_TABLES = (
-    "reference_rate_error",
-    "thermal_lag",
-    "scale_step",
-    "scale_drift",
-    "temperature_order",
-    "warm_up",
-)
 _SENSORS = ("mems", "open_loop", "open_loop", "navigation", "thermometer", "steps")
 _NULLS = ("flicker", "walk", "scatter_by_rate", "outliers", "missing_rates", "thermometer", "few", "many")
 
@@ -75,7 +66,7 @@ class MadeUp:
 
 
 @dataclass(frozen=True)
-class _Wish:
+class Wish:
     """What a recording is to be, before anything of it is drawn."""
 
     make: str
@@ -113,31 +104,31 @@ def make_up(kind: str, seed: int, number: int) -> MadeUp:
     if gyro.lsb_dps:
         gyro_dps = gyro.lsb_dps * np.round(gyro_dps / gyro.lsb_dps)
     told = bool(rng.random() < 0.5)
-    answer = Concealed(kind, wish.make, wish.plan, wish.oddity.name, tuple(layers), rng.bytes(16).hex())
+    also = TRUE_OF_ALL + (TRUE_OF_OUTLIERS if gyro.noise.outliers else ())
+    answer = Concealed(kind, wish.make, wish.plan, wish.oddity.name, also, tuple(layers), rng.bytes(16).hex())
     second = second_run(bench, _second_bench(wish, gyro.frame, rng), gyro, hidden, walked_dps)
     return MadeUp(
         answer, gyro, tuple(hidden), bench, gyro_dps, gyro.read_temperature(bench.temp_c, rng), second, told
     )
 
 
-def _layers(number: int, order: np.random.Generator, rng: np.random.Generator) -> _Wish:
+def _layers(number: int, order: np.random.Generator, rng: np.random.Generator) -> Wish:
     """Three to five laws of the catalogue, by turns on tables of means and on full runs."""
     count, strengths = int(rng.integers(3, 6)), (8.0, 12.0, 20.0, 40.0, 100.0, 300.0)
     if number % 2 == 0:
-        pool = tuple(LAWS[name] for name in _ON_TABLES)
-        return _Wish("box", pool, (LAWS["sagnac_sine"],), count, strengths, plan="table")
-    pool = tuple(law for law in PLAIN if law.name != "dead_zone" and law.acts != "front")
-    return _Wish("fog", pool, count=count, strengths=strengths, least=5.0, plan=_plan(rng))
+        return Wish("box", ON_TABLES, (OPEN_LOOP,), count, strengths, plan="table")
+    pool = tuple(law for law in PLAIN if not law.low_rates and law.acts != "front")
+    return Wish("fog", pool, count=count, strengths=strengths, least=5.0, plan=_plan(rng))
 
 
-def _laws(number: int, order: np.random.Generator, rng: np.random.Generator) -> _Wish:
+def _laws(number: int, order: np.random.Generator, rng: np.random.Generator) -> Wish:
     """One law that only resembles the catalogue's, each in its turn."""
     law = OTHER[int(order.permutation(len(OTHER))[number % len(OTHER)])]
     plan = "low" if law.low_rates else _plan(rng)
-    return _Wish("fog", given=(law,), count=1, strengths=(20.0, 40.0, 60.0, 100.0), least=12.0, plan=plan)
+    return Wish("fog", given=(law,), count=1, strengths=(20.0, 40.0, 60.0, 100.0), least=12.0, plan=plan)
 
 
-def _sensors(number: int, order: np.random.Generator, rng: np.random.Generator) -> _Wish:
+def _sensors(number: int, order: np.random.Generator, rng: np.random.Generator) -> Wish:
     """Another sensor, with one law or none, each class in its turn."""
     name = _SENSORS[int(order.permutation(len(_SENSORS))[number % len(_SENSORS)])]
     pool = tuple(law for law in PLAIN if not law.low_rates and law.acts == "adds")
@@ -147,7 +138,7 @@ def _sensors(number: int, order: np.random.Generator, rng: np.random.Generator) 
         short = float(np.exp(rng.uniform(np.log(0.01), np.log(0.35))))
         reach = float(brentq(lambda x: np.sin(x) / x - 1.0 + short, 1e-3, 3.0))
         oddity = Oddity(f"open loop, {short:.0%} short at full rate")
-        return _Wish("fog", pool, (LAWS["sagnac_sine"],), 1 + count, strengths, plan=_plan(rng), oddity=oddity, fixed={"reach": reach})  # fmt: skip
+        return Wish("fog", pool, (OPEN_LOOP,), 1 + count, strengths, plan=_plan(rng), oddity=oddity, fixed={"reach": reach})  # fmt: skip
     if name == "thermometer":
         oddity = Oddity("coarse thermometer", {"thermometer_step_c": float(rng.choice([0.5, 1.0]))})
     elif name == "steps":
@@ -155,10 +146,10 @@ def _sensors(number: int, order: np.random.Generator, rng: np.random.Generator) 
     else:
         oddity = Oddity()
     make = name if name in ("mems", "navigation") else "fog"
-    return _Wish(make, pool, count=count, strengths=strengths, plan=_plan(rng), oddity=oddity)
+    return Wish(make, pool, count=count, strengths=strengths, plan=_plan(rng), oddity=oddity)
 
 
-def _nulls(number: int, order: np.random.Generator, rng: np.random.Generator) -> _Wish:
+def _nulls(number: int, order: np.random.Generator, rng: np.random.Generator) -> Wish:
     """Nothing hidden, and noise, thermometer or plan awkward, each way in its turn; tables and runs at random."""
     name = _NULLS[int(order.permutation(len(_NULLS))[number % len(_NULLS)])]
     table = name in ("few", "many") or bool(rng.random() < 0.4)
@@ -174,11 +165,11 @@ def _nulls(number: int, order: np.random.Generator, rng: np.random.Generator) ->
     plan = "table" if table else _plan(rng)
     if name == "missing_rates" and not table:
         plan = "missing"
-    return _Wish(make, plan=plan, sets=sets, oddity=Oddity(name, figures))
+    return Wish(make, plan=plan, sets=sets, oddity=Oddity(name, figures))
 
 
 #: Kind to what draws its wish from number, an order that all numbers share, and what is drawn afresh.
-KINDS: Mapping[str, Callable[[int, np.random.Generator, np.random.Generator], _Wish]] = {
+KINDS: Mapping[str, Callable[[int, np.random.Generator, np.random.Generator], Wish]] = {
     "layers": _layers,
     "laws": _laws,
     "sensors": _sensors,
@@ -190,7 +181,7 @@ def _plan(rng: np.random.Generator) -> str:
     return str(rng.choice(["sweep", "shuffled", "dense"]))
 
 
-def _bench(wish: _Wish, frame: Frame, rng: np.random.Generator) -> Bench:
+def _bench(wish: Wish, frame: Frame, rng: np.random.Generator) -> Bench:
     if wish.plan == "table":
         rates = sweep(frame.max_rate_dps, 57 if wish.sets > 100 else 9)
         if wish.oddity.name == "missing_rates":
@@ -223,7 +214,7 @@ def _temperatures(frame: Frame, rng: np.random.Generator, count: int = 0, reach:
     return np.asarray(frame.centre_c + frame.half_range_c * (np.concatenate([way_up, way_down]) + jitter))
 
 
-def _second_bench(wish: _Wish, frame: Frame, rng: np.random.Generator) -> Bench:
+def _second_bench(wish: Wish, frame: Frame, rng: np.random.Generator) -> Bench:
     """Other temperatures, rates, times and order."""
     if wish.plan == "table":
         return table_bench(frame, 0.97 * sweep(frame.max_rate_dps, 41), 171, rng)

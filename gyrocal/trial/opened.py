@@ -127,7 +127,10 @@ def judge_made_up(number: int, commitment: str, made: MadeUp, found: Diagnosis, 
     """Open a trial: check its seal, compare names, and try the correction on the second run, which goes to `out`."""
     made.answer.check(number, commitment)
     right = {name for layer in made.answer.layers for name in layer.right}
-    counted = [e for e in found.effects if e.effect in right or not always_there(e.effect)]
+    neutral = set(made.answer.also) - right
+    counted = [
+        e for e in found.effects if e.effect in right or not (e.effect in neutral or always_there(e.effect))
+    ]
     second = made.write_second(out)
     for name, model in (("surface", found.surface), ("improved", found.improved)):
         if model is not None:

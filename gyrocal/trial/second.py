@@ -37,7 +37,8 @@ class SecondRun:
     inside : ndarray of bool, shape (n,)
         Rows within the temperatures of the first recording.
     open_dps : ndarray, shape (n, k)
-        What steps, drifts and walks of the first recording would add if they lasted: it counts either way.
+        What steps, drifts and walks of the first recording would add to a corrected rate if they lasted: it counts
+        either way.
     """
 
     bench: Bench
@@ -77,12 +78,23 @@ def second_run(
     if walked_dps:
         still.append(np.full(second.t_s.size, walked_dps))
     temp_c = second.temp_c
+
+    def error(rate_dps: Floats) -> Floats:
+        return error_dps(replace(second, rate_dps=rate_dps), gyro, stays)
+
+    slope = 1.0 + slope_of(error, second.rate_dps)
     return SecondRun(
         second,
-        second.rate_dps + error_dps(second, gyro, stays),
+        second.rate_dps + error(second.rate_dps),
         (temp_c >= first.temp_c.min()) & (temp_c <= first.temp_c.max()),
-        np.column_stack([np.zeros((temp_c.size, 0)), *still]),
+        np.column_stack([np.zeros((temp_c.size, 0)), *(column / slope for column in still)]),
     )
+
+
+def slope_of(error: Callable[[Floats], Floats], rate_dps: Floats) -> Floats:
+    """Slope of an error over the rate, by differences."""
+    h = 1e-5 * float(np.abs(rate_dps).max())
+    return np.asarray((error(rate_dps + h) - error(rate_dps - h)) / (2.0 * h))
 
 
 def oracle_rms_dps(
@@ -122,10 +134,9 @@ def oracle_rms_dps(
 def inverted(output_dps: Floats, start_dps: Floats, error: Callable[[Floats], Floats]) -> Floats:
     """True rates whose output is `output_dps`, by Newton's method from `start_dps`."""
     rate = start_dps
-    h = 1e-5 * float(np.abs(start_dps).max())
     for _ in range(_ROUNDS):
-        slope = 1.0 + (error(rate + h) - error(rate - h)) / (2.0 * h)
-        rate = rate - (rate + error(rate) - output_dps) / np.maximum(slope, _LEAST_SLOPE)
+        slope = np.maximum(1.0 + slope_of(error, rate), _LEAST_SLOPE)
+        rate = rate - (rate + error(rate) - output_dps) / slope
     return rate
 
 
