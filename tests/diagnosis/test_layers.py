@@ -128,7 +128,7 @@ def test_a_surface_of_the_output_bends_as_the_surface_that_it_has_in_the_end() -
     assert found.model.bend is not None
     now = found.model.legendre(found.solve())
     bends = [direction_at(found.model.basis, b) for b in (found.model.bend, now)]
-    np.testing.assert_allclose(bends[0], bends[1], atol=1e-4)
+    np.testing.assert_allclose(bends[0], bends[1], atol=5e-3 * np.abs(bends[1]).max())
 
 
 def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:
