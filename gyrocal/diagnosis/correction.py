@@ -9,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
-from gyrocal.diagnosis.base import carried_terms, fit_surface
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.intervals import NORMAL_95
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
-from gyrocal.diagnosis.parts import BLOCKS, SURFACE, Part, design_at, passing, polynomials
+from gyrocal.diagnosis.parts import BLOCKS, SURFACE, Part, polynomials
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
-from gyrocal.inference.additive import Solution, solve
+from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions
 from gyrocal.physics.rate import FIT_DIRECTION
@@ -83,14 +82,14 @@ def correction(found: Examination) -> Coefficients:
     )
     terms = [_term(item, first.model, mean, covariance) for item in items]
     return replace(
-        _file(first),
+        file_without_surface(first),
         surface=surface,
         covariance_dps2=covariance[:_TERMS, :_TERMS],
         terms=(*terms, *_coil_terms(found.candidates)),
     )
 
 
-def _file(fitted: Fitted) -> Coefficients:
+def file_without_surface(fitted: Fitted) -> Coefficients:
     """A file without surface: where it holds, and where it comes from."""
     series, frame = fitted.model.means.series, fitted.model.basis.frame
     origin: dict[str, object] = {"recording": series.name, "by": "diagnose"}
@@ -256,32 +255,3 @@ def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:
         for tau, share in sorted(shares.items())
         if share > 0.0
     ]
-
-
-def surface_alone(found: Examination) -> Coefficients:
-    """The paper's twelve terms over the output alone.
-
-    By generalised least squares under the noise that was found; a table of sweeps visits few pairs of rate and
-    temperature, and there the plain fit that resists a change with temperature extrapolates better.
-    """
-    fitted = found.whole
-    model, frame = fitted.model, fitted.model.basis.frame
-    means = model.means
-    carried = carried_terms(means.series)
-    if found.ranked:
-        base = fit_surface(means.series)
-        spread = np.linalg.pinv(base.design.T @ base.design, rcond=1e-12, hermitian=True)
-        covariance = np.zeros((_TERMS, _TERMS))
-        covariance[np.ix_(carried, carried)] = spread * float(np.mean(base.residual_dps**2))
-        return replace(_file(fitted), surface=base.surface, covariance_dps2=covariance)
-    kept = {"each rate", *(c.name for c in passing(means, frame) if c.covariance is not None)}
-    noise = [c for n, c in model.components.items() if n in kept]
-    columns = design_at(means.gyro_dps, means.temp_c, frame)[:, carried]
-    solution = solve(means.error_dps, columns, noise, fitted.fit.variance)
-    gain = legendre_to_powers()[:, carried]
-    c = gain @ solution.flat
-    # Where the bias wanders its level is known for an instant only: the surface takes the mean of the recording.
-    c[0] += float(np.mean(solution.left))
-    free = solution.covariance[: carried.size, : carried.size]
-    surface = Surface(c.reshape(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
-    return replace(_file(fitted), surface=surface, covariance_dps2=gain @ free @ gain.T)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.answer import layer_groups, named_effects
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.correction import correction, surface_alone
+from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.inputs import check_inputs
@@ -29,6 +29,7 @@ from gyrocal.diagnosis.scatter import (
 )
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
+from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients

@@ -79,7 +79,7 @@ def test_layers_of_a_table_are_named_and_a_second_run_is_corrected(layered: Diag
     second, rate = sweeps(2, noise_dps=0.0)
     file = parse_coefficients(layered.improved.to_text(), "improved")
     # The reference of the first run was off by 100 ppm of a rate, of which the mean over the sizes stays.
-    assert left_dps(file, second, rate) < 0.15 * left_dps(layered.surface, second, rate)
+    assert left_dps(file, second, rate) < 0.25 * left_dps(layered.surface, second, rate)
     assert left_dps(file, second, rate) < 6e-3
 
 

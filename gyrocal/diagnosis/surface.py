@@ -1,0 +1,88 @@
+"""The surface alone: what stands in the answer for the gyro before anything was found.
+
+Over data sets it is the one that `gyrocal fit` would choose: direction, terms and weights by the error left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.calibration.checks import MOST_DATA_SETS
+from gyrocal.calibration.choice import fit_chosen
+from gyrocal.calibration.coarsen import coarsen
+from gyrocal.calibration.datasets import DataSets
+from gyrocal.diagnosis.base import carried_terms
+from gyrocal.diagnosis.correction import file_without_surface
+from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.parts import design_at, passing
+from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.inference.additive import solve
+from gyrocal.physics.surface import SHAPE, Surface
+
+Floats = NDArray[np.float64]
+
+_TERMS = SHAPE[0] * SHAPE[1]
+#: With fewer data sets than this for each term nothing can be left out to choose by.
+_SETS_A_TERM = 2
+
+
+def surface_alone(found: Examination) -> Coefficients:
+    """The error surface of a recording without anything beside it."""
+    fitted = found.whole
+    means = fitted.model.means
+    rows = np.flatnonzero(means.is_set)
+    carried = carried_terms(means.series)
+    if carried.size < _TERMS or rows.size < _SETS_A_TERM * _TERMS:
+        return _under_noise_found(fitted)
+    chosen = fit_chosen(coarsen(_data_sets(means).select(rows), MOST_DATA_SETS)[0]).fit
+    return replace(
+        file_without_surface(fitted), surface=chosen.surface, covariance_dps2=chosen.covariance_dps2
+    )
+
+
+def _data_sets(means: Means) -> DataSets:
+    """Rows of the means as `gyrocal fit` takes them; what it would not use of them is unknown."""
+    n, series = len(means), means.series
+    unknown = np.full(n, np.nan)
+    # Where the noise of a sample is known, that of the mean is; a table's rows have relative sizes only.
+    white = unknown if series.is_table else means.white_dps
+    return DataSets(
+        rate_dps=means.rate_dps,
+        gyro_dps=means.gyro_dps,
+        temp_c=means.temp_c,
+        gyro_std_dps=white,
+        n=np.ones(n),
+        gyro_peak_dps=unknown,
+        t_s=means.t_s if series.has_time else unknown,
+        duration_s=means.to_s - means.from_s,
+        temp_rate_c_per_min=means.spread(series.temp_rate_c_per_min),
+        averaging_s=unknown,
+        segment=means.set_index + 1,
+        outcome=np.full(n, "ok"),
+        kind=np.full(n, "rate"),
+        reference=np.full(n, "given"),
+    )
+
+
+def _under_noise_found(fitted: Fitted) -> Coefficients:
+    """Of a record that does not carry all twelve terms: those that it carries, under the noise that was found."""
+    model, frame = fitted.model, fitted.model.basis.frame
+    means = model.means
+    carried = carried_terms(means.series)
+    kept = {"each rate", *(c.name for c in passing(means, frame) if c.covariance is not None)}
+    noise = [c for n, c in model.components.items() if n in kept]
+    columns = design_at(means.gyro_dps, means.temp_c, frame)[:, carried]
+    solution = solve(means.error_dps, columns, noise, fitted.fit.variance)
+    gain = legendre_to_powers()[:, carried]
+    c = gain @ solution.flat
+    # Where the bias wanders its level is known for an instant only: the surface takes the mean of the recording.
+    c[0] += float(np.mean(solution.left))
+    free = solution.covariance[: carried.size, : carried.size]
+    surface = Surface(c.reshape(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
+    return replace(file_without_surface(fitted), surface=surface, covariance_dps2=gain @ free @ gain.T)

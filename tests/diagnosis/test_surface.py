@@ -1,0 +1,45 @@
+"""The surface alone of a diagnosis is the one that `gyrocal fit` chooses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gyrocal.calibration.choice import fit_chosen
+from gyrocal.calibration.datasets import load_recording
+from gyrocal.diagnosis.examine import Examination, alive
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import fit_model, full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import Naming
+from gyrocal.diagnosis.surface import surface_alone
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.records.datasets import read_data_sets
+
+
+def _table(path: Path) -> Path:
+    """Sweeps of a gyro that is cubic in the true rate, while the temperature drifts."""
+    rng = np.random.default_rng(1)
+    rate = np.tile(np.linspace(-100.0, 100.0, 11), 6)
+    temp = 25.0 + 8.0 * np.sin(np.arange(rate.size) / 9.0)
+    gyro = rate + 0.02 + 0.002 * rate - 3e-6 * rate**3 + 1e-4 * rate * (temp - 25.0) / 8.0
+    gyro += 1e-3 * rng.standard_normal(rate.size)
+    rows = zip(25.0 * np.arange(rate.size), rate, gyro, temp, strict=True)
+    lines = [f"{t:.1f},{w:.6f},{y:.6f},{c:.3f}" for t, w, y, c in rows]
+    path.write_text("\n".join(["t_s,rate_dps,gyro_dps,temp_c", *lines]) + "\n")
+    return path
+
+
+def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path) -> None:
+    path = _table(tmp_path / "sweeps.csv")
+    series = series_of_table(read_data_sets(path))
+    means = means_of(series)
+    whole = alive(fit_model(full_model(means, memory=False), iterations=2))
+    blank = Surface(np.zeros(SHAPE), 0.0, 100.0, 25.0, 8.0)
+    found = Examination(series, (), whole, {}, Naming(whole, ()), laws_of(means, blank))
+    chosen = fit_chosen(load_recording(path).sets).fit.surface
+    surface = surface_alone(found).surface
+    assert surface.direction == chosen.direction == "input"
+    np.testing.assert_allclose(surface.coefficients_dps, chosen.coefficients_dps, rtol=1e-6, atol=1e-9)
