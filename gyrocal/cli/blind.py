@@ -25,7 +25,7 @@ _COLUMNS = ("", "Trials", "Share, 95 % interval")
     help="What is hidden: single effects on your profile, or recordings that are made up whole.",
 )
 @click.option(
-    "--profile", help="For single: your profile (.toml), or the name of a shipped one.  [default: quick]"
+    "--profile", help="For single: your profile (.toml), or the name of a shipped one (quick unless given)."
 )
 @json_option
 def command(trials: int, seed: int, out: Path, kind: str, profile: str | None, as_json: bool) -> None:
