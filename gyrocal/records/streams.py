@@ -74,7 +74,7 @@ class Merger:
         Raises
         ------
         DataError
-            At the last: no gyro sample lies within the time of the wheels.
+            At the last: no gyro sample lies within the time of the wheels, or they came only once.
         """
         gyro, wheels = self._held["gyro"], self._held["wheels"]
         until_s = min(self._until_s.values())
@@ -134,6 +134,9 @@ class Merger:
         )
 
     def _how(self) -> str:
+        if len(self._held["wheels"]) < 2:
+            msg = f"{self._source}: the wheels say something only once, which is no way. Check that the log is whole."
+            raise DataError(msg)
         self._period_s = float(np.median(np.diff(self._held["wheels"][:1000, 0])))
         return f"wheels come every {self._period_s:.3g} s and are laid on the gyro's times by interpolation"
 

@@ -314,6 +314,12 @@ def test_clocks_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
         read_bag(path, WHEELS)
 
 
+def test_wheels_that_come_only_once_are_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run.bag", "bag", IMU_ODOMETRY, last_s=1.04)
+    with pytest.raises(DataError, match="say something only once"):
+        read_bag(path, WHEELS)
+
+
 def test_what_is_not_a_bag_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "fake.bag"
     path.write_bytes(b"not a bag at all")

@@ -141,7 +141,7 @@ def test_what_is_too_little_to_fail_a_segment_is_told(tmp_path: Path) -> None:
     summary = stand.run()
     assert summary.complete
     told = events(stand.out, "stream")
-    assert sum(line["frames_bad"] for line in told) >= 3
+    assert sum(line["frames_bad"] for line in told) > 0
     assert all(line["frames_good"] > 0 for line in told)
 
 
