@@ -169,7 +169,7 @@ def _noise(series: Series, left: Residuals) -> tuple[NoiseModel, NoiseLevels, li
     if p > _WALK_LEVEL or not levels.walk:
         return model, still.levels, []
     wandered = levels.walk * float(np.sqrt(np.ptp(series.t_s)))
-    place = Located(series.time_coordinate, "variance", "", p, 1.0, True, target="walk", rms_dps=wandered)
+    place = Located(series.time_coordinate, "variance", p, 1.0, True, target="walk", rms_dps=wandered)
     return model, levels, [place]
 
 

@@ -69,7 +69,7 @@ def surface_change(found: Examination, coefficients: Coefficients, fitted: Coeff
     if p > _CHANGED_P or rms < float(np.sqrt(found.whole.fit.variance["white"])):
         return None
     where = "rate" if np.ptp(rate) > 0 else "temperature"
-    return Located(where, "mean", "", p, 1.0, target="surface", rms_dps=rms)
+    return Located(where, "mean", p, 1.0, target="surface", rms_dps=rms)
 
 
 def temperature_alone(found: Examination) -> tuple[str, ...]:

@@ -67,7 +67,6 @@ def located(found: Examination, level: float) -> list[Located]:
             Located(
                 coordinate_of(block, series),
                 "mean",
-                "",
                 p,
                 share,
                 remains,
@@ -78,7 +77,7 @@ def located(found: Examination, level: float) -> list[Located]:
     for pattern in found.patterns:
         rms = float(np.sqrt(np.mean(pattern.values**2)))
         coordinate = "table_angle" if "angle" in pattern.family else "time_since_step"
-        places.append(Located(coordinate, "mean", "", pattern.p_value, 0.0, False, rms_dps=rms))
+        places.append(Located(coordinate, "mean", pattern.p_value, 0.0, False, rms_dps=rms))
     return places
 
 

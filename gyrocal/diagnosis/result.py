@@ -27,8 +27,6 @@ class Located:
     ----------
     coordinate, statistic : str
         A coordinate of formats.md; ``mean`` or ``variance``.
-    region : str
-        Where, in words, for a place on a drive.
     share : float
         Part of the excess over noise that a curve on this coordinate takes up (parts may overlap).
     remains : bool
@@ -48,7 +46,6 @@ class Located:
 
     coordinate: str
     statistic: str
-    region: str
     p_value: float
     share: float
     remains: bool = False

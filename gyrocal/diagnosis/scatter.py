@@ -105,7 +105,7 @@ def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets
         # It may be no wider than what it is seen to swallow.
         "width_dps": Estimate(reach[0], 0.25 * (reach[1] - reach[0]), "deg/s", reach),
     }
-    place = Located("rate", "mean", "", _CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
+    place = Located("rate", "mean", _CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
     return Finding(DEAD_ZONE.id, statement, parameters, _CERTAIN, place)
 
 
@@ -145,7 +145,7 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
     ]
     statement = f"Single data sets do not belong to the rest: {'; '.join(names)}. Mislabelled, or disturbed; left out of the fit."
     size = float(1e3 * np.max(np.abs(off_dps)))
-    place = Located("data_set_index", "mean", "", _CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
+    place = Located("data_set_index", "mean", _CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
     return [
         Finding(
             BURSTS.id,
@@ -171,7 +171,6 @@ def outlier_findings(series: Series) -> list[Finding]:
     place = Located(
         "data_set_index",
         "variance",
-        "",
         p,
         0.0,
         **_when(series, float(times.min()), float(times.max())),
@@ -202,7 +201,7 @@ def step_findings(series: Series) -> list[Finding]:
         return []
     size = 1e3 * step
     statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
-    place = Located("rate", "variance", "", _CERTAIN, 0.0, target="samples", finding=QUANTISATION.id)
+    place = Located("rate", "variance", _CERTAIN, 0.0, target="samples", finding=QUANTISATION.id)
     return [
         Finding(
             QUANTISATION.id,
@@ -224,7 +223,7 @@ def clock_findings(series: Series) -> list[Finding]:
         return []
     p = float(2.0 * norm.sf(min(abs(ppm) / std_ppm, 37.0)))
     statement = f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the sample clock is off, and an output that is an angle per sample is scaled by as much."
-    place = Located("rate", "mean", "", p, 0.0, target="sample times", finding=TIME_BASE.id)
+    place = Located("rate", "mean", p, 0.0, target="sample times", finding=TIME_BASE.id)
     value = Estimate(ppm, std_ppm, "ppm", (ppm - 1.96 * std_ppm, ppm + 1.96 * std_ppm))
     return [Finding(TIME_BASE.id, statement, {"amplitude": value}, p, place)]
 
@@ -267,7 +266,7 @@ def variance_places(
         if ok and (coordinate not in best or p < best[coordinate].p_value):
             share = float(np.clip(more / excess, 0.0, 1.0))
             p_all = min(1.0, p * len(found))
-            best[coordinate] = Located(coordinate, "variance", "", p_all, share, True, **stretch)
+            best[coordinate] = Located(coordinate, "variance", p_all, share, True, **stretch)
     return sorted(best.values(), key=lambda place: place.p_value)
 
 

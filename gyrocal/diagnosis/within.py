@@ -132,7 +132,7 @@ def strange_turns(series: Series, level: float) -> list[Located]:
         if p < level:
             rms = float(np.sqrt(np.mean(found.values**2)))
             follows = f"{found.shape['harmonic']:.0f} a turn"
-            places.append(Located("table_angle", "mean", "", p, 1.0, True, target=follows, rms_dps=rms))
+            places.append(Located("table_angle", "mean", p, 1.0, True, target=follows, rms_dps=rms))
     return sorted(places, key=lambda place: place.p_value)
 
 

@@ -107,8 +107,6 @@ def span_text(low: float, high: float) -> str:
 
 def region_words(place: Located) -> str:
     """Where a place is on its coordinate and what departs there."""
-    if place.region:
-        return place.region
     if place.times_given is not None:
         return f"noise {place.times_given:.2g} times what was given"
     size = "" if place.rms_dps is None else f"{1e3 * place.rms_dps:.2g} mdeg/s rms"
@@ -137,7 +135,7 @@ def stretch_words(place: Located) -> str:
 def place_words(place: Located, coordinate: str) -> str:
     """The same in a sentence, behind the name of its coordinate."""
     region = region_words(place)
-    if place.region or place.low is None:
+    if place.low is None:
         return f"{coordinate}: {region}"
     if place.unit == "data set":
         return region if place.coordinate == "data_set_index" else f"{coordinate}: {region}"

@@ -96,7 +96,7 @@ def made_up_diagnosis(recording: Recording, verdict: str = "explained") -> Diagn
     return Diagnosis(
         recording="made-up",
         verdict=verdict if named else "consistent",
-        located=tuple(Located(CATALOGUE[e.effect].seen_in, "mean", "", 1e-9, 0.8) for e in named),
+        located=tuple(Located(CATALOGUE[e.effect].seen_in, "mean", 1e-9, 0.8) for e in named),
         effects=tuple(named),
         not_testable={"acceleration": "the table's acceleration was not logged"},
         sentences=(),

@@ -232,7 +232,7 @@ def test_each_thing_is_said_once(found: Diagnosis) -> None:
 
 
 def test_tables_hold_located_parameters_and_gain(found: Diagnosis) -> None:
-    place = Located("rate", "variance", "", 1e-20, 0.5, remains=True, low=32.0, high=32.0, unit="deg/s")
+    place = Located("rate", "variance", 1e-20, 0.5, remains=True, low=32.0, high=32.0, unit="deg/s")
     assert found.noise is not None
     noise = replace(found.noise, rate_random_walk_deg_per_h_per_rt_h=0.25)
     assert noise.to_json()["rate_random_walk_deg_per_h_per_rt_h"] == 0.25

@@ -120,7 +120,7 @@ def test_twins_on_a_table_need_a_hand() -> None:
 
 def test_unexplained_structure_gets_a_plan_that_resolves_its_coordinate() -> None:
     found = made_up(None, 0.0)
-    place = Located("temperature", "mean", "", 1e-9, 0.9, remains=True)
+    place = Located("temperature", "mean", 1e-9, 0.9, remains=True)
     proposal = propose(replace(found, verdict="unexplained", located=(place,)), {}, 8.0)
     assert proposal is not None
     assert proposal.profile is not None
@@ -191,7 +191,7 @@ def at_rates(
     return replace(found, surface=surface, rows=replace(found.rows, rate_dps=picked, temp_c=temps))
 
 
-UNEXPLAINED = Located("time", "mean", "", 1e-9, 0.9, remains=True)
+UNEXPLAINED = Located("time", "mean", 1e-9, 0.9, remains=True)
 
 
 @pytest.mark.parametrize("coordinate", ["rate", "time", "temperature", "temperature_rate", "data_set_index"])

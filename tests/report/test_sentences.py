@@ -98,7 +98,7 @@ def test_errors_have_two_digits_of_the_noise_at_least(shupe: Diagnosis) -> None:
 def test_place_of_a_finding_is_not_its_whole_sentence(shupe: Diagnosis) -> None:
     """Single bad data sets: the sentence stood three times."""
     effect = shupe.effects[0]
-    place = Located("data_set_index", "mean", "", 1e-20, 1.0, target="data sets", finding="shupe")
+    place = Located("data_set_index", "mean", 1e-20, 1.0, target="data sets", finding="shupe")
     found = replace(shupe, located=(place,))
     assert next(t for t in tables(found) if t.name == "located").rows[0][2] == "see shupe"
     assert sum(effect.statement in s for s in plain_sentences(found)) == 1
@@ -131,11 +131,9 @@ def test_large_errors_are_read_in_degrees(shupe: Diagnosis) -> None:
 def test_explained_coordinates_are_one_line(shupe: Diagnosis) -> None:
     rate: dict[str, Any] = {"low": -1.5, "high": -0.6, "unit": "degC/min", "rms_dps": 1.1e-3}
     places = [
-        Located("temperature_rate", "mean", "", 0.0, 1.0, **rate),
-        Located(
-            "time", "mean", "", 1e-41, 0.9, low=0.0, high=2500.0, unit="s", target="bias", rms_dps=1.2e-3
-        ),
-        Located("temperature_branch", "mean", "", 7e-12, 0.2, unit="degC/min", rms_dps=1.4e-3),
+        Located("temperature_rate", "mean", 0.0, 1.0, **rate),
+        Located("time", "mean", 1e-41, 0.9, low=0.0, high=2500.0, unit="s", target="bias", rms_dps=1.2e-3),
+        Located("temperature_branch", "mean", 7e-12, 0.2, unit="degC/min", rms_dps=1.4e-3),
     ]
     said = plain_sentences(replace(shupe, located=tuple(places)))
     assert said[1:3] == [
@@ -146,7 +144,7 @@ def test_explained_coordinates_are_one_line(shupe: Diagnosis) -> None:
     left = [
         places[0],
         replace(places[1], remains=True),
-        Located("rate", "variance", "", 1e-6, 1.0, True, low=32.0, high=32.0, unit="deg/s"),
+        Located("rate", "variance", 1e-6, 1.0, True, low=32.0, high=32.0, unit="deg/s"),
     ]
     said = plain_sentences(replace(shupe, verdict="partly_explained", located=tuple(left)))
     assert said[2:4] == [
@@ -157,8 +155,8 @@ def test_explained_coordinates_are_one_line(shupe: Diagnosis) -> None:
 
 def test_place_that_is_not_testable_is_not_named_so(shupe: Diagnosis) -> None:
     places = (
-        Located("rate", "mean", "", 1e-51, 1.0, low=93.6, high=100.8, unit="deg/s"),
-        Located("time_since_step", "mean", "", 0.005, 0.03),
+        Located("rate", "mean", 1e-51, 1.0, low=93.6, high=100.8, unit="deg/s"),
+        Located("time_since_step", "mean", 0.005, 0.03),
     )
     untested = {"time_since_step": "a table carries no samples"}
     table = replace(shupe, located=places, not_testable=untested)
@@ -187,7 +185,7 @@ def test_place_that_is_not_testable_is_not_named_so(shupe: Diagnosis) -> None:
     ],
 )
 def test_a_place_in_words(where: dict[str, Any], words: str) -> None:
-    assert region_words(Located("time", "mean", "", 0.01, 0.5, **where)) == words
+    assert region_words(Located("time", "mean", 0.01, 0.5, **where)) == words
 
 
 def test_log_at_one_rate_has_no_data_sets(shupe: Diagnosis) -> None:

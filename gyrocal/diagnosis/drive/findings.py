@@ -250,13 +250,13 @@ def places(
         coordinate = DRIVE_CATALOGUE[effect.effect].seen_in
         if coordinate not in found:
             share = gains.get(effect.effect, float("nan")) / whole
-            found[coordinate] = Located(coordinate, "mean", "", effect.p_value, share, finding=effect.effect)
+            found[coordinate] = Located(coordinate, "mean", effect.p_value, share, finding=effect.effect)
     odd = {c: p for c, (_, _, p) in yaw.strangers.items() if c in yaw.odd}
     if truth is not None:
         for coordinate, p in truth.odd.items():
             if p < STRANGER_P:
                 odd[coordinate] = min(p, odd.get(coordinate, 1.0))
-    left = [Located(c, "mean", "", p, float("nan"), remains=True) for c, p in odd.items()]
+    left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
     return [*found.values(), *left, *_noisy(series, yaw)]
 
 
@@ -274,7 +274,6 @@ def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
                 Located(
                     coordinate,
                     "variance",
-                    "",
                     STRANGER_P,
                     float("nan"),
                     remains=True,
