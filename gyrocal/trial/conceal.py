@@ -160,8 +160,8 @@ def size_layers(
         if sized and beside[k] < max(_OWN_SHARE * alone[k], _SEEN_SHARE * whole, 1e-12):
             return None
         size = target / beside[k] if sized else 1.0
-        size = min(size, h.law.most)
-        d_input = size * float(beside[k])
+        size = float(min(size, h.law.most))
+        d_input = float(size * beside[k])
         d = _against_output(bench, gyro, hidden, white, nuisances + k) if h.law.acts == "front" else d_input
         if d < least:
             return None

@@ -16,11 +16,11 @@ from gyrocal.records.files import write_atomically
 from gyrocal.trial.blind import BlindConfig, Finder, Progress, always_there
 from gyrocal.trial.conceal import Concealed, Layer
 from gyrocal.trial.made_up import MadeUp, make_up
-from gyrocal.trial.second import corrected_rms_dps, oracle_rms_dps, share_removed
+from gyrocal.trial.second import WORTH, corrected_rms_dps, oracle_rms_dps, share_removed
 
 #: Verdict on a recording that was not diagnosed.
 REFUSED = "refused"
-#: Worse than the surface by more than this is worse.
+#: Worse than the surface by more than this is worse, where the oracle shows that the record allows better.
 _WORSE = 1.05
 
 
@@ -73,10 +73,10 @@ class Opened:
 
     @property
     def worse(self) -> bool:
-        """Whether the improved file is worse than the surface on the second run, beyond a trifle."""
-        if self.before_dps is None or self.after_dps is None:
+        """Whether the improved file is worse than the surface on the second run, beyond what noise explains."""
+        if self.before_dps is None or self.after_dps is None or self.oracle_dps is None:
             return False
-        return self.after_dps > _WORSE * self.before_dps
+        return self.after_dps > max(_WORSE * self.before_dps, WORTH * self.oracle_dps)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, the answer opened."""

@@ -20,7 +20,7 @@ from gyrocal.trial.plans import Bench
 
 Floats = NDArray[np.float64]
 
-#: Below this ratio of the surface's error to the oracle's there is nothing to remove, and no share.
+#: An error up to so many times the oracle's is what the record allows: there is nothing to remove, and no share.
 WORTH = 1.3
 _ROUNDS = 8
 _LEAST_SLOPE = 0.02
