@@ -22,5 +22,8 @@ RAD_TO_DEG = 57.29577951308232
 #: Arc-seconds to degrees.
 ARCSEC_TO_DEG = 1.0 / 3600.0
 
+#: Half of a 95 % interval of a normal law, in standard deviations.
+NORMAL_95 = 1.959963984540054
+
 #: Standard gravity, m/s^2.
 G_MPS2 = 9.80665

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from gyrocal.calibration.residuals import (
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.physics.surface import Direction
+from gyrocal.records.csvio import read_header
 
 Floats = NDArray[np.float64]
 
@@ -116,6 +118,28 @@ class Calibration:
     def structured(self) -> tuple[str, ...]:
         """Coordinates in which the residual holds structure."""
         return tuple(test.coordinate for test in self.structure if test.structured)
+
+
+def configs(paths: Sequence[Path], counts_per_dps: float | None) -> list[FitConfig]:
+    """How to fit each of several recordings: the nominal scale belongs to the tables that are in counts.
+
+    Raises
+    ------
+    InputError
+        A scale is given, and no table is in counts.
+    """
+    counted = [_in_counts(path) for path in paths]
+    if counts_per_dps is not None and not any(counted):
+        raise InputError("None of the recordings is in counts; leave --counts-per-dps out.")
+    return [FitConfig(counts_per_dps if counts else None) for counts in counted]
+
+
+def _in_counts(path: Path) -> bool:
+    # What is wrong with a recording is said where it is read.
+    try:
+        return not path.is_dir() and "gyro_counts" in read_header(path)
+    except InputError:
+        return False
 
 
 def calibrate(path: Path, config: FitConfig) -> Calibration:

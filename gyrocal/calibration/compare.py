@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -12,6 +12,8 @@ from scipy import stats
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.figure import Figure
 from gyrocal.errors import DataError
+from gyrocal.inference.multiple import holm
+from gyrocal.units import NORMAL_95
 
 #: Rate at which a unit that did not change is said to have, over all figures together.
 ALARM_RATE = 0.01
@@ -55,12 +57,10 @@ def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
     ]
     names = [name for name in listed[0] if all(name in figures for figures in listed)]
     raw = [_change(tuple(figures[name] for figures in listed)) for name in names]
-    tested = sorted((k for k, c in enumerate(raw) if c.change is not None), key=lambda k: raw[k].p_value)
-    corrected, running = {}, 0.0
-    for rank, k in enumerate(tested):
-        running = max(running, min(1.0, raw[k].p_value * (len(tested) - rank)))
-        corrected[k] = running
-    return tuple(Change(c.figures, c.change, c.low, c.high, corrected.get(k, 1.0)) for k, c in enumerate(raw))
+    tested = np.array([c.change is not None for c in raw])
+    p_values = np.array([c.p_value for c in raw])
+    p_values[tested] = holm(p_values[tested])
+    return tuple(replace(c, p_value=p) for c, p in zip(raw, p_values.tolist(), strict=True))
 
 
 def _change(figures: tuple[Figure, ...]) -> Change:
@@ -73,6 +73,6 @@ def _change(figures: tuple[Figure, ...]) -> Change:
         (first[0] - first[1], last[2] - last[0]) if change < 0 else (first[2] - first[0], last[0] - last[1])
     )
     half = math.hypot(*facing)
-    std = half / float(stats.norm.ppf(0.975))
+    std = half / NORMAL_95
     p_value = 1.0 if std == 0 else 2.0 * float(stats.norm.sf(abs(change) / std))
     return Change(figures, change, change - half, change + half, float(np.clip(p_value, 0.0, 1.0)))

@@ -8,7 +8,7 @@ Reference rate of a data set, the best that the recording has:
 
 1. the slope of the table angle over the segment, where it is known better than the mean of the reported rates, or
    where the two disagree by more than five of its standard errors (a report that echoes the command). It integrates
-   servo cogging and wow, where the mean of sampled rates aliases them (physics-report.md, B3 and B4). An angle whose
+   servo cogging and wow, where the mean of sampled rates aliases them. An angle whose
    time stamps are coarse is known worse than a steady report, and one that is wrapped is no rate at all;
 2. the mean of the rates that the table reported;
 3. the commanded rate in the journal.

@@ -17,7 +17,7 @@ from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
 from gyrocal.calibration.figure import Figure
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.records.files import reading
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
 #: ``open``: the interval reaches over the limit, so that the measurement cannot tell.
 Judgement = Literal["pass", "fail", "open", "not tested"]
@@ -152,7 +152,11 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         names = ", ".join(row.before.name for row in rows)
         raise ProfileError(f"{source}: there is no figure {unknown[0]}. Known: {names}.")
     judged = tuple(_judged(row, limits.get(row.before.name)) for row in rows)
-    missing = [f"{row.before.title}: {row.before.reason}" for row in judged if row.before.reason]
+    missing = [
+        f"{row.before.title}: {row.before.reason}"
+        for row in judged
+        if row.before.value is None and row.before.high is None
+    ]
     quality = [f"{run.path.name}: {note}" for run in runs for note in run.calibration.notes]
     return Dossier(
         _identity(runs),
@@ -177,16 +181,12 @@ def pooled(figures: Sequence[Figure]) -> Figure:
         return known[0] if known else max(figures, key=lambda f: f.high or 0.0)
     values = np.array([f.value for f in known], dtype=float)
     within = np.array(
-        [
-            (f.high - f.low) / (2 * stats.norm.ppf(0.975))
-            for f in known
-            if f.low is not None and f.high is not None
-        ]
+        [(f.high - f.low) / (2 * NORMAL_95) for f in known if f.low is not None and f.high is not None]
     )
     n = values.size
     half = max(
         float(stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / math.sqrt(n)),
-        float(stats.norm.ppf(0.975) * math.sqrt(np.mean(within**2) / n)),
+        float(NORMAL_95 * math.sqrt(np.mean(within**2) / n)),
     )
     mean = float(values.mean())
     return replace(
@@ -256,7 +256,7 @@ def _reach(runs: Sequence[UnitRun]) -> list[Row]:
     newest = runs[-1].calibration
     valid, file = newest.coefficients.valid, newest.coefficients
     rates, temps = np.meshgrid(np.linspace(*valid.rate_dps, 41), np.linspace(*valid.temp_c, 13))
-    band = 1.959964 * float(np.max(file.sigma_dps(rates.ravel(), temps.ravel()))) * DPS_TO_DPH
+    band = NORMAL_95 * float(np.max(file.sigma_dps(rates.ravel(), temps.ravel()))) * DPS_TO_DPH
     rows.append(
         Row(
             Figure(

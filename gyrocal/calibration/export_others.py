@@ -60,31 +60,45 @@ def kalibr(file: Coefficients, rate_hz: float | None) -> str:
     Raises
     ------
     DataError
-        The record at rest carries no angle random walk, nothing of the rate random walk, or no sample rate is known.
+        The record at rest carries no angle random walk, or no sample rate is known.
     """
     noise = file.figures.get("noise", {})
     walk, drift = noise.get("angle_random_walk", {}), noise.get("rate_random_walk", {})
+    if walk.get("value") is None and file.noise.angle_random_walk_deg_per_rt_h is not None:
+        walk = {"value": file.noise.angle_random_walk_deg_per_rt_h[0]}
     rate = rate_hz or file.sensor.get("sample_rate_hz")
     if walk.get("value") is None:
         _refuse("an angle random walk")
-    if drift.get("value") is None and drift.get("at_most") is None:
-        _refuse("a rate random walk")
     if rate is None:
         raise DataError("Kalibr wants a sample rate, and these coefficients have none: give --rate-hz.")
     density = walk["value"] * DEG_PER_RT_H_TO_DPS_PER_RT_HZ * DEG_TO_RAD
-    per_rt_h = drift["value"] if drift.get("value") is not None else drift["at_most"]
-    # deg/h/sqrt(h) to rad/s^2/sqrt(Hz).
-    diffusion = per_rt_h * DPH_TO_DPS / S_PER_H**0.5 * DEG_TO_RAD
-    bound = "" if drift.get("value") is not None else ": not resolved, its 95 % bound"
     return "\n".join(
         [
             *_head(file, "#"),
             "# The accelerometer's figures are not measured on this bench.",
             f"gyroscope_noise_density: {density:.6e}    # rad/s/sqrt(Hz), angle random walk {walk['value']:.4g} deg/sqrt(h)",
-            f"gyroscope_random_walk: {diffusion:.6e}    # rad/s^2/sqrt(Hz), rate random walk {per_rt_h:.4g} deg/h/sqrt(h){bound}",
+            _random_walk(drift),
             f"update_rate: {float(rate):g}    # Hz",
             "",
         ]
+    )
+
+
+def _random_walk(drift: Mapping[str, Any]) -> str:
+    """Kalibr's line of the rate random walk; to be filled in by hand where the coefficients say nothing of it."""
+    resolved = drift.get("value") is not None
+    per_rt_h = drift["value"] if resolved else drift.get("at_most")
+    if per_rt_h is None:
+        return (
+            "# gyroscope_random_walk: these coefficients say nothing of it. Kalibr wants it: fit a run with an hour at rest\n"
+            "# (static_allan), or fill in the data sheet's, in rad/s^2/sqrt(Hz)."
+        )
+    # deg/h/sqrt(h) to rad/s^2/sqrt(Hz).
+    diffusion = per_rt_h * DPH_TO_DPS / S_PER_H**0.5 * DEG_TO_RAD
+    bound = "" if resolved else ": not resolved, its 95 % bound"
+    return (
+        f"gyroscope_random_walk: {diffusion:.6e}    # rad/s^2/sqrt(Hz), rate random walk {per_rt_h:.4g} "
+        f"deg/h/sqrt(h){bound}"
     )
 
 

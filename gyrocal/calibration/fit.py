@@ -8,7 +8,7 @@ rate (`residuals.structure_tests`) it explains it altogether.
 ``gls`` (the default) weights by the inverse of the estimated covariance (`covariance.Scatter`): scatter that grows
 with the rate, or that is common to neighbours in time, then counts for what it is worth. ``ols`` gives every data
 set the same weight, as the paper does. The standard errors of both come from the same estimated covariance, since
-those that ordinary least squares gives for itself cover 44 to 96 % instead of 95 % (physics-report.md, B.0).
+those that ordinary least squares gives for itself cover 44 to 96 % instead of 95 %.
 """
 
 from __future__ import annotations

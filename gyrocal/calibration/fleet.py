@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
-from gyrocal.errors import DataError, GyrocalError
+from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate, configs
+from gyrocal.errors import DataError, DeviceError, GyrocalError, InputError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.inference.multiple import holm
+from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -26,8 +29,6 @@ ALARM_RATE = 0.01
 _MOST_OUTLYING = 0.2
 #: Units below which neither is looked for.
 LEAST_UNITS = 5
-#: Width of a 95 % interval in standard deviations.
-_WIDTH = 2 * 1.959964
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def _figures(found: Calibration, file: Coefficients) -> dict[str, tuple[float, f
     for figure in listed:
         if figure.interval is not None:
             value, low, high = figure.interval
-            figures[f"{figure.name} [{figure.unit}]"] = (value, (high - low) / _WIDTH)
+            figures[f"{figure.name} [{figure.unit}]"] = (value, (high - low) / (2.0 * NORMAL_95))
     figures["residual_rms [deg/h]"] = (found.after_dps * DPS_TO_DPH, math.nan)
     std = np.sqrt(np.diag(file.covariance_dps2))
     for k, value in enumerate(file.surface.coefficients_dps.ravel()):
@@ -141,11 +142,60 @@ def _figures(found: Calibration, file: Coefficients) -> dict[str, tuple[float, f
     return figures
 
 
+@dataclass(frozen=True)
+class FleetConfig:
+    """Which recordings, and who does the work: processes of this machine, or a Dask cluster."""
+
+    recordings: tuple[Path, ...]
+    jobs: int | None = None
+    dask: str | None = None
+    counts_per_dps: float | None = None
+
+
+def measure_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> Fleet:
+    """Fit every recording on the workers that `config` names, and put the units beside each other.
+
+    Raises
+    ------
+    DataError
+        Nothing to compare. InputError, DeviceError: no library for Dask, or no cluster answers.
+    """
+    if len(config.recordings) < 2:
+        raise DataError("One recording is given, and a fleet has two at least: give more, or use `fit`.")
+    each = configs(config.recordings, config.counts_per_dps)
+    with _workers(config) as executor:
+        return compare_units(list(measure_all(config.recordings, each, executor, tell)))
+
+
+@contextmanager
+def _workers(config: FleetConfig) -> Iterator[Executor]:
+    if config.dask is None:
+        with ProcessPoolExecutor(config.jobs or os.cpu_count()) as pool:
+            yield pool
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError as error:
+        raise InputError("--dask needs the extra: pip install 'gyrocal[dask]'.") from error
+    try:
+        client = Client(config.dask, timeout="10s")
+    except (OSError, TimeoutError) as error:
+        raise DeviceError(
+            f"No Dask scheduler answers at {config.dask} ({error}): start one, or leave out --dask."
+        ) from error
+    # A task whose worker dies goes to another one: the scheduler sees to that.
+    with client, client.get_executor(retries=3) as executor:
+        yield executor
+
+
 def measure_all(
-    paths: Sequence[Path], config: FitConfig, executor: Executor, tell: Callable[[float, str], None]
+    paths: Sequence[Path],
+    each: Sequence[FitConfig],
+    executor: Executor,
+    tell: Callable[[float, str], None],
 ) -> Iterator[Unit]:
-    """Fit every recording on the workers of `executor`; units come as they are done."""
-    waiting = {executor.submit(measure, path, config): path for path in paths}
+    """Fit every recording as its entry of `each` says, on the workers of `executor`; units come as they are done."""
+    waiting = {executor.submit(measure, path, config): path for path, config in zip(paths, each, strict=True)}
     for done, future in enumerate(as_completed(waiting), start=1):
         tell(done / len(paths), waiting[future].name)
         yield future.result()
@@ -271,10 +321,9 @@ def _drifts(table: Mapping[str, tuple[Floats, Floats]]) -> tuple[Drift, ...]:
             x = values[np.isfinite(values)]
             tested.append((float(stats.kendalltau(place, x).pvalue), name, place, x))
     found = []
-    for rank, (p_value, name, place, x) in enumerate(sorted(tested, key=lambda entry: entry[:2])):
-        corrected = p_value * (len(tested) - rank)
-        if corrected >= ALARM_RATE:
-            break
-        slope = stats.theilslopes(x, place, 0.95)
-        found.append(Drift(name, float(slope[0]), float(slope[2]), float(slope[3]), corrected))
-    return tuple(found)
+    corrected = holm(np.array([p_value for p_value, *_ in tested]))
+    for p_value, (_, name, place, x) in zip(corrected.tolist(), tested, strict=True):
+        if p_value < ALARM_RATE:
+            slope = stats.theilslopes(x, place, 0.95)
+            found.append(Drift(name, float(slope[0]), float(slope[2]), float(slope[3]), p_value))
+    return tuple(sorted(found, key=lambda drift: (drift.p_value, drift.figure)))

@@ -16,6 +16,7 @@ from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.fit import studentised_residuals
 from gyrocal.calibration.groups import STRETCHES, indicators, rate_groups, temperature_groups, time_groups
+from gyrocal.inference.multiple import holm
 
 Floats = NDArray[np.float64]
 
@@ -81,15 +82,6 @@ class ScatterByRate:
     neighbours: Floats
     p_value: Floats
     growth_p_value: float
-
-
-def holm(p_values: Floats) -> Floats:
-    """Holm's step-down correction of a family of p-values, same order."""
-    order = np.argsort(p_values)
-    stepped = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
-    corrected = np.empty_like(p_values)
-    corrected[order] = np.minimum(stepped, 1.0)
-    return corrected
 
 
 def find_outliers(sets: DataSets, scatter: Scatter) -> tuple[tuple[Outlier, ...], NDArray[np.bool_], Scatter]:

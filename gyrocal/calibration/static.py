@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from gyrocal.calibration.course import Course, CourseSums
 from gyrocal.calibration.datasets import load_recording
@@ -34,16 +33,16 @@ from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
 from gyrocal.records.gyro_log import iterate_gyro_log
 from gyrocal.records.run import Run, read_run
-from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, S_PER_H
+from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
 
 #: A slope over temperature needs as many degrees.
 _LEAST_SPAN_C = 3.0
 _LEAST_MEANS = 16
+#: No gyro at rest is so far off its own median for so much of the time, nor has it such a bias: it turns.
+_TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
 _PPM = 1e6
-#: Half of a 95 % interval, in standard deviations.
-_SIGMAS = float(stats.norm.ppf(0.975))
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ def examine_static(
     InputError
         A bad file.
     DataError
-        The run holds nothing at rest.
+        The run holds nothing at rest, or the gyro of the log turns.
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
@@ -172,9 +171,11 @@ def examine_static(
         raise DataError(
             f"{config.path}: holds no samples at rest. Record some with the static_allan profile."
         )
+    course = reading.course.course()
+    if run is None:
+        _refuse_turns(config.path, course)
     tell(0.8, "figures")
     noise = figures_of(_curves(reading)) if run is None else figures_of(curves_at_rest(run, _bias(run)))
-    course = reading.course.course()
     covariance = _covariance(course, noise, reading.elapsed_s)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
     figures = [*_mean(course, covariance, blank, config), *_slopes(course, covariance, blank)]
@@ -188,6 +189,17 @@ def examine_static(
         reading.missing,
         tuple(notes),
     )
+
+
+def _refuse_turns(path: Path, course: Course) -> None:
+    middle_dps = float(np.median(course.gyro_dps))
+    off_dps = np.abs(course.gyro_dps - middle_dps)
+    share = float(np.sum(course.n[off_dps > _TURNING_DPS]) / np.sum(course.n))
+    if share > _TURNING_SHARE or abs(middle_dps) > _LARGEST_BIAS_DPS:
+        raise DataError(
+            f"{path}: the gyro turns in it, at up to {np.max(np.abs(course.gyro_dps)):.3g} deg/s, and noise is told of one that "
+            "stands. Cut out a rest, give the table's rate as rate_dps, or take `turn` for turns on a mark."
+        )
 
 
 def _bias(run: Run) -> Floats:
@@ -278,7 +290,7 @@ def _mean(course: Course, covariance: Floats | None, blank: Figure, config: Stat
     """Mean output, and less the earth rate about the sensing axis."""
     share = course.n / course.n.sum()
     mean_dps = float(share @ course.gyro_dps)
-    half = np.nan if covariance is None else float(_SIGMAS * np.sqrt(share @ covariance @ share))
+    half = np.nan if covariance is None else float(NORMAL_95 * np.sqrt(share @ covariance @ share))
     mean = replace(
         blank,
         name="mean_bias",
@@ -330,7 +342,7 @@ def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Fi
         columns.append(course.temp_c - course.temp_c.mean())
     design = np.stack(columns, axis=1)
     gain = gls_gain(covariance, design)
-    half = _SIGMAS * np.sqrt(np.sum(gain * (gain @ covariance), axis=1))
+    half = NORMAL_95 * np.sqrt(np.sum(gain * (gain @ covariance), axis=1))
     values = gain @ course.gyro_dps
     ramp = _or_bound(_with_interval(ramp, float(values[1]), float(half[1]), DPS_TO_DPH * S_PER_H))
     if not varied:
@@ -371,5 +383,5 @@ def _clock(reading: _Reading, rate_hz: float | None) -> Figure:
     if not reading.elapsed_s > 0:
         return replace(blank, reason="no two time stamps follow each other")
     error = reading.steps / rate_hz / reading.elapsed_s - 1.0
-    half = _SIGMAS * reading.jitter_s / reading.elapsed_s
+    half = NORMAL_95 * reading.jitter_s / reading.elapsed_s
     return _with_interval(blank, error, half, _PPM)

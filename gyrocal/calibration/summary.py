@@ -11,7 +11,7 @@ from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
 from gyrocal.calibration.figure import Figure
 from gyrocal.physics.surface import SHAPE
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
@@ -88,7 +88,7 @@ def remarks(c: Calibration) -> tuple[str, ...]:
         f"valid from {valid.rate_dps[0]:+.4g} to {valid.rate_dps[1]:+.4g} deg/s and "
         f"{valid.temp_c[0]:.1f} to {valid.temp_c[1]:.1f} °C; the runtime flags what is outside"
     )
-    return (*lines, *c.notes)
+    return (*lines, *_without_number(c), *c.notes)
 
 
 def _choice_line(c: Calibration) -> str:
@@ -108,7 +108,7 @@ def _undetermined_line(c: Calibration) -> list[str]:
     k = int(np.argmax(sigma))
     return [
         f"{int((~c.fit.terms).sum())} terms that the recording does not determine are nothing in the surface and something "
-        f"in its band: ± {dph(1.96 * float(sigma[k]))} deg/h (95 %) at {g[k]:+.4g} deg/s and {t[k]:.1f} °C, where it is widest"
+        f"in its band: ± {dph(NORMAL_95 * float(sigma[k]))} deg/h (95 %) at {g[k]:+.4g} deg/s and {t[k]:.1f} °C, where it is widest"
     ]
 
 
@@ -191,20 +191,28 @@ def _coefficient_table(c: Calibration) -> Table:
 
 def _figure_table(c: Calibration) -> Table:
     """Figures before and after compensation; a reason stands where there is no number."""
-    rows = [figure_row(pair.before, pair.after) for pair in c.merit.values()]
-    rows += [figure_row(figure, None) for figure in c.noise.figures.values()]
+    rows = [_figure_row(pair.before, pair.after) for pair in c.merit.values()]
+    rows += [_figure_row(figure, None) for figure in c.noise.figures.values()]
     return Table(
         "Figures (named after IEEE 952), with 95 % intervals; after: on data left out",
-        ("figure", "before", "after", "unit", "definition"),
+        ("figure", "before", "after", "unit"),
         tuple(rows),
     )
 
 
-def figure_row(before: Figure, after: Figure | None) -> tuple[str, ...]:
-    """Name, before, after, unit, definition; noise is the same before and after."""
-    left = "" if after is None else said(after)
-    why = f"{before.definition} ({before.reason})" if before.reason else before.definition
-    return before.title, said(before), left, before.unit, why
+def _figure_row(before: Figure, after: Figure | None) -> tuple[str, ...]:
+    """Name, before, after, unit; noise is the same before and after."""
+    return before.title, said(before), "" if after is None else said(after), before.unit
+
+
+def _without_number(c: Calibration) -> list[str]:
+    """Figures without a number, by the reason that they have in common."""
+    listed = [pair.before for pair in c.merit.values()] + list(c.noise.figures.values())
+    by_reason: dict[str, list[str]] = {}
+    for figure in listed:
+        if figure.value is None:
+            by_reason.setdefault(figure.reason, []).append(figure.title)
+    return [f"no number for {', '.join(titles)}: {reason}" for reason, titles in by_reason.items()]
 
 
 def said(figure: Figure) -> str:

@@ -52,7 +52,9 @@ def command(
     else:
         click.echo(certificate_sentence(dossier)[0])
         click.echo("")
-        emit_table(*figure_rows(dossier))
+        columns, rows = figure_rows(dossier)
+        # What each figure is stands on the page.
+        emit_table(columns[:-1], [row[:-1] for row in rows])
         click.echo("\nNot tested:")
         for text in dossier.not_tested:
             click.echo(f"- {text}")

@@ -21,15 +21,15 @@ def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool)
 
     Example: gyrocal compare before after
     """
-    from gyrocal.calibration.calibrate import FitConfig, calibrate
+    from gyrocal.calibration.calibrate import calibrate, configs
     from gyrocal.calibration.compare import compare_runs
     from gyrocal.report.compare import change_rows, changes_sentence, to_json
 
     found = []
     with progress("compare", quiet=as_json) as tell:
-        for number, path in enumerate(runs):
+        for number, (path, config) in enumerate(zip(runs, configs(runs, counts_per_dps), strict=True)):
             tell(number / len(runs), path.name)
-            found.append(calibrate(path, FitConfig(counts_per_dps)))
+            found.append(calibrate(path, config))
     changes = compare_runs(found)
     names = [path.name for path in runs]
     if as_json:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from typing import Any
 
 import click
@@ -22,6 +24,8 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the o
 
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
+#: Characters that a table may be wide when it is piped.
+_PLAIN_WIDTH = 100
 
 
 @contextmanager
@@ -49,21 +53,13 @@ def drop_what_nobody_reads() -> None:
 
 def emit_json(data: Mapping[str, Any]) -> None:
     """Print `data` as one JSON document on stdout; NaN and infinity become null."""
-    click.echo(json.dumps(_finite(data), indent=1, allow_nan=False))
+    from gyrocal.records.files import finite
 
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not abs(value) < float("inf"):
-        return None
-    return value
+    click.echo(json.dumps(finite(data), indent=1, allow_nan=False))
 
 
 def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table of ready-made cells: ruled on a terminal, aligned plain text when piped."""
+    """Print a table of ready-made cells: ruled on a terminal, aligned plain text when piped; cells that are too wide fold."""
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.table import Table
@@ -75,14 +71,30 @@ def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str
             table.add_row(*row)
         Console().print(table)
         return
-    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+    widths = _widths(columns, rows)
     if title:
         click.echo(title)
     for row in (columns, *rows):
-        cells = [
-            c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        click.echo("  ".join(cells).rstrip())
+        folded = [textwrap.wrap(c, w) if len(c) > w else [c] for c, w in zip(row, widths, strict=True)]
+        for line in zip_longest(*folded, fillvalue=""):
+            cells = [
+                c.ljust(w) if i == 0 else c.rjust(w)
+                for i, (c, w) in enumerate(zip(line, widths, strict=True))
+            ]
+            click.echo("  ".join(cells).rstrip())
+
+
+def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[int]:
+    """Width of each column: the widest give way, down to their longest word, until the table fits `_PLAIN_WIDTH`."""
+    cells = list(zip(columns, *rows, strict=True))
+    widths = [max(map(len, column)) for column in cells]
+    least = [max(len(word) for cell in column for word in cell.split() or [""]) for column in cells]
+    while sum(widths) + 2 * (len(widths) - 1) > _PLAIN_WIDTH:
+        k = max(range(len(widths)), key=lambda i: (widths[i] > least[i], widths[i]))
+        if widths[k] <= least[k]:
+            break
+        widths[k] -= 1
+    return widths
 
 
 @contextmanager

@@ -32,18 +32,22 @@ def command(
 
     Example: gyrocal fleet units/*/run --out fleet
     """
-    from gyrocal.report.fleet import FleetConfig, tables, to_json, write_fleet
+    from gyrocal.calibration.fleet import FleetConfig, measure_fleet
+    from gyrocal.report.fleet import fleet_sentence, tables, to_json, write_fleet
+    from gyrocal.report.output import check_output
 
+    check_output(out)
     with progress("fleet", quiet=as_json) as tell:
-        result = write_fleet(FleetConfig(recordings, out, jobs, dask, counts_per_dps), tell)
+        fleet = measure_fleet(FleetConfig(recordings, jobs, dask, counts_per_dps), tell)
+    write_fleet(fleet, out)
     if as_json:
-        emit_json(to_json(result.fleet))
+        emit_json(to_json(fleet))
         return
-    click.echo(result.verdict)
-    for table in tables(result.fleet):
+    click.echo(fleet_sentence(fleet))
+    for table in tables(fleet):
         if table.rows:
             click.echo("")
             emit_table(table.columns, table.rows, table.title)
-    for unit in result.fleet.failed:
+    for unit in fleet.failed:
         click.echo(f"- {unit.source}: {unit.error}")
     click.echo(f"\nPictures and numbers: open {out / 'fleet.html'}")

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.intervals import NORMAL_95
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
 from gyrocal.diagnosis.parts import BLOCKS, SURFACE, Part, polynomials
 from gyrocal.diagnosis.powers import legendre_to_powers
@@ -26,6 +25,7 @@ from gyrocal.physics.smooth import Factor, SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.intervals import NORMAL_95, Profile, amplitude_interval, profile_interval
+from gyrocal.diagnosis.intervals import Profile, amplitude_interval, profile_interval
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import PPM, Effect
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 

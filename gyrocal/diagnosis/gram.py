@@ -81,18 +81,6 @@ def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projec
     return Projection(gram[1:, 1:], gram[1:, 0].copy(), norm[1:], float(gram[0, 0]))
 
 
-def holm(p_values: Floats, level: float) -> NDArray[np.bool_]:
-    """Holm's step-down: which hypotheses are rejected with family-wise error `level`, shape (m,)."""
-    order = np.argsort(p_values)
-    m = p_values.size
-    passed = np.zeros(m, dtype=bool)
-    for rank, index in enumerate(order):
-        if p_values[index] > level / (m - rank):
-            break
-        passed[index] = True
-    return passed
-
-
 def benjamini_hochberg(p_values: Floats, level: float) -> NDArray[np.bool_]:
     """Benjamini and Hochberg's step-up: false discovery rate `level`, shape (m,)."""
     m = p_values.size

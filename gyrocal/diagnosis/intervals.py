@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from gyrocal.units import NORMAL_95
+
 Floats = NDArray[np.float64]
 
 #: Rise of the residual sum of squares at the ends of a 95 % interval: the quantile of chi-square, 1 df.
@@ -21,8 +23,6 @@ _TIE = 1e-3
 #: Shapes at which an amplitude's likelihood is evaluated, and how far beyond the interval of the shape.
 _SHAPES = 15
 _WIDER = 1.4
-#: Half width of a 95 % interval in standard deviations.
-NORMAL_95 = 1.959964
 _RATIO_95 = 2.0 * NORMAL_95
 
 

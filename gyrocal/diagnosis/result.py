@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.records.files import finite
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -62,14 +62,14 @@ class Located:
         return {
             "coordinate": self.coordinate,
             "statistic": self.statistic,
-            "from": _finite(self.low),
-            "to": _finite(self.high),
+            "from": finite(self.low),
+            "to": finite(self.high),
             "unit": self.unit,
             "target": self.target,
-            "rms_dps": _finite(self.rms_dps),
-            "times_given": _finite(self.times_given),
-            "p_value": _finite(self.p_value),
-            "share": _finite(self.share),
+            "rms_dps": finite(self.rms_dps),
+            "times_given": finite(self.times_given),
+            "p_value": finite(self.p_value),
+            "share": finite(self.share),
             "remains": self.remains,
         }
 
@@ -86,10 +86,10 @@ class Estimate:
     def to_json(self) -> dict[str, Any]:
         """Entry of ``parameters``."""
         return {
-            "value": _finite(self.value),
-            "std": _finite(self.std),
+            "value": finite(self.value),
+            "std": finite(self.std),
             "unit": self.unit,
-            "interval_95": [_finite(self.interval_95[0]), _finite(self.interval_95[1])],
+            "interval_95": [finite(self.interval_95[0]), finite(self.interval_95[1])],
         }
 
 
@@ -104,7 +104,7 @@ class Alternative:
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``alternatives``."""
-        return {"effect": self.effect, "evidence_ratio": _finite(self.evidence_ratio)}
+        return {"effect": self.effect, "evidence_ratio": finite(self.evidence_ratio)}
 
 
 @dataclass(frozen=True)
@@ -136,14 +136,14 @@ class Improvement:
     def to_json(self) -> dict[str, Any]:
         """Entry of ``improvement``."""
         return {
-            "heldout_rms_before_dps": _finite(self.heldout_rms_before_dps),
-            "heldout_rms_after_dps": _finite(self.heldout_rms_after_dps),
-            "noise_floor_dps": _finite(self.noise_floor_dps),
-            "interval_95": [_finite(x) for x in self.interval_95],
-            "logloss_before_nats": _finite(self.logloss_before),
-            "logloss_after_nats": _finite(self.logloss_after),
-            "logloss_interval_95": [_finite(x) for x in self.logloss_interval_95],
-            "excess_removed": _finite(self.excess_removed),
+            "heldout_rms_before_dps": finite(self.heldout_rms_before_dps),
+            "heldout_rms_after_dps": finite(self.heldout_rms_after_dps),
+            "noise_floor_dps": finite(self.noise_floor_dps),
+            "interval_95": [finite(x) for x in self.interval_95],
+            "logloss_before_nats": finite(self.logloss_before),
+            "logloss_after_nats": finite(self.logloss_after),
+            "logloss_interval_95": [finite(x) for x in self.logloss_interval_95],
+            "excess_removed": finite(self.excess_removed),
             "left_out": self.scheme,
         }
 
@@ -171,9 +171,9 @@ class Layer:
         """Entry of ``layers``."""
         return {
             "layer": self.name or "surface",
-            "heldout_rms_dps": _finite(self.heldout_rms_dps),
-            "noise_floor_dps": _finite(self.noise_floor_dps),
-            "logloss_nats": _finite(self.logloss),
+            "heldout_rms_dps": finite(self.heldout_rms_dps),
+            "noise_floor_dps": finite(self.noise_floor_dps),
+            "logloss_nats": finite(self.logloss),
         }
 
 
@@ -209,13 +209,13 @@ class UnnamedPart:
         return {
             "coordinate": self.coordinate,
             "family": self.family,
-            "evidence_nats": _finite(self.evidence_nats),
-            "rms_dps": _finite(self.rms_dps),
-            "from": _finite(self.low),
-            "to": _finite(self.high),
+            "evidence_nats": finite(self.evidence_nats),
+            "rms_dps": finite(self.rms_dps),
+            "from": finite(self.low),
+            "to": finite(self.high),
             "unit": self.unit,
             "nearest": [
-                {"effect": e, "left_nats": _finite(n)}
+                {"effect": e, "left_nats": finite(n)}
                 for e, n in sorted(self.nearest.items(), key=lambda item: item[1])
             ],
             "corrected": self.corrected,
@@ -244,11 +244,11 @@ class NamedEffect:
             "family": self.family,
             "statement": self.statement,
             "parameters": {k: e.to_json() for k, e in self.parameters.items()},
-            "p_value": _finite(self.p_value),
+            "p_value": finite(self.p_value),
             "alternatives": [a.to_json() for a in self.alternatives],
             "improvement": None if self.improvement is None else self.improvement.to_json(),
             "runtime": self.runtime,
-            "share_of_evidence": _finite(self.share),
+            "share_of_evidence": finite(self.share),
         }
 
 
@@ -290,11 +290,11 @@ class NoiseFigures:
     def to_json(self) -> dict[str, Any]:
         """Entry ``noise``."""
         return {
-            "white_std_dps": _finite(self.white_std_dps),
-            "angle_random_walk_deg_per_rt_h": _finite(self.angle_random_walk_deg_per_rt_h),
-            "bias_instability_deg_per_h": _finite(self.bias_instability_deg_per_h),
-            "rate_random_walk_deg_per_h_per_rt_h": _finite(self.rate_random_walk_deg_per_h_per_rt_h),
-            "rate_jitter_ppm": _finite(self.rate_jitter_ppm),
+            "white_std_dps": finite(self.white_std_dps),
+            "angle_random_walk_deg_per_rt_h": finite(self.angle_random_walk_deg_per_rt_h),
+            "bias_instability_deg_per_h": finite(self.bias_instability_deg_per_h),
+            "rate_random_walk_deg_per_h_per_rt_h": finite(self.rate_random_walk_deg_per_h_per_rt_h),
+            "rate_jitter_ppm": finite(self.rate_jitter_ppm),
         }
 
 
@@ -357,8 +357,3 @@ class Diagnosis:
             "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),
             **({} if self.drive is None else {"drive": dict(self.drive)}),
         }
-
-
-def _finite(value: float | None) -> float | None:
-    """A number for JSON: null where it is not known or not finite."""
-    return None if value is None or not math.isfinite(value) else float(value)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from gyrocal.diagnosis.base import fit_surface
-from gyrocal.diagnosis.gram import holm
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.series import FEWEST_OUTLIERS, Series, set_means
+from gyrocal.inference.multiple import holm
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -185,7 +186,9 @@ def outlier_findings(series: Series) -> list[Finding]:
             BURSTS.id,
             statement,
             {
-                "amplitude": Estimate(size, spread, "mdeg/s", (size - 1.96 * spread, size + 1.96 * spread)),
+                "amplitude": Estimate(
+                    size, spread, "mdeg/s", (size - NORMAL_95 * spread, size + NORMAL_95 * spread)
+                ),
                 "share": Estimate(share, share / np.sqrt(count), "1", (low, high)),
             },
             p,
@@ -224,7 +227,7 @@ def clock_findings(series: Series) -> list[Finding]:
     p = float(2.0 * norm.sf(min(abs(ppm) / std_ppm, 37.0)))
     statement = f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the sample clock is off, and an output that is an angle per sample is scaled by as much."
     place = Located("rate", "mean", p, 0.0, target="sample times", finding=TIME_BASE.id)
-    value = Estimate(ppm, std_ppm, "ppm", (ppm - 1.96 * std_ppm, ppm + 1.96 * std_ppm))
+    value = Estimate(ppm, std_ppm, "ppm", (ppm - NORMAL_95 * std_ppm, ppm + NORMAL_95 * std_ppm))
     return [Finding(TIME_BASE.id, statement, {"amplitude": value}, p, place)]
 
 
@@ -257,7 +260,7 @@ def variance_places(
     if not found:
         return []
     p_values = np.array([f[2] for f in found])
-    passed = holm(p_values, level)
+    passed = holm(p_values) <= level
     best: dict[str, Located] = {}
     excess = max(
         float(np.sum(squares)) * 1e-3, sum(max(f[3], 0.0) for f, ok in zip(found, passed, strict=True) if ok)

@@ -162,6 +162,10 @@ def load_coefficients(path: str | Path) -> Coefficients:
         text = Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise CoefficientError(f"{path}: is not a coefficient file (not UTF-8 text).") from error
+    except IsADirectoryError as error:
+        raise InputError(
+            f"{path}: is a directory, and a coefficient file of `fit` is wanted here."
+        ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}). Check the path.") from error
     return parse_coefficients(text, str(path))
@@ -172,6 +176,10 @@ def parse_coefficients(text: str, name: str) -> Coefficients:
     try:
         body = json.loads(text)
     except (ValueError, RecursionError) as error:
+        if text.strip() and not text.lstrip().startswith("{"):
+            raise CoefficientError(
+                f"{name}: is not a coefficient file, which `fit` writes as JSON. Check the order of what was given."
+            ) from error
         raise CoefficientError(
             f"{name}: is not JSON ({error}); the file is truncated or damaged. Fit again."
         ) from error

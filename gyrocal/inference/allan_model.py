@@ -5,8 +5,9 @@
 with angle random walk N, bias instability B and rate random walk K. ``c_q`` is ``3 Q^2`` for quantisation of the angle.
 It is also what any memory of the sensor leaves at averaging times beyond that memory: the angle's variance grows as
 ``N^2 t - c0``, and avar is ``N^2/tau - 1.5 c0/tau^2`` exactly. The part is then negative. A low-pass of first order and
-time constant T has ``c0 = N^2 T`` and ``N^2 t - c0 (1 - exp(-t/T))``, which is taken for the transition; where a sensor's
-filter is another one, the averaging times that do not fit are left out.
+time constant T has ``c0 = N^2 T`` and ``N^2 t - c0 (1 - exp(-t/T))`` where the samples are means over dt, which is taken for
+the transition; where they are points of the filter's output, ``c0 = N^2 dt / sinh(dt/T)``, so that a filter that is fast
+against dt lasts longer than its c0 says. Averaging times near to either, and those that do not fit, are left out.
 
 Allan variances at different averaging times share samples. Their logarithms are taken for normal with the covariance
 that the fitted noise gives them (`allan.covariance_parts`); intervals are profile likelihoods, and what is left at the
@@ -126,7 +127,7 @@ def fit_noise(curves: Sequence[AllanCurve]) -> NoiseModel | None:
     parts = np.zeros((tau.size, tau.size, 4, 4))
     for curve, a, b in zip(curves, size[:-1], size[1:], strict=True):
         parts[a:b, a:b] = covariance_parts(curve)
-    data = _Data(tau, avar, parts)
+    data = _Data(tau, avar, parts, np.concatenate([np.full(c.factor.size, c.dt_s) for c in curves]))
     best: tuple[float, Mask] | None = None
     for length in range(tau.size, least - 1, -1):
         # Of stretches as long as one another the one without the shortest averaging times comes first.
@@ -143,11 +144,12 @@ def fit_noise(curves: Sequence[AllanCurve]) -> NoiseModel | None:
 
 @dataclass(frozen=True)
 class _Data:
-    """Allan variances at averaging times, shape (m,), and the parts of their covariance."""
+    """Allan variances at averaging times, shape (m,), the parts of their covariance, and the sample times."""
 
     tau_s: Floats
     avar: Floats
     parts: Floats
+    dt_s: Floats
 
     def logs(self, coefficients: Floats) -> _Logs:
         """Law of the logarithms, if the noise is that of `coefficients`."""
@@ -219,7 +221,8 @@ class _Data:
         Nearer to it the model still bends its other parts to what it cannot describe, without a misfit to be seen.
         """
         while True:
-            longer = used & (self.tau_s > _MEMORIES * self.settle(used)[0].memory_s)
+            memory_s = self.settle(used)[0].memory_s
+            longer = used & (self.tau_s > _MEMORIES * _of_points(memory_s, self.dt_s))
             if longer.sum() < len(POWERS) + _LEAST_SPARE or np.array_equal(longer, used):
                 return used
             used = longer
@@ -282,6 +285,11 @@ def _memory(coefficients: Floats) -> float:
     """Time constant of a first-order low-pass with these coefficients, s."""
     quantised, white = float(coefficients[0]), float(coefficients[1])
     return -quantised / (1.5 * white) if quantised < 0.0 < white else 0.0
+
+
+def _of_points(memory_s: float, dt_s: Floats) -> Floats:
+    """Time constant of a low-pass with this `memory_s` whose output is sampled at points: the longer of the two."""
+    return dt_s / np.arcsinh(dt_s / memory_s) if memory_s > 0.0 else np.zeros_like(dt_s)
 
 
 def _columns(tau_s: Floats, memory_s: float) -> Floats:

@@ -1,7 +1,6 @@
 """Noise of a recording and its whitening: white noise, 1/f bias noise, rate random walk, a rate error of each data set.
 
-The covariance is that of a state-space model (physics.md; physics-report.md, B.0): angle random walk over each
-row's averaging time, a sum of Ornstein-Uhlenbeck processes of common amplitude (their spectrum adds up to 1/f),
+The covariance is that of a state-space model: angle random walk over each row's averaging time, a sum of Ornstein-Uhlenbeck processes of common amplitude (their spectrum adds up to 1/f),
 an offset that is drawn anew for each data set, proportional to the rate, and, where the record insists on it, a
 random walk of the bias (IEEE 952: N, B and K). A Kalman filter whitens the record and every regression column in
 one pass; the restricted likelihood of its innovations gives the levels.

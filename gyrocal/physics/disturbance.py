@@ -64,7 +64,7 @@ STEP_RESPONSE = Effect(
     needs=("since_step_s", "step_dps"),
     seen_in="time_since_step",
     looks_like=(),
-    reference="second-order step response; physics-report.md G11",
+    reference="second-order step response",
     runtime=False,
     error_dps=memoryless(_step_response),
     search=Search(
@@ -89,7 +89,7 @@ SUPPLY_VOLTAGE = Effect(
     needs=("supply_v",),
     seen_in="supply",
     looks_like=(),
-    reference="IEEE Std 952, supply sensitivity; physics-report.md G17",
+    reference="IEEE Std 952, supply sensitivity",
     runtime=False,
     error_dps=memoryless(_supply),
 )

@@ -2,7 +2,7 @@
 
 The share R^2 of an effect's whitened signature that another captures, and the effect's signal-to-noise ratio d'
 under the noise that is there, are known before any data: to tell the two at 20 : 1 the expected difference in
-log-likelihood, d'^2 (1 - R^2)/2, must be 3 nats, so d' >= sqrt(6/(1 - R^2)) (physics-report.md, B.2).
+log-likelihood, d'^2 (1 - R^2)/2, must be 3 nats, so d' >= sqrt(6/(1 - R^2)).
 """
 
 from __future__ import annotations

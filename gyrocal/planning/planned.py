@@ -100,7 +100,7 @@ class Design:
 
 
 def designs(reach: Reach) -> list[Design]:
-    """Plans within reach, each the best that is known for one kind of doubt (physics-report.md, D.7)."""
+    """Plans within reach, each the best that is known for one kind of doubt."""
     found = _thermal(reach)
     if reach.high_c - reach.low_c < _LEAST_SPAN_C:
         found = []

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gyrocal.errors import InputError
 from gyrocal.records.files import reading
+from gyrocal.records.recognise import other_table, other_text
 
 Floats = NDArray[np.float64]
 
@@ -48,6 +49,9 @@ def read_header(path: Path) -> list[str]:
         line = f.readline(_LONGEST_LINE)
     if "\0" in line or len(line) == _LONGEST_LINE:
         raise InputError(f"{path}: is not a text file. Check that it is the right file.")
+    other = other_text(path, line)
+    if other:
+        raise InputError(f"{path}: {other}")
     header = [name.strip() for name in line.strip().split(",")]
     if header == [""]:
         raise InputError(f"{path}: is empty. Check that it was written to its end.")
@@ -64,36 +68,28 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
     if repeated:
         raise InputError(f"{path}, line 1: column {repeated[0]:.80} stands twice. Remove one.")
     missing = [name for name in required if name not in header]
+    unknown = [name for name in header if name not in known]
+    other = other_table(header, required) if missing or unknown else ""
+    if other:
+        raise InputError(f"{path}: {other}")
     if missing:
         msg = (
             f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). "
-            f"{_hint(header, known)}Names carry the unit; known: {', '.join(known)}."
+            f"{_hint(header)}Names carry the unit; known: {', '.join(known)}."
         )
         raise InputError(msg)
-    unknown = [name for name in header if name not in known]
     if unknown:
-        msg = (
-            f"{path}, line 1: unknown column {unknown[0]!r:.80}. "
-            f"{_hint(header, known)}Names carry the unit; known: {', '.join(known)}."
-        )
+        msg = f"{path}, line 1: unknown column {unknown[0]!r:.80}. Names carry the unit; known: {', '.join(known)}."
         raise InputError(msg)
 
 
-def _hint(header: Sequence[str], known: Sequence[str]) -> str:
-    """What a header of other columns most likely is, as a sentence with a blank behind it; empty if nobody knows.
-
-    It names every command that takes such a file, since this may be any other.
-    """
+def _hint(header: Sequence[str]) -> str:
+    """What is wrong with how the cells are separated, as a sentence with a blank behind it; empty if nothing is."""
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             return (
                 f"The cells are separated by {name}: save the file with commas, and points in its numbers. "
             )
-    sides = {"left_m", "left_ticks"} & set(header) and {"right_m", "right_ticks"} & set(header)
-    if "left_m" not in known and (sides or {"speed_m", "speed_mps"} & set(header)):
-        return "This looks like the log of a drive, which `gyrocal replay` and `gyrocal diagnose` take with --robot. "
-    if "rate_dps" not in known and {"rate_dps", "temp_c"} <= set(header):
-        return "This looks like a table of data sets, which `gyrocal fit` and `gyrocal diagnose` take without --robot. "
     return ""
 
 

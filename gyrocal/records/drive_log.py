@@ -266,7 +266,7 @@ def _native_rules(path: Path, header: list[str]) -> dict[str, ColumnRule]:
         name: ColumnRule(name, unit) for name, unit in plain.items() if name in header and name not in way
     }
     if not set(_QUATERNION).isdisjoint(header):
-        require_columns(path, header, _QUATERNION, COLUMNS)
+        require_columns(path, header, (*_QUATERNION, *names, "gyro_dps"), COLUMNS)
         if "truth_heading_deg" in header:
             raise InputError(
                 f"{path}, line 1: has both truth_heading_deg and a quaternion. Remove one of them."

@@ -6,10 +6,11 @@ import contextlib
 import errno
 import hashlib
 import json
+import math
 import os
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -149,6 +150,15 @@ def read_text(path: Path) -> str:
     """The text of a UTF-8 file, without the mark that some editors put before it."""
     with reading(path):
         return path.read_text(encoding="utf-8-sig")
+
+
+def finite(value: Any) -> Any:
+    """What JSON can hold: numbers that are not finite become None, in mappings, lists and tuples too."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def parse_json(text: str, where: str, remedy: str) -> Any:

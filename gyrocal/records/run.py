@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gyrocal.errors import InputError
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
 from gyrocal.records.files import parse_json, read_text, reading, sha256_of_file
+from gyrocal.records.recognise import not_a_run
 
 SCHEMA = "gyrocal-run/1"
 COLUMNS = (
@@ -223,6 +224,9 @@ def read_run(path: Path) -> Run:
         No ``run.json``, another schema, no sensor, or a damaged journal.
     """
     source = path / "run.json"
+    if path.is_dir() and not source.exists():
+        with reading(path):
+            raise InputError(f"{path}: {not_a_run(path)}")
     head = parse_json(read_text(source), str(source), "The file may be truncated.")
     found = head.get("schema") if isinstance(head, dict) else None
     if found != SCHEMA:

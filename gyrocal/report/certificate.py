@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import gyrocal
-from gyrocal.calibration.calibrate import FitConfig
+from gyrocal.calibration.calibrate import configs
 from gyrocal.calibration.dossier import Dossier, Row, compile_dossier, read_limits, unit_run
 from gyrocal.calibration.summary import said, verdict
 from gyrocal.errors import InputError
 from gyrocal.report.drawings import DRAWINGS
-from gyrocal.report.gather import gather
+from gyrocal.report.gather import examine
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, Table, Tone, render_page
 from gyrocal.report.style import render
@@ -48,12 +47,13 @@ def write_certificate(config: CertifyConfig, tell: Callable[[float, str], None])
     check_output(config.out)
     limits = read_limits(config.limits) if config.limits else {}
     runs = []
-    for number, path in enumerate(config.runs):
+    each = configs(config.runs, config.counts_per_dps)
+    for number, (path, how) in enumerate(zip(config.runs, each, strict=True)):
         tell(0.7 * number / len(config.runs), path.name)
-        runs.append(unit_run(path, FitConfig(config.counts_per_dps)))
+        runs.append(unit_run(path, how))
     dossier = compile_dossier(runs, limits, str(config.limits))
     tell(0.75, "pictures")
-    pictures = _pictures(dossier, config.counts_per_dps)
+    pictures = _pictures(dossier)
     text = render_page(certificate_page(dossier, pictures))
     files: dict[str, bytes | str] = {
         "certificate.html": text,
@@ -68,13 +68,12 @@ def write_certificate(config: CertifyConfig, tell: Callable[[float, str], None])
     return dossier
 
 
-def _pictures(dossier: Dossier, counts_per_dps: float | None) -> list[Picture]:
+def _pictures(dossier: Dossier) -> list[Picture]:
     """Pictures of the newest run with its own coefficients."""
-    newest = dossier.runs[-1]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "coefficients.json"
-        file.write_text(newest.calibration.coefficients.to_text(), encoding="utf-8")
-        material = gather(newest.path, file, counts_per_dps, False, lambda share, what: None)
+    newest = dossier.runs[-1].calibration
+    material = examine(
+        newest.recording, newest.coefficients, newest.fit.scatter, False, lambda share, what: None
+    )
     pictures = []
     for drawing in DRAWINGS:
         if drawing.name in _SHOWN:

@@ -15,10 +15,10 @@ from gyrocal.diagnosis.drive.laws import temperature_c
 from gyrocal.diagnosis.drive.reckoning import rest_mean_dps
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.report import style
-from gyrocal.report.diagnosis_marks import NORMAL_95, bars, legend_above, limit_around_zero, zero_line
+from gyrocal.report.diagnosis_marks import bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import clustered_error
 from gyrocal.report.page import Picture
-from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
+from gyrocal.units import DEG_TO_RAD, NORMAL_95, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.report import style
-from gyrocal.report.diagnosis_marks import NORMAL_95, bars, legend_above, limit_around_zero, zero_line
+from gyrocal.report.diagnosis_marks import bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import Floats, Fold, bin_rows, fold_of
 from gyrocal.report.levels import cell_edges, levels
 from gyrocal.report.sentences import counted, has_times
 from gyrocal.report.words import decimals, fixed
-from gyrocal.units import S_PER_H
+from gyrocal.units import NORMAL_95, S_PER_H
 
 _MDPS = 1e3
 _BIN_TIME_S = 60.0

@@ -12,8 +12,6 @@ from gyrocal.report import style
 
 Floats = NDArray[np.float64]
 
-#: Half width of a 95 % interval, standard errors.
-NORMAL_95 = 1.96
 _BARS: dict[str, Any] = {"fmt": "o", "markersize": 3.0, "elinewidth": 0.8, "capsize": 0.0}
 #: A scale may be so many times wider than what most points need before the rest is cut off.
 _STRETCH = 2.5

@@ -12,7 +12,7 @@ from gyrocal.report import style
 from gyrocal.report.data import Examined
 from gyrocal.report.levels import Floats, Level, cell_edges, levels
 from gyrocal.report.scatter import TREND_RATES, SignedScatter, odd_rates, usual_trend
-from gyrocal.units import DPS_TO_DPH, S_PER_H
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H
 
 _MOST_RATES = 64
 _MOST_TEMPERATURES = 12
@@ -21,8 +21,6 @@ _RUNNING = 15
 _MANY = 300
 #: A step in time this many times the usual one is a gap, over which no line is drawn.
 _GAP = 5.0
-#: Half width of a 95 % interval in standard deviations.
-_Z95 = 1.96
 _MEANS: dict[str, Any] = {
     "fmt": "o",
     "markersize": 2.5,
@@ -105,7 +103,7 @@ def level_means(data: Examined, found: list[Level]) -> tuple[Floats, Floats, Flo
     value = np.array([level.value for level in found])
     mean = np.array([data.residual_dps[level.rows].mean() for level in found])
     variance = np.array([data.covariance_dps2[np.ix_(level.rows, level.rows)].mean() for level in found])
-    return value, mean * DPS_TO_DPH, _Z95 * np.sqrt(np.maximum(variance, 0.0)) * DPS_TO_DPH
+    return value, mean * DPS_TO_DPH, NORMAL_95 * np.sqrt(np.maximum(variance, 0.0)) * DPS_TO_DPH
 
 
 @style.styled
@@ -117,7 +115,7 @@ def residual_over_time(data: Examined) -> Figure:
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.axhline(0.0, color=style.GREY, linewidth=0.6)
-    _expected(upper, x, residual, _Z95 * data.sigma_dps * DPS_TO_DPH)
+    _expected(upper, x, residual, NORMAL_95 * data.sigma_dps * DPS_TO_DPH)
     points = _by_temperature(upper, x, residual, data)
     figure.colorbar(points, ax=upper, label="Gyro temp., °C", pad=0.01)
     window = min(_RUNNING, max(3, len(sets) // 8))

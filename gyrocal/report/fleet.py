@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import math
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,87 +13,44 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.calibration.calibrate import FitConfig
-from gyrocal.calibration.fleet import ALARM_RATE, Fleet, compare_units, measure_all
-from gyrocal.errors import DataError, DeviceError, InputError
+from gyrocal.calibration.fleet import ALARM_RATE, LEAST_UNITS, Fleet
+from gyrocal.records.files import finite
 from gyrocal.report import style
-from gyrocal.report.output import check_output, write_directory
+from gyrocal.report.output import write_directory
 from gyrocal.report.page import Page, Picture, Table, render_page
 
 #: Figures a picture shows: those of a gyro, not its coefficients.
 _LISTED = 40
 
 
-@dataclass(frozen=True)
-class FleetConfig:
-    """Which recordings, where to write, and who does the work: processes of this machine, or a Dask cluster."""
-
-    recordings: tuple[Path, ...]
-    out: Path
-    jobs: int | None = None
-    dask: str | None = None
-    counts_per_dps: float | None = None
-
-
-@dataclass(frozen=True)
-class FleetResult:
-    """The comparison, and the files that say it."""
-
-    fleet: Fleet
-    files: tuple[str, ...]
-    verdict: str
-
-
-def write_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> FleetResult:
-    """Fit every recording, compare, and write it to ``config.out``.
+def write_fleet(fleet: Fleet, out: Path) -> None:
+    """Write a comparison to the new directory `out`.
 
     Raises
     ------
-    DataError
-        Nothing to compare. OutputError, DeviceError: where it cannot be written, or no cluster answers.
+    OutputError
+        It holds files or cannot be written; nothing is left behind then.
     """
-    check_output(config.out)
-    if len(config.recordings) < 2:
-        raise DataError("One recording is given, and a fleet has two at least: give more, or use `fit`.")
-    with _workers(config) as executor:
-        units = list(measure_all(config.recordings, FitConfig(config.counts_per_dps), executor, tell))
-    fleet = compare_units(units)
     frame = _frame(fleet)
-    verdict = _verdict(fleet)
-    figure = distributions(fleet)
     files: dict[str, bytes | str] = {
-        "fleet.json": json.dumps(_finite(to_json(fleet)), indent=1) + "\n",
+        "fleet.json": json.dumps(finite(to_json(fleet)), indent=1) + "\n",
         "fleet.csv": frame.to_csv(index=False),
-        "distributions.png": style.render(figure, "png"),
-        "distributions.svg": style.render(figure, "svg"),
     }
+    png = None
+    if not _few(fleet):
+        figure = distributions(fleet)
+        png = style.render(figure, "png")
+        files |= {"distributions.png": png, "distributions.svg": style.render(figure, "svg")}
     parquet = _parquet(frame)
     if parquet is not None:
         files["fleet.parquet"] = parquet
-    files["fleet.html"] = render_page(_page(fleet, verdict, bytes(files["distributions.png"])))  # type: ignore[arg-type]
-    write_directory(config.out, files)
-    return FleetResult(fleet, tuple(files), verdict)
+    files["fleet.html"] = render_page(_page(fleet, png))
+    write_directory(out, files)
 
 
-@contextmanager
-def _workers(config: FleetConfig) -> Iterator[Executor]:
-    if config.dask is None:
-        with ProcessPoolExecutor(config.jobs or os.cpu_count()) as pool:
-            yield pool
-        return
-    try:
-        from dask.distributed import Client
-    except ImportError as error:
-        raise InputError("--dask needs the extra: pip install 'gyrocal[dask]'.") from error
-    try:
-        client = Client(config.dask, timeout="10s")
-    except (OSError, TimeoutError) as error:
-        raise DeviceError(
-            f"No Dask scheduler answers at {config.dask} ({error}): start one, or leave out --dask."
-        ) from error
-    # A task whose worker dies goes to another one: the scheduler sees to that.
-    with client, client.get_executor(retries=3) as executor:
-        yield executor
+def _few(fleet: Fleet) -> bool:
+    """Whether there are too few units to speak of a spread."""
+    return len(fleet.units) - len(fleet.failed) < LEAST_UNITS
 
 
 def to_json(fleet: Fleet) -> dict[str, Any]:
@@ -124,14 +76,6 @@ def to_json(fleet: Fleet) -> dict[str, Any]:
     }
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _frame(fleet: Fleet) -> pd.DataFrame:
     rows = []
     for unit in fleet.units:
@@ -154,11 +98,14 @@ def _parquet(frame: pd.DataFrame) -> bytes | None:
     return stream.getvalue()
 
 
-def _verdict(fleet: Fleet) -> str:
+def fleet_sentence(fleet: Fleet) -> str:
+    """The answer in one sentence."""
     good = len(fleet.units) - len(fleet.failed)
     out = sorted({o.serial for o in fleet.outlying})
     parts = [f"{good} of {len(fleet.units)} recordings are fitted"]
-    if out:
+    if _few(fleet):
+        parts.append(f"who is out of line can be told of {LEAST_UNITS} units or more")
+    elif out:
         parts.append(f"out of line: {', '.join(out[:8])}{' and others' if len(out) > 8 else ''}")
     else:
         parts.append(f"no unit is out of line (at a rate of false alarms of {ALARM_RATE:.0%})")
@@ -186,18 +133,19 @@ def distributions(fleet: Fleet) -> Figure:
     return figure
 
 
-def _page(fleet: Fleet, verdict: str, png: bytes) -> Page:
+def _page(fleet: Fleet, png: bytes | None) -> Page:
     picture = Picture(
         "distributions",
         "Figures over the units",
         "A tick is a unit. Ringed: out of line by Rosner's test, "
         f"with {ALARM_RATE:.0%} false alarms over all figures of a fleet that has none.",
         png,
+        "" if png else f"A spread takes {LEAST_UNITS} units or more.",
     )
     model = next((u.model for u in fleet.units if u.model), "")
     return Page(
         title=f"{len(fleet.units)} units{' of ' + model if model else ''}",
-        verdict=verdict,
+        verdict=fleet_sentence(fleet),
         key_figures=[
             ("Units", str(len(fleet.units))),
             ("Not fitted", str(len(fleet.failed))),

@@ -76,6 +76,19 @@ def gather(
     progress(0.0, "reading")
     coefficients = load_coefficients(coefficient_file)
     recording = load_recording(source, counts_per_dps)
+    with naming(coefficient_file):
+        return examine(recording, coefficients, None, force_sensor, progress)
+
+
+def examine(
+    recording: Recording,
+    coefficients: Coefficients,
+    known: Scatter | None,
+    force_sensor: bool,
+    progress: Progress,
+) -> Material:
+    """What `gather` does with what was read; `known` is the scatter of a fit to just this recording, if there is one."""
+    source = recording.source
     notes = recording.notes + check_sensor(coefficients.sensor, recording.sensor, source, force=force_sensor)
     if recording.run is not None:
         refuse_compensated(recording.run)
@@ -84,8 +97,7 @@ def gather(
     if block > 1:
         notes += (f"{len(recording.sets)} rows were averaged in blocks of {block} neighbours",)
     progress(0.1, "correcting")
-    with naming(coefficient_file):
-        compensator = Compensator(coefficients)
+    compensator = Compensator(coefficients)
     corrected, timeline, more = _corrected(recording, sets, compensator)
     progress(0.2, "scatter and outliers")
     terms = int((BIAS if one_rate else PAPER).terms.sum())
@@ -95,13 +107,13 @@ def gather(
             "Report the recording that the coefficients were fitted to, or record more rates and temperatures; what a record "
             f"at rest says of noise and bias is gyrocal noise {source}."
         )
-    fit = fit_chosen(sets, recording.rest, model=BIAS if one_rate else None).fit
-    reasons = _reasons(sets, fit.scatter)
+    scatter = known or fit_chosen(sets, recording.rest, model=BIAS if one_rate else None).fit.scatter
+    reasons = _reasons(sets, scatter)
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True
     residual = corrected - sets.rate_dps
     own = coefficients.provenance.get("source_sha256") == recording.sha256
-    data = Examined(sets, residual, residual_covariance(sets, fit.scatter, coefficients, own=own), marked)
+    data = Examined(sets, residual, residual_covariance(sets, scatter, coefficients, own=own), marked)
     tested = scatter_by_rate(sets, residual, np.random.default_rng(_SEED))
     progress(0.25, "Allan deviation")
     return Material(

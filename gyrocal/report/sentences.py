@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal.diagnosis.intervals import NORMAL_95
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Located, NamedEffect
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import described
@@ -27,6 +26,7 @@ from gyrocal.report.words import (
     region_words,
     value_text,
 )
+from gyrocal.units import NORMAL_95
 
 _COEFFICIENTS = 12
 #: An interval that includes zero, beside a smaller p than this, is that of an amplitude traded for a shape.

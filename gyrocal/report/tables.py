@@ -20,10 +20,8 @@ from gyrocal.report.data import Examined, Floats
 from gyrocal.report.levels import levels
 from gyrocal.report.page import Table
 from gyrocal.report.scatter import SignedScatter
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
-#: Half width of a 95 % interval in standard deviations of a normal distribution.
-_Z95 = 1.959964
 #: What the intervals of the coefficients are, by whether the file states none.
 _INTERVALS = {
     False: "Intervals are those of the fit: Student's t with the degrees of freedom that each coefficient has.",
@@ -67,7 +65,7 @@ def coefficient_table(coefficients: Coefficients) -> Table:
     sigma = np.sqrt(np.maximum(np.diag(coefficients.covariance_dps2), 0.0))
     i, j = (index.ravel() for index in np.indices(SHAPE))
     stated = coefficients.figures.get("fit", {}).get("half_width_95_dps")
-    half = _Z95 * sigma if stated is None else np.asarray(stated, dtype=np.float64).ravel()
+    half = NORMAL_95 * sigma if stated is None else np.asarray(stated, dtype=np.float64).ravel()
     low, high = value - half, value + half
     rows = [
         (f"c{a}{b}", f"{v:+.7f}", f"{s:.7f}", f"{lo:+.7f} to {hi:+.7f}")
@@ -123,7 +121,7 @@ def merit_table(coefficients: Coefficients) -> Table:
 
 def _of_old_file(entry: Mapping[str, Any]) -> dict[str, Any]:
     """A figure of a file from before there were intervals: its standard error, and no after."""
-    half = _Z95 * (entry.get("std") or 0.0)
+    half = NORMAL_95 * (entry.get("std") or 0.0)
     value = entry["value"]
     shared = {"unit": entry["unit"], "definition": entry["meaning"], "reason": "", "at_most": None}
     return {"value": value, "interval_95": [value - half, value + half], **shared}

@@ -59,7 +59,7 @@ def fixed(value: float, places: int) -> str:
 def value_text(e: Estimate) -> str:
     """A parameter to the digits that its interval has, with its unit; a plain number has none."""
     low, high = e.interval_95
-    text = fixed(e.value, decimals(0.5 * (high - low))) if low < high else f"{e.value:.4g}"
+    text = _of_sign(e.value, e) if low < high else f"{e.value:.4g}"
     if not math.isfinite(e.value):
         return "not known"
     return text if e.unit == "1" else f"{text} {e.unit}"
@@ -70,8 +70,16 @@ def interval_text(e: Estimate) -> str:
     low, high = e.interval_95
     if not low < high:
         return "chosen, not estimated"
+    return f"{_of_sign(low, e)} to {_of_sign(high, e)}"
+
+
+def _of_sign(value: float, e: Estimate) -> str:
+    """A number to the digits of the interval, and never as 0 where the interval leaves zero out."""
+    low, high = e.interval_95
     places = decimals(0.5 * (high - low))
-    return f"{fixed(low, places)} to {fixed(high, places)}"
+    if low * high > 0 and math.isfinite(value) and round(value, places) == 0:
+        return f"{value:.2g}"
+    return fixed(value, places)
 
 
 def estimate_text(e: Estimate) -> str:

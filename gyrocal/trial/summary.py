@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.trial.blind import Trial
+from gyrocal.units import NORMAL_95
 
 #: Column and row of the confusion matrix for trials that hid, or named, no effect.
 NOTHING = "nothing"
@@ -30,7 +30,7 @@ class Share:
         """Of the share; (0, 1) where there was no trial."""
         if self.trials == 0:
             return 0.0, 1.0
-        z = float(norm.ppf(0.975))
+        z = NORMAL_95
         p, n = self.hits / self.trials, self.trials
         middle = p + z**2 / (2 * n)
         half = z * float(np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)))

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
+from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate, configs
 from gyrocal.calibration.summary import dph, remarks, tables, to_json, verdict
+from gyrocal.errors import InputError
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.records.files import sha256_of_file
 from tests.calibration.runs import parts_of, write_run
@@ -130,3 +131,12 @@ def test_thermal_cycles_give_a_bias_over_temperature_that_is_not_all(name: str) 
     found = calibrate(shared(f"data/{name}"), FitConfig(bias_only=True))
     assert found.after_dps < found.before_dps
     assert "time" in found.structured
+
+
+def test_a_scale_belongs_to_those_of_several_recordings_that_are_in_counts(tmp_path: Path) -> None:
+    for name in ("gyro_counts", "gyro_dps"):
+        (tmp_path / f"{name}.csv").write_text(f"rate_dps,{name},temp_c\n0,0,20\n")
+    run, counts, plain = tmp_path, tmp_path / "gyro_counts.csv", tmp_path / "gyro_dps.csv"
+    assert [c.counts_per_dps for c in configs([run, counts, plain], -2e4)] == [None, -2e4, None]
+    with pytest.raises(InputError, match="None of the recordings is in counts; leave --counts-per-dps out"):
+        configs([run, plain], -2e4)

@@ -77,6 +77,17 @@ def test_runs_become_one_dossier(tmp_path: Path) -> None:
     assert not any(change.changed for change in changes)
 
 
+def test_what_has_a_bound_was_tested(tmp_path: Path) -> None:
+    run = unit_run(write_table(tmp_path / "run.csv", 1), FitConfig())
+    bounded = Figure("rate_random_walk", "deg/h/√h", "K", high=17.5, reason="not resolved: less than 17.5")
+    noise = run.calibration.noise
+    noise = replace(noise, figures={**noise.figures, bounded.name: bounded})
+    dossier = compile_dossier([replace(run, calibration=replace(run.calibration, noise=noise))], {}, "")
+    untested = [text.split(":")[0] for text in dossier.not_tested]
+    assert "angle random walk" in untested
+    assert "rate random walk" not in untested
+
+
 def test_a_change_is_seen(tmp_path: Path) -> None:
     first = unit_run(write_table(tmp_path / "a.csv", 1), FitConfig()).calibration
     text = (tmp_path / "a.csv").read_text().splitlines()

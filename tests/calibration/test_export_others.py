@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from gyrocal.calibration.export_others import ardupilot, kalibr, px4
 from gyrocal.cli import gyrocal_command
 from gyrocal.errors import DataError
-from gyrocal.fusion.coefficients import load_coefficients
+from gyrocal.fusion.coefficients import Noise, load_coefficients
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "coefficients.json"
 FILE = load_coefficients(SAMPLE)
@@ -39,9 +39,17 @@ def test_kalibr_takes_a_bound_and_says_so() -> None:
     assert "not resolved, its 95 % bound" in kalibr(replace(FILE, figures={"noise": noise}), 200.0)
 
 
+def test_kalibr_takes_the_walk_of_a_file_from_before_there_were_figures() -> None:
+    text = kalibr(replace(FILE, figures={}), 200.0)
+    walk = FILE.noise.angle_random_walk_deg_per_rt_h
+    assert walk is not None
+    assert f"gyroscope_noise_density: {math.radians(walk[0] / 60.0):.6e}" in text
+    assert "# gyroscope_random_walk: these coefficients say nothing of it" in text
+
+
 def test_kalibr_is_refused_without_noise() -> None:
     with pytest.raises(DataError, match="wants an angle random walk"):
-        kalibr(replace(FILE, figures={}), 200.0)
+        kalibr(replace(FILE, figures={}, noise=Noise()), 200.0)
     with pytest.raises(DataError, match="give --rate-hz"):
         kalibr(replace(FILE, figures={"noise": NOISE}, sensor={"model": "x"}), None)
 

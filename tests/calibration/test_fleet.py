@@ -72,7 +72,7 @@ def test_a_recording_that_cannot_be_fitted_does_not_stop_the_others(tmp_path: Pa
     bad = tmp_path / "bad.csv"
     bad.write_text("rate_dps,gyro_dps,temp_c\n1,1,20\n")
     with ThreadPoolExecutor(2) as pool:
-        done = list(measure_all([good, bad], FitConfig(), pool, lambda share, what: None))
+        done = list(measure_all([good, bad], [FitConfig()] * 2, pool, lambda share, what: None))
     fleet = compare_units(done)
     assert [Path(u.source).name for u in fleet.failed] == ["bad.csv"]
     assert "bad.csv" in fleet.failed[0].error

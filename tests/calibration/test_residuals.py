@@ -15,10 +15,10 @@ from gyrocal.calibration.groups import distinct, indicators, rate_groups, temper
 from gyrocal.calibration.residuals import (
     ALARM_RATE,
     find_outliers,
-    holm,
     scatter_by_rate,
     structure_tests,
 )
+from gyrocal.inference.multiple import holm
 from tests.calibration.nulls import KINDS, null_table
 from tests.calibration.simulation import Floats, simulate
 

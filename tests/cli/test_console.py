@@ -30,6 +30,15 @@ def test_table_is_aligned_when_piped(capsys: pytest.CaptureFixture[str]) -> None
     ]
 
 
+def test_a_wide_table_folds_its_widest_cells(capsys: pytest.CaptureFixture[str]) -> None:
+    text = " ".join(["word"] * 60)
+    emit_table(("name", "what"), (("a", text), ("b", "short")))
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert " ".join(lines).split().count("word") == 60
+    assert sum(line.startswith("b ") for line in lines) == 1
+
+
 def test_table_without_rows(capsys: pytest.CaptureFixture[str]) -> None:
     emit_table(("name", "value"), ())
     assert capsys.readouterr().out.splitlines() == ["name  value"]

@@ -174,7 +174,7 @@ def test_counts_need_their_scale_and_deg_s_do_not(
 @pytest.mark.parametrize(
     ("damage", "code", "message"),
     [
-        ("run.json missing", 3, "no such file"),
+        ("run.json missing", 3, "is a directory without run.json, so it is no run of the bench"),
         ("wrong schema", 3, "schema is 'gyrocal-run/9'"),
         ("not json", 3, "is not JSON"),
         ("journal torn in the middle", 3, "journal.jsonl, line 1"),

@@ -14,9 +14,9 @@ from click.testing import CliRunner
 from distributed import LocalCluster
 
 from gyrocal.calibration.calibrate import FitConfig
-from gyrocal.calibration.fleet import measure_all
+from gyrocal.calibration.fleet import FleetConfig, measure_all, measure_fleet
 from gyrocal.cli import gyrocal_command
-from gyrocal.report.fleet import FleetConfig, write_fleet
+from gyrocal.report.fleet import write_fleet
 from tests.calibration.test_fleet import write_table
 
 
@@ -41,9 +41,18 @@ def test_it_writes_page_and_tables(tables: list[Path], tmp_path: Path) -> None:
 
 def test_the_same_units_give_the_same_bytes(tables: list[Path], tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_fleet(FleetConfig(tuple(tables[:3]), tmp_path / name, jobs=2), lambda share, what: None)
+        write_fleet(measure_fleet(FleetConfig(tuple(tables[:3]), jobs=2), lambda s, w: None), tmp_path / name)
     for file in (tmp_path / "a").iterdir():
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
+
+
+def test_few_units_have_no_spread_to_draw(tables: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "two"
+    words = ["fleet", *map(str, tables[:2]), "--out", str(out), "--jobs", "1"]
+    done = CliRunner().invoke(gyrocal_command, words)
+    assert "2 of 2 recordings are fitted; who is out of line can be told of 5 units or more" in done.output
+    assert not (out / "distributions.png").exists()
+    assert "A spread takes 5 units or more" in (out / "fleet.html").read_text()
 
 
 def test_one_recording_is_no_fleet(tables: list[Path], tmp_path: Path) -> None:
@@ -52,10 +61,10 @@ def test_one_recording_is_no_fleet(tables: list[Path], tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
-def test_no_scheduler_is_said(tables: list[Path], tmp_path: Path) -> None:
-    config = FleetConfig(tuple(tables), tmp_path / "x", dask="tcp://127.0.0.1:9")
+def test_no_scheduler_is_said(tables: list[Path]) -> None:
+    config = FleetConfig(tuple(tables), dask="tcp://127.0.0.1:9")
     with pytest.raises(Exception, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        write_fleet(config, lambda share, what: None)
+        measure_fleet(config, lambda share, what: None)
 
 
 @pytest.mark.slow
@@ -70,9 +79,9 @@ def test_a_cluster_that_loses_a_worker_loses_no_unit(tables: list[Path]) -> None
                 os.kill(killed[0], signal.SIGKILL)
 
         with cluster.get_client() as client, client.get_executor(retries=3) as executor:
-            units = list(measure_all(tables * 4, FitConfig(), executor, tell))
+            units = list(measure_all(tables * 4, [FitConfig()] * 24, executor, tell))
     with ThreadPoolExecutor(1) as pool:
-        alone = {u.source: u.figures for u in measure_all(tables, FitConfig(), pool, lambda s, w: None)}
+        alone = {u.source: u.figures for u in measure_all(tables, [FitConfig()] * 6, pool, lambda s, w: None)}
     assert killed
     assert len(units) == 4 * len(tables)
     assert all(repr(u.figures) == repr(alone[u.source]) for u in units)

@@ -135,6 +135,16 @@ def test_a_low_pass_is_no_noise() -> None:
     assert model.misfit[-5:] == pytest.approx(np.zeros(5), abs=4.0)
 
 
+def test_a_low_pass_that_is_fast_against_its_points_is_left_out() -> None:
+    """Points of a filter of 0.04 s at each 0.1 s: at the first averaging time it is not yet over."""
+    last = np.exp(-0.1 / 0.04)
+    for k in range(3):
+        noise = np.random.default_rng([18, k]).normal(0.0, 4.4e-3, 36_100)
+        model = model_of(np.asarray(signal.lfilter([1.0 - last], [1.0, -last], noise))[100:])
+        assert not model.used[0]
+        assert model.parts[1].low < 0.1 * 4.4e-3**2 < model.parts[1].high
+
+
 def test_noise_of_slope_minus_one_has_no_angle_random_walk() -> None:
     """A ring laser: the angle is rounded, and its increments are what is logged."""
     rng = np.random.default_rng(15)

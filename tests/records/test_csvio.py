@@ -177,17 +177,17 @@ def test_a_file_without_lines_is_not_held_whole(tmp_path: Path) -> None:
         (
             ["t_s", "left_m", "right_m", "gyro_dps"],
             ("rate_dps", "gyro_dps"),
-            "`gyrocal replay` and `gyrocal diagnose`",
+            "is the log of a drive: `replay` takes it",
         ),
         (
             ["t_s", "speed_mps", "gyro_dps"],
             ("t_s", "gyro_dps", "temp_c"),
-            "`gyrocal replay` and `gyrocal diagnose`",
+            "is the log of a drive: `replay` takes it",
         ),
         (
             ["rate_dps", "gyro_dps", "temp_c"],
             ("t_s", "left_m", "right_m"),
-            "`gyrocal fit` and `gyrocal diagnose`",
+            "is a table of data sets: `fit` and `report` take it",
         ),
     ],
 )

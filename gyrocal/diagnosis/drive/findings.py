@@ -15,8 +15,8 @@ from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import DRIVE_CATALOGUE
+from gyrocal.units import NORMAL_95
 
-_NORMAL_95 = 1.959964
 #: Evidence against a rival beyond which it is no rival.
 _OUT = 20.0
 #: A track so near to half or twice the true one is a mix-up as likely as a slip.
@@ -44,7 +44,7 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
     """Amplitude of an effect in the catalogue's unit, from SI."""
     unit = DRIVE_CATALOGUE[effect].parameters[0].unit
     per = PER_SI[unit]
-    half = _NORMAL_95 * std
+    half = NORMAL_95 * std
     return Estimate(per * value, per * std, unit, (per * (value - half), per * (value + half)))
 
 

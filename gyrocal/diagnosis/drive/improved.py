@@ -16,7 +16,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.robot import Robot
-from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, RAD_TO_DEG
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, NORMAL_95, RAD_TO_DEG
 
 #: What a bias changes by at the next switch-on: a share of it, and standard deviations of the 1/f noise.
 _CHANGES, _FLICKERS = 0.06, 1.5
@@ -45,7 +45,7 @@ class DriveEstimate:
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``estimates``."""
-        half = 1.959964 * self.std
+        half = NORMAL_95 * self.std
 
         def finite(x: float) -> float | None:
             return float(x) if np.isfinite(x) else None

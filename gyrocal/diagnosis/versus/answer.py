@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.base import raised
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.intervals import NORMAL_95
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.versus.match import Match, match
@@ -22,6 +21,7 @@ from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.terms import Term
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
