@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import FLAT, PASSING, SURFACE, Basis, Part, design_at, frame_of, passing, staying
+from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.errors import DataError
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
+from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
 
@@ -200,10 +203,22 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
 
 
 def direction_at(rows: Basis, bend: Floats) -> Floats:
-    """What a surface over the output adds to the same one over the input, shape (n,), deg/s."""
-    here = rows.means
-    output = design_at(here.gyro_dps, here.temp_c, rows.frame)
-    return np.asarray((output - design_at(here.rate_dps, here.temp_c, rows.frame)) @ bend)
+    """What a surface over the output adds to the same one over the input, shape (n,), deg/s.
+
+    Its output is that of a gyro with the surface alone, as where a robot corrects: everything else adds to it.
+    """
+    here, frame = rows.means, rows.frame
+    powers = (legendre_to_powers() @ bend).reshape(SHAPE)
+    surface = Surface(
+        powers, 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c, direction="output"
+    )
+    try:
+        output = surface.output_dps(here.rate_dps, here.temp_c)
+    except DataError:
+        # A surface on the way to the right one may have no output at some rate; what was recorded is near it.
+        output = here.gyro_dps
+    of_output = design_at(output, here.temp_c, frame)
+    return np.asarray((of_output - design_at(here.rate_dps, here.temp_c, frame)) @ bend)
 
 
 def fit_model(model: Model, start: Mapping[str, float] | None = None, iterations: int = 60) -> Fitted:

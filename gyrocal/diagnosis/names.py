@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import Laws, Trial, effects_of
-from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.layers import Fitted, Law, direction_at
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
@@ -35,8 +35,8 @@ _NAMED_SHARE = 0.6
 _DROPPED = 4.0
 _REFITTED = 3
 _MOST_LAWS = 3
-#: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
-_BENDS = 4
+#: Steps in which the bend of a surface follows the surface, and the last of them in the noise of a row.
+_MOST_BENDS, _BENT = 60, 0.03
 #: Shapes are refined over these factors either way, in turn.
 _SPREADS = (1.5, 1.12)
 _POINTS = 7
@@ -100,13 +100,25 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
 
 
 def around_itself(fitted: Fitted) -> Fitted:
-    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface."""
-    model = fitted.model
-    if model.direction == "input":
+    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface.
+
+    Where a law of the rate stands beside the surface both are large and of opposite sign; then the bend follows in
+    many small steps. It is left where a step is longer than the one before.
+    """
+    model, before = fitted.model, np.inf
+    if model.direction == "input" or model.bend is None:
         return fitted
-    for _ in range(_BENDS):
-        bend = model.legendre(replace(fitted, model=model).solve())
-        model = model.directed(model.direction, bend)
+    curve = direction_at(model.basis, model.bend)
+    for _ in range(_MOST_BENDS):
+        solution = replace(fitted, model=model).solve()
+        bent = model.directed(model.direction, model.legendre(solution))
+        following = direction_at(model.basis, model.legendre(solution))
+        step = float(np.ptp(following - curve))
+        if step >= before:
+            break
+        model, curve, before = bent, following, step
+        if step < _BENT * float(np.std(solution.left)):
+            break
     return fitted.refit(model, 20)
 
 
