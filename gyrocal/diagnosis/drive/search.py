@@ -141,7 +141,8 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     columns = {name: x.column for name, x in everything.items()}
     columns |= {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
     known = known_std(series)
-    grams = tuple(gram_of(model, columns, known, flicker_floor=floor) for floor in (False, True))
+    free = tuple(gram_of(model, columns, flicker_floor=floor) for floor in (False, True))
+    grams = tuple(gram.knowing(known) for gram in free)
     chosen = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     late = _delay_gain(grams[0], chosen, ahead_s)
     chosen = _selected(grams, chosen, list(laws), late)
@@ -149,13 +150,15 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     if wheels:
         everything |= wheels
         columns |= {name: x.column for name, x in wheels.items()}
-        grams = tuple(gram_of(model, columns, known, flicker_floor=floor) for floor in (False, True))
+        free = tuple(gram_of(model, columns, flicker_floor=floor) for floor in (False, True))
+        grams = tuple(gram.knowing(known) for gram in free)
         first = [*(n for n in chosen if n in constant or (n == "delay" and ahead_s)), *wheels]
         chosen = _selected(grams, first, list(laws), late)
     odd = {}
     for coordinate, block in blocks.items():
         names = [f"{coordinate}:{k}" for k in range(block.shape[1])]
-        gain = grams[0].added(chosen, names)
+        # Against laws that are free: a robot file that grants too little of them is no structure without a name.
+        gain = free[0].added(chosen, names)
         odd[coordinate] = (gain, len(names), float(stats.chi2.sf(gain, len(names))))
     located = tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P)
     beside = [n for n in columns if n.split(":")[0] in located and ":" in n]
@@ -260,7 +263,7 @@ def _wheels(
         for near in radius * (1.0 + np.array([-0.5, 0.0, 0.5]) * _resolution(frame, side, radius)):
             pair = dict(zip(("wheel_cos", "wheel_sin"), wheel_laws(frame, side, float(near)), strict=True))
             tried = {n: laws[n].column for n in chosen} | {n: x.column for n, x in pair.items()}
-            gain = gram_of(model, tried, known).added(chosen, list(pair))
+            gain = gram_of(model, tried).knowing(known).added(chosen, list(pair))
             if gain > best[0]:
                 best = (gain, pair)
     return best[1]

@@ -252,13 +252,13 @@ def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Gram:
-    """All tests of a log: inner products of columns and difference under the noise, with what is known beforehand.
+    """All tests of a log: inner products of columns and difference under the noise.
 
     Attributes
     ----------
     names : tuple of str
     matrix : ndarray, shape (p, p)
-        ``X' V^-1 X`` plus the inverse variances known beforehand.
+        ``X' V^-1 X``, plus the inverse variances of what is known beforehand.
     right : ndarray, shape (p,)
         ``X' V^-1 y``.
     """
@@ -266,6 +266,11 @@ class Gram:
     names: tuple[str, ...]
     matrix: Floats = field(repr=False)
     right: Floats = field(repr=False)
+
+    def knowing(self, known_std: Mapping[str, float]) -> Gram:
+        """The same with what is known of coefficients beforehand, about zero, as standard deviations."""
+        more = [1.0 / known_std[n] ** 2 if n in known_std else 0.0 for n in self.names]
+        return replace(self, matrix=self.matrix + np.diag(more))
 
     def solve(self, chosen: Sequence[str]) -> tuple[Floats, Floats]:
         """Coefficients of some columns, and their covariance."""
@@ -293,22 +298,8 @@ class Gram:
         return self.gain(chosen) - self.gain([n for n in chosen if n not in less])
 
 
-def gram_of(
-    model: YawModel,
-    columns: Mapping[str, Floats],
-    known_std: Mapping[str, float],
-    *,
-    flicker_floor: bool = False,
-) -> Gram:
-    """Inner products of columns, name -> (m,), under a model's noise.
-
-    `known_std` holds what is known of coefficients beforehand, about zero.
-    """
-    names = tuple(columns)
+def gram_of(model: YawModel, columns: Mapping[str, Floats], *, flicker_floor: bool = False) -> Gram:
+    """Inner products of columns, name -> (m,), under a model's noise."""
     stacked = np.column_stack([*columns.values(), model.y])
     whole = model.given(stacked, flicker_floor=flicker_floor).gram
-    matrix = whole[:-1, :-1].copy()
-    for name, std in known_std.items():
-        if name in names:
-            matrix[names.index(name), names.index(name)] += 1.0 / std**2
-    return Gram(names, matrix, whole[:-1, -1])
+    return Gram(tuple(columns), whole[:-1, :-1].copy(), whole[:-1, -1])

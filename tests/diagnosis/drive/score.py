@@ -108,7 +108,7 @@ def _sigma(effect: str, plan: Plan, seed: int) -> float:
         if law not in (laws | candidates):
             return math.inf
         laws[law] = (laws | candidates)[law]
-    gram = gram_of(model, {n: x.column for n, x in laws.items()}, known_std(series))
+    gram = gram_of(model, {n: x.column for n, x in laws.items()}).knowing(known_std(series))
     names = list(laws)
     return float(np.sqrt(gram.solve(names)[1][names.index(law), names.index(law)]))
 

@@ -100,6 +100,17 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
     assert (abs(told_dps) > 0.8 * abs(bias.value)) == kept
 
 
+def test_a_robot_file_that_grants_too_little_leaves_no_structure_without_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "firm.toml"
+    path.write_text(
+        "wheel_separation_m = 0.5\nstatic_s = 7.0\n[initial_std]\nleft_scale = 0.002\nright_scale = 0.002\n"
+    )
+    plan = Plan("straight", 5.0, 10.0, effects={"wheel_asymmetry": 1.6})
+    result = diagnose_drive("drive.csv", drive(plan, 2), read_robot(path))
+    assert names(result) == ["wheel_asymmetry"]
+    assert result.diagnosis.verdict == "explained"
+
+
 def test_two_effects_at_once(robot: Robot) -> None:
     result = found(Hidden(slip=0.4, delay_s=0.1), robot, 3)
     assert sorted(names(result)) == ["gyro_delay", "skid_slip"]
