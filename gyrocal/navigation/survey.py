@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import DataError
-from gyrocal.records.drive import DriveBlock
+from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
@@ -146,6 +146,8 @@ class _Tally:
     def add(self, block: DriveBlock) -> None:
         t_s = block.t_s
         self.said += block.notes
+        if UNUSED_STEERING not in self.said and np.isfinite(block.steering_deg).any():
+            self.said.append(UNUSED_STEERING)
         self.speed_only = block.speed_only
         first = self.rows == 0
         if first:

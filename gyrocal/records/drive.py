@@ -64,6 +64,9 @@ class DriveBlock:
         return int(self.t_s.size)
 
 
+#: Said of a log with a steering angle, which nothing evaluates.
+UNUSED_STEERING = "the steering angle is read and kept, but not used: turns are those of gyro and wheels"
+
 _ARRAYS = tuple(f.name for f in fields(DriveBlock) if f.name not in ("first_line", "speed_only", "notes"))
 
 

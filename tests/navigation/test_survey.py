@@ -13,7 +13,7 @@ from gyrocal.errors import DataError
 from gyrocal.navigation.replay import replay_log
 from gyrocal.navigation.survey import Survey, check, survey
 from gyrocal.navigation.yaw import compare_yaw
-from gyrocal.records.drive import DriveBlock
+from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from tests.navigation.drives import BAD, drive, robot, source
 
 
@@ -128,3 +128,12 @@ def test_rows_that_are_far_apart_are_said() -> None:
     assert not any("is lost" in note for note in survey("log", [log]).notes())
     slow = replace(log, t_s=10.0 * log.t_s)
     assert any("a row every 1 s" in note for note in survey("log", [slow]).notes())
+
+
+def test_a_steering_angle_that_nothing_uses_is_said_once() -> None:
+    log = drive()
+    steered = replace(log, steering_deg=np.zeros(len(log)))
+    assert UNUSED_STEERING not in survey("log", [log]).notes()
+    assert (
+        survey("log", [steered, replace(steered, t_s=steered.t_s + 1e3)]).notes().count(UNUSED_STEERING) == 1
+    )

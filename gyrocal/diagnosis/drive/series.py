@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter
 
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.records.drive import DriveBlock
+from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
 from gyrocal.units import DEG_TO_RAD
 
@@ -123,6 +123,8 @@ def drive_series(
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * float(np.median(dt_s[1:]))
     notes = [f"{gap.sum()} gaps of more than {GAP_STEPS:g} usual steps are left out"] if gap.any() else []
+    if np.isfinite(log.steering_deg).any():
+        notes.append(UNUSED_STEERING)
     gyro, said = _gyro(source, log, coefficients)
     for name, values in {"left": log.left_m, "right": log.right_m}.items():
         empty = int(np.count_nonzero(~np.isfinite(values)))
