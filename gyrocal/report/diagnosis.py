@@ -286,6 +286,7 @@ def _improvement_table(diagnosis: Diagnosis) -> Table:
     """Per effect beside all others; all of them together only where that says more."""
     measured = {e.effect: e.improvement for e in diagnosis.effects if e.improvement is not None}
     bare = "nominal model" if diagnosis.counted_in else "surface"
+    bare = bare if diagnosis.drive is None else "robot file"
     rows = []
     for name, i in measured.items():
         others = [other for other in measured if other != name]

@@ -55,8 +55,11 @@ class Counted:
 
 
 def counted(d: Diagnosis) -> Counted:
-    """What is left out, and what its errors are means of: data sets, segments of a run, or the steps of a log."""
+    """What is left out, and what its errors are means of: data sets, segments of a run, steps of a log,
+    seconds of a drive."""
     rows = d.rows
+    if d.drive is not None:
+        return Counted("second", "means over a second")
     if d.counted_in:
         return Counted(d.counted_in, "bins")
     if rows is None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
 from gyrocal.diagnosis.drive.findings import Scale, named_effects, not_testable, places, scales, verdict
+from gyrocal.diagnosis.drive.heldout import improvements
 from gyrocal.diagnosis.drive.improved import (
     DriveEstimate,
     estimates_of,
@@ -113,6 +114,8 @@ def diagnose_drive(
     found = examine(source, log, robot, coefficients)
     series, yaw, truth = found.series, found.yaw, found.truth
     effects = named_effects(series, yaw, truth, found.parts, found.checks)
+    total, each = improvements(yaw, [e.effect for e in effects])
+    effects = [replace(e, improvement=each.get(e.effect)) for e in effects]
     located = places(series, yaw, truth, effects)
     estimates = estimates_of(series, yaw, truth, found.parts, found.figures)
     shown = _shown(found, robot, coefficients, others, log)
@@ -124,7 +127,7 @@ def diagnose_drive(
         not_testable=not_testable(series, yaw, truth),
         sentences=(),
         noise=None,
-        improvement=None,
+        improvement=total,
         surface=coefficients,
         improved=None,
         rows=None,

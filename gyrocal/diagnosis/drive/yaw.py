@@ -170,6 +170,11 @@ class YawModel:
     left_out: Floats
     outliers: NDArray[np.int64]
 
+    @property
+    def white(self) -> Floats:
+        """Variance of what accumulates in each interval, rad^2."""
+        return _field(self.frame, self.noise, self.left_out).noise
+
     def given(self, columns: Floats, *, flicker_floor: bool = False) -> Given:
         """Columns under the noise; with the floor, 1/f noise of at least what is usual."""
         noise = self.noise
@@ -244,7 +249,7 @@ def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:
     if not moving.any():
         return np.zeros(0, dtype=np.int64)
     score = weighed[:, -1] - weighed[:, :-1] @ values
-    score = score * np.sqrt(_field(model.frame, model.noise, model.left_out).noise)
+    score = score * np.sqrt(model.white)
     # Twice the limit in the tails of a mixture of speeds; the scale is that of the moving intervals.
     scale = 1.4826 * float(np.median(np.abs(score[moving])))
     return np.flatnonzero(moving & (np.abs(score) > _FAR * scale))

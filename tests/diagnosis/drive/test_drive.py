@@ -116,6 +116,12 @@ def test_two_effects_at_once(robot: Robot) -> None:
     assert sorted(names(result)) == ["gyro_delay", "skid_slip"]
     slip = next(e for e in result.diagnosis.effects if e.effect == "skid_slip")
     assert "gyro_scale" in [a.effect for a in slip.alternatives]
+    for effect in result.diagnosis.effects:
+        gained = effect.improvement
+        assert gained is not None
+        assert gained.heldout_rms_after_dps < gained.heldout_rms_before_dps
+        assert gained.interval_95[0] > 0
+        assert gained.heldout_rms_after_dps == pytest.approx(gained.noise_floor_dps, rel=0.25)
 
 
 @pytest.mark.parametrize(
