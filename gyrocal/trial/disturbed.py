@@ -31,6 +31,8 @@ class Noise:
         Relative error of the rate of each data set, its own for each.
     grows : float
         By how many times its own the white noise has grown at the largest rate.
+    steps : float
+        Error of each data set that an output in steps leaves; not drawn, since rounding makes it.
     outliers : float
         Share of rows that are thrown far off; none can whiten these.
     """
@@ -40,6 +42,7 @@ class Noise:
     walk: float = 0.0
     jitter: float = 0.0
     grows: float = 0.0
+    steps: float = 0.0
     outliers: float = 0.0
 
     def white_dps(self, bench: Bench) -> Floats:
@@ -77,7 +80,7 @@ class Noise:
             [self.flicker**2 * (1.0 - np.exp(-2.0 * gap[:, None] / taus)), np.zeros((gap.size, 2))]
         )
         push[:, -2] = self.walk**2 / 3600.0 * gap
-        jitter = (self.jitter * bench.rate_dps) ** 2
+        jitter = (self.jitter * bench.rate_dps) ** 2 + self.steps**2
         starts = np.diff(bench.segment, prepend=-1) != 0
         white = self.white_dps(bench) ** 2
         states = taus.size + 2

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.trial.disturbed import Noise
-from gyrocal.trial.plans import Bench, Frame
+from gyrocal.trial.plans import SAMPLE_S, Bench, Frame
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +49,26 @@ class Gyro:
         step = self.thermometer_step_c
         return np.asarray(step * np.round(read / step) if step else read)
 
+    def read_rate(self, rate_dps: Floats, bench: Bench, rng: np.random.Generator) -> Floats:
+        """What the output says, in steps where it has them: samples are rounded, and means taken of them."""
+        if not self.lsb_dps:
+            return rate_dps
+        counts = np.round(bench.averaging_s / SAMPLE_S).astype(int)
+        out = np.empty_like(rate_dps)
+        for n in np.unique(counts).tolist():
+            rows = counts == n
+            dither = self.noise.white / np.sqrt(SAMPLE_S) * rng.standard_normal((np.count_nonzero(rows), n))
+            samples = rate_dps[rows, None] + dither - dither.mean(axis=1, keepdims=True)
+            out[rows] = (self.lsb_dps * np.round(samples / self.lsb_dps)).mean(axis=1)
+        return out
+
+
+def left_by_steps(lsb_dps: float, sample_dps: float) -> float:
+    """Error that rounding leaves in a mean of samples with white noise, which smooths the steps: first harmonic, rms."""
+    if not lsb_dps:
+        return 0.0
+    return float(lsb_dps / (np.pi * np.sqrt(2.0)) * np.exp(-2.0 * (np.pi * sample_dps / lsb_dps) ** 2))
+
 
 def powers(u: Floats, v: Floats) -> Floats:
     """Columns of the surface, shape (n, 12)."""
@@ -77,7 +97,7 @@ MAKES: Mapping[str, Make] = {
 
 @dataclass(frozen=True)
 class Oddity:
-    """What makes a recording awkward beside what is hidden; None where nothing does."""
+    """What makes a recording awkward beside what is hidden, and the levels that it replaces."""
 
     name: str = "none"
     figures: Mapping[str, float] = field(default_factory=dict)
@@ -87,6 +107,7 @@ def make_gyro(make: str, oddity: Oddity, rng: np.random.Generator) -> Gyro:
     """A unit of a make; `oddity` may replace levels of its noise, its thermometer and its steps."""
     kind = MAKES[make]
     noise = {**vars(kind.noise), **{k: v for k, v in oddity.figures.items() if k in vars(kind.noise)}}
+    noise["steps"] = left_by_steps(oddity.figures.get("lsb_dps", 0.0), noise["white"] / np.sqrt(SAMPLE_S))
     own = ("thermometer_step_c", "thermometer_noise_c", "lsb_dps")
     return Gyro(
         make,

@@ -100,9 +100,8 @@ def make_up(kind: str, seed: int, number: int) -> MadeUp:
         fixed=wish.fixed,
     )
     noise_dps, walked_dps = gyro.noise.draw(bench, rng)
-    gyro_dps = bench.rate_dps + error_dps(bench, gyro, hidden) + noise_dps
-    if gyro.lsb_dps:
-        gyro_dps = gyro.lsb_dps * np.round(gyro_dps / gyro.lsb_dps)
+    analogue_dps = bench.rate_dps + error_dps(bench, gyro, hidden) + noise_dps
+    gyro_dps = gyro.read_rate(analogue_dps, bench, rng)
     told = bool(rng.random() < 0.5)
     also = TRUE_OF_ALL + (TRUE_OF_OUTLIERS if gyro.noise.outliers else ())
     answer = Concealed(kind, wish.make, wish.plan, wish.oddity.name, also, tuple(layers), rng.bytes(16).hex())

@@ -14,9 +14,10 @@ Ints = NDArray[np.int64]
 
 #: Step of the thermal history, s.
 GRID_S = 1.0
+#: Between two samples of the gyro at a rate.
+SAMPLE_S = 0.1
 _ACCELERATION_DPS2 = 50.0
 _SETTLE_S = 4.0
-_SAMPLE_S = 0.1
 _COARSE_S = 5.0
 _SUPPLY_V = 12.0
 
@@ -188,7 +189,7 @@ def _segments(plan: RunPlan, start_c: float) -> list[Segment]:
             t += length
         for rate in rates.tolist():
             t += abs(rate - last_dps) / _ACCELERATION_DPS2 + _SETTLE_S
-            segments.append(Segment("rate", rate, temperature, t, t + plan.dwell_s, _SAMPLE_S))
+            segments.append(Segment("rate", rate, temperature, t, t + plan.dwell_s, SAMPLE_S))
             t, last_dps = t + plan.dwell_s, rate
         t += abs(last_dps) / _ACCELERATION_DPS2 + _SETTLE_S
         last_c, last_dps = temperature, 0.0

