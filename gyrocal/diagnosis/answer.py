@@ -98,7 +98,7 @@ def _input_share(found: Examination) -> Estimate:
     """How much of the way from a surface of the output to one of the input."""
     fitted = found.naming.fitted
     if DIRECTION not in fitted.model.components:
-        free = fitted.model.directed("free", fitted.model.legendre(fitted.solve()))
+        free = fitted.model.directed("free", fitted.model.bend_of(fitted.solve()))
         fitted = fitted.refit(free, 20)
     bent = _amplitude(fitted, DIRECTION, "1")
     return estimates.normal(1.0 - bent.value, bent.std, "1")
@@ -167,7 +167,11 @@ def layer_groups(found: Examination) -> list[tuple[str, list[str]]]:
     """Layers of the staircase, the strongest first: named laws, the blocks without a name, errors of each rate."""
     model = found.naming.fitted.model
     present = {law.name for law in model.laws}
-    groups = [(n.gain, n.law.effect, [n.law.name]) for n in found.naming.named if n.law.name in present]
+    groups = []
+    for effect in dict.fromkeys(n.law.effect for n in found.naming.named):
+        own = [n for n in found.naming.named if n.law.effect == effect and n.law.name in present]
+        if own:
+            groups.append((max(n.gain for n in own), effect, [n.law.name for n in own]))
     for block, nats in found.naming.unnamed.items():
         names = [n for n, b in model.blocks.items() if b == block]
         owners = [n.law.effect for n in found.naming.named if n.block == block]

@@ -87,7 +87,11 @@ class TableSearch:
         key = coil, changes
         if key not in self.known:
             model = self.model(coil, changes)
-            contrasts = contrasts_of(model, None if near is None else near.fitted.contrasts.unit)
+            if near is None:
+                designs = [coil_design(self.base.basis, (1.0, tau)) for tau in _LAGS_S]
+                contrasts = contrasts_of(model, designs=designs)
+            else:
+                contrasts = contrasts_of(model, near.fitted.contrasts)
             start = None if near is None else near.fitted.fit.log_variance
             fit = contrasts.fit(model.all, start, _ITERATIONS if near else 60)
             self.known[key] = Candidate(

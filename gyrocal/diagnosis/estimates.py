@@ -47,7 +47,7 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> dict[str
         b = covariance @ (columns.T @ score)
         size = float(np.hypot(*b)) if b.size == 2 else float(b[0])
         along = b / size if b.size == 2 else np.ones(1)
-        return -float(columns.T @ score @ b), size, float(np.sqrt(along @ covariance @ along))
+        return -float(columns.T @ score @ b), size, float(np.sqrt(max(along @ covariance @ along, 0.0)))
 
     _, amplitude, std = at(law.columns)
     profiles = {
@@ -84,7 +84,7 @@ def _profile(law: Law, name: str, effect: Effect, laws: Laws, at) -> tuple[Profi
 
     parameter, best = effect.parameter(name), law.shape[name]
     if name == "at_s":
-        instants = np.unique([s["at_s"] for s in effect.search.grid(laws.offer)] + [best])
+        instants = np.unique([*laws.means.from_s, best])
         return profile_interval(loss, best, 1.0, (parameter.low, parameter.high), instants), None
     own = profile_interval(
         loss, best, _REACH, (max(parameter.low, best / 30.0), min(parameter.high, best * 30.0))

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.coil import Candidate, TableSearch, averaged
+from gyrocal.diagnosis.jumps import with_jumps
 from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming, errors_of_each_rate, name, present, settle_direction
+from gyrocal.diagnosis.names import GAIN, Naming, errors_of_each_rate, name, present, settle_direction
 from gyrocal.diagnosis.parts import PASSING, Basis, passing
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.series import Series
@@ -69,10 +70,16 @@ def examine(series: Series, level: float) -> Examination:
     # A table of sweeps has no ramps in which the coil's lag could be seen by itself.
     if series.is_table and np.ptp(series.rate_dps) > 0:
         return _table(left, found, full_model(means, memory=False))
-    whole, gain = settle_direction(alive(fit_twice(full_model(means))))
+    full = full_model(means)
+    whole, _ = settle_direction(alive(fit_twice(full)))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
-    settled, worth = present(errors_of_each_rate(whole, draws_of(whole.model)))
-    return Examination(left, found, whole, worth, name(settled, worth, laws, gain), laws)
+    passes = wandering(full)
+    jumped, jumps = with_jumps(whole, passes, laws, GAIN)
+    if jumps:
+        jumped, _ = settle_direction(jumped)
+    settled, worth = present(errors_of_each_rate(jumped, draws_of(full)))
+    naming = name(settled, worth, laws, jumps, passes)
+    return Examination(left, found, whole, worth, naming, laws)
 
 
 def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examination:
@@ -82,18 +89,22 @@ def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examinati
     first = ranked[0].fitted
     best = alive(first.refit(replace(first.model, components={**first.model.components, **wandering})))
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
-    settled, gain = settle_direction(best)
-    settled, worth = present(settled)
-    naming = name(settled, worth, laws, gain)
+    settled, worth = present(settle_direction(best)[0])
+    naming = name(settled, worth, laws)
     joint = ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(ranked)) if joint else ()
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked))
 
 
-def draws_of(model: Model) -> Component | None:
+def draws_of(full: Model) -> Component | None:
     """The component of an error of each rate, where the record has rates enough."""
-    passes = passing(model.means, model.basis.frame)
-    return next((c for c in passes if PASSING.get(c.name) == "each rate"), None)
+    return next((c for n, c in full.components.items() if PASSING.get(n) == "each rate"), None)
+
+
+def wandering(full: Model) -> list[Component]:
+    """What passes and is random in time: the bias and the scale factor, and noise."""
+    stays = {p.name for p in full.parts}
+    return [c for n, c in full.components.items() if n not in stays and PASSING.get(n) != "each rate"]
 
 
 def fit_twice(model: Model) -> Fitted:

@@ -17,6 +17,7 @@ from gyrocal.physics.effect import Conditions, Effect
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.timewise import BIAS_STEP
 
 Floats = NDArray[np.float64]
 
@@ -69,8 +70,9 @@ def wanted(effect: Effect) -> bool:
     """Whether an effect is looked for by columns over means of data sets."""
     search = effect.search
     within = {"table_angle", "time_since_step"}
-    # Whether the surface is one of the input is a part of the model itself.
-    if effect is FIT_DIRECTION:
+    # Whether the surface is one of the input is a part of the model itself. A bias that walks is no jump, so that
+    # one is looked for beside the walk; a scale factor seldom walks.
+    if effect in (FIT_DIRECTION, BIAS_STEP):
         return False
     return search.by_columns and not search.draws and not search.twin_of and effect.seen_in not in within
 
@@ -85,7 +87,7 @@ def effects_of(block: str) -> list[Effect]:
     own = BLOCKS[block]
     found = []
     for effect in CATALOGUE.values():
-        if not wanted(effect) or effect.family != own.family or block == "each rate":
+        if not wanted(effect) or effect.family != own.family:
             continue
         by_rate = "rate_dps" in effect.needs
         if own.family == "time" and by_rate != (block == "scale in time"):

@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import FLAT, PASSING, SURFACE, Basis, Part, design_at, frame_of, passing, staying
-from gyrocal.diagnosis.powers import legendre_to_powers
-from gyrocal.errors import DataError
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
-from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +58,8 @@ class Model:
     Attributes
     ----------
     design : ndarray, shape (n, 12)
-        Surface at the rows (of the coil's temperature, where that is in the model).
+        Surface at the rows (of the coil's temperature, where that is in the model), over the output where it is one
+        of the output.
     parts : mapping
         Name to component, of what stays, by `blocks`; surface included.
     passing : mapping
@@ -72,7 +70,8 @@ class Model:
     direction : str
         Whether the surface is one of the ``input`` or of the ``output``, or ``free``: a part of the model.
     bend : ndarray, shape (12,), optional
-        Coefficients of the surface, of Legendre products, whose bend makes one of the output of one of the input.
+        Where it is not one of the input: coefficients of the surface over the input, of Legendre products, from which
+        the output of a gyro with the surface alone is known.
     law_variance : float
         Prior variance of what a law adds beyond the surface's free terms, for a scan of shapes.
     """
@@ -90,24 +89,39 @@ class Model:
 
     @property
     def error_dps(self) -> Floats:
-        """What the model is of: gyro minus reference, less what makes a surface one of the output."""
-        error = self.means.error_dps
-        if self.direction != "output" or self.bend is None:
-            return error
-        return error - direction_at(self.basis, self.bend)
+        """What the model is of: gyro minus reference."""
+        return self.means.error_dps
 
     def directed(self, direction: str, bend: Floats) -> Model:
         """The same with a surface of this direction.
 
         Parameters
         ----------
-        bend : coefficients of the surface as far as they are known
+        bend : coefficients of the surface over the input as far as they are known
         """
-        known = self.without([DIRECTION])
+        moved = np.zeros_like(self.design)
+        if self.direction == "output" and self.bend is not None:
+            moved -= beyond_input(self.basis, self.bend)
+        if direction == "output":
+            moved += beyond_input(self.basis, bend)
+        components = {n: c for n, c in self.components.items() if n != DIRECTION}
+        part = next(p for p in self.parts if p.block == "surface")
+        own = components.get(part.name)
+        if own is not None and own.columns is not None and moved.any():
+            shift = moved[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
+            components[part.name] = Component(part.name, own.columns + shift)
         if direction == "free":
-            column = Component(DIRECTION, direction_at(self.basis, bend)[:, None])
-            known = replace(known, components={**known.components, DIRECTION: column})
-        return replace(known, direction=direction, bend=bend)
+            components[DIRECTION] = Component(DIRECTION, (beyond_input(self.basis, bend) @ bend)[:, None])
+        design = self.design + moved if moved.any() else self.design
+        return replace(self, design=design, components=components, direction=direction, bend=bend)
+
+    def bend_of(self, solution: Solution) -> Floats:
+        """Coefficients of the surface over the input, of Legendre products, shape (12,)."""
+        found = self.legendre(solution)
+        if self.direction != "output" or self.bend is None:
+            return found
+        input_design = self.design - beyond_input(self.basis, self.bend)
+        return np.asarray(np.linalg.lstsq(input_design, self.design @ found, rcond=1e-12)[0])
 
     def legendre(self, solution: Solution) -> Floats:
         """Coefficients of the surface, of Legendre products, shape (12,)."""
@@ -170,20 +184,29 @@ class Fitted:
 
     def refit(self, model: Model, iterations: int = 60) -> Fitted:
         """Another model of the same record, from these variances."""
-        ways = {model.direction, self.model.direction}
-        same = model.design is self.model.design and (model.bend is self.model.bend or "output" not in ways)
-        same = same and ("output" not in ways or len(ways) == 1)
-        contrasts = self.contrasts if same else contrasts_of(model, self.contrasts.unit)
+        same = model.design is self.model.design
+        contrasts = self.contrasts if same else contrasts_of(model, self.contrasts)
         return Fitted(model, contrasts.fit(model.all, self.fit.log_variance, iterations), contrasts)
 
 
-def contrasts_of(model: Model, unit: float | None = None) -> Contrasts:
-    """The record freed of the surface's free terms; `unit` of another model that it is compared with."""
+def contrasts_of(model: Model, like: Contrasts | None = None, designs: Sequence[Floats] = ()) -> Contrasts:
+    """The record freed of the surface's free terms.
+
+    Parameters
+    ----------
+    like : those of another model that it is compared with
+    designs : surfaces of models that will be compared with it, shape (n, 12) each
+    """
+    flat = model.design[:, model.flat]
+    if like is not None:
+        return Contrasts(model.error_dps, flat, like=like)
     columns = [c.columns for c in model.components.values() if c.columns is not None]
     steps = np.tri(len(model.means))[:, :: max(1, len(model.means) // _STEPS)]
     u = model.means.rate_dps / model.basis.frame.rate_scale_dps
     span = np.concatenate([*columns, steps, steps * u[:, None]], axis=1)
-    return Contrasts(model.error_dps, model.design[:, model.flat], span, unit)
+    rough = np.asarray(np.linalg.lstsq(model.design, model.error_dps, rcond=1e-12)[0], dtype=np.float64)
+    whole = np.concatenate([model.design, beyond_input(model.basis, rough), *designs], axis=1)
+    return Contrasts(model.error_dps, flat, span, whole)
 
 
 def full_model(means: Means, *, memory: bool = True) -> Model:
@@ -202,23 +225,14 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     return Model(means, basis, design, parts, components, law_variance=wide, flat=flat)
 
 
-def direction_at(rows: Basis, bend: Floats) -> Floats:
-    """What a surface over the output adds to the same one over the input, shape (n,), deg/s.
+def beyond_input(rows: Basis, bend: Floats) -> Floats:
+    """The terms of a surface over the output, less those of one over the input, shape (n, 12).
 
-    Its output is that of a gyro with the surface alone, as where a robot corrects: everything else adds to it.
+    The output is that of a gyro with the surface alone, to which effects are added, as a robot takes it.
     """
-    here, frame = rows.means, rows.frame
-    powers = (legendre_to_powers() @ bend).reshape(SHAPE)
-    surface = Surface(
-        powers, 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c, direction="output"
-    )
-    try:
-        output = surface.output_dps(here.rate_dps, here.temp_c)
-    except DataError:
-        # A surface on the way to the right one may have no output at some rate; what was recorded is near it.
-        output = here.gyro_dps
-    of_output = design_at(output, here.temp_c, frame)
-    return np.asarray((of_output - design_at(here.rate_dps, here.temp_c, frame)) @ bend)
+    here = rows.means
+    at_input = design_at(here.rate_dps, here.temp_c, rows.frame)
+    return design_at(here.rate_dps + at_input @ bend, here.temp_c, rows.frame) - at_input
 
 
 def fit_model(model: Model, start: Mapping[str, float] | None = None, iterations: int = 60) -> Fitted:

@@ -11,7 +11,8 @@ from scipy.stats import chi2
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.result import Located, UnnamedPart
-from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.physics.catalogue import CATALOGUE
 
 Floats = NDArray[np.float64]
 
@@ -74,10 +75,41 @@ def located(found: Examination, level: float) -> list[Located]:
                 **stretch(found, block, curves[block]),
             )
         )
+    places += _jumps(found)
     for pattern in found.patterns:
         rms = float(np.sqrt(np.mean(pattern.values**2)))
         coordinate = "table_angle" if "angle" in pattern.family else "time_since_step"
         places.append(Located(coordinate, "mean", pattern.p_value, 0.0, False, rms_dps=rms))
+    return places
+
+
+def _jumps(found: Examination) -> list[Located]:
+    """Each jump, from its instant to the end of the record."""
+    jumps = [n for n in found.naming.named if not n.block]
+    if not jumps:
+        return []
+    series, amplitudes = found.series, found.naming.fitted.solve().amplitudes
+    coordinate = series.time_coordinate
+    # Data sets without times are an interval of the surrogate clock apart.
+    unit_s = 1.0 if coordinate == "time" else SURROGATE_PERIOD_S
+    places = []
+    for jump in jumps:
+        curve = jump.law.columns @ amplitudes[jump.law.name]
+        ends = np.array([jump.law.shape["at_s"], series.t_s[-1]]) / unit_s
+        low, high = ends if coordinate == "time" else ends + 1.0
+        places.append(
+            Located(
+                coordinate,
+                "mean",
+                min(1.0, jump.trials * float(chi2.sf(2.0 * jump.gain, 1))),
+                1.0,
+                low=float(low),
+                high=float(high),
+                unit=_UNITS[coordinate],
+                target="scale factor" if "rate_dps" in CATALOGUE[jump.law.effect].needs else "",
+                rms_dps=float(np.sqrt(np.mean(curve**2))),
+            )
+        )
     return places
 
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import Laws, Trial, effects_of
-from gyrocal.diagnosis.layers import Fitted, Law, direction_at
+from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
@@ -24,7 +25,7 @@ Floats = NDArray[np.float64]
 #: Blocks whose removal costs less, nats, are not there.
 _ABSENT = 2.5
 #: What a law gains at least, nats, with the logarithm of the root of the number of its shapes.
-_GAIN = 8.0
+GAIN = 8.0
 #: A further law of the same block leaves nothing of the block, or takes this share of its evidence.
 _SECOND = 0.2
 #: Laws stand for a block that gains no more than this beside them, and a nat for each of them.
@@ -34,9 +35,11 @@ _NAMED_SHARE = 0.6
 #: A law worth less at the end is dropped, nats.
 _DROPPED = 4.0
 _REFITTED = 3
+#: Blocks that a wrong direction of the surface looks like.
+_BENT = ("odd rate", "even rate", "each rate")
 _MOST_LAWS = 3
-#: Steps in which the bend of a surface follows the surface, and the last of them in the noise of a row.
-_MOST_BENDS, _BENT = 60, 0.03
+#: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
+_BENDS = 2
 #: Shapes are refined over these factors either way, in turn.
 _SPREADS = (1.5, 1.12)
 _POINTS = 7
@@ -48,6 +51,8 @@ class Named:
 
     Attributes
     ----------
+    block : str
+        Smooth parts that it stands for; empty: it stands beside all of them.
     gain : float
         Evidence for it, nats.
     share : float
@@ -88,38 +93,25 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
     model = fitted.model
     if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
         return fitted, 0.0
-    bend = model.legendre(fitted.solve())
+    bend = model.bend_of(fitted.solve())
     free = fitted.refit(model.directed("free", bend), 40)
-    bend = free.model.legendre(free.solve())
+    bend = free.model.bend_of(free.solve())
     free = free.refit(model.directed("free", bend), 20)
     ways = {d: free.refit(free.model.directed(d, bend), 40) for d in ("output", "input")}
     gain = ways["output"].nll - ways["input"].nll
     best = ways["input"] if gain > 0.0 else ways["output"]
     # What is between the two is neither: it takes evidence to be believed.
-    return (best if best.nll < free.nll + _GAIN else free), gain
+    return (best if best.nll < free.nll + GAIN else free), gain
 
 
 def around_itself(fitted: Fitted) -> Fitted:
-    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface.
-
-    Where a law of the rate stands beside the surface both are large and of opposite sign; then the bend follows in
-    many small steps. It is left where a step is longer than the one before.
-    """
-    model, before = fitted.model, np.inf
-    if model.direction == "input" or model.bend is None:
+    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface."""
+    if fitted.model.direction == "input":
         return fitted
-    curve = direction_at(model.basis, model.bend)
-    for _ in range(_MOST_BENDS):
-        solution = replace(fitted, model=model).solve()
-        bent = model.directed(model.direction, model.legendre(solution))
-        following = direction_at(model.basis, model.legendre(solution))
-        step = float(np.ptp(following - curve))
-        if step >= before:
-            break
-        model, curve, before = bent, following, step
-        if step < _BENT * float(np.std(solution.left)):
-            break
-    return fitted.refit(model, 20)
+    for _ in range(_BENDS):
+        bend = fitted.model.bend_of(fitted.solve())
+        fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend), 20)
+    return fitted
 
 
 def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
@@ -139,7 +131,11 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
 def evidence(fitted: Fitted, block: str) -> tuple[float, Fitted]:
     """What a block is worth, nats, and the model without it."""
     names = [n for n, b in fitted.model.blocks.items() if b == block]
-    without = fitted.refit(fitted.model.without(names), 30)
+    model, bend = fitted.model.without(names), fitted.model.bend
+    ways = [model]
+    if block in _BENT and bend is not None:
+        ways = [model.directed(d, bend) for d in ("input", "output")]
+    without = min((fitted.refit(way, 30) for way in ways), key=lambda f: f.nll)
     return without.nll - fitted.nll, without
 
 
@@ -158,22 +154,34 @@ def present(fitted: Fitted) -> tuple[Fitted, dict[str, float]]:
                 fitted = without
 
 
-def name(fitted: Fitted, worth: Mapping[str, float], laws: Laws, input_gain: float) -> Naming:
+def name(
+    fitted: Fitted,
+    worth: Mapping[str, float],
+    laws: Laws,
+    jumps: Sequence[Jump] = (),
+    passes: Sequence[Component] = (),
+) -> Naming:
     """Name what can be named, the strongest block first.
 
     Parameters
     ----------
     fitted, worth : the model with the blocks that are there, and what each is worth
-    input_gain : how much better a surface over the input is, nats
+    jumps : jumps in the model
+    passes : what is to stand beside further jumps, which only names have made visible; empty: they are not looked for
     """
-    named: list[Named] = []
+    named = [_jumped(jump) for jump in jumps]
     nearest: dict[str, dict[str, float]] = {}
     for block in sorted(worth, key=lambda b: -worth[b]):
         if block not in fitted.model.blocks.values() or not effects_of(block):
             continue
-        fitted, new, nearest[block] = _name_block(fitted, block, laws)
-        named += new
+        answer = _name_either_way(fitted, block, laws)
+        fitted, nearest[block] = answer.fitted, answer.near
+        named += answer.named
+    if passes:
+        fitted, more = with_jumps(fitted, passes, laws, GAIN)
+        named += [_jumped(jump) for jump in more]
     fitted, named = _backward(fitted, named)
+    fitted, input_gain = settle_direction(fitted)
     fitted = around_itself(fitted)
     left = {b: evidence(fitted, b)[0] for b in sorted(set(fitted.model.blocks.values()))}
     return Naming(fitted, tuple(_mechanisms(named)), left, nearest, input_gain)
@@ -189,45 +197,78 @@ def _mechanisms(named: list[Named]) -> list[Named]:
     return [n for n in named if not others or n.law.effect != RATE_ORDER.id]
 
 
-def _name_block(fitted: Fitted, block: str, laws: Laws) -> tuple[Fitted, list[Named], dict[str, float]]:
+def _jumped(jump: Jump) -> Named:
+    return Named(jump.law, "", jump.gain, 1.0, dict(jump.rivals), jump.trials)
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What became of a block: the model, its laws, the nearest laws, and the loss with laws alone in its place."""
+
+    fitted: Fitted
+    named: list[Named]
+    near: dict[str, float]
+    nll: float
+
+
+def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
+    """Name a block; one that is odd in the rate beside a surface of the input and beside one of the output.
+
+    Smooth parts make up for the wrong one of the two, a law cannot.
+    """
+    bend = fitted.model.bend
+    if block not in _BENT or bend is None:
+        return _name_block(fitted, block, laws)
+    ways = [fitted.refit(fitted.model.directed(d, bend), 30) for d in ("input", "output")]
+    found = [_name_block(way, block, laws) for way in ways]
+    return min(found, key=lambda a: a.nll + GAIN * max(len(a.named), 1))
+
+
+def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     worth, without = evidence(fitted, block)
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
     current = without
     chosen: list[Named] = []
     near: dict[str, float] = {}
     while trials and len(chosen) < _MOST_LAWS:
-        found = _best_law(fitted, current, block, trials, {n.law.effect for n in chosen}, laws)
+        taken = {n.law.effect for n in chosen if not CATALOGUE[n.law.effect].search.adds_up}
+        found = _best_law(fitted, current, block, trials, taken, laws)
         if not found:
             break
         trial, better, rivals, count = found
         gain = current.nll - better.nll
         if not chosen:
             near = {trial.effect.id: worth - gain} | {e: worth - gain + r for e, r in rivals.items()}
-        if gain < _GAIN + 0.5 * np.log(count) - trial.effect.search.prior_nats:
+        if gain < GAIN + 0.5 * np.log(count) - trial.effect.search.prior_nats:
             break
         whole = better.nll <= fitted.nll + _REPLACED + len(chosen) + 1
-        if chosen and not whole and gain < _SECOND * worth:
+        more = trial.effect.id in {n.law.effect for n in chosen}
+        if chosen and not whole and not more and gain < _SECOND * worth:
             # The misfit of a law of another kind is no second effect.
             break
         chosen.append(Named(better.model.laws[-1], block, gain, 0.0, rivals, count))
         current = better
     if not chosen:
-        return fitted, [], near
+        return _Answer(fitted, [], near, fitted.nll)
     share = (without.nll - current.nll) / worth
     chosen = [replace(n, share=share) for n in chosen]
     # What a robot cannot evaluate as a law stays as a smooth part.
     replaces = all(CATALOGUE[n.law.effect].runtime for n in chosen) or not BLOCKS[block].stays
-    if current.nll <= fitted.nll + _REPLACED + len(chosen):
-        return (current if replaces else fitted), chosen, near
+    # Errors of single rates are as simple as a law is.
+    slack = 0.0 if block == "each rate" else _REPLACED + len(chosen)
+    if current.nll <= fitted.nll + slack:
+        return _Answer(current if replaces else fitted, chosen, near, current.nll)
     if BLOCKS[block].stays and share < _NAMED_SHARE:
-        return fitted, [], near
+        return _Answer(fitted, [], near, fitted.nll)
     if not replaces:
-        return fitted, chosen, near
+        return _Answer(fitted, chosen, near, current.nll)
     beside = fitted.refit(replace(fitted.model, laws=current.model.laws), 30)
+    if BLOCKS[block].stays:
+        return _Answer(beside, chosen, near, current.nll)
     # A walk follows a line without being one: the line must say more than the walk does.
-    if not BLOCKS[block].stays and fitted.nll - beside.nll <= _GAIN:
-        return fitted, [], near
-    return beside, chosen, near
+    if fitted.nll - beside.nll > GAIN:
+        return _Answer(beside, chosen, near, beside.nll)
+    return _Answer(fitted, [], near, fitted.nll)
 
 
 def _best_law(

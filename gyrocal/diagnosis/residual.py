@@ -12,7 +12,7 @@ from gyrocal.diagnosis.coil import coil_design
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import DIRECTION, direction_at
+from gyrocal.diagnosis.layers import DIRECTION, beyond_input
 from gyrocal.diagnosis.means import rows_of
 from gyrocal.diagnosis.parts import BLOCKS, Basis
 from gyrocal.diagnosis.series import Series
@@ -53,9 +53,12 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
     coil = found.ranked[0].coil if found.ranked else None
     design = coil_design(rows, coil)
     total = design @ model.legendre(solution)
-    if model.direction != "input" and model.bend is not None:
-        share = solution.amplitudes.get(DIRECTION, np.ones(1 if model.direction == "output" else 0))
-        total += direction_at(rows, model.bend) * float(np.sum(share))
+    if model.bend is not None:
+        beyond = beyond_input(rows, model.bend)
+        if model.direction == "output":
+            total += beyond @ model.legendre(solution)
+        elif DIRECTION in solution.amplitudes:
+            total += beyond @ model.bend * float(solution.amplitudes[DIRECTION][0])
     curves = {b: block_curve(fitted, solution, b, rows) for b in BLOCKS}
     total += sum(curves.values(), np.zeros(len(series)))
     effects = {p.effect: p.values for p in found.patterns}

@@ -172,14 +172,13 @@ def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[
     b = bread @ (z.T @ y)
     left = y - z @ b
     score = np.column_stack([np.bincount(sets, x * left) for x in z.T])
-    used = int(np.count_nonzero(np.any(score != 0.0, axis=1)))
-    free = max(used - z.shape[1], 1)
-    covariance = bread @ (score.T @ score) @ bread * used / free
+    covariance = bread @ (score.T @ score) @ bread
     found, first = [], 0
     for candidate, size in zip(candidates, sizes, strict=True):
         own = slice(first, first + size)
         first += size
-        v = covariance[own, own]
+        used = _effective_sets(z[:, own], sets)
+        v = covariance[own, own] * used / max(used - size, 1.0)
         dof = used - size
         t2 = float(b[own] @ np.linalg.pinv(v, rcond=1e-10, hermitian=True) @ b[own])
         p = 1.0
@@ -187,3 +186,13 @@ def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[
             p = float(fisher.sf(t2 * dof / ((used - 1.0) * size), size, dof))
         found.append(Pattern(candidate.effect, candidate.shape, candidate.columns, b[own], v, p))
     return found
+
+
+def _effective_sets(z: Floats, sets: Ints) -> float:
+    """Number of equal sets that would tell as much of columns as these, of which few may carry most.
+
+    What the scatter of scores is known to goes by this number (Bell and McCaffrey, Survey Methodology 28, 2002).
+    """
+    each = np.column_stack([np.bincount(sets, x * y) for x in z.T for y in z.T])
+    share = each @ np.linalg.pinv(z.T @ z, rcond=1e-10, hermitian=True).ravel()
+    return float(np.sum(share)) ** 2 / max(float(np.sum(share**2)), 1e-30)

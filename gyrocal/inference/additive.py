@@ -29,10 +29,12 @@ START = -4.0
 #: A part that has died in an earlier fit starts this far below at the most, or it could not come back.
 _REVIVED = -7.0
 #: Directions of a record that a fit looks at.
-MOST_DIRECTIONS = 240
+MOST_DIRECTIONS = 300
 #: Of these, directions beside the span, which tell of the level of the noise.
-_BESIDE = 60
+_BESIDE = 40
 _SEED = 20
+#: Singular values below this share of the largest are rounding.
+_SAME_DIRECTION = 1e-9
 #: Information on the logarithm of a variance that a record tells nothing of: a factor of e^2 either way.
 _VAGUE = 0.25
 #: Rate of the exponential prior of each component's standard deviation, relative to that of the record: large parts
@@ -104,23 +106,37 @@ class Contrasts:
     span : ndarray, shape (n, q), optional
         Of a long record only as many directions are looked at as a fit can be paid for: those of these columns
         first. Every choice of directions has a true likelihood; what is left out tells of the noise alone.
-    unit : float, optional
-        What variances are relative to: that of another model of the record, with which this one is compared.
+    whole : ndarray, shape (n, k), optional
+        Columns of which nothing is left out: flat ones of models to come.
+    like : Contrasts, optional
+        Of another model of the record, with which this one is compared: it looks in the same directions, and its
+        variances are in the same unit.
     """
 
     def __init__(
-        self, y: Floats, flat: Floats, span: Floats | None = None, unit: float | None = None
+        self,
+        y: Floats,
+        flat: Floats,
+        span: Floats | None = None,
+        whole: Floats | None = None,
+        like: Contrasts | None = None,
     ) -> None:
-        q, _ = linalg.qr(flat / np.linalg.norm(flat, axis=0))
         self.y, self.flat = y, flat
-        self._across = np.ascontiguousarray(q[:, flat.shape[1] :])
-        if span is not None and self._across.shape[1] > MOST_DIRECTIONS:
-            self._across = _directions(self._across, span)
+        self.kept: Floats | None = None
+        if like is not None:
+            self.kept = like.kept
+        elif span is not None and y.size > MOST_DIRECTIONS:
+            self.kept = _directions(flat if whole is None else whole, span)
+        seen = flat if self.kept is None else self.kept.T @ flat
+        q, _ = linalg.qr(seen / np.linalg.norm(seen, axis=0))
+        across = q[:, flat.shape[1] :]
+        self._across = np.ascontiguousarray(across if self.kept is None else self.kept @ across)
         left = self._across.T @ y
-        self.unit = unit or float(np.sqrt(np.mean(left**2))) or 1.0
+        own_unit = float(np.sqrt(np.mean(left**2))) or 1.0
+        self.unit: float = own_unit if like is None else like.unit
         self._left = left / self.unit
         # With this the likelihood is the evidence under flat coefficients, comparable between flat columns.
-        self._flat = float(np.linalg.slogdet(flat.T @ flat)[1]) / 2.0
+        self._flat = float(np.linalg.slogdet(seen.T @ seen)[1]) / 2.0
         self._parts: dict[int, tuple[Component, _Part]] = {}
 
     def part(self, component: Component) -> _Part:
@@ -191,13 +207,19 @@ class Contrasts:
         return whole @ self.y, whole
 
 
-def _directions(across: Floats, span: Floats) -> Floats:
-    """The strongest directions of a span among contrasts, and some beside it, shape (n, MOST_DIRECTIONS)."""
-    own = across.T @ (span / np.maximum(np.linalg.norm(span, axis=0), 1e-300))
-    left = linalg.svd(own, full_matrices=False)[0][:, : MOST_DIRECTIONS - _BESIDE]
-    beside = np.random.default_rng(_SEED).standard_normal((own.shape[0], MOST_DIRECTIONS - left.shape[1]))
-    chosen, _ = linalg.qr(np.concatenate([left, beside], axis=1), mode="economic")
-    return np.ascontiguousarray(across @ chosen)
+def _directions(whole: Floats, span: Floats) -> Floats:
+    """All directions of `whole`, the strongest of a span, and some beside them, shape (n, MOST_DIRECTIONS)."""
+    first, sizes, _ = linalg.svd(_normalised(whole), full_matrices=False)
+    first = first[:, sizes > _SAME_DIRECTION * sizes[0]]
+    room = MOST_DIRECTIONS - _BESIDE - first.shape[1]
+    left = linalg.svd(_normalised(span), full_matrices=False)[0][:, : max(room, 0)]
+    beside = np.random.default_rng(_SEED).standard_normal((whole.shape[0], _BESIDE))
+    chosen, _ = linalg.qr(np.concatenate([first, left, beside], axis=1), mode="economic")
+    return np.ascontiguousarray(chosen)
+
+
+def _normalised(columns: Floats) -> Floats:
+    return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
 
 
 class _Likelihood:

@@ -83,6 +83,8 @@ class Search:
         Whether it is found by its columns; otherwise a test of its own on the samples finds it.
     scatters : bool
         Whether it widens the scatter of the rows as well as their mean.
+    adds_up : bool
+        Several of it, of different shapes, are one effect.
     accounts_for : tuple of str
         Effects that need not be named beside it: they are a part of it.
     """
@@ -98,4 +100,5 @@ class Search:
     draws: bool = False
     by_columns: bool = True
     scatters: bool = False
+    adds_up: bool = False
     accounts_for: tuple[str, ...] = ()

@@ -210,7 +210,8 @@ THERMAL_HYSTERESIS = Effect(
     runtime=True,
     error_dps=_hysteresis,
     has_memory=True,
-    search=Search(grid=_widths, refined=("width_c",), requires=(_SOME_CHANGE,)),
+    # A sum of plays is what hysteresis is in general (Prandtl and Ishlinskii).
+    search=Search(grid=_widths, refined=("width_c",), requires=(_SOME_CHANGE,), adds_up=True),
     fold=on_own("Play of the temperature, P[T] - T, °C"),
     c_text=CText(_hysteresis_c),
 )

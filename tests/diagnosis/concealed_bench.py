@@ -27,6 +27,8 @@ from tests.diagnosis.concealed_world import PLANS, STEP_S, Floats, World, build_
 
 EFFECTS = (*CATALOGUE, *OF_SURFACE, *OF_OUTPUT)
 ROW_HEADER = "t_s,gyro_dps,gyro_temp_c,status,table_rate_dps,table_angle_deg,chamber_temp_c,supply_v\n"
+#: Acts whose sign physics fixes: a coil follows, a sine and a knee lose gain.
+ONE_SIGN = ("thermal_lag", "fit_direction", "truncation", "dead_zone", "sagnac_sine", "saturation")
 _NODE_S = 12.0
 _SAMPLE_NOISE_DPS = 4.4e-3
 _SPECTRUM_SPANS = 4
@@ -231,11 +233,7 @@ def make_recording(
         reach = yardstick.d_prime(in_rows) if yardstick else 1.0
         # The surface of a real gyro is cubic in the one or in the other: nothing to scale.
         size = 1.0 if name == "fit_direction" else d_prime / reach
-        sign = (
-            1.0
-            if name in ("thermal_lag", "fit_direction", "truncation", "dead_zone")
-            else rng.choice([-1.0, 1.0])
-        )
+        sign = 1.0 if name in ONE_SIGN else rng.choice([-1.0, 1.0])
         total += sign * size * unit
         lost += sign * size * unit if name == "truncation" else 0.0
         rows.append(sign * size * in_rows)

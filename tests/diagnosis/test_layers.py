@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import fit_twice
-from gyrocal.diagnosis.layers import direction_at, fit_model, full_model
+from gyrocal.diagnosis.layers import beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import around_itself
 from gyrocal.diagnosis.parts import SURFACE, polynomials, staying
@@ -20,7 +20,7 @@ from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import patterns
 from gyrocal.fusion.coefficients import Coefficients, parse_coefficients
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.surface import SHAPE
 from gyrocal.records.datasets import DataSetTable
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
@@ -126,22 +126,9 @@ def test_a_surface_of_the_output_bends_as_the_surface_that_it_has_in_the_end() -
     other = 3.0 * fitted.model.legendre(fitted.solve())
     found = around_itself(fitted.refit(fitted.model.directed("output", other), 5))
     assert found.model.bend is not None
-    now = found.model.legendre(found.solve())
-    bends = [direction_at(found.model.basis, b) for b in (found.model.bend, now)]
+    now = found.model.bend_of(found.solve())
+    bends = [beyond_input(found.model.basis, b) @ now for b in (found.model.bend, now)]
     np.testing.assert_allclose(bends[0], bends[1], atol=5e-3 * np.abs(bends[1]).max())
-
-
-def test_what_makes_a_surface_of_the_output_of_one_of_the_input() -> None:
-    """The gyro's output by the surface alone, as where a robot corrects: rate, surface of the rate, and the difference."""
-    model = full_model(means_of(series_of_table(sweeps(1)[0])), memory=False)
-    means, frame = model.means, model.basis.frame
-    bend = 0.3 * np.random.default_rng(2).standard_normal(12)
-    powers = (legendre_to_powers() @ bend).reshape(SHAPE)
-    scales = 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c
-    output = Surface(powers, *scales, direction="output").output_dps(means.rate_dps, means.temp_c)
-    of_input = Surface(powers, *scales, direction="input").error_dps(means.rate_dps, means.temp_c)
-    found = means.rate_dps + of_input + direction_at(model.basis, bend)
-    np.testing.assert_allclose(found, output, atol=1e-9)
 
 
 def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:

@@ -1,0 +1,116 @@
+"""Jumps of the bias and of the scale factor at an instant.
+
+A walk, 1/f noise and anything smooth can follow a jump from afar, and would be taken for it where the instant is
+missed. So every boundary between rows is tried, beside all of them: what they can follow is no jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.means import Means
+from gyrocal.inference.additive import Component
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import MDPS, PPM
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: What each kind of jump is compared with, once it is found.
+_SLOW = {BIAS_STEP.id: BIAS_DRIFT, SCALE_STEP.id: SCALE_DRIFT}
+#: Rows on either side of a jump.
+_FEWEST_ROWS = 3
+_MOST = 3
+_ITERATIONS = 40
+#: Instants within a row.
+_WITHIN = 9
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A jump that was found: its evidence, how much worse a drift is (nats), and how many instants were tried."""
+
+    law: Law
+    gain: float
+    rivals: Mapping[str, float]
+    trials: int
+
+
+def with_jumps(
+    fitted: Fitted, passes: Sequence[Component], laws: Laws, least_nats: float
+) -> tuple[Fitted, list[Jump]]:
+    """The model with the jumps that are there.
+
+    Parameters
+    ----------
+    passes : what passes, that may have died in `fitted` and is to stand beside each jump
+    least_nats : evidence that a jump needs at least, with the logarithm of the root of the number of instants
+    """
+    found: list[Jump] = []
+    beside = {c.name: c for c in passes}
+    wide = fitted.refit(replace(fitted.model, components={**fitted.model.components, **beside}), _ITERATIONS)
+    while len(found) < _MOST:
+        tried = [_best(wide, laws, effect) for effect in (BIAS_STEP.id, SCALE_STEP.id)]
+        gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
+        gains = [g for g in gains if g[0] > least_nats + 0.5 * np.log(g[2])]
+        if not gains:
+            break
+        gain, new, count = max(gains, key=lambda g: g[0])
+        found.append(Jump(new.model.laws[-1], gain, _rivals(wide, new, laws), count))
+        wide = new
+    if not found:
+        return fitted, []
+    kept = {n: c for n, c in wide.model.components.items() if n in fitted.model.components or n in beside}
+    model = replace(wide.model, components=kept)
+    return Fitted(model.alive(wide.fit), wide.fit, wide.contrasts), found
+
+
+def boundaries(means: Means, effect: str) -> Ints:
+    """Rows at whose beginning a jump may be, shape (m,)."""
+    rows = np.arange(_FEWEST_ROWS, len(means) - _FEWEST_ROWS)
+    if effect == BIAS_STEP.id:
+        return rows
+    # Before the first turns and after the last it is a scale factor for the whole record, which the surface has.
+    turning = np.flatnonzero(means.rate_dps != 0.0)
+    return turning[2:-1] if turning.size > 4 else np.empty(0, dtype=np.int64)
+
+
+def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
+    """The model with the jump that gains most, and the number of instants."""
+    means = fitted.model.means
+    rows = boundaries(means, effect)
+    if rows.size == 0:
+        return None
+    score, p = fitted.contrasts.precision(fitted.model.all, fitted.fit.log_variance)
+    unit = MDPS * np.ones(len(means)) if effect == BIAS_STEP.id else PPM * means.rate_dps
+    later = np.where(np.arange(len(means))[:, None] >= rows, unit[:, None], 0.0)
+    row = int(rows[int(np.argmax(_gains(later, score, p)))])
+    inside = np.linspace(means.from_s[row - 1], means.to_s[row], _WITHIN)
+    instants = np.concatenate([[means.from_s[row]], inside])
+    near = [laws.at(CATALOGUE[effect], {"at_s": float(at)})[:, 0] for at in instants]
+    best = int(np.argmax(_gains(np.column_stack(near), score, p)))
+    law = Law(effect, {"at_s": float(instants[best])}, near[best][:, None])
+    model = replace(fitted.model, laws=(*fitted.model.laws, law))
+    return fitted.refit(model, _ITERATIONS), int(rows.size)
+
+
+def _gains(columns: Floats, score: Floats, p: Floats) -> Floats:
+    """Log-likelihood that each column gains by itself, shape (m,)."""
+    information = np.einsum("ij,ij->j", columns, p @ columns)
+    enough = information > 1e-9 * np.max(information, initial=0.0)
+    return np.where(enough, (columns.T @ score) ** 2 / np.where(enough, information, 1.0), 0.0)
+
+
+def _rivals(wide: Fitted, jumped: Fitted, laws: Laws) -> dict[str, float]:
+    """How much worse a drift explains the same, nats."""
+    drift = _SLOW[jumped.model.laws[-1].effect]
+    law = Law(drift.id, {}, laws.at(drift, {}))
+    drifting = wide.refit(replace(wide.model, laws=(*wide.model.laws, law)), _ITERATIONS)
+    return {drift.id: drifting.nll - jumped.nll}
