@@ -47,7 +47,11 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> dict[str
         b = covariance @ (columns.T @ score)
         size = float(np.hypot(*b)) if b.size == 2 else float(b[0])
         along = b / size if b.size == 2 else np.ones(1)
-        return -float(columns.T @ score @ b), size, float(np.sqrt(max(along @ covariance @ along, 0.0)))
+        return (
+            -float(columns.T @ score @ b),
+            size,
+            float(np.sqrt(max(float(along @ covariance @ along), 0.0))),
+        )
 
     _, amplitude, std = at(law.columns)
     profiles = {

@@ -1,0 +1,45 @@
+"""Jumps of the bias, on a table at one rate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.examine import fit_twice, surface_of, wandering
+from gyrocal.diagnosis.jumps import Jump, with_jumps
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import GAIN
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.records.datasets import DataSetTable
+
+_SETS = 90
+_PERIOD_S = 30.0
+
+
+def jumps_in(added_dps: NDArray[np.float64], seed: int) -> list[Jump]:
+    """What is found in data sets at rest, of noise of 0.4 mdeg/s and what is added."""
+    t = _PERIOD_S * np.arange(_SETS, dtype=np.float64)
+    noise = 4e-4 * np.random.default_rng(seed).standard_normal(_SETS)
+    temp = 25.0 + 0.1 * np.sin(t / 500.0)
+    table = DataSetTable(Path("rest.csv"), np.zeros(_SETS), 0.01 + noise + added_dps, temp, t_s=t)
+    full = full_model(means_of(series_of_table(table)))
+    fitted = fit_twice(full)
+    laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
+    return with_jumps(fitted, wandering(full), laws, GAIN)[1]
+
+
+def test_a_jump_is_found_at_its_instant() -> None:
+    (found,) = jumps_in(np.where(np.arange(_SETS) >= 40, 3e-3, 0.0), 1)
+    assert found.law.effect == "bias_step"
+    assert abs(found.law.shape["at_s"] - 39.5 * _PERIOD_S) <= 0.5 * _PERIOD_S
+    assert found.rivals["bias_drift"] > GAIN
+
+
+def test_a_walk_is_no_jump() -> None:
+    for seed in range(3):
+        steps = np.random.default_rng([7, seed]).standard_normal(_SETS)
+        assert not jumps_in(4e-4 * np.cumsum(steps), seed)
