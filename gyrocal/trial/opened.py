@@ -16,11 +16,11 @@ from gyrocal.records.files import write_atomically
 from gyrocal.trial.blind import BlindConfig, Finder, Progress, always_there
 from gyrocal.trial.conceal import Concealed, Layer
 from gyrocal.trial.made_up import MadeUp, make_up
-from gyrocal.trial.second import WORTH, corrected_rms_dps, oracle_rms_dps, share_removed
+from gyrocal.trial.second import WORTH, consult_oracle, corrected_rms_dps, share_removed
 
 #: Verdict on a recording that was not diagnosed.
 REFUSED = "refused"
-#: Worse than the surface by more than this is worse, where the oracle shows that the record allows better.
+#: Worse than the surface by more than this is worse, where the record allows better.
 _WORSE = 1.05
 
 
@@ -37,6 +37,8 @@ class Opened:
     before_dps, after_dps, oracle_dps : float or None
         Error on the second run: of the surface, of the improved file (the surface's where there is none), and of
         a fit that knows the laws and the noise. Infinite, null in JSON, where a row cannot be corrected.
+    allowed_dps : float or None
+        What that fit had to expect, or what it left if that is more.
     share : float or None
         Of the removable error, what the improved file removes; None where there is none to remove.
     """
@@ -50,6 +52,7 @@ class Opened:
     before_dps: float | None = None
     after_dps: float | None = None
     oracle_dps: float | None = None
+    allowed_dps: float | None = None
     share: float | None = None
     refusal: str = ""
 
@@ -74,9 +77,9 @@ class Opened:
     @property
     def worse(self) -> bool:
         """Whether the improved file is worse than the surface on the second run, beyond what noise explains."""
-        if self.before_dps is None or self.after_dps is None or self.oracle_dps is None:
+        if self.before_dps is None or self.after_dps is None or self.allowed_dps is None:
             return False
-        return self.after_dps > max(_WORSE * self.before_dps, WORTH * self.oracle_dps)
+        return self.after_dps > max(_WORSE * self.before_dps, WORTH * self.allowed_dps)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, the answer opened."""
@@ -137,7 +140,7 @@ def judge_made_up(number: int, commitment: str, made: MadeUp, found: Diagnosis, 
             write_atomically(out / f"{name}.json", model.to_text())
     before = corrected_rms_dps(second, made.second, found.surface)
     after = corrected_rms_dps(second, made.second, found.improved or found.surface)
-    oracle = oracle_rms_dps(made.bench, made.gyro_dps, made.second, made.gyro, made.hidden)
+    oracle = consult_oracle(made.bench, made.gyro_dps, made.second, made.gyro, made.hidden)
     return Opened(
         number,
         commitment,
@@ -147,6 +150,7 @@ def judge_made_up(number: int, commitment: str, made: MadeUp, found: Diagnosis, 
         tuple((e.effect, *(a.effect for a in e.alternatives)) for e in counted),
         before,
         after,
-        oracle,
+        oracle.rms_dps,
+        oracle.allowed_dps,
         share_removed(before, after, oracle),
     )

@@ -20,7 +20,7 @@ from gyrocal.trial.plans import Bench
 
 Floats = NDArray[np.float64]
 
-#: An error up to so many times the oracle's is what the record allows: there is nothing to remove, and no share.
+#: In an error up to so many times what the record allows there is nothing to remove, and no share.
 WORTH = 1.3
 _ROUNDS = 8
 _LEAST_SLOPE = 0.02
@@ -97,13 +97,31 @@ def slope_of(error: Callable[[Floats], Floats], rate_dps: Floats) -> Floats:
     return np.asarray((error(rate_dps + h) - error(rate_dps - h)) / (2.0 * h))
 
 
-def oracle_rms_dps(
-    first: Bench, gyro_dps: Floats, second: SecondRun, gyro: Gyro, hidden: Sequence[Hidden]
-) -> float:
-    """What least squares leaves that knows the laws, their shapes and the noise, and fits only sizes.
+@dataclass(frozen=True)
+class Oracle:
+    """What least squares leaves on the second run that knows the laws, their shapes and the noise, and fits only sizes.
 
-    A front end's sine is known whole, and the surface lives at the coil's temperature.
+    Attributes
+    ----------
+    rms_dps : float
+        What it left.
+    expected_dps : float
+        Standard deviation of its prediction within the temperatures of the first recording.
     """
+
+    rms_dps: float
+    expected_dps: float
+
+    @property
+    def allowed_dps(self) -> float:
+        """Error that the noise of the recording allows, whether the oracle was lucky or not."""
+        return max(self.rms_dps, self.expected_dps)
+
+
+def consult_oracle(
+    first: Bench, gyro_dps: Floats, second: SecondRun, gyro: Gyro, hidden: Sequence[Hidden]
+) -> Oracle:
+    """Fit as the oracle does: a front end's sine is known whole, and the surface lives at the coil's temperature."""
     known = [h for h in hidden if h.law.acts == "front"]
     sized = [h for h in hidden if h.law.acts == "adds"]
 
@@ -120,7 +138,8 @@ def oracle_rms_dps(
     white = gyro.noise.whiten(first, np.column_stack([design(first, sized), y]))
     size = np.linalg.norm(white[:, :-1], axis=0)
     size[size == 0] = 1.0
-    fitted = np.linalg.lstsq(white[:, :-1] / size, white[:, -1], rcond=1e-10)[0] / size
+    inverse = np.linalg.pinv(white[:, :-1] / size, rcond=1e-10) / size[:, None]
+    fitted = inverse @ white[:, -1]
     staying = np.array([True] * (fitted.size - len(sized)) + [h.law.stays for h in sized])
 
     def predicted(rate_dps: Floats) -> Floats:
@@ -128,7 +147,9 @@ def oracle_rms_dps(
         sum_dps = design(bench, sized)[:, staying] @ fitted[staying]
         return np.asarray(np.sum([sum_dps, *(h.column(bench) for h in known)], axis=0))
 
-    return second.rms_dps(inverted(second.gyro_dps, second.bench.rate_dps, predicted))
+    left = second.rms_dps(inverted(second.gyro_dps, second.bench.rate_dps, predicted))
+    spread = design(second.bench, sized)[second.inside][:, staying] @ inverse[staying]
+    return Oracle(left, float(np.sqrt(np.mean(np.sum(spread**2, axis=1)))))
 
 
 def inverted(output_dps: Floats, start_dps: Floats, error: Callable[[Floats], Floats]) -> Floats:
@@ -151,13 +172,13 @@ def corrected_rms_dps(recording: Path, second: SecondRun, coefficients: Coeffici
         return second.rms_dps(read_columns(out, read_header(out))["corrected_dps"])
 
 
-def share_removed(before: float | None, after: float | None, oracle: float) -> float | None:
+def share_removed(before: float | None, after: float | None, oracle: Oracle) -> float | None:
     """Share of the removable error that is removed: 1 all, 0 none, below 0 worse; None where there is none to remove.
 
     A correction with rows that it cannot correct removes nothing.
     """
-    if before is None or not WORTH * oracle < before < float("inf"):
+    if before is None or not WORTH * oracle.allowed_dps < before < float("inf"):
         return None
     if after is None or after == float("inf"):
         return 0.0
-    return (before - after) / (before - oracle)
+    return (before - after) / (before - oracle.rms_dps)

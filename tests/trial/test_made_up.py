@@ -20,10 +20,11 @@ from gyrocal.trial.made_up import KINDS, MadeUp, Wish, make_up
 from gyrocal.trial.plans import Bench, lagged
 from gyrocal.trial.recordings import write_run
 from gyrocal.trial.second import (
+    Oracle,
     SecondRun,
+    consult_oracle,
     corrected_rms_dps,
     inverted,
-    oracle_rms_dps,
     second_run,
     share_removed,
 )
@@ -213,15 +214,30 @@ def test_oracle_removes_all_where_there_is_no_noise() -> None:
     ]
     output = first.rate_dps + error_dps(first, gyro(), hidden)
     second = second_of(first, hidden)
-    assert oracle_rms_dps(first, output, second, gyro(), hidden) < 1e-8
+    assert consult_oracle(first, output, second, gyro(), hidden).allowed_dps < 1e-8
     assert second.rms_dps(second.gyro_dps) > 0.05
 
 
+def test_oracle_leaves_what_it_expects_to_leave() -> None:
+    first, noise = small_table(sets=171), Noise(8e-3, flicker=1e-3, jitter=3e-5)
+    own, hidden = gyro(noise), [Hidden(LAWS["warm_up"], {"tau_s": 500.0}, 0.05)]
+    second = second_of(first, hidden)
+    clean = first.rate_dps + error_dps(first, own, hidden)
+    asked = [
+        consult_oracle(first, clean + noise.draw(first, np.random.default_rng(k))[0], second, own, hidden)
+        for k in range(40)
+    ]
+    left = np.sqrt(np.mean([o.rms_dps**2 for o in asked]))
+    assert left == pytest.approx(asked[0].expected_dps, rel=0.3)
+
+
 def test_share_of_the_removable_error() -> None:
-    assert share_removed(10.0, 2.0, 2.0) == 1.0
-    assert share_removed(10.0, 14.0, 2.0) == -0.5
-    assert share_removed(10.0, None, 2.0) == 0.0
-    assert share_removed(2.2, 1.0, 2.0) is None
+    oracle = Oracle(2.0, 1.0)
+    assert share_removed(10.0, 2.0, oracle) == 1.0
+    assert share_removed(10.0, 14.0, oracle) == -0.5
+    assert share_removed(10.0, None, oracle) == 0.0
+    assert share_removed(2.2, 1.0, oracle) is None
+    assert share_removed(10.0, 2.0, Oracle(2.0, 9.0)) is None
 
 
 def test_correction_goes_through_apply(tmp_path: Path) -> None:

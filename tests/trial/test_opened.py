@@ -43,7 +43,7 @@ def _opened(
     answer = Concealed("layers", "fog", "sweep", "none", (), tuple(layers), "00")
     share = (before - after) / (before - oracle) if layers else None
     classes = tuple((n,) for n in named)
-    return Opened(0, "", answer, verdict, tuple(named), classes, before, after, oracle, share)
+    return Opened(0, "", answer, verdict, tuple(named), classes, before, after, oracle, oracle, share)
 
 
 def test_sealed_before_it_is_diagnosed_and_the_second_run_shown_after(tmp_path: Path) -> None:
