@@ -101,7 +101,9 @@ def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     is no larger than its error would make half of all drives worse.
     """
     bias, std = bias_of(yaw, truth)
-    return bias * max(1.0 - std**2 / max(bias**2, 1e-300), 0.0)
+    if abs(bias) <= std:
+        return 0.0
+    return bias * (1.0 - (std / bias) ** 2)
 
 
 def estimates_of(
