@@ -24,6 +24,7 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the o
 
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
+_WORDS_OF_A_NUMBER = 4
 #: Characters that a table may be wide when it is piped.
 _PLAIN_WIDTH = 100
 
@@ -66,22 +67,27 @@ def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str
 
         table = Table(title=title or None, title_justify="left")
         for index, name in enumerate(columns):
-            table.add_column(name, justify="left" if index == 0 else "right")
+            table.add_column(name, justify="left" if index == 0 or _is_prose(rows, index) else "right")
         for row in rows:
             table.add_row(*row)
         Console().print(table)
         return
     widths = _widths(columns, rows)
+    flush = [i == 0 or _is_prose(rows, i) for i in range(len(columns))]
     if title:
         click.echo(title)
     for row in (columns, *rows):
         folded = [textwrap.wrap(c, w) if len(c) > w else [c] for c, w in zip(row, widths, strict=True)]
         for line in zip_longest(*folded, fillvalue=""):
             cells = [
-                c.ljust(w) if i == 0 else c.rjust(w)
-                for i, (c, w) in enumerate(zip(line, widths, strict=True))
+                c.ljust(w) if left else c.rjust(w) for c, w, left in zip(line, widths, flush, strict=True)
             ]
             click.echo("  ".join(cells).rstrip())
+
+
+def _is_prose(rows: Sequence[Sequence[str]], index: int) -> bool:
+    """Whether a column holds sentences, which begin at the left; a number with its interval is four words."""
+    return any(len(row[index].split()) > _WORDS_OF_A_NUMBER for row in rows)
 
 
 def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[int]:
