@@ -252,8 +252,8 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
         return _Answer(fitted, [], near, fitted.nll)
     share = (without.nll - current.nll) / worth
     chosen = [replace(n, share=share) for n in chosen]
-    # What a robot cannot evaluate as a law stays as a smooth part.
-    replaces = all(CATALOGUE[n.law.effect].runtime for n in chosen) or not BLOCKS[block].stays
+    # What a robot cannot evaluate as a law of one amplitude stays as a smooth part.
+    replaces = all(map(_of_robot, chosen)) or not BLOCKS[block].stays
     # Errors of single rates are as simple as a law is.
     slack = 0.0 if block == "each rate" else _REPLACED + len(chosen)
     if current.nll <= fitted.nll + slack:
@@ -269,6 +269,10 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     if fitted.nll - beside.nll > GAIN:
         return _Answer(beside, chosen, near, beside.nll)
     return _Answer(fitted, [], near, fitted.nll)
+
+
+def _of_robot(named: Named) -> bool:
+    return CATALOGUE[named.law.effect].runtime and named.law.columns.shape[1] == 1
 
 
 def _best_law(

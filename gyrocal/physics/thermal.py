@@ -28,7 +28,7 @@ from gyrocal.physics.fold import on_model, on_own
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import lag, play
 from gyrocal.physics.offer import Offer, either, table_turns, temperature_changes
-from gyrocal.physics.search import Search, scales
+from gyrocal.physics.search import Search, Shape, scales
 from gyrocal.physics.surface import Surface
 from gyrocal.units import S_PER_MIN
 
@@ -91,7 +91,17 @@ def _widths(offer: Offer) -> list[dict[str, float]]:
 def _powers(offer: Offer) -> list[dict[str, float]]:
     low, high = offer.temp_c
     middle, half = (low + high) / 2, (high - low) / 2 or 1.0
-    return [{"order": order, "center_c": middle, "scale_c": half} for order in (3.0, 4.0)]
+    on_bias = [{"order": order, "center_c": middle, "scale_c": half} for order in (3.0, 4.0)]
+    full = offer.largest_rate_dps
+    return on_bias + ([{**shape, "rate_scale_dps": full} for shape in on_bias] if full else [])
+
+
+def _order_columns(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+    """The law on the bias; with a scale of the rate on the scale factor as well."""
+    bias = effect.unit_dps(c, given, surface)
+    if "rate_scale_dps" not in given:
+        return bias[:, None]
+    return np.column_stack([bias, bias * c.rate_dps / given["rate_scale_dps"]])
 
 
 def _draw_order(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
@@ -220,7 +230,7 @@ TEMPERATURE_ORDER = Effect(
     id="temperature_order",
     family="temperature shape",
     equation="e = k ((T - T_m)/T_s)^n, n = 3, 4, ...",
-    statement="The bias bends more with temperature than a quadratic can.",
+    statement="The bias, or the scale factor with it, bends more with temperature than a quadratic can.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 5.0, "size at T_m + T_s"),
         choice("order", "1", 3.0, 9.0, 3.0, "power"),
@@ -235,6 +245,7 @@ TEMPERATURE_ORDER = Effect(
     error_dps=memoryless(_temperature_order),
     search=Search(
         grid=_powers,
+        columns=_order_columns,
         requires=(temperature_changes(10.0, "the temperature changed by less than 10 degC"),),
     ),
     hiding=Hiding(_draw_order),
