@@ -85,12 +85,13 @@ def examine(series: Series, level: float) -> Examination:
 def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examination:
     ranked = TableSearch(base).run()
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
-    wandering = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
+    drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
     first = ranked[0].fitted
-    best = alive(first.refit(replace(first.model, components={**first.model.components, **wandering})))
+    best = alive(first.refit(replace(first.model, components={**first.model.components, **drifting})))
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
     settled, worth = present(settle_direction(best)[0])
-    naming = name(settled, worth, laws)
+    beside = replace(settled.model, components={**settled.model.components, **drifting})
+    naming = name(settled.refit(beside), worth, laws)
     joint = ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(ranked)) if joint else ()
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked))

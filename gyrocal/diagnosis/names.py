@@ -311,9 +311,14 @@ def _best_law(
     for trial in refined:
         law = Law(trial.effect.id, trial.shape, trial.columns)
         refits.append((current.refit(replace(current.model, laws=(*current.model.laws, law)), 30), trial))
-    refits.sort(key=lambda x: x[0].nll - x[1].effect.search.prior_nats)
+
+    def loss(found: Fitted, trial: Trial) -> float:
+        """What had more shapes to choose from has to gain more."""
+        return found.nll - trial.effect.search.prior_nats + 0.5 * float(np.log(counts[trial.effect.id]))
+
+    refits.sort(key=lambda x: loss(*x))
     winner = refits[0]
-    rivals = {t.effect.id: f.nll - winner[0].nll for f, t in refits[1:]}
+    rivals = {t.effect.id: loss(f, t) - loss(*winner) for f, t in refits[1:]}
     return winner[1], winner[0], rivals, counts[winner[1].effect.id]
 
 
