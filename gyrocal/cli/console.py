@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sys
-import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import zip_longest
 from typing import Any
 
 import click
+
+from gyrocal.cli.plain import is_prose, plain_lines
 
 #: Say how far a piece of work is: share done, 0 to 1, and what is being done now.
 Report = Callable[[float, str], None]
@@ -24,9 +24,6 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the o
 
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
-_WORDS_OF_A_NUMBER = 4
-#: Characters that a table may be wide when it is piped.
-_PLAIN_WIDTH = 100
 
 
 @contextmanager
@@ -67,40 +64,15 @@ def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str
 
         table = Table(title=title or None, title_justify="left")
         for index, name in enumerate(columns):
-            table.add_column(name, justify="left" if index == 0 or _is_prose(rows, index) else "right")
+            table.add_column(name, justify="left" if index == 0 or is_prose(rows, index) else "right")
         for row in rows:
             table.add_row(*row)
         Console().print(table)
         return
-    widths = _widths(columns, rows)
-    flush = [i == 0 or _is_prose(rows, i) for i in range(len(columns))]
     if title:
         click.echo(title)
-    for row in (columns, *rows):
-        folded = [textwrap.wrap(c, w) if len(c) > w else [c] for c, w in zip(row, widths, strict=True)]
-        for line in zip_longest(*folded, fillvalue=""):
-            cells = [
-                c.ljust(w) if left else c.rjust(w) for c, w, left in zip(line, widths, flush, strict=True)
-            ]
-            click.echo("  ".join(cells).rstrip())
-
-
-def _is_prose(rows: Sequence[Sequence[str]], index: int) -> bool:
-    """Whether a column holds sentences, which begin at the left; a number with its interval is four words."""
-    return any(len(row[index].split()) > _WORDS_OF_A_NUMBER for row in rows)
-
-
-def _widths(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[int]:
-    """Width of each column: the widest give way, down to their longest word, until the table fits `_PLAIN_WIDTH`."""
-    cells = list(zip(columns, *rows, strict=True))
-    widths = [max(map(len, column)) for column in cells]
-    least = [max(len(word) for cell in column for word in cell.split() or [""]) for column in cells]
-    while sum(widths) + 2 * (len(widths) - 1) > _PLAIN_WIDTH:
-        k = max(range(len(widths)), key=lambda i: (widths[i] > least[i], widths[i]))
-        if widths[k] <= least[k]:
-            break
-        widths[k] -= 1
-    return widths
+    for line in plain_lines(columns, rows):
+        click.echo(line)
 
 
 @contextmanager
