@@ -125,7 +125,9 @@ def _plans(seed: int, trial: int, effect: str, d_prime: float) -> Iterator[tuple
             continue
         sigma = _sigma(effect, plan, own)
         _, per_si = HIDDEN[effect]
-        size = d_prime * sigma * per_si * float(rng.choice([-1.0, 1.0]))
+        # A gyro is never early: encoders that are late would be late against the truth too.
+        sign = 1.0 if effect == "gyro_delay" else float(rng.choice([-1.0, 1.0]))
+        size = d_prime * sigma * per_si * sign
         limit = {"gyro_delay": 0.3, "skid_slip": 40.0, "wheel_eccentricity": 8.0}.get(effect, math.inf)
         if not math.isfinite(size) or abs(size) > limit:
             continue
