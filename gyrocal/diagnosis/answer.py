@@ -11,7 +11,7 @@ from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import DIRECTION, Fitted
 from gyrocal.diagnosis.locate import block_p_value
-from gyrocal.diagnosis.names import Named
+from gyrocal.diagnosis.names import GAIN, Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
 from gyrocal.diagnosis.untimed import by_data_set, where
@@ -22,8 +22,6 @@ from gyrocal.physics.thermal import THERMAL_LAG
 
 #: Evidence (nats) within which two laws explain the data alike: 20 to 1.
 CLASS_NATS = 3.0
-#: A surface over the input, an error of each rate, a lag of the coil and a law of time are named from this on, nats.
-_NAMED_NATS = 5.0
 #: What is left of this after what a table's laws have paid.
 _NAMED_BEYOND_TOLL = 2.5
 _EACH_RATE = "each rate"
@@ -35,12 +33,12 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
     named += _table_laws(found)
     gain = found.naming.unnamed.get(_EACH_RATE, 0.0)
-    if gain > _NAMED_NATS:
+    if gain > GAIN:
         size = estimates.of_draws(found.naming.fitted, _EACH_RATE, found.model.basis.frame.rate_scale_dps)
         p = block_p_value(gain, len(BLOCKS))
         named.append((gain, _effect(found, REFERENCE_RATE_ERROR.id, {"amplitude": size}, p, {})))
-    laws_of_rate = [n for n in found.naming.named if n.block == "odd rate"]
-    if found.naming.input_gain > _NAMED_NATS and not laws_of_rate:
+    laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", _EACH_RATE)]
+    if found.naming.input_gain > GAIN and not laws_of_rate:
         share = _input_share(found)
         p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
         named.append((found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, {})))
