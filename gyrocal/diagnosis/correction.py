@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +12,10 @@ from gyrocal.calibration.apply import SECONDS_A_DATA_SET
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
+from gyrocal.diagnosis.names import around_itself
 from gyrocal.diagnosis.parts import BLOCKS, SURFACE, Part, polynomials
 from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
@@ -32,6 +34,8 @@ Floats = NDArray[np.float64]
 _TERMS = SHAPE[0] * SHAPE[1]
 #: A part that adds less than this share of the noise of a row anywhere is left out of the file.
 _NEGLIGIBLE = 0.03
+#: Evidence of a part without a name that needs no other proof, nats.
+_BEYOND_DOUBT = 10.0
 
 
 @dataclass(frozen=True)
@@ -53,15 +57,38 @@ class _Estimate:
     covariance: Floats
 
 
-def correction(found: Examination) -> Coefficients:
+def doubtful(found: Examination, left_out: Mapping[str, Improvement]) -> list[str]:
+    """Blocks without a name that have not earned their place in the file.
+
+    A weak part may be the accident of one run. It is written where it surely predicts what was left out, or where
+    its evidence is beyond doubt: a part that only whole temperatures show cannot be predicted from the others.
+
+    Parameters
+    ----------
+    left_out : what each layer is worth on data left out, by name
+    """
+    if found.candidates:
+        return []
+    named = {n.block for n in found.naming.named}
+    weak = [b for b, nats in found.naming.unnamed.items() if BLOCKS[b].stays and nats < _BEYOND_DOUBT]
+    return [
+        b for b in weak if b not in named and not (b in left_out and left_out[b].logloss_interval_95[0] > 0.0)
+    ]
+
+
+def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     """The coefficient file of what was found; of a table of sweeps it is averaged over the models that are near.
 
     The surface has the state at the end of the record: a drift or a step is held where it was last.
+
+    Parameters
+    ----------
+    without : blocks that are left out of it
     """
     if found.candidates:
         models = [(weight, candidate.fitted) for weight, candidate in found.candidates]
     else:
-        models = [(1.0, found.naming.fitted)]
+        models = [(1.0, _less(found.naming.fitted, without))]
     solved = [(weight, fitted, fitted.solve(widened=True)) for weight, fitted in models]
     items, total = _items([(f.model, s) for _, f, s in solved])
     each = [(w, _estimate(f.model, s, items, total)) for w, f, s in solved]
@@ -87,6 +114,11 @@ def correction(found: Examination) -> Coefficients:
         covariance_dps2=covariance[:_TERMS, :_TERMS],
         terms=(*terms, *_coil_terms(found.candidates)),
     )
+
+
+def _less(fitted: Fitted, blocks: Sequence[str]) -> Fitted:
+    names = [n for n, b in fitted.model.blocks.items() if b in blocks]
+    return around_itself(fitted.refit(fitted.model.without(names), 30)) if names else fitted
 
 
 def file_without_surface(fitted: Fitted) -> Coefficients:

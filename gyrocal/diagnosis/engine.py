@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.answer import layer_groups, named_effects
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.correction import correction, doubtful
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
-from gyrocal.diagnosis.locate import located, unnamed
+from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
 from gyrocal.diagnosis.residual import Residuals, residuals
-from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows
+from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows, UnnamedPart
 from gyrocal.diagnosis.scatter import (
     Finding,
     clock_findings,
@@ -94,14 +94,15 @@ def diagnose(
     """
     options = options or Options()
     level = options.false_alarm_rate
-    recorded = series_of(recording)
-    notes = check_inputs(recorded, coefficients)
+    notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
     series, findings = set_aside(whole, recorded.gyro_dps)
     found = examine(series, level)
-    surface, improved = surface_alone(found), correction(found)
-    parts = unnamed(found, level)
-    names = [*named_effects(found), *map(_found, findings)]
+    stairs = staircase(found.naming.fitted, layer_groups(found) if options.heldout else [], options.seed)
+    withheld = doubtful(found, stairs.each)
+    surface, improved = surface_alone(found), correction(found, withheld)
+    parts, layered = unnamed(found, level, withheld), named_effects(found)
+    names = [*layered, *map(_found, findings)]
     accounted = {a for e in names for a in CATALOGUE[e.effect].search.accounts_for}
     more = [f for f in _sampling(series) if f.effect not in accounted]
     findings += more
@@ -112,10 +113,9 @@ def diagnose(
     scatter = walk + _explained_scatter(scatter, names)
     change = None if coefficients is None else surface_change(found, coefficients, improved)
     strange = strange_turns(found.series, level)
-    places = [*located(found, level), *strange]
-    stairs = staircase(found.naming.fitted, layer_groups(found) if options.heldout else [], options.seed)
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
-    everywhere = [*([change] if change else []), *places, *(f.place for f in findings), *scatter]
+    changed = [change] if change else []
+    everywhere = [*changed, *located(found, level), *strange, *(f.place for f in findings), *scatter]
     lacking = bool(parts or strange or scatter or change) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -127,12 +127,24 @@ def diagnose(
         noise=_noise_figures(series, noise, levels),
         improvement=stairs.total,
         surface=coefficients or surface,
-        improved=improved if found.worth or found.patterns or found.candidates else None,
+        improved=improved if layered or found.candidates or any(p.corrected for p in parts) else None,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *temperature_alone(found)),
+        notes=(*notes, *series.notes, *temperature_alone(found), *_not_written(withheld, parts, series)),
         layers=stairs.layers,
         unnamed=parts,
     )
+
+
+def _not_written(withheld: list[str], parts: tuple[UnnamedPart, ...], series: Series) -> list[str]:
+    """What was found and is not in the correction."""
+    seen = {p.coordinate for p in parts}
+    coordinates = dict.fromkeys(coordinate_of(b, series) for b in withheld)
+    return [
+        f"What follows {c.replace('_', ' ')} without a name is not in the improved coefficients: its evidence is weak, and "
+        "it does not surely predict data left out."
+        for c in coordinates
+        if c in seen
+    ]
 
 
 def _sampling(series: Series) -> list[Finding]:

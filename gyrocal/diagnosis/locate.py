@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -142,8 +143,13 @@ def stretch(found: Examination, block: str, curve: Floats) -> dict[str, Any]:
     return {**rms, "low": float(edges[first]), "high": float(edges[last + 1])}
 
 
-def unnamed(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
-    """Structure that stays without a name, the strongest first."""
+def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[UnnamedPart, ...]:
+    """Structure that stays without a name, the strongest first.
+
+    Parameters
+    ----------
+    withheld : blocks that are not in the correction
+    """
     fitted = found.naming.fitted
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
@@ -162,7 +168,7 @@ def unnamed(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
                 place.get("high"),
                 place["unit"],
                 found.naming.nearest.get(block, {}),
-                BLOCKS[block].stays and block != "supply",
+                BLOCKS[block].stays and block not in ("supply", *withheld),
             )
         )
     return tuple(parts)
