@@ -18,7 +18,9 @@ _MDPS = 1e3
 
 
 def law_files(found: Versus) -> dict[str, bytes | str]:
-    """``law.json`` always; ``law.py`` where the law brings the simulation nearer on sets left out."""
+    """``law.json`` where the two differ; ``law.py`` where the law brings the simulation nearer on sets left out."""
+    if found.diagnosis.verdict == "consistent" and not found.helps:
+        return {}
     files: dict[str, bytes | str] = {
         LAW_JSON: json.dumps(found.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n"
     }
@@ -78,7 +80,7 @@ def _gain(c: Comparison) -> str:
     low, high = (_MDPS * x for x in c.interval_95)
     what = (
         f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
-        f"the law by {after:.3g} (less by {range_text(low, high)}, 95 %)."
+        f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
     )
     if c.helps:
         return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
