@@ -34,7 +34,7 @@ _MAX_BAD_SHARE = 0.05
 _SATURATED_ROWS = 10
 _STUCK_S = 2.0
 #: Rows further apart than this lose the course of a turn: on practice drives thinned to a row a second the path's error
-#: was 3 to 45 times as large, at this spacing no larger.
+#: was 2.7 to 46 times as large, at this spacing no larger.
 SLOW_S = 0.2
 #: Wheels that roll less than this over a window stand.
 _STILL_M = 1e-3
