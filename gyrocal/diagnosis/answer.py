@@ -128,10 +128,13 @@ def _table_laws(found: Examination) -> list[tuple[float, NamedEffect]]:
                 for e, _ in c.changes
                 if law.effect not in {x for x, _ in c.changes}
             }
-            unit = CATALOGUE[law.effect].parameter("amplitude").unit
-            parameters = {"amplitude": _amplitude(best.fitted, law.name, unit)} | {
-                k: Estimate(v, 0.0, "s", _between(found, v)) for k, v in law.shape.items()
-            }
+            if "at_s" in law.shape or not law.shape:
+                unit = CATALOGUE[law.effect].parameter("amplitude").unit
+                parameters = {"amplitude": _amplitude(best.fitted, law.name, unit)} | {
+                    k: Estimate(v, 0.0, "s", _between(found, v)) for k, v in law.shape.items()
+                }
+            else:
+                parameters = estimates.of_law(best.fitted, law, found.laws, [])
             p = float(chi2.sf(2.0 * gain, 1))
             named.append((gain, _effect(found, law.effect, parameters, p, others)))
     return named

@@ -6,25 +6,25 @@ whichever is taken first takes the others' share. So they start together, from e
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
-from gyrocal.diagnosis.parts import SURFACE, Basis, design_at
+from gyrocal.diagnosis.parts import SURFACE, Basis, design_at, since_on
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
-from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import S_PER_H
 
 Floats = NDArray[np.float64]
 
 #: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
 Coil = tuple[float, float] | None
-#: A law of time: effect, and the row from which on a step holds (0 where there is none).
+#: A law of time: effect, and the row from which on a step holds, or the time constant of a warm-up, s; otherwise 0.
 Change = tuple[str, int]
 
 _SHARES = (0.3, 0.6, 1.0)
@@ -32,6 +32,9 @@ _LAGS_S = (60.0, 120.0, 240.0, 450.0, 900.0)
 _LAG_BOUNDS_S = (30.0, 1500.0)
 _STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 _DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
+#: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
+_WARM_UPS_S = (60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250, 3400, 5000, 7200)
+_OUTLASTED = 1.5
 #: A step has data sets on either side.
 _FEWEST_SETS = 4
 _MOST_CHANGES = 3
@@ -68,7 +71,8 @@ class TableSearch:
         coils: list[Coil] = [None]
         if np.ptp(self.base.means.series.history.temp_c) > 1.0:
             coils += [(a, tau) for tau in _LAGS_S for a in _SHARES]
-        beam = []
+        warm_up = self.best_warm_up(first)
+        beam = [self.fit(None, (change,), first) for change in warm_up]
         for coil in coils:
             alone = self.fit(coil, (), first)
             beam += [alone, self.fit(coil, ((_DRIFTS[0], 0),), first)]
@@ -112,11 +116,16 @@ class TableSearch:
         return replace(self.base, design=design, components=components, laws=laws)
 
     def law(self, change: Change) -> Law:
-        """A step or drift as a law; zero at the end of the record, whose state the surface is to have."""
+        """A law of time as a law of the model; zero at the end of the record, whose state the surface is to have."""
         m, (effect, row) = self.base.means, change
         if effect in _STEPS:
             shape = {"at_s": float(0.5 * (m.t_s[row - 1] + m.t_s[row]))}
             columns = -1.0 * (np.arange(len(m)) < row)
+        elif effect == WARM_UP.id:
+            shape = {"tau_s": float(row)}
+            # A table does not say when the gyro was switched on: what comes again with the next switch-on is open.
+            columns = np.exp(-since_on(m) / row)
+            columns = columns - columns[-1]
         else:
             shape = {}
             columns = (m.t_s - m.t_s[-1]) / S_PER_H
@@ -126,12 +135,21 @@ class TableSearch:
 
     def best_step(self, candidate: Candidate, effect: str) -> Change:
         """The boundary between data sets at which a step gains most."""
+        rows = range(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
+        return self._best_of(candidate, [(effect, row) for row in rows])
+
+    def best_warm_up(self, candidate: Candidate) -> list[Change]:
+        """The warm-up that gains most, as one since the record began; none where it is too short for one."""
+        span_s = float(np.ptp(self.base.means.t_s))
+        tried = [(WARM_UP.id, tau) for tau in _WARM_UPS_S if _OUTLASTED * tau < span_s]
+        return [self._best_of(candidate, tried)] if tried else []
+
+    def _best_of(self, candidate: Candidate, tried: Sequence[Change]) -> Change:
         f = candidate.fitted
         score, p = f.contrasts.precision(f.model.all, f.fit.log_variance)
-        rows = np.arange(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
-        x = np.column_stack([self.law((effect, int(k))).columns[:, 0] for k in rows])
+        x = np.column_stack([self.law(change).columns[:, 0] for change in tried])
         gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
-        return effect, int(rows[int(np.argmax(gain))])
+        return tried[int(np.argmax(gain))]
 
     def moves(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
         """Models one step away."""
@@ -152,10 +170,14 @@ class TableSearch:
                 yield coil, tuple(sorted({*changes, self.best_step(candidate, effect)}))
             for effect in _DRIFTS:
                 yield coil, tuple(sorted({*changes, (effect, 0)}))
+            if WARM_UP.id not in {effect for effect, _ in changes}:
+                for change in self.best_warm_up(candidate):
+                    yield coil, tuple(sorted({*changes, change}))
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         shapes = [float(len(_SHARES) * len(_LAGS_S))] if coil else []
-        shapes += [float(len(self.base.means)) if effect in _STEPS else 1.0 for effect, _ in changes]
+        tried = dict.fromkeys(_STEPS, float(len(self.base.means))) | {WARM_UP.id: float(len(_WARM_UPS_S))}
+        shapes += [tried.get(effect, 1.0) for effect, _ in changes]
         return float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
 
 

@@ -25,7 +25,7 @@ def conditions_of(series: Series) -> Conditions:
     shape whenever it is first seen.
     """
     since_on = series.since_power_on_s
-    if since_on is None and series.has_time:
+    if since_on is None:
         since_on = series.t_s - series.t_s[0]
     return Conditions(
         t_s=series.t_s,

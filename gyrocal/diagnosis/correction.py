@@ -156,7 +156,7 @@ def _items(models: Sequence[tuple[Model, Solution]]) -> tuple[list[_Item], int]:
     known: set[str] = set()
     for model, solution in models:
         least = _NEGLIGIBLE * float(np.std(solution.left))
-        laws = {law.name: law for law in model.laws if CATALOGUE[law.effect].runtime}
+        laws = {law.name: law for law in model.laws if CATALOGUE[law.effect].runtime and not law.from_end}
         parts = {p.name: p for p in model.parts if p.block != "surface"}
         for name in solution.order:
             if name in known or (name != DIRECTION and name not in laws and name not in parts):

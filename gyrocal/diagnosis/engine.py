@@ -122,7 +122,7 @@ def diagnose(
         verdict=_verdict(names, lacking),
         located=tuple(everywhere),
         effects=tuple(names),
-        not_testable=dict(series.untestable) | untestable(series),
+        not_testable=dict(series.untestable) | untestable(series, {e.effect for e in names}),
         sentences=(),
         noise=_noise_figures(series, noise, levels),
         improvement=stairs.total,

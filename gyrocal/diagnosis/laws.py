@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,9 +96,14 @@ def effects_of(block: str) -> list[Effect]:
     return found
 
 
-def untestable(series: Series) -> dict[str, str]:
-    """Effect to the reason why this record cannot show it."""
+def untestable(series: Series, named: Collection[str] = ()) -> dict[str, str]:
+    """Effect to the reason why this record cannot show it; not of what was `named` from something like it.
+
+    A table without times has the order of its data sets.
+    """
     offer = offer_of(series)
-    searched = [e for e in CATALOGUE.values() if e.search.by_columns and not e.search.draws]
+    searched = [
+        e for e in CATALOGUE.values() if e.search.by_columns and not e.search.draws and e.id not in named
+    ]
     reasons = {e.id: CATALOGUE[law_of(e.id)].why_not(offer) for e in searched}
     return {effect: reason for effect, reason in reasons.items() if reason is not None}
