@@ -55,7 +55,7 @@ def test_figures_and_their_intervals() -> None:
 
 
 def test_a_short_record_says_nothing_about_bias_instability() -> None:
-    figures = at_rest([2, 1], 300, 1e-4)
+    figures = at_rest([3, 1], 300, 1e-4)
     assert figures.angle_random_walk_deg_per_rt_h is not None
     assert figures.bias_instability_deg_per_h is None
     assert "not resolved within averaging times from" in figures.statement

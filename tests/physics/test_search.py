@@ -62,6 +62,10 @@ def test_an_effect_is_linear_in_its_columns(effect: Effect) -> None:
         amplitudes, whole = np.ones(2), sum(
             effect.unit_dps(c, {**shape, "order": shape[name]}, SURFACE) for name in ("order", "order_2")
         )  # fmt: skip
+    elif "rate_scale_dps" in shape:
+        # On the bias, and on the scale factor beside it.
+        amplitudes = np.array([1.0, 0.5])
+        whole = effect.unit_dps(c, shape, SURFACE) * (1.0 + 0.5 * c.rate_dps / shape["rate_scale_dps"])
     elif columns.shape[1] == 2:
         # Cosine and sine of half a radian turn the phase by as much.
         amplitudes = np.array([np.cos(0.5), -np.sin(0.5)])

@@ -12,6 +12,7 @@ from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.report.figures_residual import level_means
 from gyrocal.report.gather import residual_covariance
 from gyrocal.report.levels import levels
+from gyrocal.units import NORMAL_95
 from tests.report.examples import SURFACE, grid
 
 COEFFICIENTS = Coefficients({}, SURFACE, np.diag(np.full(12, 1e-6)), Valid((-100, 100), (-10, 50)))
@@ -40,5 +41,5 @@ def test_margins_know_what_data_sets_of_one_temperature_share() -> None:
     shared = replace(data, covariance_dps2=data.covariance_dps2 + together)
     _, mean, half = level_means(shared, found)
     size = np.array([level.rows.size for level in found])
-    np.testing.assert_allclose(half, 1.96 * np.sqrt(1e-6 / size + 4e-6) * 3600.0)
+    np.testing.assert_allclose(half, NORMAL_95 * np.sqrt(1e-6 / size + 4e-6) * 3600.0)
     np.testing.assert_allclose(mean, [data.residual_dps[level.rows].mean() * 3600.0 for level in found])
