@@ -64,6 +64,7 @@ class TableSearch:
     base: Model
     known: dict[tuple[Coil, tuple[Change, ...]], Candidate] = field(default_factory=dict)
     _designs: dict[Coil, tuple[Floats, Component]] = field(default_factory=dict)
+    _at_hand: tuple[Candidate, tuple[Floats, Floats]] | None = None
 
     def run(self) -> list[Candidate]:
         """All models that were fitted, the best first."""
@@ -145,11 +146,17 @@ class TableSearch:
         return [self._best_of(candidate, tried)] if tried else []
 
     def _best_of(self, candidate: Candidate, tried: Sequence[Change]) -> Change:
-        f = candidate.fitted
-        score, p = f.contrasts.precision(f.model.all, f.fit.log_variance)
+        score, p = self._precision(candidate)
         x = np.column_stack([self.law(change).columns[:, 0] for change in tried])
         gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
         return tried[int(np.argmax(gain))]
+
+    def _precision(self, candidate: Candidate) -> tuple[Floats, Floats]:
+        """Of the candidate at hand, for which every kind of step and the warm-up are tried in turn."""
+        if self._at_hand is None or self._at_hand[0] is not candidate:
+            f = candidate.fitted
+            self._at_hand = candidate, f.contrasts.precision(f.model.all, f.fit.log_variance)
+        return self._at_hand[1]
 
     def moves(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
         """Models one step away."""

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.physics.slip import SLIP_LAWS
+from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, NORMAL_95, RAD_TO_DEG
 
@@ -47,19 +48,19 @@ class DriveEstimate:
         """Entry of ``estimates``."""
         half = NORMAL_95 * self.std
 
-        def finite(x: float) -> float | None:
-            return float(x) if np.isfinite(x) else None
-
-        return {
-            "name": self.name,
-            "value": finite(self.value),
-            "std": finite(self.std),
-            "unit": self.unit,
-            "interval_95": [finite(self.value - half), finite(self.value + half)],
-            "metres": finite(self.metres),
-            "path": self.path,
-            "named": self.named,
-        }
+        entry: dict[str, Any] = finite(
+            {
+                "name": self.name,
+                "value": float(self.value),
+                "std": float(self.std),
+                "unit": self.unit,
+                "interval_95": [float(self.value - half), float(self.value + half)],
+                "metres": float(self.metres),
+                "path": self.path,
+                "named": self.named,
+            }
+        )
+        return entry
 
 
 def figures_of(
