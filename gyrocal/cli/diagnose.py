@@ -117,6 +117,7 @@ def _say(result: DiagnoseResult) -> None:
             "located",
             "effects",
             "alternatives",
+            "layers",
             "improvement",
             "noise",
         ):

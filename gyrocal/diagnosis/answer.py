@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
 
 from gyrocal.diagnosis import estimates
+from gyrocal.diagnosis.coil import coil_design
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.layers import DIRECTION, Fitted
+from gyrocal.diagnosis.layers import DIRECTION, Fitted, Model
 from gyrocal.diagnosis.locate import block_p_value
 from gyrocal.diagnosis.names import GAIN, Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
+from gyrocal.diagnosis.staircase import Step
 from gyrocal.diagnosis.untimed import by_data_set, where
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
@@ -37,8 +40,7 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         size = estimates.of_draws(found.naming.fitted, _EACH_RATE, found.model.basis.frame.rate_scale_dps)
         p = block_p_value(gain, len(BLOCKS))
         named.append((gain, _effect(found, REFERENCE_RATE_ERROR.id, {"amplitude": size}, p, {})))
-    laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", _EACH_RATE)]
-    if found.naming.input_gain > GAIN and not laws_of_rate:
+    if _of_the_input(found):
         share = _input_share(found)
         p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
         named.append((found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, {})))
@@ -102,41 +104,61 @@ def _input_share(found: Examination) -> Estimate:
     return estimates.normal(1.0 - bent.value, bent.std, "1")
 
 
+def _of_the_input(found: Examination) -> bool:
+    """Whether that the surface is one of the input is a finding of its own, and no part of a law of the rate."""
+    laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", _EACH_RATE)]
+    return found.naming.input_gain > GAIN and not laws_of_rate
+
+
+def _searched_gains(found: Examination) -> dict[str, float]:
+    """What the search of a table put in, and how much worse the models without it are, nats."""
+    if not found.ranked:
+        return {}
+    best = found.ranked[0]
+    gains = {}
+    if best.coil is not None:
+        gains[THERMAL_LAG.id] = min(c.score for c in found.ranked if c.coil is None) - best.score
+    for law in best.fitted.model.laws:
+        without = [c.score for c in found.ranked if law.effect not in {e for e, _ in c.changes}]
+        gains[law.effect] = min(without) - best.score
+    return gains
+
+
 def _table_laws(found: Examination) -> list[tuple[float, NamedEffect]]:
     """The coil's lag and the laws of time of a table, where the models without them are that much worse."""
-    if not found.ranked:
+    gains = {e: gain for e, gain in _searched_gains(found).items() if gain > _NAMED_BEYOND_TOLL}
+    if not gains:
         return []
     best = found.ranked[0]
     named = []
-    if best.coil is not None:
-        gain = min(c.score for c in found.ranked if c.coil is None) - best.score
-        if gain > _NAMED_BEYOND_TOLL:
-            near = [(w, c.coil) for w, c in found.candidates if c.coil is not None]
-            parameters = {
-                "amplitude": _weighted([(w, coil[0]) for w, coil in near], "1"),
-                "tau_s": _weighted([(w, coil[1]) for w, coil in near], "s"),
-            }
-            p = float(chi2.sf(2.0 * gain, 2))
-            named.append((gain, _effect(found, THERMAL_LAG.id, parameters, p, {})))
+    if THERMAL_LAG.id in gains:
+        near = [(w, c.coil) for w, c in found.candidates if c.coil is not None]
+        parameters = {
+            "amplitude": _weighted([(w, coil[0]) for w, coil in near], "1"),
+            "tau_s": _weighted([(w, coil[1]) for w, coil in near], "s"),
+        }
+        gain = gains[THERMAL_LAG.id]
+        p = float(chi2.sf(2.0 * gain, 2))
+        named.append((gain, _effect(found, THERMAL_LAG.id, parameters, p, {})))
     for law in best.fitted.model.laws:
-        without = [c.score for c in found.ranked if law.effect not in {e for e, _ in c.changes}]
-        gain = min(without) - best.score
-        if gain > _NAMED_BEYOND_TOLL:
-            others = {
-                e: c.score - best.score
-                for c in found.ranked[:20]
-                for e, _ in c.changes
-                if law.effect not in {x for x, _ in c.changes}
+        if law.effect not in gains:
+            continue
+        gain = gains[law.effect]
+        others = {
+            e: c.score - best.score
+            for c in found.ranked[:20]
+            for e, _ in c.changes
+            if law.effect not in {x for x, _ in c.changes}
+        }
+        if "at_s" in law.shape or not law.shape:
+            unit = CATALOGUE[law.effect].parameter("amplitude").unit
+            parameters = {"amplitude": _amplitude(best.fitted, law.name, unit)} | {
+                k: Estimate(v, 0.0, "s", _between(found, v)) for k, v in law.shape.items()
             }
-            if "at_s" in law.shape or not law.shape:
-                unit = CATALOGUE[law.effect].parameter("amplitude").unit
-                parameters = {"amplitude": _amplitude(best.fitted, law.name, unit)} | {
-                    k: Estimate(v, 0.0, "s", _between(found, v)) for k, v in law.shape.items()
-                }
-            else:
-                parameters = estimates.of_law(best.fitted, law, found.laws, [])
-            p = float(chi2.sf(2.0 * gain, 1))
-            named.append((gain, _effect(found, law.effect, parameters, p, others)))
+        else:
+            parameters = estimates.of_law(best.fitted, law, found.laws, [])
+        p = float(chi2.sf(2.0 * gain, 1))
+        named.append((gain, _effect(found, law.effect, parameters, p, others)))
     return named
 
 
@@ -164,19 +186,41 @@ def _weighted(values: list[tuple[float, float]], unit: str) -> Estimate:
     return estimates.normal(mean, std, unit)
 
 
-def layer_groups(found: Examination) -> list[tuple[str, list[str]]]:
-    """Layers of the staircase, the strongest first: named laws, the blocks without a name, errors of each rate."""
+def layers_of(found: Examination) -> list[Step]:
+    """Steps of the staircase, the strongest first: laws, the lag of a coil, blocks without a name, errors of each rate."""
     model = found.naming.fitted.model
-    present = {law.name for law in model.laws}
-    groups = []
+    steps = [*_searched_steps(found)]
+    if _of_the_input(found):
+        bend = model.bend_of(found.naming.fitted.solve())
+        less = partial(Model.directed, direction="output", bend=bend)
+        steps.append(Step(FIT_DIRECTION.id, found.naming.input_gain, less))
     for effect in dict.fromkeys(n.law.effect for n in found.naming.named):
-        own = [n for n in found.naming.named if n.law.effect == effect and n.law.name in present]
+        own = [n for n in found.naming.named if n.law.effect == effect and n.law in model.laws]
         if own:
-            groups.append((max(n.gain for n in own), effect, [n.law.name for n in own]))
+            less = partial(Model.without_laws, names=[n.law.name for n in own])
+            steps.append(Step(effect, max(n.gain for n in own), less))
     for block, nats in found.naming.unnamed.items():
         names = [n for n, b in model.blocks.items() if b == block]
         owners = [n.law.effect for n in found.naming.named if n.block == block]
         title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == _EACH_RATE else block
         if names and (BLOCKS[block].stays or block == _EACH_RATE):
-            groups.append((nats, title, names))
-    return [(name, names) for _, name, names in sorted(groups, key=lambda g: -g[0])]
+            steps.append(Step(title, nats, partial(Model.without, names=names)))
+    return sorted(steps, key=lambda step: -step.nats)
+
+
+def _searched_steps(found: Examination) -> list[Step]:
+    """What the search of a table put in: the lag of the coil, and laws of time."""
+    if not found.ranked:
+        return []
+    gains, best = _searched_gains(found), found.ranked[0]
+    steps = [
+        Step(law.effect, gains[law.effect], partial(Model.without_laws, names=[law.name]))
+        for law in best.fitted.model.laws
+    ]
+    if best.coil is not None:
+        basis = best.fitted.model.basis
+        moved = coil_design(basis, None) - coil_design(basis, best.coil)
+        steps.append(
+            Step(THERMAL_LAG.id, gains[THERMAL_LAG.id], partial(Model.with_surface_moved, moved=moved))
+        )
+    return steps

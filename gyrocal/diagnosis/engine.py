@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.answer import layer_groups, named_effects
+from gyrocal.diagnosis.answer import layers_of, named_effects
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
@@ -98,7 +98,7 @@ def diagnose(
     whole = without_terms(recorded, coefficients)
     series, findings = set_aside(whole, recorded.gyro_dps)
     found = examine(series, level)
-    stairs = staircase(found.naming.fitted, layer_groups(found) if options.heldout else [], options.seed)
+    stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found, stairs.each)
     surface, improved = surface_alone(found), correction(found, withheld)
     parts, layered = unnamed(found, level, withheld), named_effects(found)

@@ -104,16 +104,23 @@ class Model:
             moved -= beyond_input(self.basis, self.bend)
         if direction == "output":
             moved += beyond_input(self.basis, bend)
-        components = {n: c for n, c in self.components.items() if n != DIRECTION}
-        part = next(p for p in self.parts if p.block == "surface")
-        own = components.get(part.name)
-        if own is not None and own.columns is not None and moved.any():
-            shift = moved[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
-            components[part.name] = Component(part.name, own.columns + shift)
+        found = self.with_surface_moved(moved)
+        components = {n: c for n, c in found.components.items() if n != DIRECTION}
         if direction == "free":
             components[DIRECTION] = Component(DIRECTION, (beyond_input(self.basis, bend) @ bend)[:, None])
-        design = self.design + moved if moved.any() else self.design
-        return replace(self, design=design, components=components, direction=direction, bend=bend)
+        return replace(found, components=components, direction=direction, bend=bend)
+
+    def with_surface_moved(self, moved: Floats) -> Model:
+        """The same with other terms of the surface: `moved` is the difference, shape (n, 12)."""
+        if not moved.any():
+            return self
+        components = dict(self.components)
+        part = next(p for p in self.parts if p.block == "surface")
+        own = components.get(part.name)
+        if own is not None and own.columns is not None:
+            shift = moved[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
+            components[part.name] = Component(part.name, own.columns + shift)
+        return replace(self, design=self.design + moved, components=components)
 
     def bend_of(self, solution: Solution) -> Floats:
         """Coefficients of the surface over the input, of Legendre products, shape (12,)."""
@@ -153,6 +160,10 @@ class Model:
     def without(self, names: Sequence[str]) -> Model:
         """The same less some components."""
         return replace(self, components={n: c for n, c in self.components.items() if n not in names})
+
+    def without_laws(self, names: Sequence[str]) -> Model:
+        """The same less some laws."""
+        return replace(self, laws=tuple(law for law in self.laws if law.name not in names))
 
     def alive(self, fit: Fit) -> Model:
         """The same less what has died."""

@@ -6,8 +6,8 @@ what is left out, and its covariance, follow from the precision matrix at once (
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,36 +90,51 @@ class Staircase:
     each: dict[str, Improvement]
 
 
-def staircase(fitted: Fitted, groups: Sequence[tuple[str, Sequence[str]]], seed: int) -> Staircase:
+@dataclass(frozen=True)
+class Step:
+    """A step of the staircase: a layer, and what a model is without it.
+
+    Attributes
+    ----------
+    name : str
+        Effect or block.
+    nats : float
+        What it is worth.
+    """
+
+    name: str
+    nats: float
+    less: Callable[[Model], Model]
+
+
+def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
     """Left-out errors of the surface alone, of every further layer on top, and of all but each one.
 
     Parameters
     ----------
-    groups : name of each layer and its components, the strongest first
+    steps : the strongest first
     """
     means = fitted.model.means
     folds = fold_numbers(means)
-    if not groups:
+    if not steps:
         return Staircase((), None, {})
     sets = np.concatenate([means.is_set[rows] for rows in folds])
     sets = sets if sets.any() else ~sets
     rng = np.random.default_rng([seed, 7])
-    own = [n for _, names in groups for n in names]
-    bare = _less(fitted.model, own)
     whole = leave_out(fitted, fitted.model, folds)
     # What noise alone moves this much is extrapolated from what is left: no model is judged by it.
     sure = sets & (whole.variance < _EXTRAPOLATED**2 * np.median(whole.variance[sets]))
-    plain = leave_out(fitted, bare, folds)
-    layers = [_layer("", plain, sure)]
-    for k in range(1, len(groups)):
-        rest = [n for _, names in groups[k:] for n in names]
-        layers.append(_layer(groups[k - 1][0], leave_out(fitted, _less(fitted.model, rest), folds), sure))
-    layers.append(_layer(groups[-1][0], whole, sure))
+    on_the_way, model = [whole], fitted.model
+    for step in reversed(steps):
+        model = step.less(model)
+        on_the_way.append(leave_out(fitted, model, folds))
+    names = ["", *(step.name for step in steps)]
+    layers = [_layer(n, f, sure) for n, f in zip(names, reversed(on_the_way), strict=True)]
     each = {}
-    for name, names in groups:
-        without = leave_out(fitted, _less(fitted.model, names), folds)
-        each[name] = improvement(without, whole, sure, rng)
-    return Staircase(tuple(layers), improvement(plain, whole, sure, rng), each)
+    for step in steps:
+        without = leave_out(fitted, step.less(fitted.model), folds)
+        each[step.name] = improvement(without, whole, sure, rng)
+    return Staircase(tuple(layers), improvement(on_the_way[-1], whole, sure, rng), each)
 
 
 def _layer(name: str, found: LeftOut, sure: NDArray[np.bool_]) -> Layer:
@@ -129,8 +144,3 @@ def _layer(name: str, found: LeftOut, sure: NDArray[np.bool_]) -> Layer:
         float(np.sqrt(found.variance[sure].mean())),
         float(found.logloss[sure].mean()),
     )
-
-
-def _less(model: Model, names: Sequence[str]) -> Model:
-    kept = {n: c for n, c in model.components.items() if n not in names}
-    return replace(model, components=kept, laws=tuple(law for law in model.laws if law.name not in names))

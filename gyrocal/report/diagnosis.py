@@ -22,6 +22,7 @@ from gyrocal.report.diagnosis_figures import (
     residual_over_time,
     turning,
 )
+from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, staircase_figure
 from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.sentences import (
@@ -68,10 +69,14 @@ def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
     else:
         why = diagnosis.not_testable.get("table_angle", "The table did not turn long enough.")
         found.append(_missing("angle", why[0].upper() + why[1:].rstrip(".") + "."))
-    return found + [_effect_picture(diagnosis, rows, effect) for effect in diagnosis.effects]
+    found += [_effect_picture(diagnosis, rows, effect) for effect in diagnosis.effects]
+    if diagnosis.layers:
+        found.append(_drawn("staircase", staircase_figure(diagnosis)))
+    return found
 
 
 _TITLES: Mapping[str, tuple[str, str]] = {
+    "staircase": ("Layer by layer, on data that the fit did not see", STAIRCASE_CAPTION),
     "recorded_simulated": (
         "Recorded against simulated",
         "Above: error of the gyro as recorded and as the surface alone simulates it over the recorded sequence. "
@@ -214,6 +219,13 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
                 for e in diagnosis.effects
                 for a in e.alternatives
             ],
+        ),
+        _table(
+            "layers",
+            "Layer by layer, on data that the fit did not see",
+            ("Layer", "Error left out, rms", "Noise alone"),
+            layer_rows(diagnosis),
+            "Each row has all layers above it.",
         ),
         _improvement_table(diagnosis),
         _table("noise", "Noise of the recording", ("Noise", "Level"), _noise_rows(diagnosis)),

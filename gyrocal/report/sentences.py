@@ -12,6 +12,7 @@ from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Locate
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import described
 from gyrocal.physics.terms import Term
+from gyrocal.report.diagnosis_layers import staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
 from gyrocal.report.words import (
     coordinate_words,
@@ -108,6 +109,7 @@ def _sentences(d: Diagnosis) -> list[str]:
     said = [_VERDICTS[d.verdict], *_places(d)]
     for effect in d.effects:
         said += _effect(effect, d)
+    said += [*unnamed_sentences(d), *filter(None, [staircase_sentence(d)])]
     measured = [e for e in d.effects if e.improvement is not None]
     if d.improvement is not None and len(measured) > 1:
         said.append(

@@ -1,0 +1,114 @@
+"""The error on data left out, layer by layer, and what has no name: in words, as tables and as a picture."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from gyrocal.diagnosis.result import Diagnosis, Layer, Located, UnnamedPart
+from gyrocal.report import style
+from gyrocal.report.words import coordinate_words, decimals, fixed, listed, place_words
+
+_MDPS = 1e3
+_LARGE_DPS = 0.3
+#: Above the highest step there is room for its number.
+_HEADROOM = 1.15
+_MOST_LAWS = 3
+
+STAIRCASE_CAPTION = (
+    "The rms of means of data sets that were left out, with the surface alone and with one layer more at each step, the strongest "
+    "first. Lines: what noise alone would leave."
+)
+
+
+def layer_rows(d: Diagnosis) -> list[tuple[str, str, str]]:
+    """Layer, error left out and noise floor: cells of a table."""
+    if not d.layers:
+        return []
+    scale, unit = _scale(d)
+    places = decimals(scale * min(layer.noise_floor_dps for layer in d.layers))
+    return [
+        (
+            layer_words(d, layer),
+            f"{fixed(scale * layer.heldout_rms_dps, places)} {unit}",
+            f"{fixed(scale * layer.noise_floor_dps, places)} {unit}",
+        )
+        for layer in d.layers
+    ]
+
+
+def layer_words(d: Diagnosis, layer: Layer) -> str:
+    """What a step of the staircase adds."""
+    if not layer.name:
+        return "surface alone"
+    if layer.name in {e.effect for e in d.effects}:
+        return layer.name
+    return f"{layer.name.replace('_', ' ')}, no name"
+
+
+def staircase_sentence(d: Diagnosis) -> str:
+    """All steps in one sentence; empty where there are fewer than two."""
+    if len(d.layers) < 3:
+        return ""
+    scale, unit = _scale(d)
+    places = decimals(scale * min(layer.noise_floor_dps for layer in d.layers))
+    steps = [f"{layer_words(d, layer)} {fixed(scale * layer.heldout_rms_dps, places)}" for layer in d.layers]
+    floor = fixed(scale * d.layers[-1].noise_floor_dps, places)
+    return (
+        f"Layer by layer on data left out, {unit} rms: {', '.join(steps)}; noise alone would leave {floor}."
+    )
+
+
+def unnamed_sentences(d: Diagnosis) -> list[str]:
+    """What has no name: where, how large, which laws came nearest, and whether the improved file has it."""
+    return [_unnamed(part) for part in d.unnamed]
+
+
+def _unnamed(part: UnnamedPart) -> str:
+    place = Located(
+        part.coordinate, "mean", 0.0, 1.0, low=part.low, high=part.high, unit=part.unit, rms_dps=part.rms_dps
+    )
+    where = place_words(place, coordinate_words(part.coordinate))
+    said = f"Without a name: {where}, worth {part.evidence_nats:.3g} nats"
+    near = sorted(part.nearest.items(), key=lambda item: item[1])[:_MOST_LAWS]
+    if near:
+        said += f"; nearest are {listed([f'{effect} (leaves {nats:.2g} of them)' for effect, nats in near])}"
+    return f"{said}. {'The improved coefficients take it away' if part.corrected else 'It is not corrected'}."
+
+
+@style.styled
+def staircase_figure(d: Diagnosis) -> Figure:
+    """Steps down from the surface alone to what is left, over the noise."""
+    scale, unit = _scale(d)
+    figure = style.new_figure(style.TWO_COLUMNS_IN, 2.4)
+    axes = figure.subplots()
+    at = range(len(d.layers))
+    heights = [scale * layer.heldout_rms_dps for layer in d.layers]
+    floors = [scale * layer.noise_floor_dps for layer in d.layers]
+    axes.bar(at, heights, width=0.6, color=[style.ORANGE, *[style.BLUE] * (len(heights) - 1)])
+    for x, floor in zip(at, floors, strict=True):
+        axes.plot([x - 0.4, x + 0.4], [floor, floor], color=style.INK, linewidth=1.2)
+    places = decimals(min(floors))
+    for x, height in zip(at, heights, strict=True):
+        axes.annotate(
+            fixed(height, places),
+            (x, height),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+        )
+    axes.set_ylim(0.0, _HEADROOM * max(*heights, *floors))
+    axes.set_xticks(list(at), [_broken(layer_words(d, layer)) for layer in d.layers])
+    axes.set_ylabel(f"Left out, {unit} rms")
+    axes.grid(visible=False, axis="x")
+    return figure
+
+
+def _broken(words: str) -> str:
+    """In lines that stand beside each other under the bars."""
+    return words.replace(", ", ",\n").replace("_", "_\n").replace(" ", "\n")
+
+
+def _scale(d: Diagnosis) -> tuple[float, str]:
+    large = max(layer.heldout_rms_dps for layer in d.layers) > _LARGE_DPS
+    return (1.0, "deg/s") if large else (_MDPS, "mdeg/s")

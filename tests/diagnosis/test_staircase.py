@@ -1,0 +1,62 @@
+"""Every layer is a step of the staircase, also what is no component of the model: a lag of the coil, laws of time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.result import Diagnosis, Layer, UnnamedPart
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.report.diagnosis_layers import (
+    layer_rows,
+    staircase_figure,
+    staircase_sentence,
+    unnamed_sentences,
+)
+from tests.diagnosis.versus.tables import SURFACE, plan, table
+
+NOISE_DPS = 3e-4
+STEP = 400e-6
+
+
+@pytest.fixture(scope="module")
+def stepped() -> Diagnosis:
+    """A table whose scale factor jumps by 400 ppm in the middle."""
+    t, rate, temp = plan(12)
+    noise = np.random.default_rng(2).normal(0, NOISE_DPS, t.size)
+    gyro = SURFACE.output_dps(rate, temp) + STEP * rate * (t > t[-1] / 2) + noise
+    return diagnose(series_of_table(table("stepped.csv", t, rate, gyro, temp)), None, Options())
+
+
+def test_a_hidden_step_of_the_scale_factor_is_a_step_of_the_staircase(stepped: Diagnosis) -> None:
+    assert [layer.name for layer in stepped.layers][:2] == ["", "scale_step"]
+    surface, step = stepped.layers[:2]
+    # Half of the record is off by up to half of the jump; the other half by the rest.
+    rms_rate = float(np.sqrt(np.mean(plan(12)[1] ** 2)))
+    assert surface.heldout_rms_dps == pytest.approx(STEP / 2 * rms_rate, rel=0.15)
+    assert step.heldout_rms_dps < 1.3 * step.noise_floor_dps
+    effect = next(e for e in stepped.effects if e.effect == "scale_step")
+    assert effect.improvement is not None
+    assert effect.improvement.interval_95[0] > 0
+    assert "surface alone" in staircase_sentence(stepped) or len(stepped.layers) == 2
+    assert layer_rows(stepped)[1][0] == "scale_step"
+
+
+def test_the_picture_says_what_each_step_adds(stepped: Diagnosis) -> None:
+    axes = staircase_figure(stepped).axes[0]
+    words = [label.get_text().replace("\n", "") for label in axes.get_xticklabels()]
+    assert words[:2] == ["surfacealone", "scale_step"]
+
+
+def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
+    part = UnnamedPart(
+        "rate", "rate shape", 35.2, 0.012, 93.6, 100.8, "deg/s", {"saturation": 12.0}, corrected=True
+    )
+    found = Diagnosis(**{**vars(stepped), "unnamed": (part,)})
+    assert unnamed_sentences(found) == [
+        "Without a name: rate 93.6 to 100.8 deg/s (12 mdeg/s rms), worth 35.2 nats; nearest are saturation "
+        "(leaves 12 of them). The improved coefficients take it away."
+    ]
+    unknown = Layer("odd rate", 1e-3, 1e-3, 0.0)
+    assert layer_rows(Diagnosis(**{**vars(stepped), "layers": (unknown,)}))[0][0] == "odd rate, no name"
