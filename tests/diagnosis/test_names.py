@@ -1,0 +1,37 @@
+"""Laws in place of smooth parts, on tables at rest through a cycle of temperature."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.names import Naming
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.records.datasets import DataSetTable
+
+_SETS = 200
+_T_S: NDArray[np.float64] = 60.0 * np.arange(_SETS, dtype=np.float64)
+_NOISE_DPS = 2e-4
+
+
+def naming_of(added_dps: NDArray[np.float64], seed: int) -> Naming:
+    """What is named in data sets at rest, of noise of 0.2 mdeg/s and what is added."""
+    noise = _NOISE_DPS * np.random.default_rng(seed).standard_normal(_SETS)
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+    table = DataSetTable(Path("rest.csv"), np.zeros(_SETS), 0.01 + noise + added_dps, temp, t_s=_T_S)
+    return examine(series_of_table(table), 0.01).naming
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_shape_is_found_between_the_points_of_its_grid(seed: int) -> None:
+    """The grid has 367 s and 532 s: either of the two leaves a misfit, for which the smooth part would have to stay."""
+    found = naming_of(20e-3 * np.exp(-_T_S / 420.0), seed)
+    (law,) = found.named
+    assert law.law.effect == "warm_up"
+    assert law.law.shape["tau_s"] == pytest.approx(420.0, rel=0.05)
+    assert law.share == pytest.approx(1.0, abs=0.05)
+    assert not found.unnamed
