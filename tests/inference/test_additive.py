@@ -47,28 +47,89 @@ def test_a_part_that_is_not_there_gets_no_variance() -> None:
     assert found.variance["white"] == pytest.approx(1.0, rel=0.35)
 
 
-def test_likelihood_is_the_density_of_the_contrasts() -> None:
-    """Differences between two settings, by the textbook's formula of the restricted likelihood."""
+@pytest.mark.parametrize("slope", [False, True])
+def test_likelihood_is_the_density_of_the_contrasts(slope: bool) -> None:
+    """By the textbook's formula of the restricted likelihood, comparable between flat columns of any size."""
     y, flat, parts = one_way(6, 5, np.random.default_rng(3))
+    flat = np.column_stack([flat, 7.0 * np.arange(y.size)]) if slope else flat
     contrasts = Contrasts(y, flat)
+    (member, variance) = parts[0].columns, {"group": 4.0, "white": 1.0}
+    assert member is not None
+    v = 4.0 * member @ member.T + np.eye(y.size)
+    vx = np.linalg.solve(v, flat)
+    left = y - flat @ np.linalg.solve(flat.T @ vx, vx.T @ y)
+    textbook = 0.5 * float(
+        np.linalg.slogdet(v)[1] + np.linalg.slogdet(flat.T @ vx)[1] + left @ np.linalg.solve(v, left)
+    )
+    logs = {
+        c.name: float(np.log(variance[c.name] * contrasts.part(c).scale / contrasts.unit**2)) for c in parts
+    }
+    prior = sum(np.exp(0.5 * x) for x in logs.values())
+    assert contrasts.nll(parts, logs) - float(prior) == pytest.approx(textbook, abs=1e-5)
 
-    def textbook(group: float, white: float) -> float:
-        member = parts[0].columns
-        assert member is not None
-        v = group * member @ member.T + white * np.eye(y.size)
-        vx = np.linalg.solve(v, flat)
-        b = np.linalg.solve(flat.T @ vx, vx.T @ y)
-        left = y - flat @ b
-        logs = np.linalg.slogdet(v)[1] + np.linalg.slogdet(flat.T @ vx)[1]
-        return 0.5 * float(logs + left @ np.linalg.solve(v, left))
 
-    def ours(group: float, white: float) -> float:
-        scales = {c.name: contrasts.part(c).scale / contrasts.unit**2 for c in parts}
-        logs = {"group": np.log(group * scales["group"]), "white": np.log(white * scales["white"])}
-        prior = sum(np.exp(0.5 * x) for x in logs.values())
-        return contrasts.nll(parts, {k: float(v) for k, v in logs.items()}) - float(prior)
+def test_columns_beyond_the_flat_ones_have_nothing_of_them() -> None:
+    rng = np.random.default_rng(8)
+    flat, column = rng.standard_normal((20, 2)), rng.standard_normal((20, 1))
+    contrasts = Contrasts(rng.standard_normal(20), flat)
+    np.testing.assert_allclose(contrasts.beyond(flat), 0.0, atol=1e-12)
+    np.testing.assert_allclose(flat.T @ contrasts.beyond(column), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        contrasts.beyond(contrasts.beyond(column)), contrasts.beyond(column), atol=1e-12
+    )
 
-    assert ours(4.0, 1.0) - ours(1.0, 2.0) == pytest.approx(textbook(4.0, 1.0) - textbook(1.0, 2.0), abs=1e-5)
+
+def _mixed() -> tuple[Floats, Floats, list[Component], dict[str, float]]:
+    """A record with two flat columns, three amplitudes of one variance, and noise with a memory."""
+    rng = np.random.default_rng(9)
+    n = 12
+    flat = np.column_stack([np.ones(n), np.arange(n) / n])
+    memory = np.exp(-np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / 3.0)
+    parts = [
+        Component("part", rng.standard_normal((n, 3))),
+        Component("noise", covariance=memory + np.eye(n)),
+    ]
+    return rng.standard_normal(n), flat, parts, {"part": 0.7, "noise": 0.4}
+
+
+def test_covariance_of_a_solution_is_that_of_hendersons_equations() -> None:
+    y, flat, parts, variance = _mixed()
+    z, shape = parts[0].columns, parts[1].covariance
+    assert z is not None
+    assert shape is not None
+    weight = np.linalg.inv(variance["noise"] * shape)
+    both = np.column_stack([flat, z])
+    matrix = both.T @ weight @ both
+    matrix[2:, 2:] += np.eye(3) / variance["part"]
+    found = solve(y, flat, parts, variance)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(matrix), atol=1e-8)
+    np.testing.assert_allclose(
+        np.concatenate([found.flat, found.amplitudes["part"]]),
+        np.linalg.solve(matrix, both.T @ weight @ y),
+        atol=1e-8,
+    )
+
+
+def test_what_variances_add_to_a_covariance_is_how_the_solution_moves_with_them() -> None:
+    """Slopes by differences of solutions, and the expected information by its definition."""
+    y, flat, parts, variance = _mixed()
+    solution = solve(y, flat, parts, variance)
+
+    def moved(name: str, step: float) -> Floats:
+        found = solve(y, flat, parts, {**variance, name: variance[name] * np.exp(step)})
+        return np.concatenate([found.flat, found.amplitudes["part"]])
+
+    slopes = np.column_stack([(moved(n, 1e-4) - moved(n, -1e-4)) / 2e-4 for n in variance])
+    _, p = precision(y, flat, parts, variance)
+    z, shape = parts[0].columns, parts[1].covariance
+    assert z is not None
+    assert shape is not None
+    each = [p @ (variance["part"] * z @ z.T), p @ (variance["noise"] * shape)]
+    information = np.array([[0.5 * np.trace(a @ b) for b in each] for a in each])
+    # Beside what the record tells stands a weak knowledge: a factor of e^2 either way.
+    spread = np.linalg.inv(information + 0.25 * np.eye(2))
+    added = widened(y, flat, parts, variance, solution) - solution.covariance
+    np.testing.assert_allclose(added, slopes @ spread @ slopes.T, atol=1e-6)
 
 
 def test_leaving_rows_out_is_predicting_them_from_the_others() -> None:
