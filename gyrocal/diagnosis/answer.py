@@ -17,7 +17,7 @@ from gyrocal.diagnosis.names import GAIN, Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
 from gyrocal.diagnosis.staircase import Step
-from gyrocal.diagnosis.untimed import by_data_set, where
+from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
 from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
@@ -62,22 +62,22 @@ def _effect(
     stated = by_data_set(found.series, parameters)
     alike = [*twins_of(effect.id)]
     alike += [e for c, e in effect.search.alike_without.items() if c in found.series.untestable]
-    others = [Alternative(e, 1.0, CATALOGUE[e].statement) for e in alike]
+    others = [Alternative(e, 1.0) for e in alike]
     others += [
-        Alternative(e, float(np.exp(np.clip(nats, 0.0, 50.0))), CATALOGUE[e].statement)
+        Alternative(e, float(np.exp(np.clip(nats, 0.0, 50.0))))
         for e, nats in sorted(rivals.items(), key=lambda item: item[1])
         if nats < CLASS_NATS
     ]
     return NamedEffect(
         effect.id,
         effect.family,
-        where(effect.statement, stated),
         stated,
         p_value,
         tuple(others),
         None,
         effect.runtime,
         share,
+        beside=between_sets(stated),
     )
 
 

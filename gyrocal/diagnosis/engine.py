@@ -17,6 +17,7 @@ from gyrocal.diagnosis.given import simulated_residual, surface_change, temperat
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.residual import Residuals, residuals
 from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows, UnnamedPart
 from gyrocal.diagnosis.scatter import (
@@ -135,16 +136,11 @@ def diagnose(
     )
 
 
-def _not_written(withheld: list[str], parts: tuple[UnnamedPart, ...], series: Series) -> list[str]:
+def _not_written(withheld: list[str], parts: tuple[UnnamedPart, ...], series: Series) -> list[Remark]:
     """What was found and is not in the correction."""
     seen = {p.coordinate for p in parts}
     coordinates = dict.fromkeys(coordinate_of(b, series) for b in withheld)
-    return [
-        f"What follows {c.replace('_', ' ')} without a name is not in the improved coefficients: its evidence is weak, and "
-        "it does not surely predict data left out."
-        for c in coordinates
-        if c in seen
-    ]
+    return [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
 
 
 def _sampling(series: Series) -> list[Finding]:
@@ -167,7 +163,7 @@ def _explained_scatter(scatter: list[Located], names: list[NamedEffect]) -> list
 def _found(finding: Finding) -> NamedEffect:
     effect = CATALOGUE[finding.effect]
     return NamedEffect(
-        effect.id, effect.family, finding.statement, finding.parameters, finding.p_value, (), None, False
+        effect.id, effect.family, finding.parameters, finding.p_value, (), None, False, seen=finding.seen
     )
 
 

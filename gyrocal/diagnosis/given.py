@@ -13,6 +13,7 @@ from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.means import rows_of
 from gyrocal.diagnosis.parts import Basis
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
@@ -72,14 +73,14 @@ def surface_change(found: Examination, coefficients: Coefficients, fitted: Coeff
     return Located(where, "mean", p, 1.0, target="surface", rms_dps=rms)
 
 
-def temperature_alone(found: Examination) -> tuple[str, ...]:
+def temperature_alone(found: Examination) -> tuple[Remark, ...]:
     """For a record at one rate: is bias a function of temperature alone? Empty where that is no question."""
     series = found.series
     if np.ptp(series.rate_dps) > 0 or np.ptp(series.temp_c) < _LEAST_SPAN_C:
         return ()
     history = [found.worth.get(block, 0.0) for block in ("memory", "warm-up", "bias in time")]
     if max(history) < _HISTORY_NATS:
-        return ("Bias is a function of temperature alone, as far as this record can tell.",)
+        return (Remark(Said.TEMPERATURE_ALONE),)
     solution = found.whole.solve()
     left = sum(
         (
@@ -89,15 +90,11 @@ def temperature_alone(found: Examination) -> tuple[str, ...]:
         np.zeros(len(series)),
     )
     gap = _branch_gap(series, left)
-    apart = (
-        ""
-        if gap is None
-        else f"; heating and cooling differ by {1e3 * gap:.3g} mdeg/s rms at the same temperature"
-    )
-    return (
-        "Bias is not a function of temperature alone: after any smooth curve of temperature "
-        f"{1e3 * float(np.std(left)):.3g} mdeg/s rms are left that follow time or the history of temperature{apart}.",
-    )
+    facts = {
+        "left_mdps": 1e3 * float(np.std(left)),
+        "branches_mdps": None if gap is None else 1e3 * gap,
+    }
+    return (Remark(Said.NOT_TEMPERATURE_ALONE, facts),)
 
 
 def _branch_gap(series: Series, left: Floats) -> float | None:

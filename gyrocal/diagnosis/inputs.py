@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal.calibration.scale import Odd, gross_row, odd_output, output_scale
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
@@ -16,14 +17,14 @@ _SAID = 0.1
 _HOTTEST_C = 200.0
 
 
-def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str, ...]:
+def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[Remark, ...]:
     """Refuse too few rows, an output of another unit or sign, a stuck gyro, a wild value, and another gyro's coefficients.
 
     A surface that is fitted first would swallow all of them.
 
     Returns
     -------
-    notes : tuple of str
+    notes : tuple of Remark
         What is doubtful and goes on.
 
     Raises
@@ -47,18 +48,13 @@ def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[str
     if coefficients is not None:
         _check_coefficients(series, coefficients, odd)
         return ()
-    notes: tuple[str, ...] = ()
-    if float(np.max(series.temp_c)) > _HOTTEST_C:
-        notes = (
-            f"temperatures run from {np.min(series.temp_c):.4g} to {np.max(series.temp_c):.4g} degC: check their unit "
-            "(kelvin?)",
-        )
+    notes: tuple[Remark, ...] = ()
+    low_c, high_c = float(np.min(series.temp_c)), float(np.max(series.temp_c))
+    if high_c > _HOTTEST_C:
+        notes = (Remark(Said.FAR_TOO_HOT, {"low_c": low_c, "high_c": high_c}),)
     off = output_scale(series.rate_dps, series.gyro_dps) - 1.0
     if abs(off) > _SAID:
-        notes += (
-            f"the output is {1.0 + off:.3g} times the rate: far more than a gyro's scale error, and the fitted surface takes "
-            "it up; check scale and units",
-        )
+        notes += (Remark(Said.SCALE_FAR_OFF, {"ratio": 1.0 + off}),)
     return notes
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.remarks import Note, Remark
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.files import finite
 
@@ -100,7 +101,6 @@ class Alternative:
     effect: str
     #: Evidence of the named effect against this one (20 is strong; 1 cannot be told apart).
     evidence_ratio: float
-    statement: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``alternatives``."""
@@ -224,25 +224,34 @@ class UnnamedPart:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """Physics that the model lacked, named."""
+    """Physics that the model lacked, named.
+
+    Attributes
+    ----------
+    share : float
+        Share of the evidence for structure of its kind that the law takes; below one the law fits with a lack.
+    seen : Remark or None
+        What was seen of it in this recording; None: it is what the catalogue says.
+    beside : Remark or None
+        What there is to say beside that.
+    """
 
     effect: str
     family: str
-    statement: str
     parameters: Mapping[str, Estimate]
     p_value: float
     alternatives: tuple[Alternative, ...]
     improvement: Improvement | None
     runtime: bool
-    #: Share of the evidence for structure of its kind that the law takes; below one the law fits with a lack.
     share: float = 1.0
+    seen: Remark | None = None
+    beside: Remark | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of ``effects``."""
+        """Entry of ``effects``, but for its words."""
         return {
             "effect": self.effect,
             "family": self.family,
-            "statement": self.statement,
             "parameters": {k: e.to_json() for k, e in self.parameters.items()},
             "p_value": finite(self.p_value),
             "alternatives": [a.to_json() for a in self.alternatives],
@@ -333,7 +342,7 @@ class Diagnosis:
     surface: Coefficients | None
     improved: Coefficients | None
     rows: Rows | None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     next_experiment: Mapping[str, Any] | None = None
     counted_in: str = ""
     drive: Mapping[str, Any] | None = None
@@ -353,7 +362,6 @@ class Diagnosis:
             "improvement": None if self.improvement is None else self.improvement.to_json(),
             "not_testable": dict(self.not_testable),
             "noise": None if self.noise is None else self.noise.to_json(),
-            "notes": list(self.notes),
             "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),
             **({} if self.drive is None else {"drive": dict(self.drive)}),
         }

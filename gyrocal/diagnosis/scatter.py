@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from gyrocal.diagnosis.base import fit_surface
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.series import FEWEST_OUTLIERS, Series, set_means
 from gyrocal.inference.multiple import holm
@@ -44,7 +45,7 @@ class Finding:
     """An effect of sampling or scatter, found by a test of its own."""
 
     effect: str
-    statement: str
+    seen: Remark
     parameters: dict[str, Estimate]
     p_value: float
     place: Located
@@ -95,10 +96,7 @@ def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[f
 
 def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets: int) -> Finding:
     size, spread = 1e3 * float(np.sqrt(np.mean(lost_dps**2))), 1e3 * float(np.std(lost_dps))
-    statement = (
-        f"The output is exactly 0 in {dead.size} of {sets} data sets where the others say up to {1e3 * reach[0]:.3g} mdeg/s: "
-        "small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit."
-    )
+    seen = Remark(Said.DEAD_SETS, {"count": dead.size, "sets": sets, "lost_mdps": 1e3 * reach[0]})
     parameters = {
         "amplitude": Estimate(
             size, spread, "mdeg/s", (1e3 * float(np.min(np.abs(lost_dps))), 1e3 * reach[0])
@@ -107,7 +105,7 @@ def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets
         "width_dps": Estimate(reach[0], 0.25 * (reach[1] - reach[0]), "deg/s", reach),
     }
     place = Located("rate", "mean", _CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
-    return Finding(DEAD_ZONE.id, statement, parameters, _CERTAIN, place)
+    return Finding(DEAD_ZONE.id, seen, parameters, _CERTAIN, place)
 
 
 def bad_sets(series: Series) -> tuple[Ints, Floats]:
@@ -140,17 +138,16 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
     if numbers.size == 0:
         return []
     rows = [np.flatnonzero(series.set_index == n)[0] for n in numbers]
-    names = [
-        f"number {n + 1} ({series.rate_dps[r]:g} deg/s at {series.temp_c[r]:.1f} degC, off by {1e3 * d:.3g} mdeg/s)"
+    sets = [
+        (int(n) + 1, float(series.rate_dps[r]), float(series.temp_c[r]), 1e3 * float(d))
         for n, r, d in zip(numbers, rows, off_dps, strict=True)
     ]
-    statement = f"Single data sets do not belong to the rest: {'; '.join(names)}. Mislabelled, or disturbed; left out of the fit."
     size = float(1e3 * np.max(np.abs(off_dps)))
     place = Located("data_set_index", "mean", _CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
     return [
         Finding(
             BURSTS.id,
-            statement,
+            Remark(Said.STRANGE_SETS, {"sets": sets}),
             {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))},
             _CERTAIN,
             place,
@@ -168,7 +165,7 @@ def outlier_findings(series: Series) -> list[Finding]:
     size = 1e3 * float(np.sqrt(np.mean(series.raw.outliers_dps**2)))
     share = count / series.raw.samples
     times = series.raw.outliers_t_s
-    statement = f"{count} of {series.raw.samples} samples stand out of the noise by more than six standard deviations (bursts, slip ring)."
+    seen = Remark(Said.BURST_SAMPLES, {"count": count, "samples": series.raw.samples})
     place = Located(
         "data_set_index",
         "variance",
@@ -184,7 +181,7 @@ def outlier_findings(series: Series) -> list[Finding]:
     return [
         Finding(
             BURSTS.id,
-            statement,
+            seen,
             {
                 "amplitude": Estimate(
                     size, spread, "mdeg/s", (size - NORMAL_95 * spread, size + NORMAL_95 * spread)
@@ -203,12 +200,12 @@ def step_findings(series: Series) -> list[Finding]:
     if step is None or noise is None or step**2 / 12.0 < _STEP_VARIANCE * noise**2:
         return []
     size = 1e3 * step
-    statement = f"The output comes in steps of {size:.4g} mdeg/s, which adds {size / np.sqrt(12):.3g} mdeg/s of noise to a sample."
+    seen = Remark(Said.OUTPUT_STEPS, {"step_mdps": size, "noise_mdps": size / np.sqrt(12)})
     place = Located("rate", "variance", _CERTAIN, 0.0, target="samples", finding=QUANTISATION.id)
     return [
         Finding(
             QUANTISATION.id,
-            statement,
+            seen,
             {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))},
             _CERTAIN,
             place,
@@ -225,10 +222,10 @@ def clock_findings(series: Series) -> list[Finding]:
     if abs(ppm) < max(_CLOCK_PPM, 5.0 * std_ppm):
         return []
     p = float(2.0 * norm.sf(min(abs(ppm) / std_ppm, 37.0)))
-    statement = f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the sample clock is off, and an output that is an angle per sample is scaled by as much."
+    seen = Remark(Said.SAMPLE_CLOCK, {"ppm": ppm})
     place = Located("rate", "mean", p, 0.0, target="sample times", finding=TIME_BASE.id)
     value = Estimate(ppm, std_ppm, "ppm", (ppm - NORMAL_95 * std_ppm, ppm + NORMAL_95 * std_ppm))
-    return [Finding(TIME_BASE.id, statement, {"amplitude": value}, p, place)]
+    return [Finding(TIME_BASE.id, seen, {"amplitude": value}, p, place)]
 
 
 def variance_places(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import reduce_segment, reference_rate
 from gyrocal.diagnosis.history import TemperatureHistory, fill_gaps, temperature_history
+from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.records.run import Run, Segment
 
@@ -36,10 +37,6 @@ OUTLIER_SIGMAS = 6.0
 FEWEST_OUTLIERS = 3
 #: Stand-in for the time between data sets where a table has no time stamps.
 SURROGATE_PERIOD_S = 20.0
-_WHOLE_DEGREES = (
-    "temperatures are whole degrees (nominal, or of a coarse sensor): an error of 0.29 degC rms, which blurs "
-    "what lives in temperature and hides what lives in its rate"
-)
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ class Series:
     since_set_s: Floats | None = None
     step_dps: Floats | None = None
     untestable: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     has_time: bool = True
     #: Rows were averages already (white noise has no stated averaging time).
     is_table: bool = False
@@ -142,7 +139,7 @@ def series_of_run(run: Run) -> Series:
     """
     parts: list[dict[str, Floats]] = []
     raws: list[dict[str, Any]] = []
-    notes = list(run.notes)
+    notes: list[Note] = list(run.notes)
     failed, previous_rate, unusable = 0, 0.0, 0
     for number, record in enumerate(run.segments):
         if record.outcome == "failed":
@@ -160,12 +157,12 @@ def series_of_run(run: Run) -> Series:
     if not parts:
         raise DataError(f"{run.path}: no segment has usable samples. Check the run with `gyrocal report`.")
     if failed:
-        notes.append(f"{failed} segments are marked failed in the journal and are left out")
+        notes.append(Remark(Said.FAILED_SEGMENTS, {"count": failed}))
     aside = sum(raw["set_aside"] for raw in raws)
     if aside:
-        notes.append(f"{aside} samples that stand out right after a step of rate are left out")
+        notes.append(Remark(Said.SET_ASIDE_AFTER_STEPS, {"count": aside}))
     if unusable:
-        notes.append(f"{unusable} gyro samples are empty or of bad status and are left out")
+        notes.append(Remark(Said.UNUSABLE_SAMPLES, {"count": unusable}))
     notes += sample_notes(
         sum(raw["outliers_t_s"].size for raw in raws), np.concatenate([raw["temp"] for raw in raws])
     )
@@ -174,17 +171,14 @@ def series_of_run(run: Run) -> Series:
     return _assemble_run(run, columns, raws, notes)
 
 
-def sample_notes(outliers: int, temp_c: Floats) -> list[str]:
+def sample_notes(outliers: int, temp_c: Floats) -> list[Remark]:
     """What single samples and temperatures give cause to say."""
     notes = []
     if 0 < outliers < FEWEST_OUTLIERS:
-        notes.append(
-            f"{outliers} {'sample stands' if outliers == 1 else 'samples stand'} out of the noise by more than six "
-            "standard deviations; left out"
-        )
+        notes.append(Remark(Said.STRAY_SAMPLES, {"count": outliers}))
     known = temp_c[np.isfinite(temp_c)]
     if known.size and np.ptp(known) > 0 and np.array_equal(known, np.round(known)):
-        notes.append(_WHOLE_DEGREES)
+        notes.append(Remark(Said.WHOLE_DEGREES))
     return notes
 
 
@@ -300,7 +294,7 @@ def _smooth(values: Floats, bench_t_s: Floats, seconds: float = 7.0) -> Floats:
     return smooth
 
 
-def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[str]) -> Series:
+def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[Note]) -> Series:
     untestable: dict[str, str] = {}
 
     def channel(key: str, coordinate: str, reason: str) -> Floats | None:
@@ -315,9 +309,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         if np.isnan(c["chamber_c"]).all():
             raise DataError(f"{run.path}: no temperature was logged, so no surface can be evaluated.")
         logged = c["chamber_c"]
-        notes.append(
-            "the gyro sends no temperature: the chamber's stands for its own, behind which the gyro lags"
-        )
+        notes.append(Remark(Said.CHAMBER_FOR_GYRO))
     temp_raw = fill_gaps(c["t_s"], logged)
     history = temperature_history(c["t_s"], temp_raw)
     angle = channel("angle_deg", "table_angle", "the table angle was not logged with every segment")

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import (
     BIN_LONG_S,
     SURROGATE_PERIOD_S,
@@ -88,22 +89,19 @@ def _groups(t_s: Floats, binned: bool) -> Ints:
     return np.unique((t_s - t_s[0]) // BIN_LONG_S, return_inverse=True)[1].astype(np.int64)
 
 
-def _white(table: DataSetTable) -> tuple[Floats, list[str]]:
+def _white(table: DataSetTable) -> tuple[Floats, list[Remark]]:
     """Relative white noise of each row, and what is odd about what the table says of it."""
     notes = []
     if table.t_s is not None:
         same = int(np.count_nonzero(np.diff(table.t_s) == 0))
         if same:
-            notes.append(f"{same} rows have the time of the row before them: check the times")
+            notes.append(Remark(Said.SAME_TIMES, {"count": same}))
     if table.gyro_std_dps is None or table.n is None:
         return np.ones(table.rate_dps.size), notes
     several = table.n > 1
     none = several & (table.gyro_std_dps == 0)
     if none.any():
-        notes.append(
-            f"gyro_std_dps is 0 in {int(none.sum())} rows of several samples: an output that is stuck or does not resolve "
-            "its noise; they count as noisy as the others"
-        )
+        notes.append(Remark(Said.NO_SPREAD, {"count": int(none.sum())}))
     if none.all() or not several.any():
         return np.ones(table.rate_dps.size), notes
     std = np.where(none | ~several, np.median(table.gyro_std_dps[several & ~none]), table.gyro_std_dps)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.units import S_PER_H
@@ -45,14 +46,14 @@ def by_time(parameters: Mapping[str, Estimate]) -> dict[str, float]:
     return found
 
 
-def where(statement: str, parameters: Mapping[str, Estimate]) -> str:
-    """The statement of an effect with the data sets that a jump lies between, for what the interval allows."""
+def between_sets(parameters: Mapping[str, Estimate]) -> Remark | None:
+    """The data sets that a jump lies between, for what the interval allows; None for what is no jump."""
     at = parameters.get("at_data_set")
     if at is None:
-        return statement
+        return None
     first = int(np.floor(at.interval_95[0]))
     last = max(int(np.ceil(at.interval_95[1] - _ON_THE_SET)), first + 1)
-    return f"{statement} Between data sets {first} and {last}."
+    return Remark(Said.BETWEEN_SETS, {"first": first, "last": last})
 
 
 def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:

@@ -25,6 +25,7 @@ from gyrocal.report.diagnosis_figures import (
 from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, staircase_figure
 from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
+from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import (
     counted,
     in_the_noise,
@@ -112,7 +113,7 @@ def _missing(name: str, why: str) -> tuple[Picture, None]:
 def _effect_picture(diagnosis: Diagnosis, rows: Rows, effect: NamedEffect) -> tuple[Picture, Figure | None]:
     figure = effect_figure(diagnosis, effect)
     caption = (
-        f"{effect.statement} Folded on its own coordinate with all other named physics taken out: left the residual "
+        f"{statement(effect)} Folded on its own coordinate with all other named physics taken out: left the residual "
         "and the effect's law, less what the error surface follows of it; right what is left, with whatever has no name. 95 % intervals from the scatter "
         "between data sets, of all bins together where a bin has fewer than three."
     )

@@ -18,6 +18,7 @@ from gyrocal.report import style
 from gyrocal.report.diagnosis_marks import bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import clustered_error
 from gyrocal.report.page import Picture
+from gyrocal.report.remarks import statement
 from gyrocal.units import DEG_TO_RAD, NORMAL_95, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
@@ -141,7 +142,7 @@ def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
         if name is None or effect.effect not in _OWN:
             continue
         caption = (
-            f"{effect.statement} Folded on its own coordinate with all other fitted laws taken out: left the "
+            f"{statement(effect)} Folded on its own coordinate with all other fitted laws taken out: left the "
             f"difference and the effect's law, right what is left; {intervals}."
         )
         picture = Picture(f"effect_{effect.effect}", f"{effect.effect}, before and after", caption)

@@ -13,6 +13,7 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
 from gyrocal.report.page import Table
+from gyrocal.report.remarks import statement
 from gyrocal.report.words import region_words
 
 #: Evidence that tells nothing apart.
@@ -68,7 +69,7 @@ def _first_sentence(found: DriveDiagnosis) -> str:
 def _effect_sentence(effect: NamedEffect) -> str:
     others = [_other(a) for a in effect.alternatives]
     rest = f"; it could also be {', '.join(others)}" if others else ""
-    return f"{effect.effect}: {effect.statement.rstrip('.')}: {_value(effect.parameters['amplitude'])}{rest}"
+    return f"{effect.effect}: {statement(effect).rstrip('.')}: {_value(effect.parameters['amplitude'])}{rest}"
 
 
 def _other(a: Alternative) -> str:

@@ -14,6 +14,7 @@ from gyrocal.physics.catalogue import described
 from gyrocal.physics.terms import Term
 from gyrocal.report.diagnosis_layers import staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
+from gyrocal.report.remarks import remark_words, statement
 from gyrocal.report.words import (
     coordinate_words,
     decimals,
@@ -86,7 +87,10 @@ def verdict_sentence(d: Diagnosis) -> str:
 
 def plain_sentences(d: Diagnosis) -> list[str]:
     """What there is to say, in order, each thing once."""
-    said = [*(d.sentences or _sentences(d)), *(note[0].upper() + note[1:] for note in d.notes)]
+    said = [
+        *(d.sentences or _sentences(d)),
+        *(note[0].upper() + note[1:] for note in map(remark_words, d.notes)),
+    ]
     if d.next_experiment is not None:
         said.append(d.next_experiment["statement"])
     said += not_testable_sentences(d)
@@ -100,8 +104,8 @@ def document(d: Diagnosis) -> dict[str, Any]:
         entry["region"] = region_words(place)
     for entry, effect in zip(found["effects"], d.effects, strict=True):
         law = described(effect.effect)
-        entry |= {"equation": law.equation, "reference": law.reference}
-    return found | {"statements": plain_sentences(d)}
+        entry |= {"equation": law.equation, "reference": law.reference, "statement": statement(effect)}
+    return found | {"notes": [remark_words(note) for note in d.notes], "statements": plain_sentences(d)}
 
 
 def _sentences(d: Diagnosis) -> list[str]:
@@ -165,7 +169,7 @@ def _where(d: Diagnosis, place: Located) -> str:
 def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
-    said = [f"{effect.effect}: {effect.statement} {sure[0].upper() + sure[1:]}."]
+    said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
     traded = traded_sentence(effect, d.improved)
     if traded:
         said.append(traded)

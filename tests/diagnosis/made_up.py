@@ -85,7 +85,6 @@ def made_up_diagnosis(recording: Recording, verdict: str = "explained") -> Diagn
             NamedEffect(
                 h.effect,
                 effect.family,
-                effect.statement,
                 parameters,
                 float(stats.norm.sf(h.d_prime)),
                 others,

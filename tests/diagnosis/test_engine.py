@@ -14,6 +14,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import document, plain_sentences
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
@@ -103,7 +104,7 @@ def test_a_mislabelled_data_set_is_left_out_and_said() -> None:
     table.gyro_dps[40] += 0.1
     found = diagnose(table, options=Options(heldout=False))
     assert [e.effect for e in found.effects] == ["bursts"]
-    assert "number 41" in found.effects[0].statement
+    assert "number 41" in statement(found.effects[0])
 
 
 def test_what_a_record_cannot_show_is_said() -> None:

@@ -14,12 +14,14 @@ import pytest
 
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.inputs import check_inputs
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.drive_log import read_drive_log
+from gyrocal.report.remarks import remark_words
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 
@@ -66,13 +68,14 @@ def test_a_slip_of_the_pen_is_named_by_its_data_set() -> None:
 
 def test_a_scale_far_off_is_said_and_a_sound_one_is_not() -> None:
     assert check_inputs(series_of_table(make_table()), None) == ()
-    assert "0.802 times the rate" in check_inputs(series_of_table(make_table(0.8)), None)[0]
+    (note,) = check_inputs(series_of_table(make_table(0.8)), None)
+    assert "0.802 times the rate" in remark_words(note)
 
 
 def test_kelvin_is_said() -> None:
     table = make_table()
     notes = check_inputs(series_of_table(replace(table, temp_c=table.temp_c + 273.15)), None)
-    assert "kelvin" in notes[0]
+    assert notes[0].said is Said.FAR_TOO_HOT
 
 
 def test_coefficients_of_another_gyro_are_refused() -> None:
@@ -113,11 +116,11 @@ def test_no_scatter_and_shared_times_are_said() -> None:
     std[:8] = 0.0
     t_s = np.repeat(np.arange(n // 5) * 100.0, 5)
     series = series_of_table(replace(table, gyro_std_dps=std, n=np.full(n, 100.0), t_s=t_s))
-    assert "gyro_std_dps is 0 in 8 rows" in " ".join(series.notes)
-    assert f"{n - n // 5} rows have the time of the row before" in " ".join(series.notes)
+    assert Remark(Said.NO_SPREAD, {"count": 8}) in series.notes
+    assert Remark(Said.SAME_TIMES, {"count": n - n // 5}) in series.notes
     assert np.ptp(series.white_std_dps) == 0
     series = series_of_table(replace(table, gyro_std_dps=np.zeros(n), n=np.full(n, 100.0)))
-    assert f"gyro_std_dps is 0 in {n} rows" in " ".join(series.notes)
+    assert Remark(Said.NO_SPREAD, {"count": n}) in series.notes
     assert np.all(series.white_std_dps == 1.0)
 
 
@@ -128,7 +131,7 @@ def test_a_table_without_time_states_nothing_in_time() -> None:
     found = diagnose(table, options=Options(heldout=False))
     (effect,) = found.effects
     assert effect.effect == "bias_step"
-    assert "Between data sets 27 and 28." in effect.statement
+    assert effect.beside == Remark(Said.BETWEEN_SETS, {"first": 27, "last": 28})
     low, high = effect.parameters["at_data_set"].interval_95
     assert 27.0 <= low < high <= 28.0
     assert {e.unit for e in effect.parameters.values()} <= {"mdeg/s", "1"}
@@ -167,7 +170,7 @@ def test_a_table_or_a_run_where_a_drive_log_is_wanted_says_so(tmp_path: Path) ->
 def test_a_gyro_without_thermometer_is_taken_at_the_chambers_temperature(tmp_path: Path) -> None:
     whole = series_of(write_run_of(tmp_path / "whole"))
     blind = series_of(write_run_of(tmp_path / "blind", thermometer=False))
-    assert any("chamber's stands for its own" in note for note in blind.notes)
+    assert Remark(Said.CHAMBER_FOR_GYRO) in blind.notes
     # After a ramp of up to 25 degC and a soak of three time constants the gyro is within 2 degC of the chamber.
     np.testing.assert_allclose(blind.temp_c[blind.is_set], whole.temp_c[whole.is_set], atol=2.0)
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, set_aside, step_findings
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.untimed import by_data_set, by_time, where
+from gyrocal.diagnosis.untimed import between_sets, by_data_set, by_time
 from gyrocal.records.datasets import DataSetTable
 
 NOISE_DPS = 0.01
@@ -38,7 +39,7 @@ def test_bursts_of_a_static_log_are_found_before_rows_are_averaged(timed: bool) 
     series = series_of_table(table)
     (found,) = outlier_findings(series)
     assert found.effect == "bursts"
-    assert found.statement.startswith("5 of 3000 samples")
+    assert found.seen == Remark(Said.BURST_SAMPLES, {"count": 5, "samples": 3000})
     assert found.parameters["amplitude"].value == pytest.approx(250.0, rel=0.15)
     place = found.place
     assert (place.low, place.high, place.unit) == (
@@ -58,7 +59,7 @@ def test_a_single_wild_row_is_left_out_and_said() -> None:
     table.gyro_dps[1234] = 1e30
     series = series_of_table(table)
     assert outlier_findings(series) == []
-    assert "1 sample stands out of the noise" in " ".join(series.notes)
+    assert Remark(Said.STRAY_SAMPLES, {"count": 1}) in series.notes
     assert np.max(np.abs(series.gyro_dps)) < 1.0
 
 
@@ -75,9 +76,9 @@ def test_output_steps_are_said_where_they_add_noise(step_sigmas: float, said: bo
 
 def test_whole_degrees_are_said() -> None:
     table = make_log()
-    assert not any("whole degrees" in note for note in series_of_table(table).notes)
+    assert Remark(Said.WHOLE_DEGREES) not in series_of_table(table).notes
     coarse = series_of_table(replace(table, temp_c=np.round(table.temp_c)))
-    assert any("whole degrees" in note for note in coarse.notes)
+    assert Remark(Said.WHOLE_DEGREES) in coarse.notes
 
 
 def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None:
@@ -86,8 +87,8 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
     assert by_data_set(timed, jump) == jump
     stated = by_data_set(untimed, jump)
     assert stated["at_data_set"].value == 34.5
-    assert where("Jump.", stated) == "Jump. Between data sets 34 and 35."
-    assert where("Jump.", jump) == "Jump."
+    assert between_sets(stated) == Remark(Said.BETWEEN_SETS, {"first": 34, "last": 35})
+    assert between_sets(jump) is None
     drift = {
         "amplitude": Estimate(180.0, 18.0, "mdeg/s/h", (150.0, 210.0)),
         "tau_s": Estimate(60.0, 1.0, "s", (50.0, 70.0)),
@@ -117,7 +118,8 @@ def test_data_sets_without_output_are_a_dead_zone_and_do_not_bend_the_surface() 
     left, findings = set_aside(series, series.gyro_dps)
     (found,) = findings
     assert found.effect == "dead_zone"
-    assert "exactly 0 in 5 of 55 data sets" in found.statement
+    assert found.seen.said is Said.DEAD_SETS
+    assert (found.seen.facts["count"], found.seen.facts["sets"]) == (5, 55)
     low, high = found.parameters["width_dps"].interval_95
     assert low == pytest.approx(0.48, abs=0.02)
     assert low < 0.6 < high

@@ -12,6 +12,7 @@ import pytest
 from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
 from gyrocal.physics.terms import Term
 from gyrocal.report.diagnosis import diagnosis_page, tables
+from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import counted, plain_sentences, traded_sentence
 from gyrocal.report.words import (
     estimate_text,
@@ -101,7 +102,7 @@ def test_place_of_a_finding_is_not_its_whole_sentence(shupe: Diagnosis) -> None:
     place = Located("data_set_index", "mean", 1e-20, 1.0, target="data sets", finding="shupe")
     found = replace(shupe, located=(place,))
     assert next(t for t in tables(found) if t.name == "located").rows[0][2] == "see shupe"
-    assert sum(effect.statement in s for s in plain_sentences(found)) == 1
+    assert sum(statement(effect) in s for s in plain_sentences(found)) == 1
 
 
 def test_same_error_before_is_not_said_twice_of_one_effect(shupe: Diagnosis) -> None:

@@ -58,7 +58,6 @@ def _answer(effects: dict[str, dict[str, float]], verdict: str) -> Diagnosis:
         NamedEffect(
             effect,
             CATALOGUE[effect].family,
-            CATALOGUE[effect].statement,
             {k: Estimate(v, 0.1, "", (v - 0.1, v + 0.1)) for k, v in parameters.items()},
             1e-9,
             (),

@@ -26,8 +26,7 @@ def _quiet(share: float, what: str) -> None:
 
 def _answer(names: list[str], verdict: str = "explained") -> Diagnosis:
     named = tuple(
-        NamedEffect(e, CATALOGUE[e].family, CATALOGUE[e].statement, {}, 1e-9, (), None, CATALOGUE[e].runtime)
-        for e in names
+        NamedEffect(e, CATALOGUE[e].family, {}, 1e-9, (), None, CATALOGUE[e].runtime) for e in names
     )
     return Diagnosis("run", verdict, (), named, {}, (), None, None, None, None, None)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries, Floats
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.navigation.sanity import UNITS, in_radians, truth_unit_m
 from gyrocal.units import NORMAL_95, RAD_TO_DEG
@@ -22,11 +23,11 @@ _LOST, _STEP = 1e-3, 1.8
 
 @dataclass(frozen=True)
 class Found:
-    """An effect that a check has found, in words."""
+    """An effect that a check has found."""
 
     effect: str
     amplitude: Estimate
-    sentence: str
+    seen: Remark
 
 
 def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
@@ -43,22 +44,21 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     if min(see, sgg) <= 0 or seg**2 < 0.25 * see * sgg:
         return series, None
     ratio = float(np.sign(seg) * np.sqrt(sgg / see))
-    units = ((RAD_TO_DEG, "in rad/s"), (1.0 / RAD_TO_DEG, "converted to degrees twice"), (1.0, ""))
-    factor, what = min(units, key=lambda unit: abs(np.log(abs(ratio) * unit[0])))
-    turned = "with the sign inverted, or left and right wheel are swapped" if ratio < 0 else ""
-    said = " and ".join(text for text in (what, turned) if text)
-    if not said or not 1 / _UNIT_FACTOR < abs(ratio) * factor < _UNIT_FACTOR:
+    units = ((RAD_TO_DEG, "rad/s"), (1.0 / RAD_TO_DEG, "twice"), (1.0, ""))
+    factor, unit = min(units, key=lambda unit: abs(np.log(abs(ratio) * unit[0])))
+    right_way = not unit and ratio > 0
+    if right_way or not 1 / _UNIT_FACTOR < abs(ratio) * factor < _UNIT_FACTOR:
         return series, None
     std = abs(ratio) * float(np.sqrt(max(1.0 - seg**2 / (see * sgg), 0.0) / max(e.size - 2, 1)))
     amplitude = Estimate(ratio, std, "1", (ratio - NORMAL_95 * std, ratio + NORMAL_95 * std))
-    sentence = f"The gyro column is {said} (its turns over those of the encoders)."
+    seen = Remark(Said.GYRO_COLUMN, {"unit": unit, "inverted": ratio < 0})
     right = replace(series, gyro_dps=series.gyro_dps * factor * float(np.sign(ratio)))
-    return right, Found("unit_or_sign", amplitude, sentence)
+    return right, Found("unit_or_sign", amplitude, seen)
 
 
-def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[str]]:
+def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     """The log with the truth in metres and degrees, and what was wrong with it."""
-    notes: list[str] = []
+    notes: list[Remark] = []
     if not series.has_truth:
         return series, notes
     path = reckon(series, Figures())
@@ -66,12 +66,10 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[str]]:
     own = np.column_stack([path.at_m.real, path.at_m.imag])[known]
     unit_m = truth_unit_m(own, np.column_stack([series.truth_x_m, series.truth_y_m])[known])
     if unit_m != 1.0:
-        notes.append(
-            f"the truth's positions are {1 / unit_m:g} times too large: they are taken in {UNITS[unit_m]}"
-        )
+        notes.append(Remark(Said.TRUTH_UNIT, {"times": 1 / unit_m, "unit": UNITS[unit_m]}))
         series = replace(series, truth_x_m=unit_m * series.truth_x_m, truth_y_m=unit_m * series.truth_y_m)
     if in_radians(RAD_TO_DEG * path.heading_rad, series.truth_heading_deg):
-        notes.append("the truth's heading is in radians: it is taken as such")
+        notes.append(Remark(Said.TRUTH_RADIANS))
         series = replace(series, truth_heading_deg=RAD_TO_DEG * series.truth_heading_deg)
     return series, notes
 
@@ -84,16 +82,18 @@ def missing_rows(t_s: Floats) -> Found | None:
     if lost <= _LOST * steps.size:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)
-    text = f"About {lost} rows are missing ({share:.2g} % of the log, the longest gap {steps.max():.3g} s)."
-    return Found("dropped_samples", Estimate(share, float("nan"), "%", _NONE), text)
+    facts = {"count": lost, "percent": share, "longest_s": float(steps.max())}
+    return Found(
+        "dropped_samples", Estimate(share, float("nan"), "%", _NONE), Remark(Said.MISSING_ROWS, facts)
+    )
 
 
-def uneven_clock(t_s: Floats) -> str | None:
-    """Unsteady time stamps, in words."""
+def uneven_clock(t_s: Floats) -> Remark | None:
+    """Unsteady time stamps; None where they are steady."""
     steps = np.diff(t_s)
     usual = float(np.median(steps))
     regular = steps[(steps > 0.2 * usual) & (steps < _STEP * usual)]
     jitter_s = float(np.std(regular) / np.sqrt(2.0)) if regular.size else 0.0
     if jitter_s <= 0.05 * usual:
         return None
-    return f"time stamps scatter by {1e3 * jitter_s:.2g} ms about an even clock of {1e3 * usual:.3g} ms"
+    return Remark(Said.UNEVEN_CLOCK, {"jitter_ms": 1e3 * jitter_s, "usual_ms": 1e3 * usual})

@@ -22,6 +22,7 @@ from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, recko
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import TruthAnswer, ask_truth
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
@@ -30,7 +31,6 @@ from gyrocal.records.robot import Robot
 
 #: Part of a single log with truth from which figures are fitted to be shown on the rest.
 _FITTED = 0.6
-_MIRRORED = "the truth follows the path in a mirror only (y and x swapped, or y of the wrong sign?), so it was left aside"
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Examined:
     parts: dict[str, Scale]
     figures: Figures
     checks: list[Found]
-    notes: list[str]
+    notes: list[Remark]
 
 
 def diagnose_drive(
@@ -155,7 +155,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     first = figures_of(series, yaw, {}, None)
     truth = ask_truth(series, replace(first, bias_from_rest=False), yaw.estimate("bias")[1], yaw.model.noise)
     if truth is not None and truth.mirrored:
-        notes.append(_MIRRORED)
+        notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = scales(yaw, truth)
     clock = uneven_clock(log.t_s)
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]

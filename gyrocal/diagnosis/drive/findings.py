@@ -13,9 +13,10 @@ from gyrocal.diagnosis.drive.laws import PER_SI
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import DRIVE_CATALOGUE
-from gyrocal.units import NORMAL_95
+from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95
 
 #: Evidence against a rival beyond which it is no rival.
 _OUT = 20.0
@@ -126,7 +127,7 @@ def named_effects(
         # A slip law and what is left of the track are one effect.
         if effect.effect not in [e.effect for e in effects]:
             effects.append(effect)
-    facts = [_effect(f.effect, f.sentence, {"amplitude": f.amplitude}, 1e-16, ()) for f in checks]
+    facts = [_effect(f.effect, {"amplitude": f.amplitude}, 1e-16, (), f.seen) for f in checks]
     return [
         *(f for f in facts if f.effect == "unit_or_sign"),
         *effects,
@@ -135,10 +136,15 @@ def named_effects(
 
 
 def _effect(
-    effect: str, statement: str, parameters: Mapping[str, Estimate], p: float, others: tuple[Alternative, ...]
+    effect: str,
+    parameters: Mapping[str, Estimate],
+    p: float,
+    others: tuple[Alternative, ...],
+    seen: Remark | None = None,
+    beside: Remark | None = None,
 ) -> NamedEffect:
-    described = DRIVE_CATALOGUE[effect]
-    return NamedEffect(effect, described.family, statement, parameters, p, others, None, described.runtime)
+    law = DRIVE_CATALOGUE[effect]
+    return NamedEffect(effect, law.family, parameters, p, others, None, law.runtime, seen=seen, beside=beside)
 
 
 def _exact(value: float, unit: str) -> Estimate:
@@ -148,25 +154,25 @@ def _exact(value: float, unit: str) -> Estimate:
 def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
     law = yaw.laws[name]
     value, std = yaw.estimate(name)
-    statement, degrees = DRIVE_CATALOGUE[law.effect].statement, 1
+    seen, degrees = None, 1
     if name == "wheel_cos":
         other, _ = yaw.estimate("wheel_sin")
         value, degrees = float(np.hypot(value, other)), 2
         side = "right" if law.shape["side"] > 0 else "left"
         radius = law.shape["wheel_radius_m"]
-        statement = f"The {side} wheel's distance is modulated every {2 * np.pi * radius:.3g} m, once a turn of a wheel of radius {radius:.3g} m."
+        seen = Remark(Said.WHEEL_TURN, {"side": side, "way_m": 2 * np.pi * radius, "radius_m": radius})
     if law.effect == "gyro_delay" and value < 0:
-        statement = "The encoders' counts arrive later than the gyro's rate (a negative delay)."
+        seen = Remark(Said.ENCODERS_LATE)
     if law.effect == "skid_slip" and value < 0:
-        statement = "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer together than the robot file says."
+        seen = Remark(Said.TURNS_INWARD)
     if name == "step":
-        statement = "In motion the gyro's bias is another than at the rest at the start."
+        seen = Remark(Said.BIAS_IN_MOTION)
     parameters = {"amplitude": estimate(law.effect, value, std)}
     units = {p.name: p.unit for p in DRIVE_CATALOGUE[law.effect].parameters}
     parameters |= {n: _exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
     if name == "delay" and yaw.window_s > 0:
         parameters["encoder_window_s"] = _exact(yaw.window_s, "s")
-    return _effect(law.effect, statement, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw))
+    return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
 
 
 def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
@@ -184,25 +190,23 @@ def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
             found[law.effect] = min(ratio, found.get(law.effect, np.inf))
     if name == "asymmetry" and not yaw.model.frame.nodes.resting.any():
         found["gyro_bias"] = 1.0
-    return tuple(
-        Alternative(e, r, DRIVE_CATALOGUE[e].statement) for e, r in sorted(found.items(), key=lambda x: x[1])
-    )
+    return tuple(Alternative(e, r) for e, r in sorted(found.items(), key=lambda x: x[1]))
 
 
 def _of_scale(
     name: str, scale: Scale, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> NamedEffect:
     effect = "skid_slip" if name == "track" else name
-    statement = DRIVE_CATALOGUE[effect].statement
+    seen = beside = None
     parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     others: dict[str, float] = {}
     if name == "track":
         parameters |= {"law": _exact(0.0, "1"), "shape": _exact(0.0, "1")}
         if scale.value < 0:
-            statement = "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer together than the robot file says."
+            seen = Remark(Said.TURNS_INWARD)
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others["unit_or_sign"] = 1.0
-            statement += " About half or twice the wheel separation: see whether the file holds half a track or a tread for a track."
+            beside = Remark(Said.TRACK_MIXED_UP)
     if truth is None or name == "track" or not truth.believed(name):
         against = _against(*yaw.estimate("track"), truth)
         for other, chi2 in against.items():
@@ -215,8 +219,8 @@ def _of_scale(
     if name == "wheel_scale" and scale.value > 0:
         others["encoder_overcount"] = 1.0
     p = float(2 * stats.norm.sf(abs(scale.value) / scale.std))
-    alternatives = tuple(Alternative(e, r, DRIVE_CATALOGUE[e].statement) for e, r in others.items())
-    return _effect(effect, statement, parameters, max(p, 1e-300), alternatives)
+    alternatives = tuple(Alternative(e, r) for e, r in others.items())
+    return _effect(effect, parameters, max(p, 1e-300), alternatives, seen, beside)
 
 
 def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedEffect] | None:
@@ -229,13 +233,9 @@ def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedE
     if gain < GAIN or abs(value) < BELIEVED * float(np.hypot(expected, std)):
         return None
     parameters = {"amplitude": estimate("gyro_bias", value, std)}
-    others = (
-        (Alternative("earth_rate", 1.0, DRIVE_CATALOGUE["earth_rate"].statement),)
-        if abs(value) < 4.2e-3
-        else ()
-    )
-    statement = "The gyro has a bias that no rest at the start takes off."
-    return gain, _effect("gyro_bias", statement, parameters, float(stats.chi2.sf(gain, 1)), others)
+    others = (Alternative("earth_rate", 1.0),) if abs(value) < EARTH_RATE_DPH * DPH_TO_DPS else ()
+    p = float(stats.chi2.sf(gain, 1))
+    return gain, _effect("gyro_bias", parameters, p, others, Remark(Said.BIAS_NO_REST))
 
 
 def places(

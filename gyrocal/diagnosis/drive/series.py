@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
@@ -70,7 +71,7 @@ class DriveSeries:
     tick_m: tuple[float, float]
     differential: bool
     robot: Robot = field(repr=False)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -122,14 +123,16 @@ def drive_series(
         )
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * float(np.median(dt_s[1:]))
-    notes = [f"{gap.sum()} gaps of more than {GAP_STEPS:g} usual steps are left out"] if gap.any() else []
+    notes: list[Note] = []
+    if gap.any():
+        notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS}))
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
     gyro, said = _gyro(source, log, coefficients)
     for name, values in {"left": log.left_m, "right": log.right_m}.items():
         empty = int(np.count_nonzero(~np.isfinite(values)))
         if empty:
-            notes.append(f"{empty} rows without {name} count as no motion of that wheel")
+            notes.append(Remark(Said.EMPTY_WHEEL, {"count": empty, "wheel": name}))
     left, right = np.nan_to_num(log.left_m), np.nan_to_num(log.right_m)
     if max(np.abs(left).sum(), np.abs(right).sum()) < _LEAST_M:
         raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
@@ -143,7 +146,7 @@ def drive_series(
     )  # fmt: skip
 
 
-def _gyro(source: str, log: DriveBlock, coefficients: Coefficients | None) -> tuple[Floats, list[str]]:
+def _gyro(source: str, log: DriveBlock, coefficients: Coefficients | None) -> tuple[Floats, list[Remark]]:
     """The gyro, calibrated where there are coefficients, empty rows and spikes bridged by their neighbours."""
     gyro_dps, notes = log.gyro_dps, []
     if coefficients is not None:
@@ -152,29 +155,28 @@ def _gyro(source: str, log: DriveBlock, coefficients: Coefficients | None) -> tu
                 f"{source}: has no gyro_temp_c, so coefficients cannot be applied. Leave --coefficients out."
             )
         gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
-        notes.append("the gyro was calibrated with the coefficients given")
+        notes.append(Remark(Said.CALIBRATED))
     gyro_dps, bridged = _bridged(log.t_s, gyro_dps)
     notes += bridged
     off = gyro_dps - median_filter(gyro_dps, 5, mode="nearest")
     limit = max(_SPIKE_STDS * 1.4826 * float(np.median(np.abs(off))), _SPIKE_DPS)
     spikes = np.abs(off) > limit
     if spikes.any():
-        notes.append(
-            f"{spikes.sum()} spikes of the gyro, up to {np.abs(off).max():.3g} deg/s, are bridged in the comparison"
-        )
+        largest = float(np.abs(off).max())
+        notes.append(Remark(Said.GYRO_SPIKES, {"count": int(spikes.sum()), "largest_dps": largest}))
         gyro_dps = np.where(spikes, gyro_dps - off, gyro_dps)
     return gyro_dps, notes
 
 
-def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[str]]:
+def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[Remark]]:
     """The gyro with empty rows interpolated: a turn goes on where a sample is lost."""
     known = np.isfinite(gyro_dps)
     if known.all():
         return gyro_dps, []
     if not known.any():
-        return np.zeros_like(gyro_dps), ["no row has a gyro"]
-    note = f"{np.count_nonzero(~known)} rows without gyro are bridged by their neighbours"
-    return np.interp(t_s, t_s[known], gyro_dps[known]), [note]
+        return np.zeros_like(gyro_dps), [Remark(Said.NO_GYRO)]
+    bridged = Remark(Said.GYRO_BRIDGED, {"count": int(np.count_nonzero(~known))})
+    return np.interp(t_s, t_s[known], gyro_dps[known]), [bridged]
 
 
 def tick_size(step_m: Floats) -> float:

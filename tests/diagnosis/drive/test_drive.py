@@ -14,10 +14,12 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
 from gyrocal.diagnosis.drive.laws import frame_of, law
 from gyrocal.diagnosis.drive.search import align, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of, tick_size
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.drive_log import read_drive_log
 from gyrocal.records.robot import Robot, read_robot
+from gyrocal.report.remarks import remark_words, statement
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
 
@@ -135,7 +137,7 @@ def test_two_effects_at_once(robot: Robot) -> None:
 def test_wrong_unit_and_sign_are_named_and_bridged(robot: Robot, factor: float, text: str) -> None:
     result = found(Hidden(gyro_factor=factor), robot, 5)
     assert names(result) == ["unit_or_sign"]
-    assert text in result.diagnosis.effects[0].statement
+    assert text in statement(result.diagnosis.effects[0])
 
 
 def test_half_a_track_is_a_slip_or_a_mix_up(tmp_path: Path) -> None:
@@ -219,7 +221,8 @@ def test_gaps_and_jitter_are_found() -> None:
     holes = np.r_[0:500, 520:1500, 1560 : len(log)]
     lost = missing_rows(log.t_s[holes])
     assert lost is not None
-    assert "About 80 rows are missing" in lost.sentence
+    assert lost.seen.said is Said.MISSING_ROWS
+    assert lost.seen.facts["count"] == 80
     rng = np.random.default_rng(1)
     assert uneven_clock(np.sort(log.t_s + 0.01 * rng.normal(size=len(log)))) is not None
 
@@ -229,7 +232,7 @@ def test_lost_gyro_samples_are_bridged(robot: Robot) -> None:
     log = simulate(Hidden(), 1)
     lost = replace(log, gyro_dps=np.where(np.arange(len(log)) % 50 == 20, np.nan, log.gyro_dps))
     whole, holed = (drive_series("d", x, robot, None) for x in (log, lost))
-    assert any("60 rows without gyro are bridged" in note for note in holed.notes)
+    assert Remark(Said.GYRO_BRIDGED, {"count": 60}) in holed.notes
     turned = float(np.sum(np.abs(np.diff(whole.gyro_rad))))
     assert float(np.sum(np.abs(np.diff(holed.gyro_rad)))) == pytest.approx(turned, rel=2e-3)
 
@@ -252,7 +255,7 @@ def test_mirrored_truth_is_seen_and_correlated_errors_are_no_mirror(resting: Rob
     mirrored = diagnose_drive("b.csv", replace(log, truth_y_m=-log.truth_y_m), resting)
     assert mirrored.truth is not None
     assert mirrored.truth.mirrored
-    assert any("mirror" in note for note in mirrored.diagnosis.notes)
+    assert Remark(Said.TRUTH_MIRRORED) in mirrored.diagnosis.notes
 
 
 def test_truth_in_other_units_is_taken_as_such(resting: Robot) -> None:
@@ -266,8 +269,8 @@ def test_truth_in_other_units_is_taken_as_such(resting: Robot) -> None:
         truth_heading_deg=np.deg2rad(log.truth_heading_deg),
     )
     other = diagnose_drive("b.csv", odd, resting)
-    assert [n for n in other.diagnosis.notes if "millimetres" in n]
-    assert [n for n in other.diagnosis.notes if "radians" in n]
+    assert Remark(Said.TRUTH_RADIANS) in other.diagnosis.notes
+    assert [n for n in map(remark_words, other.diagnosis.notes) if "millimetres" in n]
     assert plain.truth is not None
     assert other.truth is not None
     assert other.truth.values["wheel_scale"] == pytest.approx(plain.truth.values["wheel_scale"], abs=1e-6)

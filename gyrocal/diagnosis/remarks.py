@@ -1,0 +1,66 @@
+"""What there is to say of a recording beside its numbers, as data; `gyrocal.report.remarks` has the words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import Any
+
+
+class Said(Enum):
+    """What a remark says; the facts that each needs stand in its words."""
+
+    # The recording of a bench.
+    FAILED_SEGMENTS = auto()
+    SET_ASIDE_AFTER_STEPS = auto()
+    UNUSABLE_SAMPLES = auto()
+    STRAY_SAMPLES = auto()
+    WHOLE_DEGREES = auto()
+    CHAMBER_FOR_GYRO = auto()
+    SAME_TIMES = auto()
+    NO_SPREAD = auto()
+    FAR_TOO_HOT = auto()
+    SCALE_FAR_OFF = auto()
+    # What was found in it.
+    TEMPERATURE_ALONE = auto()
+    NOT_TEMPERATURE_ALONE = auto()
+    NOT_WRITTEN = auto()
+    DEAD_SETS = auto()
+    STRANGE_SETS = auto()
+    BURST_SAMPLES = auto()
+    OUTPUT_STEPS = auto()
+    SAMPLE_CLOCK = auto()
+    BETWEEN_SETS = auto()
+    # A drive log.
+    GAPS = auto()
+    EMPTY_WHEEL = auto()
+    CALIBRATED = auto()
+    NO_GYRO = auto()
+    GYRO_BRIDGED = auto()
+    GYRO_SPIKES = auto()
+    TRUTH_UNIT = auto()
+    TRUTH_RADIANS = auto()
+    TRUTH_MIRRORED = auto()
+    UNEVEN_CLOCK = auto()
+    # What was found in it.
+    GYRO_COLUMN = auto()
+    MISSING_ROWS = auto()
+    WHEEL_TURN = auto()
+    ENCODERS_LATE = auto()
+    TURNS_INWARD = auto()
+    BIAS_IN_MOTION = auto()
+    BIAS_NO_REST = auto()
+    TRACK_MIXED_UP = auto()
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something to be said, and the numbers in it."""
+
+    said: Said
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+#: A remark, or what the reader of a file has said of it in its own words.
+Note = Remark | str

@@ -1,0 +1,122 @@
+"""Words of the remarks of a diagnosis, and of what was named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from gyrocal.diagnosis.remarks import Note, Remark, Said
+from gyrocal.diagnosis.result import NamedEffect
+from gyrocal.physics.catalogue import described
+
+
+def _stray(count: int) -> str:
+    stand = "sample stands" if count == 1 else "samples stand"
+    return f"{count} {stand} out of the noise by more than six standard deviations; left out"
+
+
+def _strange_sets(sets: Sequence[tuple[int, float, float, float]]) -> str:
+    """Each with its number, rate in deg/s, temperature in degC, and how far off it is in mdeg/s."""
+    each = (
+        f"number {number} ({rate:g} deg/s at {temp:.1f} degC, off by {off:.3g} mdeg/s)"
+        for number, rate, temp, off in sets
+    )
+    return f"Single data sets do not belong to the rest: {'; '.join(each)}. Mislabelled, or disturbed; left out of the fit."
+
+
+def _beyond_temperature(left_mdps: float, branches_mdps: float | None) -> str:
+    apart = (
+        ""
+        if branches_mdps is None
+        else f"; heating and cooling differ by {branches_mdps:.3g} mdeg/s rms at the same temperature"
+    )
+    return (
+        f"Bias is not a function of temperature alone: after any smooth curve of temperature {left_mdps:.3g} mdeg/s rms "
+        f"are left that follow time or the history of temperature{apart}."
+    )
+
+
+def _not_written(coordinate: str) -> str:
+    return (
+        f"What follows {coordinate.replace('_', ' ')} without a name is not in the improved coefficients: its evidence "
+        "is weak, and it does not surely predict data left out."
+    )
+
+
+def _clock(ppm: float) -> str:
+    return (
+        f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the "
+        "sample clock is off, and an output that is an angle per sample is scaled by as much."
+    )
+
+
+def _gyro_column(unit: str, inverted: bool) -> str:
+    what = {"": "", "rad/s": "in rad/s", "twice": "converted to degrees twice"}[unit]
+    turned = "with the sign inverted, or left and right wheel are swapped" if inverted else ""
+    said = " and ".join(text for text in (what, turned) if text)
+    return f"The gyro column is {said} (its turns over those of the encoders)."
+
+
+#: What each remark says: a template of its facts, or a function of them.
+WORDS: Mapping[Said, str | Callable[..., str]] = {
+    Said.FAILED_SEGMENTS: "{count} segments are marked failed in the journal and are left out",
+    Said.SET_ASIDE_AFTER_STEPS: "{count} samples that stand out right after a step of rate are left out",
+    Said.UNUSABLE_SAMPLES: "{count} gyro samples are empty or of bad status and are left out",
+    Said.STRAY_SAMPLES: _stray,
+    Said.WHOLE_DEGREES: "temperatures are whole degrees (nominal, or of a coarse sensor): an error of 0.29 degC rms, "
+    "which blurs what lives in temperature and hides what lives in its rate",
+    Said.CHAMBER_FOR_GYRO: "the gyro sends no temperature: the chamber's stands for its own, behind which the gyro lags",
+    Said.SAME_TIMES: "{count} rows have the time of the row before them: check the times",
+    Said.NO_SPREAD: "gyro_std_dps is 0 in {count} rows of several samples: an output that is stuck or does not resolve "
+    "its noise; they count as noisy as the others",
+    Said.FAR_TOO_HOT: "temperatures run from {low_c:.4g} to {high_c:.4g} degC: check their unit (kelvin?)",
+    Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
+    "surface takes it up; check scale and units",
+    Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
+    Said.NOT_TEMPERATURE_ALONE: _beyond_temperature,
+    Said.NOT_WRITTEN: _not_written,
+    Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
+    "mdeg/s: small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit.",
+    Said.STRANGE_SETS: _strange_sets,
+    Said.BURST_SAMPLES: "{count} of {samples} samples stand out of the noise by more than six standard deviations "
+    "(bursts, slip ring).",
+    Said.OUTPUT_STEPS: "The output comes in steps of {step_mdps:.4g} mdeg/s, which adds {noise_mdps:.3g} mdeg/s of noise "
+    "to a sample.",
+    Said.SAMPLE_CLOCK: _clock,
+    Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
+    Said.GAPS: "{count} gaps of more than {steps:g} usual steps are left out",
+    Said.EMPTY_WHEEL: "{count} rows without {wheel} count as no motion of that wheel",
+    Said.CALIBRATED: "the gyro was calibrated with the coefficients given",
+    Said.NO_GYRO: "no row has a gyro",
+    Said.GYRO_BRIDGED: "{count} rows without gyro are bridged by their neighbours",
+    Said.GYRO_SPIKES: "{count} spikes of the gyro, up to {largest_dps:.3g} deg/s, are bridged in the comparison",
+    Said.TRUTH_UNIT: "the truth's positions are {times:g} times too large: they are taken in {unit}",
+    Said.TRUTH_RADIANS: "the truth's heading is in radians: it is taken as such",
+    Said.TRUTH_MIRRORED: "the truth follows the path in a mirror only (y and x swapped, or y of the wrong sign?), so it "
+    "was left aside",
+    Said.UNEVEN_CLOCK: "time stamps scatter by {jitter_ms:.2g} ms about an even clock of {usual_ms:.3g} ms",
+    Said.GYRO_COLUMN: _gyro_column,
+    Said.MISSING_ROWS: "About {count} rows are missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
+    Said.WHEEL_TURN: "The {side} wheel's distance is modulated every {way_m:.3g} m, once a turn of a wheel of radius "
+    "{radius_m:.3g} m.",
+    Said.ENCODERS_LATE: "The encoders' counts arrive later than the gyro's rate (a negative delay).",
+    Said.TURNS_INWARD: "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer "
+    "together than the robot file says.",
+    Said.BIAS_IN_MOTION: "In motion the gyro's bias is another than at the rest at the start.",
+    Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
+    Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "
+    "for a track.",
+}
+
+
+def remark_words(note: Note) -> str:
+    """A remark in words; what a reader has said stays as it is."""
+    if not isinstance(note, Remark):
+        return note
+    words = WORDS[note.said]
+    return words.format(**note.facts) if isinstance(words, str) else words(**note.facts)
+
+
+def statement(effect: NamedEffect) -> str:
+    """What a named effect is: what was seen of it here, or what the catalogue says of it."""
+    seen = described(effect.effect).statement if effect.seen is None else remark_words(effect.seen)
+    return seen if effect.beside is None else f"{seen} {remark_words(effect.beside)}"

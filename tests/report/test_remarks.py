@@ -1,0 +1,40 @@
+"""Words of the remarks of a diagnosis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.report.remarks import WORDS, remark_words
+
+
+def test_every_remark_has_words() -> None:
+    assert set(WORDS) == set(Said)
+
+
+def test_what_a_reader_said_stays_as_it_is() -> None:
+    assert remark_words("row 7 is empty") == "row 7 is empty"
+
+
+@pytest.mark.parametrize(
+    ("said", "facts", "words"),
+    [
+        (Said.STRAY_SAMPLES, {"count": 1}, "1 sample stands out of the noise"),
+        (Said.STRAY_SAMPLES, {"count": 2}, "2 samples stand out of the noise"),
+        (Said.STRANGE_SETS, {"sets": [(41, -20.0, 24.96, 312.4)]}, "number 41 (-20 deg/s at 25.0 degC, off by 312 mdeg/s)."),
+        (Said.NOT_TEMPERATURE_ALONE, {"left_mdps": 1.23456, "branches_mdps": None}, "1.23 mdeg/s rms are left"),
+        (Said.NOT_TEMPERATURE_ALONE, {"left_mdps": 1.0, "branches_mdps": 0.5}, "cooling differ by 0.5 mdeg/s rms"),
+        (Said.NOT_WRITTEN, {"coordinate": "temperature_rate"}, "What follows temperature rate without a name"),
+        (Said.SAMPLE_CLOCK, {"ppm": -120.4}, "Samples arrive 120 ppm sooner"),
+        (Said.SAMPLE_CLOCK, {"ppm": 120.4}, "Samples arrive 120 ppm later"),
+        (Said.GYRO_COLUMN, {"unit": "rad/s", "inverted": True}, "is in rad/s and with the sign inverted"),
+        (Said.GYRO_COLUMN, {"unit": "", "inverted": True}, "is with the sign inverted"),
+        (Said.DEAD_SETS, {"count": 5, "sets": 55, "lost_mdps": 12.345}, "exactly 0 in 5 of 55 data sets where the others say up to 12.3"),
+        (Said.MISSING_ROWS, {"count": 80, "percent": 1.333, "longest_s": 0.8}, "About 80 rows are missing (1.3 % of the log, the longest gap 0.8 s)."),
+        (Said.TRUTH_MIRRORED, {}, "the truth follows the path in a mirror only"),
+    ],
+)  # fmt: skip
+def test_words(said: Said, facts: dict[str, Any], words: str) -> None:
+    assert words in remark_words(Remark(said, facts))
