@@ -62,6 +62,9 @@ from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 #: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
 STILL_S = 0.6
+#: Spacing of the nodes at rest, s: a bias by a shorter one is mostly noise, and turns the whole way before it. Wheels
+#: that move before a node is full take it back: the robot may have turned before they did.
+REST_NODE_S = 1.0
 #: Variance of a measurement, rad^2: none but rounding, since the tick error is a state.
 _ROUNDING = 1e-12
 
@@ -90,10 +93,18 @@ _widened = part(widened)
 
 
 @part
+def _moves(left: float, right: float) -> Any:
+    """Whether a wheel moves in a row; one of which nothing is known does not."""
+    return abs(left) > MOVED_M or abs(right) > MOVED_M
+
+
+@part
 def _row(
     nav: Any, figures: Any, dt: float, left: float, right: float, rate: float, encoders: bool, gyro: bool
 ) -> None:
     """Dead reckoning over a row, and what the node gathers."""
+    bias = nav[BIAS] + nav[G1] + nav[G2] + nav[G3]
+    way_before, turn_before = nav[SPEED] * dt, (nav[SCALE] * nav[RATE] + bias) * dt
     if encoders:
         nav[BLIND] = 0.0
         u_right, u_left = nav[RIGHT] * right, nav[LEFT] * left  # eq. 7
@@ -105,7 +116,7 @@ def _row(
         travel, across = nav[SPEED] * dt, 0.0
     if gyro:
         nav[RATE] = rate
-    turned = (nav[SCALE] * nav[RATE] + nav[BIAS] + nav[G1] + nav[G2] + nav[G3]) * dt  # eq. 10
+    turned = (nav[SCALE] * nav[RATE] + bias) * dt  # eq. 10
     if not gyro and encoders:
         turned = across / nav[WIDTH]
         nav[UNSEEN] += figures[TURN] * abs(turned) + figures[SLIP] * abs(2.0 * travel) / nav[WIDTH] ** 2
@@ -115,19 +126,20 @@ def _row(
         across = turned * nav[WIDTH]
     if not (encoders and gyro):
         nav[LOST] += 1.0
-    middle = nav[PHI] + 0.5 * turned
-    # An arc's chord: rows of a second hold turns of which the distance is not the way straight ahead.
+    # Rows of a second hold whole turns: the chord of an arc, and aside of it what speed and turn rate change by since
+    # the row before (the sculling of inertial navigation, of two samples).
     chord = travel * (1.0 - turned * turned / 24.0)
-    nav[X] += math.cos(middle) * chord
-    nav[Y] += math.sin(middle) * chord
+    aside = (travel * turn_before - way_before * turned) / 12.0
+    sin, cos = math.sin(nav[PHI] + 0.5 * turned), math.cos(nav[PHI] + 0.5 * turned)
+    nav[X] += cos * chord - sin * aside
+    nav[Y] += sin * chord + cos * aside
     nav[PHI] += turned
     nav[SINCE] += dt
     nav[TRAVEL] += travel
     nav[ACROSS] += across
     nav[TURNED] += turned
     nav[BY_GYRO] += nav[RATE] * dt if gyro else turned
-    moving = encoders and (abs(left) > MOVED_M or abs(right) > MOVED_M)
-    nav[STILL] = 0.0 if moving or not encoders else nav[STILL] + dt
+    nav[STILL] = 0.0 if _moves(left, right) or not encoders else nav[STILL] + dt
 
 
 @part
@@ -236,10 +248,10 @@ def _forget(nav: Any, p: Any) -> None:
 
 
 @part
-def _node(nav: Any, p: Any, figures: Any, counts: Any, filtering: bool) -> Any:
+def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bool) -> Any:
     """Errors over the rows since the last node, and the measurement at their end: innovation and variance, or 0."""
     dt, turned, width = nav[SINCE], nav[TURNED], nav[WIDTH]
-    rest, quiet = nav[STILL] >= STILL_S + dt, nav[STILL] >= (1.0 - 1e-9) * dt
+    quiet = nav[STILL] >= (1.0 - 1e-9) * dt
     rate, speed = turned / dt * RAD_TO_DEG, nav[TRAVEL] / dt
     wider = 1.0 + figures[AMPLITUDE] * _widened(figures[LAW], rate, speed, width, figures[SHAPE])
     nav[PSI] += nav[ACROSS] / (width * wider) * (1.0 + nav[STRAY])
@@ -275,6 +287,21 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, filtering: bool) -> Any:
     for i in range(SINCE, STILL):
         nav[i] = 0.0
     return nu, expected
+
+
+@part
+def _resting(nav: Any) -> Any:
+    """Whether all rows of the node are of a robot that stands."""
+    return nav[SINCE] > 0.0 and nav[STILL] >= STILL_S + nav[SINCE]
+
+
+@part
+def _full(nav: Any, figures: Any, dt: float) -> Any:
+    """Whether the node ends with this row: half a row early is as good as half a row late."""
+    spacing = figures[SPACING]
+    if spacing < REST_NODE_S and _resting(nav):
+        spacing = REST_NODE_S
+    return nav[SINCE] > 0.0 and nav[SINCE] + 0.5 * dt >= spacing
 
 
 @part
@@ -323,16 +350,18 @@ def _take(
     some, encoders, good = usable(nav, figures, counts, dt, left, right, gyro)
     out[k, NU] = out[k, NU + 1] = math.nan
     if some:
+        nu = expected = 0.0
         rate = rate_of(nav, figures, gyro, temp, left, right)
         if nav[MOVED] > moved:
             p[BIAS, BIAS] += figures[STEP_VARIANCE]
+        if _resting(nav) and _moves(left, right):
+            nu, expected = _node(nav, p, figures, counts, False, filtering)
         _row(nav, figures, dt, left, right, rate, encoders, good)
         nav[SMOOTHED] += smooth * dt * DEG_TO_RAD
-        # Half a row early is as good as half a row late.
-        if nav[SINCE] > 0.0 and nav[SINCE] + 0.5 * dt >= figures[SPACING]:
-            nu, expected = _node(nav, p, figures, counts, filtering)
-            if expected > 0.0:
-                out[k, NU], out[k, NU + 1] = nu * RAD_TO_DEG, math.sqrt(expected) * RAD_TO_DEG
+        if _full(nav, figures, dt):
+            nu, expected = _node(nav, p, figures, counts, _resting(nav), filtering)
+        if expected > 0.0:
+            out[k, NU], out[k, NU + 1] = nu * RAD_TO_DEG, math.sqrt(expected) * RAD_TO_DEG
     _report(nav, p, figures, out, k)
 
 

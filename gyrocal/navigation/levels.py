@@ -35,6 +35,8 @@ NIS_RANGE, LAG1_LIMIT = (0.75, 1.33), 0.15
 _REST_BIN_S, _LEAST_BINS = 0.1, 20
 _STILL_S = 0.6
 _WALK = "angle_random_walk_deg_per_rt_h"
+#: Shares of the bias that is thought possible beforehand, from which the rests of a log choose.
+_BIAS_SHARES = tuple(2.0**-k for k in range(6))
 #: No noise figure is known better than this share of its value.
 _FIRMEST = 0.05
 
@@ -62,7 +64,7 @@ def rest_walk(rows: Rows) -> float | None:
     return 60.0 * math.sqrt(variance * size * dt_s)
 
 
-def fit_noise(rows: Rows, robot: Robot, navigator: Callable[[RobotParameters], Navigator]) -> RobotParameters:
+def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> RobotParameters:
     """The robot with its noise figures by maximum posterior likelihood on these rows.
 
     A figure that the file gives with a standard deviation is held by it, one without by a factor of e, and one that the
@@ -71,7 +73,7 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[[RobotParameters], N
     Parameters
     ----------
     navigator : callable
-        Makes a filter that starts at the first row, from what it is to be told of the robot.
+        Makes a navigator that starts at the first row, from what it is to be told of the robot and whether it filters.
     """
     parameters = robot.parameters
     walk = None if f"noise.{_WALK}" in robot.given else rest_walk(rows)
@@ -80,6 +82,8 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[[RobotParameters], N
         silent = "initial_std.gyro_bias_dps" not in robot.given
         std = replace(parameters.initial_std, gyro_bias_dps=None) if silent else parameters.initial_std
         parameters = replace(parameters, noise=noise, initial_std=std)
+    if robot.static_s == 0.0 and "initial_std.gyro_bias_dps" not in robot.given:
+        parameters = _likely_bias(rows, parameters, navigator)
     names, usual, spread = _priors(robot, parameters)
     wide = _wide(parameters)
 
@@ -99,6 +103,24 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[[RobotParameters], N
     fitted = told(best.x, parameters)
     return (
         fitted if describes(*whiteness(_innovations(rows, navigator(fitted))[0])) else told(usual, parameters)
+    )
+
+
+def _likely_bias(
+    rows: Rows, parameters: RobotParameters, navigator: Callable[..., Navigator]
+) -> RobotParameters:
+    """The robot with the spread of its bias that makes the log's rests the likeliest: the empirical Bayes prior.
+
+    Some drivers take the bias off and some do not. The first rest turns the whole way before it by what it says of the
+    bias, and one no larger than its own error would make half of all paths worse.
+    """
+
+    def told(share: float) -> RobotParameters:
+        std_dps = share * (parameters.initial_std.gyro_bias_dps or 0.0)
+        return replace(parameters, initial_std=replace(parameters.initial_std, gyro_bias_dps=std_dps))
+
+    return min(
+        (told(share) for share in _BIAS_SHARES), key=lambda one: misfit(rows, navigator(one, filtering=False))
     )
 
 

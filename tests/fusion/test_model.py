@@ -157,6 +157,30 @@ def test_a_log_of_any_rate_gives_the_same_path() -> None:
         np.testing.assert_allclose(getattr(fast, name)[fine - 1 :: fine], getattr(slow, name), atol=0.05)
 
 
+def test_rows_of_a_second_follow_the_curve_between_them() -> None:
+    fine, seconds = 100, 60
+    t: Floats = np.arange(fine * seconds) / fine
+    omega, speed = np.radians(20.0 * np.sin(t / 2.0)), 1.0 + 0.5 * np.sin(t / 3.0)
+    heading = np.cumsum(omega) / fine
+    truth = np.cumsum(speed * np.exp(1j * (heading - 0.5 * omega / fine))) / fine
+    way, turn = (np.add.reduceat(v, np.arange(0, t.size, fine)) / fine for v in (speed, omega))
+    half = 0.5 * WIDTH * turn
+    rows = [np.append(0.0, v) for v in (way - half, way + half, np.degrees(turn))]
+    out = Navigator(ROBOT, filtering=False).run(np.arange(seconds + 1.0), *rows)
+    apart = np.abs((out.x_m + 1j * out.y_m)[1:] - truth[fine - 1 :: fine])
+    # 0.3 m by arcs alone.
+    assert apart.max() < 0.03
+
+
+def test_a_turn_before_the_first_tick_is_not_taken_for_a_bias() -> None:
+    drive = draw(np.random.default_rng(15), rest_s=6.0)
+    start = int(np.argmax(drive.moving))
+    early = drive.gyro_dps.copy()
+    early[start - 5 : start] += 5.0
+    (_, out), (_, clean) = run(replace(drive, gyro_dps=early)), run(drive)
+    assert abs(out.states[start, 8] - clean.states[start, 8]) < 0.01
+
+
 @pytest.mark.parametrize("filtering", [True, False])
 def test_a_rest_in_the_middle_gives_the_bias(filtering: bool) -> None:
     drive = draw(np.random.default_rng(8), rest_s=20.0)

@@ -58,6 +58,16 @@ def test_levels_of_the_file_with_their_deviations_hold() -> None:
     assert noise.wheel_slip_m_per_rt_m > 0.015
 
 
+@pytest.mark.parametrize(("bias_dps", "low", "high"), [(0.0, 0.0, 0.05), (0.4, 0.19, 0.21)])
+def test_the_rests_of_a_log_say_how_large_a_bias_is_likely(bias_dps: float, low: float, high: float) -> None:
+    drive = draw(np.random.default_rng(4), rest_s=20.0)
+    biased = log_of(replace(drive, gyro_dps=drive.gyro_dps + bias_dps))
+    std = replace(ROBOT.initial_std, gyro_bias_dps=0.2)
+    silent = Robot(Path("robot.toml"), replace(ROBOT, initial_std=std))
+    found = equip(source(biased), silent, "model", None, None).robot.initial_std.gyro_bias_dps
+    assert low < (found or 0.0) < high
+
+
 def test_whiteness_of_white_and_of_smoothed_noise() -> None:
     white = np.random.default_rng(2).normal(size=100_000)
     assert whiteness(white) == pytest.approx((1.0, 0.0), abs=0.02)
