@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.coil import coil_design
 from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Model
 from gyrocal.diagnosis.locate import block_p_value
 from gyrocal.diagnosis.names import GAIN, Named
@@ -57,6 +58,7 @@ def _effect(
     p_value: float,
     rivals: Mapping[str, float],
     share: float = 1.0,
+    adds: Estimate | None = None,
 ) -> NamedEffect:
     effect = CATALOGUE[effect_id]
     stated = by_data_set(found.series, parameters)
@@ -78,16 +80,17 @@ def _effect(
         effect.runtime,
         share,
         beside=between_sets(stated),
+        adds=adds,
     )
 
 
 def _law(found: Examination, named: Named) -> NamedEffect:
     blocks = found.model.blocks
     own = [n for n, b in blocks.items() if b == named.block]
-    parameters = estimates.of_law(found.naming.fitted, named.law, found.laws, own)
+    known = estimates.of_law(found.naming.fitted, named.law, found.laws, own)
     p = min(1.0, named.trials * float(chi2.sf(2.0 * max(named.gain, 0.0), named.law.columns.shape[1])))
     share = min(named.share, 1.0) if own else 1.0
-    return _effect(found, named.law.effect, parameters, p, named.rivals, share)
+    return _effect(found, named.law.effect, known.parameters, p, named.rivals, share, known.adds)
 
 
 def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:
@@ -132,11 +135,7 @@ def _table_laws(found: Examination) -> list[tuple[float, NamedEffect]]:
     best = found.ranked[0]
     named = []
     if THERMAL_LAG.id in gains:
-        near = [(w, c.coil) for w, c in found.candidates if c.coil is not None]
-        parameters = {
-            "amplitude": _weighted([(w, coil[0]) for w, coil in near], "1"),
-            "tau_s": _weighted([(w, coil[1]) for w, coil in near], "s"),
-        }
+        parameters = lag_estimates([(w, c) for w, c in found.candidates if c.coil is not None])
         gain = gains[THERMAL_LAG.id]
         p = float(chi2.sf(2.0 * gain, 2))
         named.append((gain, _effect(found, THERMAL_LAG.id, parameters, p, {})))
@@ -150,15 +149,10 @@ def _table_laws(found: Examination) -> list[tuple[float, NamedEffect]]:
             for e, _ in c.changes
             if law.effect not in {x for x, _ in c.changes}
         }
-        if "at_s" in law.shape or not law.shape:
-            unit = CATALOGUE[law.effect].parameter("amplitude").unit
-            parameters = {"amplitude": _amplitude(best.fitted, law.name, unit)} | {
-                k: Estimate(v, 0.0, "s", _between(found, v)) for k, v in law.shape.items()
-            }
-        else:
-            parameters = estimates.of_law(best.fitted, law, found.laws, [])
+        known = estimates.of_law(best.fitted, law, found.laws, [])
         p = float(chi2.sf(2.0 * gain, 1))
-        named.append((gain, _effect(found, law.effect, parameters, p, others)))
+        effect = _effect(found, law.effect, known.parameters, p, others, adds=known.adds)
+        named.append((gain, effect))
     return named
 
 
@@ -169,21 +163,6 @@ def _amplitude(fitted: Fitted, name: str, unit: str) -> Estimate:
     place = len(solution.flat) + sum(len(solution.amplitudes[n]) for n in before)
     std = float(np.sqrt(solution.covariance[place, place]))
     return estimates.normal(float(solution.amplitudes[name][0]), std, unit)
-
-
-def _between(found: Examination, at_s: float) -> tuple[float, float]:
-    """The data sets that an instant lies between."""
-    t = found.model.means.t_s
-    return float(t[t < at_s].max()), float(t[t >= at_s].min())
-
-
-def _weighted(values: list[tuple[float, float]], unit: str) -> Estimate:
-    """Mean and spread over models, for a normal interval."""
-    w = np.array([x for x, _ in values])
-    v = np.array([x for _, x in values])
-    mean = float(np.sum(w * v) / np.sum(w))
-    std = float(np.sqrt(np.sum(w * (v - mean) ** 2) / np.sum(w) + (0.1 * mean) ** 2))
-    return estimates.normal(mean, std, unit)
 
 
 def layers_of(found: Examination) -> list[Step]:

@@ -29,7 +29,8 @@ Change = tuple[str, int]
 
 _SHARES = (0.3, 0.6, 1.0)
 _LAGS_S = (60.0, 120.0, 240.0, 450.0, 900.0)
-_LAG_BOUNDS_S = (30.0, 1500.0)
+#: Time constants that a coil may have, s.
+LAG_BOUNDS_S = (30.0, 1500.0)
 _STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 _DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
 #: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
@@ -165,7 +166,7 @@ class TableSearch:
             share, tau = coil
             yield None, changes
             for factor in (0.8, 1.25):
-                if _LAG_BOUNDS_S[0] < tau * factor < _LAG_BOUNDS_S[1]:
+                if LAG_BOUNDS_S[0] < tau * factor < LAG_BOUNDS_S[1]:
                     yield (share, round(tau * factor, 1)), changes
             for step in (-0.15, 0.15):
                 if 0.05 < share + step <= 1.0 + 1e-9:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.intervals import Profile, amplitude_interval, profile_interval
+from gyrocal.diagnosis.intervals import (
+    Point,
+    Profile,
+    amplitude_interval,
+    descend,
+    profile_interval,
+    shapes_around,
+)
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.result import Estimate
@@ -19,8 +28,13 @@ from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
+_MDPS = 1e3
 #: Shapes are profiled within this ratio of the best.
 _REACH = 9.0
+#: One parameter of a shape is sought within this ratio while another is held.
+_NEAR = 3.0
+#: Rows on either side of a jump in which its instant is looked for more closely than between rows.
+_ROWS_NEAR = 2
 
 
 def normal(value: float, std: float, unit: str) -> Estimate:
@@ -28,8 +42,67 @@ def normal(value: float, std: float, unit: str) -> Estimate:
     return Estimate(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
 
 
-def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> dict[str, Estimate]:
+@dataclass(frozen=True)
+class _Beside:
+    """A law beside everything else in a model: how well it does at any shape.
+
+    An amplitude that physics does not know is none: at its bound a shape loses what it would have gained beyond.
+    """
+
+    effect: Effect
+    laws: Laws
+    surface: Floats
+    score: Floats
+    precision: Floats
+
+    def at(self, shape: Mapping[str, float]) -> Point:
+        """At a shape of a law of one amplitude."""
+        return self.of(self.laws.at(self.effect, shape))
+
+    def of(self, columns: Floats) -> Point:
+        """For columns; of two amplitudes their size counts."""
+        information = columns.T @ self.precision @ columns
+        covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+        b = covariance @ (columns.T @ self.score)
+        size = float(np.hypot(*b)) if b.size == 2 else float(b[0])
+        along = b / size if b.size == 2 else np.ones(1)
+        std = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
+        loss = -float(columns.T @ self.score @ b)
+        known = self.effect.parameter("amplitude")
+        bounded = float(np.clip(size, known.low, known.high))
+        if not std:
+            return Point(0.0, bounded, float("inf"))
+        beyond = columns - self.surface @ (self.surface.T @ columns)
+        unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
+        return Point(loss + ((size - bounded) / std) ** 2, bounded, std, unit_dps)
+
+    def best(self, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
+        """The best shape near one, some of its parameters being free."""
+        found = dict(shape)
+        for name in free:
+            found[name] = descend(partial(self._loss, found, name), found[name], _NEAR)
+        return found
+
+    def _loss(self, shape: Mapping[str, float], name: str, value: float) -> float:
+        return self.at({**shape, name: value}).loss
+
+
+@dataclass(frozen=True)
+class LawEstimates:
+    """Parameters of a law, and what it adds beyond the surface, mdeg/s rms over the rows.
+
+    Of parameters that a record cannot separate the sum of what they do is known all the same.
+    """
+
+    parameters: dict[str, Estimate]
+    adds: Estimate
+
+
+def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstimates:
     """Parameters of a law beside everything else in a model.
+
+    Each has the interval in which its likelihood, the others at their best, is high enough: of parameters that are
+    traded for one another every interval allows for the others.
 
     Parameters
     ----------
@@ -38,36 +111,29 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> dict[str
     effect = CATALOGUE[law.effect]
     model = fitted.model.without(without)
     others = [c for c in model.all if c.name != law.name]
+    surface, _ = np.linalg.qr(model.design[:, model.flat])
     score, p = fitted.contrasts.precision(others, fitted.fit.log_variance)
+    beside = _Beside(effect, laws, surface, score, p)
+    here = beside.of(law.columns)
+    free = [n for n in effect.search.refined if law.shape.get(n, 0.0) > 0.0 and law.columns.shape[1] == 1]
+    profiles, points = {}, [here]
+    for name in free:
+        profiles[name], along = _profile(beside, law.shape, name, [n for n in free if n != name])
+        points += along
+    unit = effect.parameter("amplitude").unit
+    amplitude = amplitude_interval(points)
+    found = {"amplitude": Estimate(here.amplitude, amplitude.std, unit, amplitude.interval)}
+    adds = amplitude_interval([_sized(p) for p in points])
+    size = _MDPS * abs(here.amplitude) * here.unit_dps
+    return LawEstimates(
+        found | _shapes(effect, law.shape, profiles),
+        Estimate(size, _MDPS * adds.std, "mdeg/s", (_MDPS * adds.interval[0], _MDPS * adds.interval[1])),
+    )
 
-    def at(columns: Floats) -> tuple[float, float, float]:
-        """Residual sum of squares less a constant, amplitude and its standard deviation."""
-        information = columns.T @ p @ columns
-        covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
-        b = covariance @ (columns.T @ score)
-        size = float(np.hypot(*b)) if b.size == 2 else float(b[0])
-        along = b / size if b.size == 2 else np.ones(1)
-        return (
-            -float(columns.T @ score @ b),
-            size,
-            float(np.sqrt(max(float(along @ covariance @ along), 0.0))),
-        )
 
-    _, amplitude, std = at(law.columns)
-    profiles = {
-        name: _profile(law, name, effect, laws, at)
-        for name in effect.search.refined
-        if law.shape.get(name, 0.0) > 0.0 and law.columns.shape[1] == 1
-    }
-    found = {"amplitude": normal(amplitude, std, effect.parameter("amplitude").unit)}
-    traded = profiles.get(next(iter(profiles), ""))
-    if traded is not None and traded[1] is not None:
-        low, high = traded[1].interval
-        if low < amplitude < high:
-            found["amplitude"] = Estimate(
-                amplitude, traded[1].std, effect.parameter("amplitude").unit, traded[1].interval
-            )
-    return found | _shapes(effect, law.shape, {n: own for n, (own, _) in profiles.items()})
+def _sized(point: Point) -> Point:
+    """The same with what the law adds in place of its amplitude."""
+    return replace(point, amplitude=abs(point.amplitude) * point.unit_dps, std=point.std * point.unit_dps)
 
 
 def _shapes(
@@ -82,23 +148,34 @@ def _shapes(
     return found
 
 
-def _profile(law: Law, name: str, effect: Effect, laws: Laws, at) -> tuple[Profile, Profile | None]:  # type: ignore[no-untyped-def]
-    def loss(value: float) -> float:
-        return float(at(laws.at(effect, {**law.shape, name: value}))[0])
+def _profile(
+    beside: _Beside, shape: Mapping[str, float], name: str, others: list[str]
+) -> tuple[Profile, list[Point]]:
+    """Interval of a parameter of the shape, the others at their best, and points along it."""
 
-    parameter, best = effect.parameter(name), law.shape[name]
+    def along(value: float) -> Point:
+        return beside.at(beside.best({**shape, name: value}, others))
+
+    def loss(value: float) -> float:
+        return along(value).loss
+
+    parameter, best = beside.effect.parameter(name), shape[name]
+    limits = (parameter.low, parameter.high)
     if name == "at_s":
-        instants = np.unique([*laws.means.from_s, best])
-        return profile_interval(loss, best, 1.0, (parameter.low, parameter.high), instants), None
-    own = profile_interval(
-        loss, best, _REACH, (max(parameter.low, best / 30.0), min(parameter.high, best * 30.0))
-    )
-    traded = amplitude_interval(
-        lambda value: at(laws.at(effect, {**law.shape, name: value})),
-        own.interval,
-        (parameter.low, parameter.high),
-    )
-    return own, traded
+        instants = _instants(beside.laws, best)
+        own = profile_interval(loss, best, 1.0, limits, instants)
+        inside = instants[(instants >= own.interval[0]) & (instants <= own.interval[1])]
+        return own, [along(float(x)) for x in inside]
+    own = profile_interval(loss, best, _REACH, (max(limits[0], best / 30.0), min(limits[1], best * 30.0)))
+    return own, [along(float(x)) for x in shapes_around(own.interval, limits)]
+
+
+def _instants(laws: Laws, near_s: float) -> Floats:
+    """Boundaries between rows, and instants within the rows near one."""
+    means = laws.means
+    row = int(np.searchsorted(means.from_s, near_s))
+    first, last = means.from_s[max(row - _ROWS_NEAR, 0)], means.to_s[min(row + _ROWS_NEAR, len(means)) - 1]
+    return np.unique([*means.from_s, *np.linspace(first, last, 16 * _ROWS_NEAR), near_s])
 
 
 def of_pattern(pattern: Pattern) -> dict[str, Estimate]:

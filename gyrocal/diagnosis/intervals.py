@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,31 +82,35 @@ def profile_interval(
     return Profile((low, high), (high - low) / _RATIO_95)
 
 
-def amplitude_interval(
-    at: Callable[[float], tuple[float, float, float]],
-    around: tuple[float, float],
-    limits: tuple[float, float],
-) -> Profile:
-    """Interval of an amplitude that is traded against a shape: its likelihood with the best shape for each value.
+@dataclass(frozen=True)
+class Point:
+    """At a value of the shape: residual sum of squares, the best amplitude there and its standard deviation.
 
-    Parameters
-    ----------
-    at : callable
-        Residual sum of squares, best amplitude and its standard deviation at a value of the shape.
-    around : tuple of float
-        95 % interval of the shape.
-    limits : tuple of float
-        What the shape may be.
+    `unit_dps`: what the law adds beyond the surface at an amplitude of one, rms.
     """
-    low, high = max(around[0] / _WIDER, limits[0]), min(around[1] * _WIDER, limits[1])
-    loss, amplitude, std = np.array([at(float(x)) for x in np.geomspace(low, high, _SHAPES)]).T
-    # Only shapes that fit about as well as the best can be inside.
-    likely = np.isfinite(std) & (loss - loss.min() < _RISE_95)
-    loss, amplitude, std = loss[likely], amplitude[likely], std[likely]
-    a = np.linspace(float((amplitude - 3.0 * std).min()), float((amplitude + 3.0 * std).max()), 2001)
-    profile = np.min(loss[:, None] + ((a - amplitude[:, None]) / std[:, None]) ** 2, axis=0)
-    inside = a[profile - profile.min() < _RISE_95]
-    interval = (float(inside[0]), float(inside[-1]))
+
+    loss: float
+    amplitude: float
+    std: float
+    unit_dps: float = float("nan")
+
+
+def shapes_around(interval: tuple[float, float], limits: tuple[float, float]) -> Floats:
+    """Values of a positive shape over and beyond its interval."""
+    low, high = max(interval[0] / _WIDER, limits[0]), min(interval[1] * _WIDER, limits[1])
+    return np.asarray(np.geomspace(low, high, _SHAPES))
+
+
+def amplitude_interval(points: Sequence[Point]) -> Profile:
+    """Interval of an amplitude that is traded against shapes: each shape allows for what it loses less."""
+    # A shape that no row shows says nothing of the amplitude.
+    shown = [(p.loss, p.amplitude, p.std) for p in points if np.isfinite(p.std)]
+    if not shown:
+        return Profile((-np.inf, np.inf), float("inf"))
+    loss, amplitude, std = np.array(shown).T
+    likely = loss - loss.min() < _RISE_95
+    reach = np.sqrt(_RISE_95 - (loss[likely] - loss.min())) * std[likely]
+    interval = (float(np.min(amplitude[likely] - reach)), float(np.max(amplitude[likely] + reach)))
     return Profile(interval, (interval[1] - interval[0]) / _RATIO_95)
 
 

@@ -29,8 +29,9 @@ _SLOW = {BIAS_STEP.id: BIAS_DRIFT, SCALE_STEP.id: SCALE_DRIFT}
 _FEWEST_ROWS = 3
 _MOST = 3
 _ITERATIONS = 40
-#: Instants within a row.
+#: Instants within the rows beside a boundary, and how often they are taken closer.
 _WITHIN = 9
+_ZOOMS = 3
 
 
 @dataclass(frozen=True)
@@ -92,11 +93,13 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
     unit = MDPS * np.ones(len(means)) if effect == BIAS_STEP.id else PPM * means.rate_dps
     later = np.where(np.arange(len(means))[:, None] >= rows, unit[:, None], 0.0)
     row = int(rows[int(np.argmax(_gains(later, score, p)))])
-    inside = np.linspace(means.from_s[row - 1], means.to_s[row], _WITHIN)
-    instants = np.concatenate([[means.from_s[row]], inside])
-    near = [laws.at(CATALOGUE[effect], {"at_s": float(at)})[:, 0] for at in instants]
-    best = int(np.argmax(_gains(np.column_stack(near), score, p)))
-    law = Law(effect, {"at_s": float(instants[best])}, near[best][:, None])
+    at_s, reach_s = float(means.from_s[row]), float(means.to_s[row] - means.from_s[row - 1]) / 2.0
+    for _ in range(_ZOOMS):
+        instants = np.concatenate([[at_s], np.linspace(at_s - reach_s, at_s + reach_s, _WITHIN)])
+        near = [laws.at(CATALOGUE[effect], {"at_s": float(at)})[:, 0] for at in instants]
+        best = int(np.argmax(_gains(np.column_stack(near), score, p)))
+        at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
+    law = Law(effect, {"at_s": at_s}, near[best][:, None])
     model = replace(fitted.model, laws=(*fitted.model.laws, law))
     return fitted.refit(model, _ITERATIONS), int(rows.size)
 

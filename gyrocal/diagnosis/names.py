@@ -18,7 +18,9 @@ from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -290,7 +292,7 @@ def _best_law(
 
     def gain_of(trial: Trial) -> float:
         beyond = fitted.contrasts.beyond(trial.columns)
-        if trial.effect.positive and float(np.sum(beyond.T @ score)) < 0.0:
+        if _unphysical(trial.effect, beyond, score, p):
             return -np.inf
         return _gain(beyond, score, p, model.law_variance)
 
@@ -339,6 +341,18 @@ def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Tri
                 if gain > best_gain:
                     best, best_gain = new, gain
     return best
+
+
+def _unphysical(effect: Effect, columns: Floats, score: Floats, p: Floats) -> bool:
+    """Whether a law would need a sign, or a size beyond doubt, that physics does not know."""
+    along = columns.T @ score
+    if effect.positive and float(np.sum(along)) < 0.0:
+        return True
+    if along.size > 1:
+        return False
+    information = float(np.sum(columns * (p @ columns)))
+    most = effect.parameter("amplitude").high
+    return bool(abs(along[0]) - most * information > NORMAL_95 * np.sqrt(max(information, 0.0)))
 
 
 def _gain(columns: Floats, score: Floats, p: Floats, variance: float) -> float:

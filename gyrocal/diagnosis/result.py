@@ -234,6 +234,8 @@ class NamedEffect:
         What was seen of it in this recording; None: it is what the catalogue says.
     beside : Remark or None
         What there is to say beside that.
+    adds : Estimate or None
+        What it adds beyond the surface, rms over the rows: known also of parameters that cannot be separated.
     """
 
     effect: str
@@ -246,6 +248,7 @@ class NamedEffect:
     share: float = 1.0
     seen: Remark | None = None
     beside: Remark | None = None
+    adds: Estimate | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``effects``, but for its words."""
@@ -258,6 +261,7 @@ class NamedEffect:
             "improvement": None if self.improvement is None else self.improvement.to_json(),
             "runtime": self.runtime,
             "share_of_evidence": finite(self.share),
+            "adds_rms": None if self.adds is None else self.adds.to_json(),
         }
 
 

@@ -200,7 +200,7 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             "Named physics",
             ("Effect", "Parameter", "Value", "95 % interval", "p"),
             _parameters(diagnosis),
-            " ".join(filter(None, (traded_sentence(e, diagnosis.improved) for e in diagnosis.effects))),
+            " ".join(filter(None, map(traded_sentence, diagnosis.effects))),
         ),
         _table(
             "laws",

@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal.diagnosis.result import Alternative, Diagnosis, Improvement, Located, NamedEffect
-from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Improvement, Located, NamedEffect
 from gyrocal.physics.catalogue import described
-from gyrocal.physics.terms import Term
 from gyrocal.report.diagnosis_layers import staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
 from gyrocal.report.remarks import remark_words, statement
@@ -26,13 +24,10 @@ from gyrocal.report.words import (
     place_words,
     range_text,
     region_words,
-    value_text,
 )
-from gyrocal.units import NORMAL_95
 
-_COEFFICIENTS = 12
-#: An interval that includes zero, beside a smaller p than this, is that of an amplitude traded for a shape.
-_SURE = 1e-3
+#: An amplitude that is so much less known than what the effect adds is traded for a shape.
+_TRADED = 4.0
 #: Families whose gain lives in ramps, within a turn or after a step, and hardly in the means of data sets.
 _NOT_IN_MEANS = ("thermal transient", "angle, constant", "angle, with rate", "step")
 #: Larger errors than this are read in deg/s.
@@ -170,7 +165,7 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
-    traded = traded_sentence(effect, d.improved)
+    traded = traded_sentence(effect)
     if traded:
         said.append(traded)
     if effect.alternatives:
@@ -191,42 +186,24 @@ def _other(a: Alternative) -> str:
     return f"{a.effect} ({odds})"
 
 
-def traded_sentence(effect: NamedEffect, improved: Coefficients | None) -> str:
-    """For an amplitude whose interval includes zero only because a shape is traded for it: what is well known."""
-    amplitude = effect.parameters.get("amplitude")
-    shapes = {n: e for n, e in effect.parameters.items() if n != "amplitude" and e.std > 0}
-    if amplitude is None or not shapes or effect.p_value > _SURE:
+def traded_sentence(effect: NamedEffect) -> str:
+    """For an amplitude that the record cannot separate from a shape: what is well known all the same."""
+    amplitude, adds = effect.parameters.get("amplitude"), effect.adds
+    shapes = [n for n, e in effect.parameters.items() if n != "amplitude" and e.std > 0]
+    if amplitude is None or adds is None or not shapes:
         return ""
-    low, high = amplitude.interval_95
-    if not low <= 0.0 <= high:
+    if _relative(amplitude) < _TRADED * _relative(adds):
         return ""
-    held = listed([f"{parameter_words(n)} at {value_text(e)}" for n, e in shapes.items()])
-    text = f"{effect.effect}: amplitude and {listed([parameter_words(n) for n in shapes])} are traded for one another"
-    std = None if improved is None else _std_at_the_shape(effect.effect, improved)
-    if std is None:
-        return f"{text}: each interval allows for the other, and that the effect is there is sure."
-    half = NORMAL_95 * std
-    known = range_text(amplitude.value - half, amplitude.value + half)
-    return f"{text}: with {held} the amplitude is {fixed(amplitude.value, decimals(half))} (95 %: {known})."
+    return (
+        f"{effect.effect}: this record cannot separate amplitude and {listed([parameter_words(n) for n in shapes])}, and each "
+        f"interval allows for the other; known is what the effect adds beyond the surface, {estimate_text(adds)} rms."
+    )
 
 
-def _std_at_the_shape(effect: str, improved: Coefficients) -> float | None:
-    """Standard deviation of an amplitude with the shape held, from the covariance in the coefficient file."""
-    names = [
-        (t.effect, n)
-        for t in improved.terms
-        if isinstance(t, Term)
-        for n in sorted(t.parameters)
-        if "covariance" in t.parameters[n]
-    ]
-    own = [k for k, (e, _) in enumerate(names) if e == effect]
-    rows = {(t.effect, n): p["covariance"] for t in improved.terms if isinstance(t, Term) for n, p in t.parameters.items() if "covariance" in p}  # fmt: skip
-    if (effect, "amplitude") not in names or len(own) < 2:
-        return None
-    covariance = np.array([[rows[names[i]][_COEFFICIENTS + j] for j in own] for i in own])
-    k = own.index(names.index((effect, "amplitude")))
-    precision = float(np.linalg.pinv(covariance, hermitian=True)[k, k])
-    return 1.0 / math.sqrt(precision) if precision > 0 else None
+def _relative(e: Estimate) -> float:
+    """Length of an interval in units of the value."""
+    low, high = e.interval_95
+    return (high - low) / abs(e.value) if e.value else math.inf
 
 
 def _gain(i: Improvement, c: Counted, transient: bool = False) -> str:

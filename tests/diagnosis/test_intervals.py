@@ -5,17 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.intervals import amplitude_interval
+from gyrocal.diagnosis.intervals import Point, amplitude_interval
 
 
 def test_shape_that_no_row_shows_says_nothing_of_the_amplitude() -> None:
     """A knee above the highest rate leaves a column of zeros: no amplitude, and no bound from it."""
 
-    def at(knee: float) -> tuple[float, float, float]:
-        if knee > 100.0:
-            return 1000.0, 0.0, float("inf")
-        return 500.0 + (knee - 80.0) ** 2, 2.0, 0.1
-
-    profile = amplitude_interval(at, (79.0, 101.0), (1.0, 200.0))
-    assert profile.interval == pytest.approx((2.0 - 0.196, 2.0 + 0.196), abs=0.01)
+    points = [Point(500.0 + (knee - 80.0) ** 2, 2.0, 0.1) for knee in np.linspace(79.0, 100.0, 15)]
+    profile = amplitude_interval([*points, Point(0.0, 0.0, float("inf"))])
+    # The best of the shapes that show allow for 95 % by themselves.
+    assert profile.interval == pytest.approx((2.0 - 0.196, 2.0 + 0.196), abs=0.02)
     assert np.isfinite(profile.std)
+
+
+def test_an_interval_reaches_over_all_shapes_that_fit_as_well() -> None:
+    """Amplitude and phase of a sine: what its fifth order fixes is the amplitude times the fourth power."""
+    phases = np.geomspace(0.5, 2.0, 15)
+    points = [Point(0.0, 3.0 / phase**4, 0.01) for phase in phases]
+    low, high = amplitude_interval(points).interval
+    assert low == pytest.approx(3.0 / 2.0**4, abs=0.03)
+    assert high == pytest.approx(3.0 / 0.5**4, abs=0.03)

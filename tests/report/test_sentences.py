@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
-from gyrocal.physics.terms import Term
 from gyrocal.report.diagnosis import diagnosis_page, tables
 from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import counted, plain_sentences, traded_sentence
@@ -208,30 +207,22 @@ def test_log_at_one_rate_has_no_data_sets(shupe: Diagnosis) -> None:
 
 
 def test_amplitude_traded_for_a_shape_is_said_with_what_is_known() -> None:
-    """Amplitude and tau correlate by -0.9: the amplitude at the best tau is known 2.3 times better."""
     found = made_up_diagnosis(make_recording([("thermal_lag", 20.0)], 7, "even"))
     effect = replace(
         found.effects[0],
         parameters={
-            "amplitude": Estimate(0.0331, 0.0179, "1", (-0.002, 0.068)),
+            "amplitude": Estimate(0.0331, 0.0179, "1", (0.011, 0.092)),
             "tau_s": Estimate(354.5, 92.2, "s", (244.7, 606.2)),
         },
-        p_value=2e-28,
+        adds=Estimate(1.35, 0.02, "mdeg/s", (1.31, 1.39)),
     )
-    assert found.improved is not None
-    covariance = np.diag([0.0179, 92.2]) @ np.array([[1.0, -0.9], [-0.9, 1.0]]) @ np.diag([0.0179, 92.2])
-    terms = {
-        name: {"value": e.value, "std": e.std, "unit": e.unit, "covariance": [0.0] * 12 + list(row)}
-        for (name, e), row in zip(effect.parameters.items(), covariance, strict=True)
-    }
-    improved = replace(found.improved, terms=(Term("thermal_lag", terms, True),))
-    half = 1.96 * 0.0179 * np.sqrt(1 - 0.81)
-    assert traded_sentence(effect, improved) == (
-        "thermal_lag: amplitude and tau are traded for one another: with tau at 350 s the amplitude is 0.033 "
-        f"(95 %: {0.0331 - half:.3f} to {0.0331 + half:.3f})."
+    assert traded_sentence(effect) == (
+        "thermal_lag: this record cannot separate amplitude and tau, and each interval allows for the other; known is "
+        "what the effect adds beyond the surface, 1.350 mdeg/s (95 %: 1.310 to 1.390) rms."
     )
-    assert "that the effect is there is sure" in traded_sentence(effect, None)
-    assert traded_sentence(found.effects[0], found.improved) == ""
+    assert traded_sentence(replace(effect, adds=None)) == ""
+    known = {**effect.parameters, "amplitude": Estimate(0.0331, 0.0002, "1", (0.0327, 0.0335))}
+    assert traded_sentence(replace(effect, parameters=known)) == ""
 
 
 @pytest.mark.parametrize(

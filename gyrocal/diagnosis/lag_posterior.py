@@ -1,0 +1,84 @@
+"""Share and time constant of a coil's lag in a table: their joint posterior over all that they may be.
+
+The two are traded for one another, and a search on a grid knows neither's interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from gyrocal.diagnosis.coil import LAG_BOUNDS_S, Candidate, coil_design
+from gyrocal.diagnosis.parts import SURFACE
+from gyrocal.diagnosis.result import Estimate
+from gyrocal.units import NORMAL_95
+
+Floats = NDArray[np.float64]
+
+_SHARES = np.linspace(0.02, 1.0, 50)
+_LAGS_S = np.geomspace(*LAG_BOUNDS_S, 60)
+_TAILS = (0.025, 0.975)
+
+
+def lag_estimates(candidates: Sequence[tuple[float, Candidate]]) -> dict[str, Estimate]:
+    """Parameters of the lag: the values of the models that are averaged over, and 95 % of the posterior.
+
+    Parameters
+    ----------
+    candidates : models with a lag of the coil, with their weights
+    """
+    weights = np.array([w for w, _ in candidates])
+    coils = np.array([c.coil for _, c in candidates], dtype=np.float64)
+    share, tau_s = weights @ coils / weights.sum()
+    changes = dict.fromkeys(c.changes for _, c in candidates)
+    posterior = np.zeros((_LAGS_S.size, _SHARES.size))
+    for change in changes:
+        same = [(w, c) for w, c in candidates if c.changes == change]
+        posterior += sum(w for w, _ in same) * _posterior(same[0][1])
+    return {
+        "amplitude": _estimate(float(share), _SHARES, posterior.sum(axis=0), "1"),
+        "tau_s": _estimate(float(tau_s), _LAGS_S, posterior.sum(axis=1), "s"),
+    }
+
+
+def _posterior(candidate: Candidate) -> Floats:
+    """Over time constants and shares, at the variances of a model; its sum is one."""
+    model, variance = candidate.fitted.model, candidate.fitted.fit.variance
+    part = next(p for p in model.parts if p.block == "surface")
+    noise = np.zeros((len(model.means), len(model.means)))
+    for c in model.all:
+        if c.covariance is not None:
+            noise += variance[c.name] * c.covariance
+        elif c.columns is not None and c.name != part.name:
+            noise += variance[c.name] * (c.columns @ c.columns.T)
+    lower = linalg.cholesky(noise, lower=True)
+    y = linalg.solve_triangular(lower, model.error_dps, lower=True)
+    columns = [*model.flat, *(SURFACE.index(c) for c in part.columns)]
+    weight = np.array([*np.ones(len(model.flat)), *part.weights])
+    prior = np.diag([*np.zeros(len(model.flat)), *np.full(len(part.columns), 1.0 / variance[part.name])])
+    here = _whitened(lower, coil_design(model.basis, None), columns, weight)
+    log = np.empty((_LAGS_S.size, _SHARES.size))
+    for i, tau_s in enumerate(_LAGS_S.tolist()):
+        there = _whitened(lower, coil_design(model.basis, (1.0, tau_s)), columns, weight)
+        for j, share in enumerate(_SHARES.tolist()):
+            x = (1.0 - share) * here + share * there
+            information, b = x.T @ x + prior, x.T @ y
+            root = linalg.cholesky(information, lower=True)
+            log[i, j] = 0.5 * float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
+            log[i, j] -= float(np.sum(np.log(np.diag(root))))
+    found = np.exp(log - log.max())
+    return np.asarray(found / found.sum())
+
+
+def _whitened(lower: Floats, design: Floats, columns: list[int], weight: Floats) -> Floats:
+    return np.asarray(linalg.solve_triangular(lower, design[:, columns] * weight, lower=True))
+
+
+def _estimate(value: float, grid: Floats, mass: Floats, unit: str) -> Estimate:
+    below = np.cumsum(mass) / mass.sum()
+    low, high = (float(np.interp(tail, below, grid)) for tail in _TAILS)
+    interval = (min(low, value), max(high, value))
+    return Estimate(value, (interval[1] - interval[0]) / (2.0 * NORMAL_95), unit, interval)
