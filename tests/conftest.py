@@ -7,6 +7,8 @@ import signal
 
 # As the command line does, before numpy is imported: threads of BLAS in every worker fight for the same cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tables fold to the window: the same one for every test, whatever terminal it is run from.
+os.environ["COLUMNS"] = "100"
 
 from hypothesis import settings
 

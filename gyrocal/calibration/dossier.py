@@ -36,12 +36,27 @@ _NEVER_TESTED = (
 
 @dataclass(frozen=True)
 class Row:
-    """A figure of the dossier: before compensation, after it (None where it makes no difference), and the judgement."""
+    """A figure of the dossier and its judgement.
 
-    before: Figure
+    Attributes
+    ----------
+    before, after : Figure or None
+        Before compensation and after it. None where compensation makes no difference, or where the figure is only of
+        the compensated gyro.
+    """
+
+    before: Figure | None
     after: Figure | None
     judgement: Judgement | None = None
     limit: str = ""
+
+    @property
+    def known(self) -> Figure:
+        """The figure itself, before compensation where there are two."""
+        figure = self.before or self.after
+        if figure is None:
+            raise ValueError("a row without a figure")
+        return figure
 
 
 @dataclass(frozen=True)
@@ -147,15 +162,13 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
             f"The runs are of several units ({shown}): a certificate is of one. Use `fleet` for many."
         )
     rows = [*_merit_rows(runs), *_noise_rows(runs), *_repeatability(runs), *_reach(runs)]
-    unknown = sorted(set(limits) - {row.before.name for row in rows})
+    unknown = sorted(set(limits) - {row.known.name for row in rows})
     if unknown:
-        names = ", ".join(row.before.name for row in rows)
+        names = ", ".join(row.known.name for row in rows)
         raise ProfileError(f"{source}: there is no figure {unknown[0]}. Known: {names}.")
-    judged = tuple(_judged(row, limits.get(row.before.name)) for row in rows)
+    judged = tuple(_judged(row, limits.get(row.known.name)) for row in rows)
     missing = [
-        f"{row.before.title}: {row.before.reason}"
-        for row in judged
-        if row.before.value is None and row.before.high is None
+        f"{figure.title}{state}: {figure.reason}" for row in judged for figure, state in _without_number(row)
     ]
     quality = [f"{run.path.name}: {note}" for run in runs for note in run.calibration.notes]
     return Dossier(
@@ -168,6 +181,17 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         (*missing, *_NEVER_TESTED),
         tuple(quality),
     )
+
+
+def _without_number(row: Row) -> list[tuple[Figure, str]]:
+    """What the row cannot say: of both states if for one reason, else of each."""
+    lacking = [
+        (figure, state)
+        for figure, state in ((row.before, ""), (row.after, ", after compensation"))
+        if figure is not None and figure.value is None and figure.high is None
+    ]
+    same = len(lacking) == 2 and lacking[0][0].reason == lacking[1][0].reason
+    return lacking[:1] if same else lacking
 
 
 def pooled(figures: Sequence[Figure]) -> Figure:
@@ -259,6 +283,7 @@ def _reach(runs: Sequence[UnitRun]) -> list[Row]:
     band = NORMAL_95 * float(np.max(file.sigma_dps(rates.ravel(), temps.ravel()))) * DPS_TO_DPH
     rows.append(
         Row(
+            None,
             Figure(
                 "prediction_band",
                 "deg/h",
@@ -269,11 +294,10 @@ def _reach(runs: Sequence[UnitRun]) -> list[Row]:
                 method="covariance of the coefficients",
                 sample="the newest run",
             ),
-            None,
         )
     )
     residual = [_residual(run.calibration) for run in runs]
-    rows.append(Row(pooled(residual), None))
+    rows.append(Row(None, pooled(residual)))
     return rows
 
 
@@ -298,8 +322,9 @@ def _judged(row: Row, limit: Limit | None) -> Row:
     """Pass where the whole interval is inside the limit, fail where all of it is outside (ISO 14253-1's guard band)."""
     if limit is None:
         return row
-    figure = row.before if limit.state == "before" or row.after is None else row.after
-    text = f"|x| ≤ {limit.most:g} {figure.unit}" + (f", {limit.state}" if row.after is not None else "")
+    state = row.after if limit.state == "after" else row.before
+    figure = state or row.known
+    text = f"|x| ≤ {limit.most:g} {figure.unit}" + (f", {limit.state}" if row.before and row.after else "")
     if figure.low is None or figure.high is None or figure.value is None:
         judgement: Judgement = (
             "pass" if figure.high is not None and figure.high <= limit.most else "not tested"

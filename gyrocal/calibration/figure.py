@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 #: Value, and both ends of its 95 % interval.
 Interval = tuple[float, float, float]
+
+
+def number(value: float) -> str:
+    """Four digits or more, without an exponent where people write none."""
+    if value == 0.0 or not 1e-4 <= abs(value) < 1e8:
+        return f"{value:.4g}"
+    return f"{value:,.{max(3 - math.floor(math.log10(abs(value))), 0)}f}"
+
+
+def interval_said(low: float, high: float) -> str:
+    """Both ends of an interval."""
+    return f"{number(low)} to {number(high)}"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
-from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.figure import Figure, interval_said, number
 from gyrocal.physics.surface import SHAPE
 from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
@@ -202,7 +202,7 @@ def _figure_table(c: Calibration) -> Table:
 
 def _figure_row(before: Figure, after: Figure | None) -> tuple[str, ...]:
     """Name, before, after, unit; noise is the same before and after."""
-    return before.title, said(before), "" if after is None else said(after), before.unit
+    return before.title, said(before), "the same" if after is None else said(after), before.unit
 
 
 def _without_number(c: Calibration) -> list[str]:
@@ -219,10 +219,8 @@ def said(figure: Figure) -> str:
     """Value and interval, a bound, or a dash."""
     if figure.interval is not None:
         value, low, high = figure.interval
-        if low == high:
-            return f"{value:.4g}"
-        return f"{value:.4g} ({low:.4g} to {high:.4g})"
-    return "-" if figure.high is None else f"< {figure.high:.3g}"
+        return f"{value:.4g}" if low == high else f"{number(value)} ({interval_said(low, high)})"
+    return "-" if figure.high is None else f"< {number(figure.high)}"
 
 
 def _left_out_table(c: Calibration) -> Table:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
 from gyrocal.errors import OutOfLimitsError
 
 
@@ -56,13 +56,13 @@ def command(
         # What each figure is stands on the page.
         emit_table(columns[:-1], [row[:-1] for row in rows])
         click.echo("\nNot tested:")
-        for text in dossier.not_tested:
-            click.echo(f"- {text}")
-        for note in dossier.quality:
-            click.echo(f"- {note}")
+        emit_list(dossier.not_tested)
+        if dossier.quality:
+            click.echo("\nThe data:")
+            emit_list(dossier.quality)
         click.echo(f"\nCertificate: open {out / 'certificate.html'}")
     if dossier.failed:
-        names = ", ".join(f"{row.before.title} ({row.limit})" for row in dossier.failed)
+        names = ", ".join(f"{row.known.title} ({row.limit})" for row in dossier.failed)
         raise OutOfLimitsError(
             f"{out}: the unit is beyond its limits: {names}. The certificate says by how much."
         )

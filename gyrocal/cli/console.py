@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import click
 
-from gyrocal.cli.plain import is_prose, plain_lines
+from gyrocal.cli.plain import folded, is_prose, plain_lines, window_width
 
 #: Say how far a piece of work is: share done, 0 to 1, and what is being done now.
 Report = Callable[[float, str], None]
@@ -22,6 +23,8 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 #: ``--overwrite``, the same in every command that writes one file.
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 
+#: What a terminal's table adds to each column.
+_RULES = 3
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
 
@@ -65,13 +68,22 @@ def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str
         table = Table(title=title or None, title_justify="left")
         for index, name in enumerate(columns):
             table.add_column(name, justify="left" if index == 0 or is_prose(rows, index) else "right")
-        for row in rows:
-            table.add_row(*row)
-        Console().print(table)
+        for row in folded(columns, rows, window_width() - _RULES * len(columns) - 1)[1:]:
+            table.add_row(*("\n".join(cell) for cell in row))
+        Console(width=window_width()).print(table)
         return
     if title:
         click.echo(title)
     for line in plain_lines(columns, rows):
+        click.echo(line)
+
+
+def emit_list(sentences: Iterable[str]) -> None:
+    """Print sentences, one a line; on a terminal they break between words."""
+    for sentence in sentences:
+        line = f"- {sentence}"
+        if sys.stdout.isatty():
+            line = textwrap.fill(line, window_width(), subsequent_indent="  ", break_on_hyphens=False)
         click.echo(line)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
 from gyrocal.cli.drive_options import drive_options
 
 if TYPE_CHECKING:
@@ -76,8 +76,10 @@ def command(
     With --simulation the difference of the two is examined instead, and law.json and law.py say what to add to
     that simulation; law.py is written where it helps on data left out.
 
-    Example: gyrocal diagnose run --out diagnosis
-    Example: gyrocal diagnose run --simulation simulated.csv --out versus
+    \b
+    Examples:
+      gyrocal diagnose run --out diagnosis
+      gyrocal diagnose run --simulation simulated.csv --out versus
     """
     from gyrocal.records.drive_source import Reading
     from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
@@ -109,8 +111,7 @@ def _say(result: DiagnoseResult) -> None:
     from gyrocal.report.sentences import plain_sentences
 
     found = result.diagnosis
-    for sentence in dict.fromkeys([*result.told, *plain_sentences(found)]):
-        click.echo(f"- {sentence}")
+    emit_list(dict.fromkeys([*result.told, *plain_sentences(found)]))
     for table in tables(found):
         if table.rows and table.name in (
             "estimates",

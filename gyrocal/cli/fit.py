@@ -90,12 +90,11 @@ def command(
 
 def _show(result: Calibration, output: Path) -> None:
     from gyrocal.calibration.summary import remarks, tables, verdict
-    from gyrocal.cli.console import emit_table
+    from gyrocal.cli.console import emit_list, emit_table
 
     click.echo(f"{output}: {verdict(result)}.")
     for table in tables(result):
         click.echo()
         emit_table(table.columns, table.rows, table.title)
     click.echo()
-    for remark in remarks(result):
-        click.echo(f"- {remark}.")
+    emit_list(f"{remark}." for remark in remarks(result))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
 
 
 @click.command("fleet")
@@ -48,6 +48,7 @@ def command(
         if table.rows:
             click.echo("")
             emit_table(table.columns, table.rows, table.title)
-    for unit in fleet.failed:
-        click.echo(f"- {unit.source}: {unit.error}")
+    if fleet.failed:
+        click.echo("\nNot fitted:")
+        emit_list(f"{unit.source}: {unit.error}" for unit in fleet.failed)
     click.echo(f"\nPictures and numbers: open {out / 'fleet.html'}")

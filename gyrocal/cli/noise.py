@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
 
 
 @click.command("noise")
@@ -68,7 +68,6 @@ def command(
         return
     emit_table(*noise_rows(found))
     click.echo("")
-    for sentence in noise_sentences(found):
-        click.echo(f"- {sentence}")
+    emit_list(noise_sentences(found))
     if out is not None:
-        click.echo(f"- {out}: noise.json, Allan deviation and course of the record")
+        click.echo(f"\nAllan deviation, course of the record and noise.json: {out}")

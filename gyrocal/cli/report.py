@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, json_option, progress
 
 
 @click.command("report")
@@ -48,8 +48,7 @@ def command(
         emit_json(result.to_json())
         return
     click.echo(result.verdict)
-    for remark in result.remarks:
-        click.echo(f"- {remark}")
+    emit_list(result.remarks)
     for name, reason in result.missing:
         click.echo(f"Not drawn: {name}. {reason}")
     click.echo(f"{len(result.figures)} figures and the tables: open {out / 'report.html'}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option
 
 
 @click.command("turn")
@@ -40,5 +40,4 @@ def command(log: Path, mark_deg: float, out: Path | None, as_json: bool) -> None
     click.echo(turn_sentence(report.found))
     click.echo("")
     emit_table(*turn_rows(report.found))
-    for note in report.notes:
-        click.echo(f"- {note}")
+    emit_list(report.notes)

@@ -89,10 +89,10 @@ def certificate_sentence(dossier: Dossier) -> tuple[str, Tone]:
     limited = [row for row in dossier.rows if row.judgement is not None]
     fit = f"Newest run: {verdict(dossier.runs[-1].calibration)}."
     if dossier.failed:
-        names = ", ".join(row.before.title for row in dossier.failed)
+        names = ", ".join(row.known.title for row in dossier.failed)
         return f"FAIL: beyond the limit with all of its uncertainty: {names}. {fit}", "bad"
     if dossier.undecided:
-        names = ", ".join(row.before.title for row in dossier.undecided)
+        names = ", ".join(row.known.title for row in dossier.undecided)
         return (
             f"NOT DECIDED: the measurement cannot tell whether the limit is kept: {names}. {fit}",
             "warning",
@@ -135,10 +135,12 @@ def figure_rows(dossier: Dossier) -> tuple[tuple[str, ...], list[tuple[str, ...]
 
 
 def _cells(row: Row, limited: bool) -> tuple[str, ...]:
-    after = "" if row.after is None else said(row.after)
+    known = row.known
+    before = "does not apply" if row.before is None else said(row.before)
+    after = "the same" if row.after is None else said(row.after)
     judged = (row.limit, row.judgement or "") if limited else ()
-    about = f"{row.before.definition}; {row.before.sample}" if row.before.sample else row.before.definition
-    return (row.before.title, said(row.before), after, row.before.unit, *judged, about)
+    about = f"{known.definition}; {known.sample}" if known.sample else known.definition
+    return (known.title, before, after, known.unit, *judged, about)
 
 
 def provenance(dossier: Dossier) -> dict[str, str]:
@@ -160,8 +162,8 @@ def to_json(dossier: Dossier) -> dict[str, Any]:
         "simulated": dossier.simulated,
         "identity": dict(dossier.identity),
         "figures": {
-            row.before.name: {
-                "before": row.before.to_json(),
+            row.known.name: {
+                "before": None if row.before is None else row.before.to_json(),
                 "after": None if row.after is None else row.after.to_json(),
                 "limit": row.limit or None,
                 "judgement": row.judgement,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gyrocal.calibration.compare import ALARM_RATE, Change
+from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.summary import said
 
 
@@ -23,15 +24,21 @@ def change_rows(
     """Columns and rows: a figure a row, a run a column, then the change."""
     rows = [
         (
-            c.figures[0].title,
-            c.figures[0].unit,
+            f"{c.figures[0].title}, {c.figures[0].unit}",
             *(said(f) for f in c.figures),
-            "-" if c.change is None else f"{c.change:+.4g} ({c.low:+.4g} to {c.high:+.4g})",
-            f"{c.p_value:.2g}" + (" changed" if c.changed else ""),
+            _change(c),
+            "changed" if c.changed else "",
         )
         for c in changes
     ]
-    return ("figure", "unit", *names, "last less first (95 %)", "p (Holm)"), rows
+    return ("figure", *names, "last less first", ""), rows
+
+
+def _change(change: Change) -> str:
+    if change.change is None or change.low is None or change.high is None:
+        return "-"
+    said_change = f"{number(change.change)} ({interval_said(change.low, change.high)})"
+    return f"{said_change} p = {change.p_value:.2g}" if change.changed else said_change
 
 
 def to_json(changes: Sequence[Change], names: Sequence[str]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure as Picture
 from gyrocal.calibration.course import Course
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.static import StaticConfig, StaticFigures, examine_static
+from gyrocal.calibration.summary import said
 from gyrocal.report import style
 from gyrocal.report.figures_noise import allan_deviation
 from gyrocal.report.output import check_output, write_directory
@@ -47,25 +48,24 @@ def examine_noise(
 
 def noise_rows(found: StaticFigures) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Columns, rows and title of the table of figures."""
-    rows = tuple(
-        (f.title, *_cells(f), f.unit, f.reason or f.definition)
-        for f in (*found.noise.figures.values(), *found.figures.values())
-    )
+    rows = tuple((f.title, said(f), f.unit) for f in _figures(found))
     title = f"{found.source.name}: {found.samples} samples, {found.noise.record_s:.4g} s at rest"
-    return ("figure", "value", "95 %", "unit", "what it is, or why there is none"), rows, title
+    return ("figure", "value (95 %)", "unit"), rows, title
 
 
-def _cells(figure: Figure) -> tuple[str, str]:
-    if figure.interval is None:
-        return "-", "-" if figure.high is None else f"< {figure.high:.3g}"
-    return f"{figure.interval[0]:.4g}", f"{figure.interval[1]:.4g} .. {figure.interval[2]:.4g}"
+def _figures(found: StaticFigures) -> tuple[Figure, ...]:
+    return (*found.noise.figures.values(), *found.figures.values())
 
 
 def noise_sentences(found: StaticFigures) -> list[str]:
-    """How well the model fits, what is missing, and notes."""
-    said = [found.noise.fit_statement or f"noise figures: {found.noise.statement}"]
-    said += [f"{found.missing} samples are missing, bad or not finite, and left out"] if found.missing else []
-    return said + list(found.notes)
+    """How well the model fits; what each figure is, or why there is none; what is missing, and notes."""
+    told = [found.noise.fit_statement or f"noise figures: {found.noise.statement}"]
+    by_reason: dict[str, list[str]] = {}
+    for f in _figures(found):
+        by_reason.setdefault(f.reason or f.definition, []).append(f.title)
+    told += [f"{', '.join(titles)}: {reason}" for reason, titles in by_reason.items()]
+    told += [f"{found.missing} samples are missing, bad or not finite, and left out"] if found.missing else []
+    return told + list(found.notes)
 
 
 @style.styled

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.turns import Figure as Figured
 from gyrocal.calibration.turns import Floats, TurnCalibration, calibrate_turns
 from gyrocal.errors import DataError, InputError
@@ -82,7 +83,7 @@ def turn_sentence(found: TurnCalibration) -> str:
 
 
 def _said(figure: Figured) -> str:
-    return f"{figure.value:.4g} {figure.unit} ({figure.low:.4g} to {figure.high:.4g})"
+    return f"{number(figure.value)} {figure.unit} ({interval_said(figure.low, figure.high)})"
 
 
 def turn_rows(found: TurnCalibration) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

@@ -64,13 +64,14 @@ def test_limits_are_read_strictly(tmp_path: Path) -> None:
 def test_runs_become_one_dossier(tmp_path: Path) -> None:
     runs = [unit_run(write_table(tmp_path / f"run{k}.csv", k), FitConfig()) for k in (1, 2, 3)]
     dossier = compile_dossier(runs, {"bias": Limit(1e6)}, "limits.toml")
-    rows = {row.before.name: row for row in dossier.rows}
+    rows = {row.known.name: row for row in dossier.rows}
     assert rows["bias"].judgement == "pass"
-    assert rows["bias_repeatability"].before.value is not None
-    assert rows["maximum_rate_tested"].before.value == pytest.approx(100.0)
+    assert rows["bias_repeatability"].known.value is not None
+    assert rows["maximum_rate_tested"].known.value == pytest.approx(100.0)
+    assert rows["residual"].before is None
     assert any(text.startswith("angle random walk: a table of data sets") for text in dossier.not_tested)
     for row in dossier.rows:
-        assert (row.before.value is None) == bool(row.before.reason), row.before
+        assert (row.known.value is None) == bool(row.known.reason), row.known
     with pytest.raises(ProfileError, match="there is no figure bais"):
         compile_dossier(runs, {"bais": Limit(1.0)}, "limits.toml")
     changes = compare_runs([run.calibration for run in runs])

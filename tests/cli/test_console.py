@@ -39,6 +39,19 @@ def test_a_wide_table_folds_its_widest_cells(capsys: pytest.CaptureFixture[str])
     assert sum(line.startswith("b ") for line in lines) == 1
 
 
+def test_an_interval_is_not_broken_where_the_window_lets_it_be(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    columns = ("figure", "before the repair", "after the repair", "")
+    row = ("scale factor error", "1,815 (1,808 to 1,822)", "-0.4227 (-7.448 to 6.493)", "")
+    emit_table(columns, [row])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 60
+    assert any("(1,808 to 1,822)" in line and "(-7.448 to 6.493)" in line for line in lines)
+    assert "\N{NO-BREAK SPACE}" not in "".join(lines)
+
+
 def test_table_without_rows(capsys: pytest.CaptureFixture[str]) -> None:
     emit_table(("name", "value"), ())
     assert capsys.readouterr().out.splitlines() == ["name  value"]
