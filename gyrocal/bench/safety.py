@@ -32,14 +32,28 @@ _NEVER = 3
 _CHAMBER_TOLD = 3
 #: An encoder's own unrest between two readings at rest, deg.
 _ENCODER_UNREST_DEG = 1e-3
+_TURN_DEG = 360.0
 #: Below this share of the highest rate a gyro's bias may hide what it says.
 _TELLING_SHARE = 0.05
 #: A move of the chamber after which a soaked gyro's thermometer must have moved too, deg C.
 _TELLING_C = 5.0
 
 
-#: Signals that a run takes for requests; not every system has all.
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+#: Signals that a run takes for requests: all that would end the program with the table turning. Not every system has all.
+_ENDING = (
+    "SIGINT",
+    "SIGTERM",
+    "SIGHUP",
+    "SIGQUIT",
+    "SIGABRT",
+    "SIGALRM",
+    "SIGUSR1",
+    "SIGUSR2",
+    "SIGXCPU",
+    "SIGPWR",
+)
+#: And those that would suspend it (Ctrl-Z, a terminal that belongs to another job): a turning table cannot be left alone.
+_SUSPENDING = ("SIGTSTP", "SIGTTIN", "SIGTTOU")
 
 
 class Note(Protocol):
@@ -104,9 +118,10 @@ class StopRequests:
 
 @contextlib.contextmanager
 def listening(requests: StopRequests) -> Iterator[None]:
-    """Turn signals into requests: Ctrl-C once, Ctrl-C twice, and those that end a program.
+    """Turn signals into requests: Ctrl-C once, Ctrl-C twice, and those that end a program; Ctrl-Z does nothing.
 
-    Nothing is interrupted half-way but a prompt: whoever waits attends to the requests.
+    Nothing is interrupted half-way but a prompt: whoever waits attends to the requests. A hang-up that the program
+    was started to outlive (``nohup``) stays without effect.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -121,13 +136,22 @@ def listening(requests: StopRequests) -> Iterator[None]:
         if requests.prompting:
             requests.heed(1)
 
-    numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
-    before = [(number, signal.signal(number, handle)) for number in numbers]
+    found = {name: getattr(signal, name) for name in (*_ENDING, *_SUSPENDING) if hasattr(signal, name)}
+    outlived = {number for name, number in found.items() if name == "SIGHUP" and _is_ignored(number)}
+    before = {
+        number: signal.signal(number, handle if name in _ENDING else signal.SIG_IGN)
+        for name, number in found.items()
+        if number not in outlived
+    }
     try:
         yield
     finally:
-        for number, handler in before:
+        for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _is_ignored(number: int) -> bool:
+    return signal.getsignal(number) == signal.SIG_IGN
 
 
 class Interlocks:
@@ -331,10 +355,13 @@ def _together_at_rest(seen: list[TableReading], standing_dps: float) -> bool:
     """Whether readings show no rate, and angles that stayed where they were; no reading is at rest too."""
     if not seen:
         return True
-    angles_deg = [reading.angle_deg for reading in seen]
+    if not all(math.isfinite(reading.angle_deg) for reading in seen):
+        return False
+    # From the first one and the shorter way: many a table counts from 0 to 360, and stands at 0.
+    moved_deg = [math.remainder(reading.angle_deg - seen[0].angle_deg, _TURN_DEG) for reading in seen]
     allowed_deg = standing_dps * (seen[-1].t_s - seen[0].t_s) + _ENCODER_UNREST_DEG
     slow = all(abs(reading.rate_dps) <= standing_dps for reading in seen)
-    return slow and max(angles_deg) - min(angles_deg) <= allowed_deg and all(map(math.isfinite, angles_deg))
+    return slow and max(moved_deg) - min(moved_deg) <= allowed_deg
 
 
 def _chamber_to_safe(bench: Bench, clock: Clock, profile: Profile) -> Exception | None:

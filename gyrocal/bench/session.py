@@ -211,12 +211,22 @@ def _run_rest(
 def _start_again_s(config: AcquireConfig, profile: Profile, before: Run, found: Recovered) -> float:
     """Time since the run began, at which it is carried on: later than all that was recorded, whatever the wall clock says."""
     earliest_s = math.ceil(found.last_t_s) + _VIRTUAL_PAUSE_S
-    if config.simulate or is_virtual(profile) or before.created_utc is None:
+    begun = _moment(before.created_utc)
+    if config.simulate or is_virtual(profile) or begun is None:
         return earliest_s
-    by_clock_s = (datetime.now(UTC) - datetime.fromisoformat(before.created_utc)).total_seconds()
+    by_clock_s = (datetime.now(UTC) - begun).total_seconds()
     # A computer without a battery clock begins in 1970, or when its system was made.
     believed = found.last_t_s <= by_clock_s <= found.last_t_s + _LONGEST_PAUSE_S
     return max(earliest_s, by_clock_s) if believed else earliest_s
+
+
+def _moment(text: Any) -> datetime | None:
+    """What ``run.json`` says of when the run began; None where that is no time, as after an edit by hand."""
+    try:
+        moment = datetime.fromisoformat(str(text))
+    except ValueError:
+        return None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
 def _profile(config: AcquireConfig, before: Run | None) -> Profile:
@@ -225,8 +235,10 @@ def _profile(config: AcquireConfig, before: Run | None) -> Profile:
     profile = with_identity(profile, config.serial, config.operator, config.bench_file)
     if config.seed is not None:
         return profile.with_seed(config.seed)
-    if before is not None and before.profile is not None and "seed" in before.profile.get("virtual", {}):
-        return profile.with_seed(before.profile["virtual"]["seed"])
+    if before is not None and before.profile is not None:
+        then = profile_from_dict(before.profile, f"{config.out}/run.json")
+        if "seed" in then.raw.get("virtual", {}):
+            return profile.with_seed(then.virtual.seed)
     return profile
 
 

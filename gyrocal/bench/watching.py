@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from gyrocal.bench.plan import Step
 from gyrocal.bench.safety import Note
+
+#: Longest wait for who looks on, s: a terminal that Ctrl-S holds, or a connection that hangs, takes no word for hours.
+_PATIENCE_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -33,31 +38,48 @@ class Watch(Protocol):
 
 
 class SteadyWatch:
-    """A watch that may go (a closed terminal, a viewer that was killed): it is then told nothing more, and the journal it is."""
+    """A watch that may go (a closed terminal, a viewer that was killed) or that takes no word for a while.
+
+    Who is gone is told nothing more, and the journal it is. Who takes no word keeps nobody waiting: what was said
+    in the meantime comes when he takes it again.
+    """
 
     def __init__(self, watch: Watch, note: Note) -> None:
         self._watch: Watch | None = watch
         self._note = note
+        #: A thread of its own: whoever writes to a terminal that is held hangs.
+        self._teller = ThreadPoolExecutor(1, "watch")
+        self._last: Future[None] | None = None
 
     def progress(self, progress: Progress) -> None:
-        """Pass it on, if anybody is there."""
-        if self._watch is not None:
-            try:
-                self._watch.progress(progress)
-            except OSError as error:
-                self._gone(error)
+        """Pass it on, if anybody is there who takes it now: later it is stale."""
+        watch = self._watch
+        if watch is not None and self._keeps_up():
+            self._tell(lambda: watch.progress(progress))
 
     def say(self, text: str) -> None:
         """Pass it on, if anybody is there."""
-        if self._watch is not None:
-            try:
-                self._watch.say(text)
-            except OSError as error:
-                self._gone(error)
+        watch = self._watch
+        if watch is not None:
+            self._tell(lambda: watch.say(text))
 
-    def _gone(self, error: OSError) -> None:
-        self._watch = None
-        self._note("viewer_gone", reason=str(error))
+    def _keeps_up(self) -> bool:
+        return self._last is None or self._last.done()
+
+    def _tell(self, telling: Callable[[], None]) -> None:
+        kept_up = self._keeps_up()
+        self._last = self._teller.submit(telling)
+        if not kept_up:
+            return
+        wait([self._last], _PATIENCE_S)
+        if not self._last.done():
+            self._note("viewer_stalled", reason=f"takes no word within {_PATIENCE_S:g} s")
+            return
+        try:
+            self._last.result()
+        except OSError as error:
+            self._watch = None
+            self._note("viewer_gone", reason=str(error))
 
 
 @dataclass

@@ -88,8 +88,16 @@ def command(
 
 
 def _ask(question: str) -> str:
-    click.echo(f"\n{question.rstrip()}", err=True)
-    return input()
+    try:
+        click.echo(f"\n{question.rstrip()}", err=True)
+        return input()
+    except UnicodeError:
+        return ""
+    except (
+        OSError,
+        RuntimeError,
+    ) as error:  # a terminal that is gone, or was closed before the program began
+        raise EOFError(str(error)) from error
 
 
 class _Watch:

@@ -12,8 +12,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,12 @@ from gyrocal.errors import InputError, OutputError
 from gyrocal.records.files import (
     fsync_directory,
     make_output_directory,
-    parse_json,
     raise_output_error,
-    read_text,
     reading,
     sha256_of_file,
     write_atomically,
 )
-from gyrocal.records.run import COLUMNS
+from gyrocal.records.run import COLUMNS, SegmentRecord, announced, read_run
 
 try:
     import fcntl
@@ -189,12 +187,13 @@ def create_run(path: Path, head: Mapping[str, Any]) -> RunWriter:
     make_output_directory(path, may_hold_files=is_stillborn(path))
     try:
         (path / "data").mkdir(exist_ok=True)
-        for stale in path.glob(".run.json.*.part"):
-            stale.unlink()
     except OSError as error:
         raise_output_error(path / "data", error)
     writer = RunWriter(path)
     try:
+        # Only now is it sure that nobody else is writing them.
+        for stale in path.glob(".run.json.*.part"):
+            stale.unlink()
         text = json.dumps(head, indent=1, allow_nan=False)
         write_atomically(path / "run.json", text + "\n")
         fsync_directory(path.parent)
@@ -239,28 +238,43 @@ def resume_run(path: Path) -> tuple[RunWriter, Recovered]:
 
 def _recover(path: Path, writer: RunWriter) -> Recovered:
     _cut_torn_line(path / "journal.jsonl")
-    events = list(_events(path / "journal.jsonl"))
-    last_t_s = max((float(e.get("t_s", 0.0)) for e in events), default=0.0)
-    lines = {e["id"]: e for e in events if e.get("event") == "segment"}
-    for entry in lines.values():
-        _check_sealed(path, entry)
+    run = read_run(path)
+    for record in run.segments:
+        run.verify(record)
+    sealed = {record.id: record for record in run.segments}
+    sealing = list(announced(path, run.events))
+    _refuse_unknown(path, {record.file for record in (*run.segments, *sealing)})
     adopted = []
-    announced = [e for e in events if e.get("event") == "sealing" and e["id"] not in lines]
-    for entry in announced:
-        if _adopt(path, entry):
-            details = {key: value for key, value in entry.items() if key not in ("event", "t_s")}
-            writer.event("segment", entry["t_end_s"], **details)
-            lines[entry["id"]] = entry
-            adopted.append(str(entry["file"]))
-    discarded = _discard(path, {str(e["file"]) for e in lines.values()})
+    for record in sealing:
+        if record.id not in sealed and _adopt(path, record):
+            writer.event("segment", record.t_end_s, **asdict(record))
+            sealed[record.id] = record
+            adopted.append(record.file)
     return Recovered(
-        sealed={number: str(e["outcome"]) for number, e in lines.items()},
-        last_t_s=last_t_s,
-        highest_id=max((int(e["id"]) for e in events if "id" in e), default=0),
-        resumed=sum(e.get("event") == "resume" for e in events),
+        sealed={number: record.outcome for number, record in sealed.items()},
+        last_t_s=max((float(e["t_s"]) for e in run.events if e.get("t_s") is not None), default=0.0),
+        highest_id=max((int(e["id"]) for e in run.events if e.get("id") is not None), default=0),
+        resumed=sum(e.get("event") == "resume" for e in run.events),
         adopted=tuple(adopted),
-        discarded=discarded,
+        discarded=_discard(path, {record.file for record in sealed.values()}),
     )
+
+
+def _refuse_unknown(path: Path, known: set[str]) -> None:
+    """Refuse segments that no line of the journal speaks of: a file gets its name after its line, so the line was lost."""
+    with reading(path / "data"):
+        names = sorted(file.name for file in (path / "data").iterdir())
+    unknown = [
+        n
+        for n in names
+        if _SEGMENT_NAME.fullmatch(n) and not n.endswith(".part") and f"data/{n}" not in known
+    ]
+    if unknown:
+        msg = (
+            f"{path}: {len(unknown)} files in data stand in no line of the journal (the first: data/{unknown[0]}), which was cut. "
+            "Restore the journal, or move them elsewhere to record them again; nothing was changed."
+        )
+        raise InputError(msg)
 
 
 def _cut_torn_line(journal: Path) -> None:
@@ -277,32 +291,12 @@ def _cut_torn_line(journal: Path) -> None:
             raise_output_error(journal, error)
 
 
-def _events(journal: Path) -> Iterator[dict[str, Any]]:
-    for number, line in enumerate(read_text(journal).splitlines(), start=1):
-        event = parse_json(line, f"{journal}, line {number}", "The journal is append-only: restore it.")
-        if not isinstance(event, dict):
-            raise InputError(
-                f"{journal}, line {number}: is not an event. The journal is damaged: restore it."
-            )
-        yield event
-
-
-def _check_sealed(path: Path, entry: Mapping[str, Any]) -> None:
-    """A sealed segment must be there, as it was sealed, before a run is carried on."""
-    file = path / str(entry["file"])
-    with reading(file):
-        digest = sha256_of_file(file)
-    if digest != entry["sha256"]:
-        msg = f"{file}: differs from what the journal sealed (sha256); it was edited or damaged. Restore it before resuming."
-        raise InputError(msg)
-
-
-def _adopt(path: Path, entry: Mapping[str, Any]) -> bool:
+def _adopt(path: Path, record: SegmentRecord) -> bool:
     """Finish the sealing of a file that was announced: whole by its sha256, renamed or not yet."""
-    final = path / str(entry["file"])
+    final = path / record.file
     part = final.with_name(final.name + ".part")
     source = final if final.exists() else part
-    if not source.exists() or sha256_of_file(source) != entry["sha256"]:
+    if not source.exists() or sha256_of_file(source) != record.sha256:
         return False
     try:
         if source == part:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -353,12 +353,20 @@ def _read_journal(
     return tuple(sorted(sealed.values(), key=lambda r: (r.t_start_s, r.id))), tuple(events)
 
 
+def announced(path: Path, events: Sequence[Mapping[str, Any]]) -> Iterator[SegmentRecord]:
+    """Segments that the journal of the run `path` says are being sealed, in its order; raises InputError as `read_run` does."""
+    source = path / "journal.jsonl"
+    for number, event in enumerate(events, start=1):
+        if event.get("event") == "sealing":
+            yield _segment_record(source, number, event)
+
+
 def _check_event(source: Path, number: int, event: Any) -> None:
     if not isinstance(event, dict):
         raise InputError(f"{source}, line {number}: is not a JSON object. {_RESTORE}")
     wrong = [
         key
-        for key in ("t_s", "steps", "expected_s")
+        for key in ("id", "t_s", "steps", "expected_s")
         if event.get(key) is not None and not _is_number(event[key])
     ]
     if wrong:
@@ -389,7 +397,7 @@ def _incomplete(
         yield f"{len(orphans)} files in data stand in no line of the journal and are not used (the first: {orphans[0]}); was it cut?"
 
 
-def _segment_record(source: Path, number: int, event: dict[str, Any]) -> SegmentRecord:
+def _segment_record(source: Path, number: int, event: Mapping[str, Any]) -> SegmentRecord:
     fields = SegmentRecord.__dataclass_fields__
     missing = [name for name in fields if name not in event and name != "averaging_s"]
     if missing:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -382,6 +384,27 @@ def test_a_viewer_that_goes_ends_nothing_and_the_journal_says_so(tmp_path: Path)
     (line,) = events(tmp_path / "r", "viewer_gone")
     assert "Broken pipe" in line["reason"]
     assert events(tmp_path / "r", "end")[0]["complete"] is True
+
+
+def test_a_viewer_that_takes_no_word_keeps_nobody_waiting(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+    released, told = threading.Event(), threading.Event()
+
+    def held(
+        progress: Progress,
+    ) -> None:  # as a terminal after Ctrl-S, or at the end of a connection that hangs
+        assert released.wait(10.0)
+
+    stand.watch.progress = held  # type: ignore[method-assign]
+    stand.watch.say = lambda text: told.set()  # type: ignore[method-assign]
+    stand.table.falsify = lambda reading: replace(reading, rate_dps=0.9 * reading.rate_dps)
+    began_s = time.monotonic()
+    stand.run()
+    assert time.monotonic() - began_s < 5.0
+    assert len(events(tmp_path / "r", "viewer_stalled")) == 1
+    assert not told.is_set()
+    released.set()
+    assert told.wait(10.0)
 
 
 def test_one_ctrl_c_finishes_the_data_set_at_hand(tmp_path: Path) -> None:

@@ -223,11 +223,14 @@ def test_a_signal_ends_a_question_to_the_operator() -> None:
         ([signal.SIGTERM], 2, "SIGTERM"),
         ([signal.SIGHUP], 2, "SIGHUP"),
         ([signal.SIGQUIT], 2, "SIGQUIT"),
+        ([signal.SIGUSR1], 2, "SIGUSR1"),
+        ([signal.SIGXCPU], 2, "SIGXCPU"),
+        ([signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU], 0, ""),
         ([signal.SIGTERM, signal.SIGINT], 2, "SIGTERM"),
     ],
 )
 def test_signals_become_requests(signals: list[signal.Signals], level: int, reason: str) -> None:
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGUSR1)
     before = [signal.getsignal(s) for s in numbers]
     requests = StopRequests()
     with listening(requests):
@@ -235,3 +238,29 @@ def test_signals_become_requests(signals: list[signal.Signals], level: int, reas
             os.kill(os.getpid(), number)
     assert (requests.level, requests.reason) == (level, reason)
     assert [signal.getsignal(s) for s in numbers] == before
+
+
+def test_a_run_that_was_started_to_outlive_its_terminal_does() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    requests = StopRequests()
+    try:
+        with listening(requests):
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert requests.level == 0
+
+
+def test_a_table_that_stands_where_its_angle_begins_anew_is_seen_to_stand(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+    reads = [0]
+
+    def at_home(reading: TableReading) -> TableReading:
+        if abs(reading.rate_dps) > 1e-9:
+            return reading
+        reads[0] += 1
+        return replace(reading, angle_deg=0.0004 if reads[0] % 2 else 359.9996)
+
+    stand.table.falsify = at_home
+    stand.run()
+    assert events(tmp_path / "r", "make_safe")[0]["table_stopped"] is True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -150,6 +151,51 @@ def test_a_sealed_file_that_changed_stops_the_resume(tmp_path: Path) -> None:
     RunWriter(path).__exit__()
 
 
+def test_measured_files_that_the_journal_lost_are_not_thrown_away(tmp_path: Path) -> None:
+    path = tmp_path / "r"
+    with create_run(path, HEAD) as writer:
+        for number in (1, 2, 3):
+            seal(writer, number)
+    lines = (path / "journal.jsonl").read_text().splitlines(keepends=True)
+    (path / "journal.jsonl").write_text("".join(lines[:2]))  # cut in its middle, at the end of a line
+    before = sorted((path / "data").iterdir())
+    with pytest.raises(InputError, match=r"2 files in data stand in no line of the journal.*0002_rate"):
+        resume_run(path)
+    assert sorted((path / "data").iterdir()) == before
+    assert journal(path) == ["sealing", "segment"]
+
+
+@pytest.mark.parametrize(
+    ("event", "sentence"),
+    [
+        ({"event": "sealing", "t_s": 1.0}, "line 3: the segment's id is missing"),
+        ({"event": "sealing", "t_s": 1.0, "id": "x"}, "line 3: id is 'x', and a number is wanted"),
+        ({"event": "skipped", "id": [1]}, r"line 3: id is \[1\], and a number is wanted"),
+    ],
+)
+def test_a_line_that_was_edited_by_hand_is_named(
+    tmp_path: Path, event: dict[str, Any], sentence: str
+) -> None:
+    path = tmp_path / "r"
+    with create_run(path, HEAD) as writer:
+        seal(writer)
+    with (path / "journal.jsonl").open("a") as f:
+        f.write(json.dumps(event) + "\n")
+    with pytest.raises(InputError, match=sentence):
+        resume_run(path)
+
+
+def test_a_line_without_a_time_hinders_no_resume(tmp_path: Path) -> None:
+    path = tmp_path / "r"
+    with create_run(path, HEAD) as writer:
+        seal(writer)
+    with (path / "journal.jsonl").open("a") as f:
+        f.write('{"event": "note", "t_s": null, "id": null}\n')
+    writer, found = resume_run(path)
+    writer.__exit__()
+    assert (found.last_t_s, found.highest_id) == (1.0, 1)
+
+
 def test_a_damaged_journal_stops_the_resume(tmp_path: Path) -> None:
     path = tmp_path / "r"
     with create_run(path, HEAD) as writer:
@@ -158,7 +204,7 @@ def test_a_damaged_journal_stops_the_resume(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"journal\.jsonl, line 1: is not JSON"):
         resume_run(path)
     (path / "journal.jsonl").write_text("7\n")
-    with pytest.raises(InputError, match="is not an event"):
+    with pytest.raises(InputError, match="is not a JSON object"):
         resume_run(path)
 
 

@@ -389,6 +389,19 @@ def test_a_run_is_carried_on_after_all_that_was_recorded(
     assert again_s == pytest.approx(expected_s, abs=30.0)
 
 
+@pytest.mark.parametrize("began", ["2000-01-01T00:00:00", "yesterday", ""])
+def test_a_beginning_that_was_edited_by_hand_hinders_no_resume(tmp_path: Path, began: str) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(toml(tiny()))
+    start(path, tmp_path / "r")
+    head = tmp_path / "r" / "run.json"
+    head.write_text(head.read_text().replace("2000-01-01T00:00:00Z", began))
+    found = Recovered({}, 500.5, 0, 0, (), ())
+    config = AcquireConfig(path, tmp_path / "r")
+    again_s = session._start_again_s(config, profile(), read_run(tmp_path / "r"), found)
+    assert again_s == 561.0
+
+
 def test_a_capture_that_is_none_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.raw"
     RawWriter(path, "gyro", {}).close()
