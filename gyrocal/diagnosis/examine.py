@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.coil import Candidate, TableSearch, averaged
 from gyrocal.diagnosis.jumps import with_jumps
 from gyrocal.diagnosis.laws import Laws, laws_of
-from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model
+from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import GAIN, Naming, errors_of_each_rate, name, present, settle_direction
 from gyrocal.diagnosis.parts import PASSING, Basis, passing
-from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.within import Pattern, patterns
 from gyrocal.inference.additive import Component, Solution
-from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +76,7 @@ def examine(series: Series, level: float) -> Examination:
     if jumps:
         jumped, _ = settle_direction(jumped)
     settled, worth = present(errors_of_each_rate(jumped, draws_of(full)))
-    naming = name(settled, worth, laws, jumps, passes)
+    naming, laws = name(settled, worth, laws, jumps, passes)
     return Examination(left, found, whole, worth, naming, laws)
 
 
@@ -91,7 +89,7 @@ def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examinati
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
     settled, worth = present(settle_direction(best)[0])
     beside = replace(settled.model, components={**settled.model.components, **drifting})
-    naming = name(settled.refit(beside), worth, laws)
+    naming, laws = name(settled.refit(beside), worth, laws)
     joint = ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(ranked)) if joint else ()
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked))
@@ -119,13 +117,6 @@ def fit_twice(model: Model) -> Fitted:
 def alive(fitted: Fitted) -> Fitted:
     """The same less what has died."""
     return Fitted(fitted.model.alive(fitted.fit), fitted.fit, fitted.contrasts)
-
-
-def surface_of(model: Model, solution: Solution) -> Surface:
-    """The surface of a model, over the input rate."""
-    frame = model.basis.frame
-    powers = (legendre_to_powers() @ model.legendre(solution)).reshape(SHAPE)
-    return Surface(powers, 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c, "input")
 
 
 def block_curve(fitted: Fitted, solution: Solution, block: str, basis: Basis | None = None) -> Floats:

@@ -18,6 +18,9 @@ _RISE_95 = 3.841
 #: The same for the instant of a jump, at which the likelihood has a corner: -2 log(1 - sqrt(0.95))
 #: (B. E. Hansen, Econometrica 68, 2000, p. 575).
 _RISE_INSTANT_95 = 7.352
+#: Shapes are refined over these factors either way, in turn, at so many points each.
+REFINED_OVER = (1.5, 1.12)
+REFINED_AT = 7
 #: Losses that differ by less are the same to the last digits.
 _TIE = 1e-3
 #: Shapes at which an amplitude's likelihood is evaluated, and how far beyond the interval of the shape.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
+from gyrocal.diagnosis.layers import Fitted, surface_of
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.series import Series
@@ -23,6 +24,8 @@ Floats = NDArray[np.float64]
 
 #: Columns that are nothing at these rows, as a share of the largest.
 _NOTHING = 1e-12
+#: Rounds in which the surface and the laws that act through it follow each other.
+_TIES = 2
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,23 @@ def wanted(effect: Effect) -> bool:
 def laws_of(means: Means, surface: Surface) -> Laws:
     """Laws at the rows of a record."""
     return Laws(means, conditions_of(means.series), offer_of(means.series), surface)
+
+
+def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:
+    """The model whose laws act through the surface that now stands beside them, and the laws so.
+
+    A lag is one of the whole surface: through another surface something else has to make up for the difference.
+    """
+    for _ in range(_TIES):
+        tied = replace(laws, surface=surface_of(fitted.model, fitted.solve()))
+        own = tuple(
+            law if law.from_end else replace(law, columns=tied.at(CATALOGUE[law.effect], law.shape))
+            for law in fitted.model.laws
+        )
+        if all(np.allclose(a.columns, b.columns) for a, b in zip(own, fitted.model.laws, strict=True)):
+            break
+        fitted, laws = fitted.refit(replace(fitted.model, laws=own), 30), tied
+    return fitted, laws
 
 
 def effects_of(block: str) -> list[Effect]:

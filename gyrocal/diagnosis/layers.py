@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import FLAT, PASSING, SURFACE, Basis, Part, design_at, frame_of, passing, staying
+from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
+from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
 
@@ -250,3 +252,10 @@ def fit_model(model: Model, start: Mapping[str, float] | None = None, iterations
     """Variances of a model."""
     contrasts = contrasts_of(model)
     return Fitted(model, contrasts.fit(model.all, start, iterations), contrasts)
+
+
+def surface_of(model: Model, solution: Solution) -> Surface:
+    """The surface of a model, over the input rate."""
+    frame = model.basis.frame
+    powers = (legendre_to_powers() @ model.legendre(solution)).reshape(SHAPE)
+    return Surface(powers, 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c, "input")

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
 from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import Laws, Trial, effects_of
+from gyrocal.diagnosis.laws import Laws, Trial, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.inference.additive import Component
@@ -42,9 +43,6 @@ _BENT = ("odd rate", "even rate", "each rate")
 _MOST_LAWS = 3
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
 _BENDS = 2
-#: Shapes are refined over these factors either way, in turn.
-_SPREADS = (1.5, 1.12)
-_POINTS = 7
 
 
 @dataclass(frozen=True)
@@ -130,28 +128,30 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
     return found if found.nll <= fitted.nll + _REPLACED else fitted
 
 
-def evidence(fitted: Fitted, block: str) -> tuple[float, Fitted]:
-    """What a block is worth, nats, and the model without it."""
+def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:
+    """What a block is worth, nats, and the model without it, in which laws act through the surface that it leaves."""
     names = [n for n, b in fitted.model.blocks.items() if b == block]
     model, bend = fitted.model.without(names), fitted.model.bend
     ways = [model]
     if block in _BENT and bend is not None:
         ways = [model.directed(d, bend) for d in ("input", "output")]
     without = min((fitted.refit(way, 30) for way in ways), key=lambda f: f.nll)
+    if laws is not None and without.model.laws:
+        without = min(without, tied_anew(without, laws)[0], key=lambda f: f.nll)
     return without.nll - fitted.nll, without
 
 
-def present(fitted: Fitted) -> tuple[Fitted, dict[str, float]]:
+def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str, float]]:
     """The model less the blocks that are not there, and what each of the others is worth."""
     while True:
-        found = {b: evidence(fitted, b) for b in sorted(set(fitted.model.blocks.values()))}
+        found = {b: evidence(fitted, b, laws) for b in sorted(set(fitted.model.blocks.values()))}
         weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
         if not weak:
             return around_itself(fitted), {b: gain for b, (gain, _) in found.items()}
         # The weakest at once, so that one of two that share a pattern stays.
         fitted = found[weak[0][1]][1]
         for _, block in weak[1:]:
-            gain, without = evidence(fitted, block)
+            gain, without = evidence(fitted, block, laws)
             if gain < _ABSENT:
                 fitted = without
 
@@ -162,8 +162,8 @@ def name(
     laws: Laws,
     jumps: Sequence[Jump] = (),
     passes: Sequence[Component] = (),
-) -> Naming:
-    """Name what can be named, the strongest block first.
+) -> tuple[Naming, Laws]:
+    """Name what can be named, the strongest block first; also the laws through the surface at the end.
 
     Parameters
     ----------
@@ -177,16 +177,23 @@ def name(
         if block not in fitted.model.blocks.values() or not effects_of(block):
             continue
         answer = _name_either_way(fitted, block, laws)
-        fitted, nearest[block] = answer.fitted, answer.near
+        (fitted, laws), nearest[block] = tied_anew(answer.fitted, laws), answer.near
         named += answer.named
     if passes:
         fitted, more = with_jumps(fitted, passes, laws, GAIN)
         named += [_jumped(jump) for jump in more]
     fitted, named = _backward(fitted, named)
     fitted, input_gain = settle_direction(fitted)
-    fitted = around_itself(fitted)
-    left = {b: evidence(fitted, b)[0] for b in sorted(set(fitted.model.blocks.values()))}
-    return Naming(fitted, tuple(_mechanisms(named)), left, nearest, input_gain)
+    # What a law's first surface or shape had left to smooth parts may be gone.
+    fitted, left = present(around_itself(fitted), laws)
+    fitted, laws = tied_anew(fitted, laws)
+    return Naming(fitted, tuple(_mechanisms(_as_fitted(named, fitted))), left, nearest, input_gain), laws
+
+
+def _as_fitted(named: list[Named], fitted: Fitted) -> list[Named]:
+    """With the columns that the laws have in the model."""
+    own = {law.name: law for law in fitted.model.laws}
+    return [replace(n, law=own.get(n.law.name, n.law)) for n in named]
 
 
 def _mechanisms(named: list[Named]) -> list[Named]:
@@ -254,8 +261,8 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
         return _Answer(fitted, [], near, fitted.nll)
     share = (without.nll - current.nll) / worth
     chosen = [replace(n, share=share) for n in chosen]
-    # What a robot cannot evaluate as a law of one amplitude stays as a smooth part.
-    replaces = all(map(_of_robot, chosen)) or not BLOCKS[block].stays
+    # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.
+    replaces = all(_of_robot(n) or _passes(n) for n in chosen) or not BLOCKS[block].stays
     # Errors of single rates are as simple as a law is.
     slack = 0.0 if block == "each rate" else _REPLACED + len(chosen)
     if current.nll <= fitted.nll + slack:
@@ -275,6 +282,12 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
 
 def _of_robot(named: Named) -> bool:
     return CATALOGUE[named.law.effect].runtime and named.law.columns.shape[1] == 1
+
+
+def _passes(named: Named) -> bool:
+    """Whether a law is of what passes: its state at the end is held, and it does not begin anew."""
+    effect = CATALOGUE[named.law.effect]
+    return effect.family == BLOCKS["bias in time"].family and not effect.runtime
 
 
 def _best_law(
@@ -328,13 +341,13 @@ def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Tri
     """The same law with its shape between the points of the grid, one parameter after the other."""
     best, best_gain = trial, gain_of(trial)
     grid = trial.effect.search.grid(laws.offer)
-    for spread in _SPREADS:
+    for spread in REFINED_OVER:
         for parameter in trial.effect.search.refined:
             value = best.shape.get(parameter, 0.0)
             if value <= 0.0:
                 continue
             around, tried = best, [s[parameter] for s in grid]
-            for factor in np.geomspace(1.0 / spread, spread, _POINTS):
+            for factor in np.geomspace(1.0 / spread, spread, REFINED_AT):
                 shape = {**around.shape, parameter: float(np.clip(value * factor, min(tried), max(tried)))}
                 new = Trial(trial.effect, shape, laws.at(trial.effect, shape))
                 gain = gain_of(new) if np.isfinite(new.columns).all() else -np.inf

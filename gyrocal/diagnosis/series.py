@@ -212,7 +212,8 @@ def _segment_rows(
         "sample_s": np.full(size, averaging_s),
         "set_index": np.full(size, float(number)),
         "is_set": np.full(size, float(segment.record.kind == "rate")),
-        "since_set_s": mean(t) - segment.record.t_start_s,
+        # The step is over when a data set begins, though a sample's time may be rounded to before that.
+        "since_set_s": np.maximum(mean(t) - segment.record.t_start_s, 0.0),
         "step_dps": np.full(size, rate - previous_rate),
         "turn_deg": count[filled] * abs(rate) * step_s,
         "angle_deg": mean(_at(segment.bench_t_s, segment.table_angle_deg, t, rate)),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
+from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE
@@ -87,17 +88,21 @@ def patterns(series: Series, level: float) -> list[Pattern]:
     found: list[_Candidate] = []
     result: list[Pattern] = []
     for _ in range(4):
-        best: tuple[float, _Candidate] | None = None
+        # The test tells whether something is there, but not which shape fits: a shape that misses may scatter less.
+        best: dict[object, tuple[float, _Candidate]] = {}
         for candidate in candidates:
-            if any(c.effect == candidate.effect and c.shape == candidate.shape for c in found):
-                continue
-            p = _test(series, rows, sets, [*found, candidate])[-1].p_value
-            if best is None or p < best[0]:
-                best = p, candidate
-        if best is None or best[0] * len(candidates) > level:
+            loss = _loss(series, rows, sets, [*found, candidate])
+            kind = _kind(candidate)
+            if kind not in best or loss < best[kind][0]:
+                best[kind] = loss, candidate
+        tried = [(_test(series, rows, sets, [*found, c])[-1].p_value, c) for _, c in best.values()]
+        if not tried:
             break
-        found.append(best[1])
-        candidates = [c for c in candidates if not _same_kind(c, best[1])]
+        p, candidate = min(tried, key=lambda x: x[0])
+        if p * len(candidates) > level:
+            break
+        candidates = [c for c in candidates if _kind(c) != _kind(candidate)]
+        found.append(_refined(series, rows, sets, found, candidate))
         result = _test(series, rows, sets, found)
     return sorted(result, key=lambda p: p.p_value)
 
@@ -136,9 +141,29 @@ def strange_turns(series: Series, level: float) -> list[Located]:
     return sorted(places, key=lambda place: place.p_value)
 
 
-def _same_kind(a: _Candidate, b: _Candidate) -> bool:
-    """Whether two are the same pattern, or only other shapes of one."""
-    return a.effect == b.effect and (CATALOGUE[a.effect].search.refined != () or a.shape == b.shape)
+def _kind(candidate: _Candidate) -> tuple[str, tuple[tuple[str, float], ...]]:
+    """What is one pattern, whatever the values of its refined parameters are."""
+    if CATALOGUE[candidate.effect].search.refined:
+        return candidate.effect, ()
+    return candidate.effect, tuple(candidate.shape.items())
+
+
+def _refined(
+    series: Series, rows: NDArray[np.bool_], sets: Ints, beside: list[_Candidate], candidate: _Candidate
+) -> _Candidate:
+    """The same pattern with its shape between the points of the grid."""
+    effect, c = CATALOGUE[candidate.effect], conditions_of(series)
+    best, least = candidate, _loss(series, rows, sets, [*beside, candidate])
+    for spread in REFINED_OVER:
+        for parameter in effect.search.refined:
+            around = best
+            for factor in np.geomspace(1.0 / spread, spread, REFINED_AT):
+                shape = {**around.shape, parameter: float(around.shape[parameter] * factor)}
+                new = _Candidate(effect.id, shape, effect.columns(c, shape, None))
+                loss = _loss(series, rows, sets, [*beside, new])
+                if loss < least:
+                    best, least = new, loss
+    return best
 
 
 def _usable(series: Series) -> NDArray[np.bool_]:
@@ -158,16 +183,30 @@ def _candidates(series: Series) -> list[_Candidate]:
     return found
 
 
-def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[_Candidate]) -> list[Pattern]:
-    """Least squares within sets; each candidate's p-value given the others, by Hotelling's law over the sets."""
+def _centred(
+    series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[_Candidate]
+) -> tuple[Floats, Floats]:
+    """Errors, and columns of all candidates, less the means of the sets, in units of white noise."""
     weight = 1.0 / series.white_std_dps[rows] ** 2
     total = np.bincount(sets, weight)
-    sizes = [c.columns.shape[1] for c in candidates]
     block = np.concatenate([c.columns[rows] for c in candidates], axis=1)
     block = np.column_stack([series.gyro_dps[rows] - series.rate_dps[rows], block])
     means = np.column_stack([np.bincount(sets, weight * x) / total for x in block.T])
     block = (block - means[sets]) * np.sqrt(weight)[:, None]
-    y, z = block[:, 0], block[:, 1:]
+    return block[:, 0], block[:, 1:]
+
+
+def _loss(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[_Candidate]) -> float:
+    """Bayesian information criterion of least squares within sets, half of it, nats."""
+    y, z = _centred(series, rows, sets, candidates)
+    left = y - z @ np.linalg.lstsq(z, y, rcond=1e-10)[0]
+    return 0.5 * float(y.size * np.log(np.sum(left**2)) + z.shape[1] * np.log(y.size))
+
+
+def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[_Candidate]) -> list[Pattern]:
+    """Least squares within sets; each candidate's p-value given the others, by Hotelling's law over the sets."""
+    y, z = _centred(series, rows, sets, candidates)
+    sizes = [c.columns.shape[1] for c in candidates]
     bread = np.linalg.pinv(z.T @ z, rcond=1e-10, hermitian=True)
     b = bread @ (z.T @ y)
     left = y - z @ b

@@ -82,13 +82,19 @@ def second_run(
     def error(rate_dps: Floats) -> Floats:
         return error_dps(replace(second, rate_dps=rate_dps), gyro, stays)
 
-    slope = 1.0 + slope_of(error, second.rate_dps)
+    corrected = [column / _slope_over(error, second.rate_dps, column) for column in still]
     return SecondRun(
         second,
         second.rate_dps + error(second.rate_dps),
         (temp_c >= first.temp_c.min()) & (temp_c <= first.temp_c.max()),
-        np.column_stack([np.zeros((temp_c.size, 0)), *(column / slope for column in still)]),
+        np.column_stack([np.zeros((temp_c.size, 0)), *corrected]),
     )
+
+
+def _slope_over(error: Callable[[Floats], Floats], rate_dps: Floats, reach_dps: Floats) -> Floats:
+    """Slope of the output over as far as it is moved: a jump of the error at rest is no slope."""
+    h = np.maximum(np.abs(reach_dps), 1e-5 * float(np.abs(rate_dps).max()))
+    return np.maximum(1.0 + (error(rate_dps + h) - error(rate_dps - h)) / (2.0 * h), _LEAST_SLOPE)
 
 
 def slope_of(error: Callable[[Floats], Floats], rate_dps: Floats) -> Floats:

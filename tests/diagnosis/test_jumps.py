@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.examine import fit_twice, surface_of, wandering
+from gyrocal.diagnosis.examine import fit_twice, wandering
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.layers import full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import GAIN
 from gyrocal.diagnosis.table_series import series_of_table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,3 +139,17 @@ def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:
         write_run(make_recording([], 300 + seed, "even"), tmp_path / str(seed))
         alarms += bool(patterns(series_of(tmp_path / str(seed)), 0.01))
     assert alarms <= 1
+
+
+def test_a_creep_after_steps_has_its_time_constant_though_the_first_sample_is_early(tmp_path: Path) -> None:
+    """Among steps of very different sizes, of which few tell most: the shape is that which fits."""
+    write_run(make_recording([], 310, "even"), tmp_path / "run")
+    series = series_of(tmp_path / "run")
+    assert series.since_set_s is not None
+    assert series.step_dps is not None
+    assert series.since_set_s.min() >= 0.0
+    crept = 3e-3 * series.step_dps * np.exp(-series.since_set_s / 2.2) * series.is_set
+    (found, *_) = patterns(replace(series, gyro_dps=series.gyro_dps + crept), 0.01)
+    assert found.effect == "step_response"
+    assert found.shape["frequency_hz"] == 0.0
+    assert found.shape["tau_s"] == pytest.approx(2.2, rel=0.07)

@@ -313,6 +313,14 @@ def test_a_coarse_thermometer_reads_in_steps() -> None:
     assert read == pytest.approx(np.round(read * 2.0) / 2.0)
 
 
+def test_a_step_that_lasts_is_free_at_rest_beside_truncation() -> None:
+    """The error jumps at rest, by less than the step: what it moves is still about the step itself."""
+    hidden = [Hidden(LAWS["bias_step"], {"at": 0.5}, 0.1), Hidden(LAWS["truncation"], {}, 0.003)]
+    first = small_table(3)
+    second = second_run(first, replace(first, rate_dps=np.zeros_like(first.rate_dps)), gyro(), hidden)
+    np.testing.assert_allclose(second.open_dps[:, 0], 0.1, rtol=0.1)
+
+
 def test_a_step_that_lasts_is_free_in_an_open_loop_too() -> None:
     """The slope of the output makes more of it, in the corrected rate, than was added to the output."""
     first = small_table()
