@@ -21,6 +21,7 @@ from gyrocal.fusion.coefficients import (
     load_coefficients,
 )
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.terms import Part
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.files import check_output_file, writing_atomically
 from gyrocal.records.run import Run, read_run
@@ -141,9 +142,16 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     else:
         table = read_data_sets(config.recording, config.counts_per_dps)
         _check_times(table, compensator)
-        sensor, power_on_t_s, blocks = {}, None, iter([_block_of_table(table, coefficients)])
+        block = _block_of_table(table, coefficients)
+        # A table cannot say when the gyro was switched on: as `diagnose` does, its first row counts as that.
+        sensor, power_on_t_s, blocks = {}, float(block.t_s[0]), iter([block])
         applied.segments = table.rate_dps.size
     applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
+    if not config.recording.is_dir():
+        applied.notes += tuple(
+            f"{config.recording.name}: {name} counts from the first row; a table does not say when the gyro was switched on."
+            for name in dict.fromkeys(term.name for term in compensator.terms if _since_on(term))
+        )
     with writing_atomically(config.output) as file:
         file.write((",".join(COLUMNS) + "\n").encode())
         for text, flags in _corrected(blocks, compensator, power_on_t_s):
@@ -200,10 +208,14 @@ def _block_of_table(table: DataSetTable, coefficients: Coefficients) -> _Block:
     return _Block(np.arange(1, n + 1), t_s, table.gyro_dps, table.temp_c, np.zeros(n, dtype=np.bool_))
 
 
+def _since_on(term: Part) -> bool:
+    return "since_power_on_s" in term.channels
+
+
 def _check_times(table: DataSetTable, compensator: Compensator) -> None:
-    timed = [term.name for term in compensator.terms if term.has_memory]
+    timed = [term.name for term in compensator.terms if term.has_memory or _since_on(term)]
     if timed and table.t_s is None and SECONDS_A_DATA_SET not in compensator.coefficients.provenance:
         raise CoefficientError(
-            f"{table.source}: has no t_s, and {timed[0]} of the coefficients depends on what went before. "
+            f"{table.source}: has no t_s, and {timed[0]} of the coefficients depends on time. "
             "Add the times, or use coefficients without that term."
         )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
 
 from gyrocal.diagnosis import estimates
-from gyrocal.diagnosis.coil import coil_design
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Model
@@ -198,7 +198,7 @@ def _searched_steps(found: Examination) -> list[Step]:
     ]
     if best.coil is not None:
         basis = best.fitted.model.basis
-        moved = coil_design(basis, None) - coil_design(basis, best.coil)
+        moved = replace(basis, coil=None).surface() - replace(basis, coil=best.coil).surface()
         steps.append(
             Step(THERMAL_LAG.id, gains[THERMAL_LAG.id], partial(Model.with_surface_moved, moved=moved))
         )

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
-from gyrocal.diagnosis.parts import SURFACE, Basis, design_at, since_on
-from gyrocal.inference.additive import Component
+from gyrocal.diagnosis.parts import Coil, since_on
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
@@ -22,8 +21,6 @@ from gyrocal.units import S_PER_H
 
 Floats = NDArray[np.float64]
 
-#: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
-Coil = tuple[float, float] | None
 #: A law of time: effect, and the row from which on a step holds, or the time constant of a warm-up, s; otherwise 0.
 Change = tuple[str, int]
 
@@ -31,10 +28,12 @@ _SHARES = (0.3, 0.6, 1.0)
 _LAGS_S = (60.0, 120.0, 240.0, 450.0, 900.0)
 #: Time constants that a coil may have, s.
 LAG_BOUNDS_S = (30.0, 1500.0)
+#: What is the surface's, or is freed of it.
+_AT_COIL = ("surface", "temperature")
 _STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 _DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
 #: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
-_WARM_UPS_S = (60, 90, 135, 200, 300, 450, 675, 1000, 1500, 2250, 3400, 5000, 7200)
+_WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().astype(int).tolist())
 _OUTLASTED = 1.5
 #: A step has data sets on either side.
 _FEWEST_SETS = 4
@@ -57,6 +56,11 @@ class Candidate:
     fitted: Fitted
     score: float
 
+    @property
+    def warms_up(self) -> bool:
+        """Whether a warm-up is among its laws of time."""
+        return WARM_UP.id in {effect for effect, _ in self.changes}
+
 
 @dataclass
 class TableSearch:
@@ -64,7 +68,7 @@ class TableSearch:
 
     base: Model
     known: dict[tuple[Coil, tuple[Change, ...]], Candidate] = field(default_factory=dict)
-    _designs: dict[Coil, tuple[Floats, Component]] = field(default_factory=dict)
+    _at_coil: dict[Coil, Model] = field(default_factory=dict)
     _at_hand: tuple[Candidate, tuple[Floats, Floats]] | None = None
 
     def run(self) -> list[Candidate]:
@@ -94,7 +98,7 @@ class TableSearch:
         if key not in self.known:
             model = self.model(coil, changes)
             if near is None:
-                designs = [coil_design(self.base.basis, (1.0, tau)) for tau in _LAGS_S]
+                designs = [replace(self.base.basis, coil=(1.0, tau)).surface() for tau in _LAGS_S]
                 contrasts = contrasts_of(model, designs=designs)
             else:
                 contrasts = contrasts_of(model, near.fitted.contrasts)
@@ -107,33 +111,32 @@ class TableSearch:
 
     def model(self, coil: Coil, changes: tuple[Change, ...]) -> Model:
         """The base with the surface at the coil, and laws of time."""
-        if coil not in self._designs:
-            at = coil_design(self.base.basis, coil)
-            part = next(p for p in self.base.parts if p.block == "surface")
-            weighted = at[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
-            self._designs[coil] = at, Component(part.name, weighted)
-        design, surface = self._designs[coil]
-        laws = tuple(self.law(change) for change in changes)
-        components = {**self.base.components, surface.name: surface}
-        return replace(self.base, design=design, components=components, laws=laws)
+        if coil not in self._at_coil:
+            basis = replace(self.base.basis, coil=coil)
+            moved = {p.name: basis.component(p) for p in self.base.parts if p.block in _AT_COIL}
+            self._at_coil[coil] = replace(
+                self.base, basis=basis, design=basis.surface(), components={**self.base.components, **moved}
+            )
+        return replace(self._at_coil[coil], laws=tuple(self.law(change) for change in changes))
 
     def law(self, change: Change) -> Law:
-        """A law of time as a law of the model; zero at the end of the record, whose state the surface is to have."""
+        """A law of time as a law of the model: a warm-up comes again with the next switch-on.
+
+        The others are zero at the end of the record, whose state the surface is to have.
+        """
         m, (effect, row) = self.base.means, change
         if effect in _STEPS:
             shape = {"at_s": float(0.5 * (m.t_s[row - 1] + m.t_s[row]))}
             columns = -1.0 * (np.arange(len(m)) < row)
         elif effect == WARM_UP.id:
             shape = {"tau_s": float(row)}
-            # A table does not say when the gyro was switched on: what comes again with the next switch-on is open.
             columns = np.exp(-since_on(m) / row)
-            columns = columns - columns[-1]
         else:
             shape = {}
             columns = (m.t_s - m.t_s[-1]) / S_PER_H
         of_scale = "rate_dps" in CATALOGUE[effect].needs
         scale = PPM * m.rate_dps if of_scale else np.full(len(m), MDPS)
-        return Law(effect, shape, (columns * scale)[:, None], from_end=True)
+        return Law(effect, shape, (columns * scale)[:, None], from_end=effect != WARM_UP.id)
 
     def best_step(self, candidate: Candidate, effect: str) -> Change:
         """The boundary between data sets at which a step gains most."""
@@ -171,14 +174,19 @@ class TableSearch:
             for step in (-0.15, 0.15):
                 if 0.05 < share + step <= 1.0 + 1e-9:
                     yield (round(share + step, 3), tau), changes
-        for k in range(len(changes)):
-            yield coil, changes[:k] + changes[k + 1 :]
+        for k, (effect, tau_s) in enumerate(changes):
+            others = changes[:k] + changes[k + 1 :]
+            yield coil, others
+            if effect == WARM_UP.id:
+                at = _WARM_UPS_S.index(tau_s)
+                for near_s in _WARM_UPS_S[max(at - 1, 0) : at + 2]:
+                    yield coil, tuple(sorted({*others, (effect, near_s)}))
         if len(changes) < _MOST_CHANGES:
             for effect in _STEPS:
                 yield coil, tuple(sorted({*changes, self.best_step(candidate, effect)}))
             for effect in _DRIFTS:
                 yield coil, tuple(sorted({*changes, (effect, 0)}))
-            if WARM_UP.id not in {effect for effect, _ in changes}:
+            if not candidate.warms_up:
                 for change in self.best_warm_up(candidate):
                     yield coil, tuple(sorted({*changes, change}))
 
@@ -194,19 +202,12 @@ def _best(candidates: list[Candidate]) -> list[Candidate]:
     return sorted(different.values(), key=lambda c: c.score)[:_BEAM]
 
 
-def coil_design(basis: Basis, coil: Coil) -> Floats:
-    """The twelve terms of the surface where a share of it lives at the temperature of the coil, shape (n, 12)."""
-    here = basis.at(SURFACE)
-    if coil is None:
-        return here
-    share, tau = coil
-    behind = basis.means.series.history.lagged_at(tau, basis.means.t_s)
-    there = design_at(basis.means.rate_dps, behind, basis.frame)
-    return np.asarray((1.0 - share) * here + share * there)
-
-
 def averaged(candidates: list[Candidate]) -> list[tuple[float, Candidate]]:
-    """The models worth averaging over, with their weights."""
-    near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
+    """The models worth averaging over, with their weights.
+
+    With a warm-up or without, as the best one: a robot that need not know when it was switched on shall not have to.
+    """
+    close = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
+    near = [c for c in close if c.warms_up == candidates[0].warms_up]
     weight = np.exp([candidates[0].score - c.score for c in near])
     return list(zip((weight / weight.sum()).tolist(), near, strict=True))

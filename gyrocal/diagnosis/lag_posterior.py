@@ -6,12 +6,13 @@ The two are traded for one another, and a search on a grid knows neither's inter
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from gyrocal.diagnosis.coil import LAG_BOUNDS_S, Candidate, coil_design
+from gyrocal.diagnosis.coil import LAG_BOUNDS_S, Candidate
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.units import NORMAL_95
@@ -59,10 +60,10 @@ def _posterior(candidate: Candidate) -> Floats:
     columns = [*model.flat, *(SURFACE.index(c) for c in part.columns)]
     weight = np.array([*np.ones(len(model.flat)), *part.weights])
     prior = np.diag([*np.zeros(len(model.flat)), *np.full(len(part.columns), 1.0 / variance[part.name])])
-    here = _whitened(lower, coil_design(model.basis, None), columns, weight)
+    here = _whitened(lower, replace(model.basis, coil=None).surface(), columns, weight)
     log = np.empty((_LAGS_S.size, _SHARES.size))
     for i, tau_s in enumerate(_LAGS_S.tolist()):
-        there = _whitened(lower, coil_design(model.basis, (1.0, tau_s)), columns, weight)
+        there = _whitened(lower, replace(model.basis, coil=(1.0, tau_s)).surface(), columns, weight)
         for j, share in enumerate(_SHARES.tolist()):
             x = (1.0 - share) * here + share * there
             information, b = x.T @ x + prior, x.T @ y

@@ -23,13 +23,17 @@ from gyrocal.physics.surface import SHAPE
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+#: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
+Coil = tuple[float, float] | None
+
 _LINEAR = Factor("linear")
 #: Driver of the time since power-on.
 _SINCE_ON = next(kind for kind, d in DRIVERS.items() if d.channel == "since_power_on_s")
-#: Each further order of the rate is expected to be this much smaller.
+#: Each further order of rate or temperature is expected to be this much smaller.
 _STEP = 0.2
 #: Standard deviation of the bumps: in rate as a share of the range, in scaled temperature, in asinh(u/0.001).
 _RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
+_TEMP_ORDERS = 3
 _LAGS_S = 40.0 * 2.0 ** np.arange(6)
 _WARM_UPS_S = 150.0 * 2.0 ** np.arange(6)
 #: Half widths of the plays, as shares of the range of temperatures.
@@ -112,11 +116,13 @@ def frame_of(means: Means) -> Frame:
 class Basis:
     """Columns at the rows of a record, each driver worked out once.
 
-    Drivers run on the fine grid of the temperature history and are averaged over each row.
+    Drivers run on the fine grid of the temperature history and are averaged over each row. The surface lives at the
+    temperature of the coil.
     """
 
     means: Means
     frame: Frame
+    coil: Coil = None
     _known: dict[Factor, Floats] = field(default_factory=dict)
 
     def drivers(self, wanted: list[Factor]) -> dict[Factor, Floats]:
@@ -145,11 +151,22 @@ class Basis:
         drivers = self.drivers([c.driver for c in columns])
         return design(self.means.rate_dps, self.means.temp_c, self.frame, columns, drivers)
 
+    def surface(self) -> Floats:
+        """The twelve terms of the surface, shape (n, 12)."""
+        here = self.at(SURFACE)
+        if self.coil is None:
+            return here
+        share, tau = self.coil
+        behind = self.means.series.history.lagged_at(tau, self.means.t_s)
+        there = design_at(self.means.rate_dps, behind, self.frame)
+        return np.asarray((1.0 - share) * here + share * there)
+
     def component(self, part: Part) -> Component:
         """A part freed of the surface's polynomials, and scaled by its weights."""
-        own = self.at(part.columns)
-        if part.block != "surface":
-            own = own - self.at(SURFACE) @ polynomials(part.columns, self.frame)
+        if part.block == "surface":
+            own = self.surface()[:, [SURFACE.index(c) for c in part.columns]]
+        else:
+            own = self.at(part.columns) - self.surface() @ polynomials(part.columns, self.frame)
         return Component(part.name, own * np.array(part.weights))
 
 
@@ -245,10 +262,13 @@ def _of_rate(frame: Frame) -> list[Part]:
 def _of_temperature(frame: Frame, turning: bool) -> list[Part]:
     centers = frame.temp_center_c + frame.temp_scale_c * np.linspace(-1.0, 1.0, 11)
     bumps = [Factor("bump", (float(c), _TEMP_BUMP * frame.temp_scale_c)) for c in centers]
-    found = [_part("temperature on bias", "temperature", tuple(Column(temperature=b) for b in bumps))]
-    if turning:
-        scale = tuple(Column(_LINEAR, b) for b in bumps)
-        found.append(_part("temperature on scale", "temperature", scale))
+    orders = [_legendre(n) for n in range(SHAPE[1], SHAPE[1] + _TEMP_ORDERS)]
+    falling = tuple(_STEP**k for k in range(_TEMP_ORDERS))
+    found = []
+    for target, rate in (("bias", Factor()), ("scale", _LINEAR)) if turning else (("bias", Factor()),):
+        powers = tuple(Column(rate, n) for n in orders)
+        found.append(_part(f"temperature orders on {target}", "temperature", powers, falling))
+        found.append(_part(f"temperature on {target}", "temperature", tuple(Column(rate, b) for b in bumps)))
     return found
 
 

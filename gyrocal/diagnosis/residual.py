@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.coil import coil_design
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import Laws
@@ -49,10 +48,8 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
     before = series.gyro_dps - series.rate_dps - plain
     fitted = found.naming.fitted
     model, solution = fitted.model, fitted.solve()
-    rows = Basis(rows_of(found.series), model.basis.frame)
-    coil = found.ranked[0].coil if found.ranked else None
-    design = coil_design(rows, coil)
-    total = design @ model.legendre(solution)
+    rows = Basis(rows_of(found.series), model.basis.frame, model.basis.coil)
+    total = rows.surface() @ model.legendre(solution)
     if model.bend is not None:
         beyond = beyond_input(rows, model.bend)
         if model.direction == "output":

@@ -219,7 +219,7 @@ def test_other_refusals(tmp_path: Path) -> None:
     with pytest.raises(GyrocalError, match="counts-per-dps is for tables"):
         apply_recording(config(tmp_path, write_run(tmp_path / "run"), counts_per_dps=3.0), quiet)
     write_coefficients(tmp_path / "c.json", WARM, model="unknown")
-    with pytest.raises(CoefficientError, match="needs the time since power-on"):
+    with pytest.raises(CoefficientError, match="has no t_s, and warm_up"):
         apply_recording(config(tmp_path, table), quiet)
 
 
