@@ -3,7 +3,6 @@
 #: Seconds in an hour, minutes in an hour, seconds in a minute.
 S_PER_H = 3600.0
 S_PER_MIN = 60.0
-MIN_PER_H = 60.0
 
 #: Turn rate of the Earth relative to the stars, deg/h (IERS: 7.292115e-5 rad/s).
 EARTH_RATE_DPH = 15.04106864
@@ -24,6 +23,3 @@ ARCSEC_TO_DEG = 1.0 / 3600.0
 
 #: Half of a 95 % interval of a normal law, in standard deviations.
 NORMAL_95 = 1.959963984540054
-
-#: Standard gravity, m/s^2.
-G_MPS2 = 9.80665

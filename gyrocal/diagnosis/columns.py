@@ -1,8 +1,8 @@
-"""Regression columns of all hypotheses in one matrix, so that one whitening pass serves every test."""
+"""What a record gives the laws of the catalogue: conditions row by row, and the ranges that their shapes are tried in."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,58 +81,3 @@ def _between_turns(series: Series) -> Floats:
     first = series.t_s[np.flatnonzero(series.set_index == sets[edge])[0]]
     last = series.t_s[np.flatnonzero(series.set_index == sets[-1 - edge])[-1]]
     return np.asarray(starts[(starts > first - 1.0) & (starts < last)])
-
-
-@dataclass
-class Book:
-    """Collects columns; each is freed of the base columns first, which keeps the algebra well scaled.
-
-    Parameters
-    ----------
-    record : ndarray, shape (n,)
-        Recording minus simulated sequence: it stands before all columns.
-    base : ndarray, shape (n, p)
-        Columns 0..p-1.
-    """
-
-    record: Floats
-    base: Floats
-    _parts: list[Floats] = field(default_factory=list)
-    _count: int = 0
-
-    def __post_init__(self) -> None:
-        # Orthogonal columns span the same and stay well conditioned where rates or temperatures are few.
-        self._q = np.linalg.qr(self.base / np.linalg.norm(self.base, axis=0))[0]
-        self._count = self.base.shape[1]
-        self._parts += [self.record[:, None], self._q * np.sqrt(len(self._q))]
-
-    @property
-    def model(self) -> Ints:
-        """Numbers of the base columns."""
-        return np.arange(self.base.shape[1])
-
-    def add(self, columns: Floats) -> Ints:
-        """Add columns, shape (n,) or (n, k); returns their numbers, shape (k,)."""
-        block = self.beyond(columns[:, None] if columns.ndim == 1 else columns)
-        self._parts.append(block)
-        first = self._count
-        self._count += block.shape[1]
-        return np.arange(first, self._count)
-
-    def beyond(self, columns: Floats) -> Floats:
-        """What columns, shape (n, k), say beyond the base columns."""
-        return np.asarray(columns - self._q @ (self._q.T @ columns))
-
-    def matrix(self) -> Floats:
-        """Record and all columns, shape (n, 1 + p)."""
-        return np.concatenate(self._parts, axis=1)
-
-
-def hats(x: Floats, knots: Floats) -> Floats:
-    """Piecewise-linear hat functions on the knots, shape (n, len(knots))."""
-    return np.column_stack([np.interp(x, knots, row) for row in np.eye(knots.size)])
-
-
-def quantile_knots(x: Floats, count: int) -> Floats:
-    """Distinct knots at quantiles of x."""
-    return np.unique(np.quantile(x, np.linspace(0.0, 1.0, count)))

@@ -56,14 +56,6 @@ class TemperatureHistory:
         lagged = lfilter([1.0 - hold, hold - a], [1.0, -a], relative) + self.temp_c[0]
         return np.asarray(np.interp(t_s, self.t_s, lagged))
 
-    def lagged_rate_at(self, tau_s: float, t_s: Floats) -> Floats:
-        """Temperature rate behind a first-order lag, at times, deg C/min."""
-        return (self.temp_at(t_s) - self.lagged_at(tau_s, t_s)) * (60.0 / tau_s)
-
-    def play_at(self, radius_c: float, t_s: Floats) -> Floats:
-        """Play operator of the temperature, ``max(T - r, min(T + r, P))``, at times, deg C."""
-        return np.asarray(np.interp(t_s, self.t_s, play(self.temp_c, radius_c)))
-
 
 def play(values: Floats, radius: float) -> Floats:
     """Play operator over a sequence, shape (n,); it starts in the middle of its play."""

@@ -104,14 +104,6 @@ class Series:
     def __len__(self) -> int:
         return int(self.t_s.size)
 
-    @property
-    def n_sets(self) -> int:
-        """Number of data sets: the n of BIC. A record without any counts its blocks of a minute."""
-        sets = np.unique(self.set_index[self.is_set]).size
-        if sets >= 10 and not (self.is_table and np.ptp(self.rate_dps) == 0):
-            return int(sets)
-        return max(10, int(np.ptp(self.t_s) / 60.0))
-
     def data_set_at(self, t_s: float) -> float:
         """Number of the data set, from 1, at a stand-in time."""
         return float(round((t_s - self.t_s[0]) / SURROGATE_PERIOD_S) + 1)

@@ -83,7 +83,6 @@ MEMORY_SIZE = AHEAD + 14
 # Figures after those of `filter`: spacing of the nodes, s; variance of the tick error, rad^2; of the clocks, s^2; of each
 # part of the flicker, (rad/s)^2; of the wander; of the bias step, (rad/s)^2; law of slip, amplitude, shape.
 SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, LAW, AMPLITUDE, SHAPE = range(15, 24)
-FIGURES_SIZE = 24
 
 # Rows of the matrix: the covariance, then scratch.
 _GAIN, _V = _N, _N + 1

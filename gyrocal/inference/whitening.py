@@ -166,30 +166,6 @@ def _whiten_loops(decay, read, fresh, gains, std, X):  # type: ignore[no-untyped
     return out
 
 
-@njit(cache=True, fastmath=True)
-def _adjoint_loops(decay, read, fresh, gains, std, V):  # type: ignore[no-untyped-def]  # pragma: no cover
-    n, m = V.shape
-    k = decay.shape[1]
-    behind = np.zeros((k + 1, m))
-    out = np.empty((n, m))
-    for i in range(n - 1, -1, -1):
-        inverse = 1.0 / std[i]
-        for c in range(m):
-            out[i, c] = V[i, c] * inverse
-        for a in range(k + 1):
-            g = gains[i, a]
-            for c in range(m):
-                out[i, c] += g * behind[a, c]
-        for a in range(k):
-            f = decay[i, a]
-            h = read[i, a]
-            for c in range(m):
-                behind[a, c] = f * (behind[a, c] - h * out[i, c])
-        for c in range(m):
-            behind[k, c] = 0.0 if fresh[i] else behind[k, c] - out[i, c]
-    return out
-
-
 @njit(cache=True)
 def _colour_loops(decay, read, drive, flicker):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Sum of Ornstein-Uhlenbeck processes from standard normal draws, shape (k, n, m) in, (n, m) out."""
@@ -226,20 +202,6 @@ def _whiten_numpy(
     return out
 
 
-def _adjoint_numpy(
-    decay: Floats, read: Floats, fresh: NDArray[np.bool_], gains: Floats, std: Floats, V: Floats
-) -> Floats:
-    """The same recursion with all columns at once, for where numba is not installed."""
-    k = decay.shape[1]
-    behind = np.zeros((k + 1, V.shape[1]))
-    out = np.empty_like(V)
-    for i in range(V.shape[0] - 1, -1, -1):
-        out[i] = V[i] / std[i] + gains[i] @ behind
-        behind[:k] = decay[i][:, None] * (behind[:k] - read[i][:, None] * out[i])
-        behind[k] = 0.0 if fresh[i] else behind[k] - out[i]
-    return out
-
-
 class NoiseModel:
     """Covariance of the rows of a record, but for its levels.
 
@@ -269,12 +231,6 @@ class NoiseModel:
         decay, read, gains, std = self._filter(levels)
         run = _whiten_loops if HAVE_NUMBA else _whiten_numpy
         return run(decay, read, self.fresh, gains, std, np.ascontiguousarray(X)), std
-
-    def adjoint(self, levels: NoiseLevels, V: Floats) -> Floats:
-        """Transpose of the whitening, shape (n, m): twice in a row they are the inverse of the covariance."""
-        decay, read, gains, std = self._filter(levels)
-        run = _adjoint_loops if HAVE_NUMBA else _adjoint_numpy
-        return np.asarray(run(decay, read, self.fresh, gains, std, np.ascontiguousarray(V)))
 
     def _filter(self, levels: NoiseLevels) -> tuple[Floats, Floats, Floats, Floats]:
         decay, read, drive = self.states(levels)

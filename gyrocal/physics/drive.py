@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gyrocal.errors import DataError, InputError
+from gyrocal.errors import DataError
 from gyrocal.physics.effect import MDPS, PPM, Described, Floats, Memory, Parameter, amplitude, shape
 from gyrocal.physics.kernels import normal, uniform
 from gyrocal.physics.slip import SLIP_LAWS, slip_shape
@@ -467,13 +467,3 @@ DRIVE_EFFECTS = (
 )
 
 DRIVE_CATALOGUE: dict[str, DriveEffect] = {effect.id: effect for effect in DRIVE_EFFECTS}
-
-
-def find_drive_effect(effect_id: str) -> DriveEffect:
-    """The effect on the robot called `effect_id`; InputError lists the ids that there are."""
-    try:
-        return DRIVE_CATALOGUE[effect_id]
-    except KeyError:
-        raise InputError(
-            f"There is no effect {effect_id!r} on the robot. Known: {', '.join(sorted(DRIVE_CATALOGUE))}."
-        ) from None

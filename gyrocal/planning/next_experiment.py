@@ -17,10 +17,10 @@ from scipy.stats import norm
 
 from gyrocal.diagnosis.base import simulate
 from gyrocal.diagnosis.columns import conditions_of, offer_of
-from gyrocal.diagnosis.gram import Projection, project
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.untimed import by_time
+from gyrocal.inference.gram import Projection, project
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
 from gyrocal.physics.surface import Surface

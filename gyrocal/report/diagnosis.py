@@ -126,14 +126,6 @@ def _effect_picture(diagnosis: Diagnosis, rows: Rows, effect: NamedEffect) -> tu
     return Picture(f"effect_{effect.effect}", title, caption, missing="" if figure else missing), figure
 
 
-def render_pictures(diagnosis: Diagnosis) -> list[Picture]:
-    """Pictures of the page with their PNG."""
-    return [
-        Picture(p.name, p.title, p.caption, style.render(figure, "png") if figure else None, p.missing)
-        for p, figure in figures(diagnosis)
-    ]
-
-
 def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture], provenance: Mapping[str, str]) -> str:
     """HTML of the diagnosis, self-contained."""
     remarks = [s for s in plain_sentences(diagnosis) if s != verdict_sentence(diagnosis)]

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from gyrocal.fusion import STATES
 from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.table import DIRECTIONS, MEASURES, Row, Table
 from gyrocal.navigation.track import CONDITIONS, Condition, Track
@@ -265,8 +264,3 @@ def _draw_block(
     axes.set_xlim(-0.7, len(runs) - 0.3)
     axes.set_title(DIRECTIONS[mean.direction])
     axes.grid(visible=False, axis="x")
-
-
-def state_names() -> tuple[str, ...]:
-    """Names of the constants of `draw_states`, as in `gyrocal.fusion.STATES`."""
-    return tuple(STATES[index] for index, _, _ in PARAMETERS)

@@ -21,11 +21,11 @@ from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.diagnosis.base import Base, fit_surface
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.gram import project
 from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.errors import ProfileError
+from gyrocal.inference.gram import project
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.effect import Conditions, Effect

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.trial.gyros import Gyro, powers, surface_columns
-from gyrocal.trial.laws import LAWS, Law
+from gyrocal.trial.laws import Law
 from gyrocal.trial.plans import Bench
 from gyrocal.trial.sealed import Sealed
 
@@ -234,8 +234,3 @@ def hide(
 
 def _known(h: Hidden, fixed: Mapping[str, float]) -> dict[str, float]:
     return {k: v for k, v in fixed.items() if k in h.parameters}
-
-
-def reopened(layers: Sequence[Layer]) -> list[Hidden]:
-    """The laws of an opened answer."""
-    return [Hidden(LAWS[a.law], a.parameters, a.amplitude) for a in layers]

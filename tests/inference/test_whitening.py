@@ -124,13 +124,3 @@ def test_a_random_walk_is_taken_in_where_there_is_one_and_nowhere_else() -> None
             assert np.median(taken) == pytest.approx(levels.walk, rel=0.5)
         else:
             assert np.count_nonzero(taken) <= 1
-
-
-@pytest.mark.parametrize("numba", [True, False])
-def test_adjoint_is_the_transpose_of_the_whitening(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(whitening, "HAVE_NUMBA", whitening.HAVE_NUMBA and numba)
-    model = NoiseModel(make_series(10))
-    rng = np.random.default_rng(8)
-    x, v = rng.standard_normal((2, model.fresh.size, 3))
-    forward = model.whiten(WALKING, x)[0]
-    np.testing.assert_allclose(v.T @ forward, model.adjoint(WALKING, v).T @ x, rtol=1e-9, atol=1e-9)

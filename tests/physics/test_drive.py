@@ -18,7 +18,6 @@ from gyrocal.physics.drive import (
     DriveChange,
     DriveConditions,
     DriveEffect,
-    find_drive_effect,
 )
 from gyrocal.physics.effect import Floats
 from gyrocal.physics.slip import slip_shape
@@ -95,7 +94,7 @@ def test_laws_by_hand() -> None:
     )  # fmt: skip
 
     def change(effect_id: str, **p: float) -> list[float]:
-        return [float(x) for x in arrays(whole(find_drive_effect(effect_id), c, **p))[:, 0]]
+        return [float(x) for x in arrays(whole(DRIVE_CATALOGUE[effect_id], c, **p))[:, 0]]
 
     assert c.encoder_yaw_rad[0] == pytest.approx(turn)
     assert c.gyro_yaw_rad[0] == pytest.approx(turn)
@@ -131,7 +130,7 @@ def test_unknown_slip_laws_are_refused() -> None:
 
 def test_wheels_and_yaw_are_the_same_change() -> None:
     c = drive(50)
-    change = whole(find_drive_effect("wheel_asymmetry"), c, amplitude=2.0)
+    change = whole(DRIVE_CATALOGUE["wheel_asymmetry"], c, amplitude=2.0)
     left, right = change.wheels_m(SEPARATION_M)
     np.testing.assert_allclose(left, -0.01 * c.left_m, atol=1e-15)
     np.testing.assert_allclose(right, 0.01 * c.right_m, atol=1e-15)
@@ -141,7 +140,7 @@ def test_delay_shifts_the_rate() -> None:
     t = 0.05 * np.arange(400, dtype=np.float64)
     rate = 30 * np.sin(t)
     c = DriveConditions(t, np.full(t.size, 0.05), np.zeros(t.size), np.zeros(t.size), rate, 0.5)
-    change = whole(find_drive_effect("gyro_delay"), c, amplitude=0.1)
+    change = whole(DRIVE_CATALOGUE["gyro_delay"], c, amplitude=0.1)
     logged = rate + np.rad2deg(change.gyro_yaw_rad) / 0.05
     np.testing.assert_allclose(logged[2:], rate[:-2], atol=1e-10)
 
@@ -150,7 +149,7 @@ def test_overcount_never_takes_away_and_has_the_stated_mean() -> None:
     n = 20_000
     step = np.full(n, 0.01)
     c = DriveConditions(0.1 * np.arange(n, dtype=np.float64), np.full(n, 0.1), step, -step, np.zeros(n), 0.5)
-    left, right = whole(find_drive_effect("encoder_overcount"), c, amplitude=2.0).wheels_m(0.5)
+    left, right = whole(DRIVE_CATALOGUE["encoder_overcount"], c, amplitude=2.0).wheels_m(0.5)
     # An exponential draw has its mean as standard deviation; 4.9 sigma is a false-alarm rate of 1e-6.
     for wheel in (left, right):
         assert wheel.min() >= 0
@@ -159,7 +158,7 @@ def test_overcount_never_takes_away_and_has_the_stated_mean() -> None:
 
 def test_ticks_lose_nothing_in_the_long_run() -> None:
     c = drive(400)
-    left, right = whole(find_drive_effect("encoder_quantisation"), c, amplitude=7.0).wheels_m(SEPARATION_M)
+    left, right = whole(DRIVE_CATALOGUE["encoder_quantisation"], c, amplitude=7.0).wheels_m(SEPARATION_M)
     for change, wheel in ((left, c.left_m), (right, c.right_m)):
         counted = np.cumsum(wheel + change)
         np.testing.assert_allclose(counted / 7e-3, np.rint(counted / 7e-3), atol=1e-8)
@@ -170,7 +169,7 @@ def test_eccentric_wheel_comes_back_after_a_turn() -> None:
     turn_m = 2 * np.pi * 0.1
     step = np.full(100, turn_m / 100)
     c = DriveConditions(np.arange(100, dtype=np.float64), np.ones(100), step, step, np.zeros(100), 0.5)
-    left, right = whole(find_drive_effect("wheel_eccentricity"), c, amplitude=1.0).wheels_m(0.5)
+    left, right = whole(DRIVE_CATALOGUE["wheel_eccentricity"], c, amplitude=1.0).wheels_m(0.5)
     assert np.abs(left).max() < 1e-15
     assert right[0] == pytest.approx(0.01 * step[0], rel=1e-2)
     assert abs(right.sum()) < 1e-12
@@ -181,7 +180,7 @@ def test_slip_only_in_hard_acceleration() -> None:
     c = DriveConditions(
         0.1 * np.arange(5, dtype=np.float64), np.full(5, 0.1), speed * 0.1, speed * 0.1, np.zeros(5), 0.5
     )
-    change = whole(find_drive_effect("start_stop_slip"), c, amplitude=0.1, threshold_mps2=1.0)
+    change = whole(DRIVE_CATALOGUE["start_stop_slip"], c, amplitude=0.1, threshold_mps2=1.0)
     np.testing.assert_allclose(change.distance_m, [0, 0, 0.045, 0, -0.05], atol=1e-12)
 
 
@@ -190,7 +189,7 @@ def test_jitter_cancels_over_the_log() -> None:
     c = DriveConditions(
         0.1 * np.arange(n, dtype=np.float64), np.full(n, 0.1), np.zeros(n), np.zeros(n), np.full(n, 50.0), 0.5
     )
-    change = whole(find_drive_effect("timestamp_jitter"), c, amplitude=2.0).gyro_yaw_rad
+    change = whole(DRIVE_CATALOGUE["timestamp_jitter"], c, amplitude=2.0).gyro_yaw_rad
     assert abs(change.sum()) < 6 * 2e-3 * np.deg2rad(50)
     sigma = np.sqrt(2) * 2e-3 * np.deg2rad(50)
     # Neighbours share a draw, which doubles the variance of the variance's estimate at most.
@@ -201,6 +200,4 @@ def test_refusals() -> None:
     c = drive(5)
     bare = DriveConditions(c.t_s, c.dt_s, c.left_m, c.right_m, c.gyro_dps, 0.5)
     with pytest.raises(DataError, match="bias_temperature depends on temp_c"):
-        whole(find_drive_effect("bias_temperature"), bare)
-    with pytest.raises(InputError, match=r"no effect 'shupe' on the robot\. Known: .*wheel_scale"):
-        find_drive_effect("shupe")
+        whole(DRIVE_CATALOGUE["bias_temperature"], bare)

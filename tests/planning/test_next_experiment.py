@@ -15,9 +15,9 @@ from scipy import stats
 from gyrocal.bench.profile import load_profile, parse_profile, profile_from_dict
 from gyrocal.bench.session import AcquireConfig, connect, dry_run, plan_of
 from gyrocal.cli.acquire import command as acquire_command
-from gyrocal.diagnosis.gram import Projection
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Located
 from gyrocal.fusion.coefficients import Valid
+from gyrocal.inference.gram import Projection
 from gyrocal.planning.next_experiment import (
     Separation,
     _against_draws,

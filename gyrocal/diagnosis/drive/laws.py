@@ -40,11 +40,6 @@ class Law:
         """Unit of the amplitude in the catalogue."""
         return DRIVE_CATALOGUE[self.effect].parameters[0].unit
 
-    @property
-    def per_si(self) -> float:
-        """Catalogue units in one SI unit."""
-        return PER_SI[self.unit]
-
 
 @dataclass(frozen=True)
 class Frame:

@@ -1,4 +1,4 @@
-"""Algebra on the Gram matrix of whitened columns, and rules for many tests at once.
+"""Gains of columns beside others, from the Gram matrix of all of them.
 
 Whitened noise is white and Gaussian, so a block of columns that explains nothing gains a chi-square.
 """
@@ -79,14 +79,3 @@ def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projec
         half = (vectors[:, kept] / np.sqrt(values[kept])).T @ (cross / scale[:, None])
         gram = gram - half.T @ half
     return Projection(gram[1:, 1:], gram[1:, 0].copy(), norm[1:], float(gram[0, 0]))
-
-
-def benjamini_hochberg(p_values: Floats, level: float) -> NDArray[np.bool_]:
-    """Benjamini and Hochberg's step-up: false discovery rate `level`, shape (m,)."""
-    m = p_values.size
-    order = np.argsort(p_values)
-    under = p_values[order] <= level * np.arange(1, m + 1) / m
-    passed = np.zeros(m, dtype=bool)
-    if under.any():
-        passed[order[: int(np.flatnonzero(under).max()) + 1]] = True
-    return passed
