@@ -18,7 +18,7 @@ from gyrocal.bench.recorder import Recorder
 from gyrocal.bench.recovery import bring_back, start_devices
 from gyrocal.bench.safety import Contact, Interlocks, StopRequests, kept_safe
 from gyrocal.bench.watching import Progress, SteadyWatch, Summary, Watch
-from gyrocal.errors import DeviceError, GyrocalError, IncompleteError, OutputError
+from gyrocal.errors import DeviceError, IncompleteError, OutputError
 from gyrocal.records.journal import RunWriter, SegmentWriter
 from gyrocal.units import S_PER_MIN
 
@@ -91,7 +91,7 @@ class Runner:
                 for step in self._plan.steps:
                     self._visit(step)
                     self._done_s += step.expected_s
-        except GyrocalError as error:
+        except Exception as error:
             with contextlib.suppress(OutputError):  # a full disk must not hide that error
                 self._note("aborted", reason=str(error), error=type(error).__name__)
             s = self.summary

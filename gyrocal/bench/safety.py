@@ -304,8 +304,9 @@ def make_safe(
             chamber_error=str(chamber_error) if chamber_error else None,
         )
     )
-    if not standing and (contact.table_moved or rate_dps is not None):
-        last = "nothing" if rate_dps is None else f"{rate_dps:.4g} deg/s"
+    said = rate_dps is not None and not math.isnan(rate_dps)
+    if not standing and (contact.table_moved or said):
+        last = f"{rate_dps:.4g} deg/s" if said else "nothing"
         msg = (
             f"THE TABLE MAY STILL BE TURNING: it was told to stop for {within_s:.0f} s, and "
             f"its last read-back was {last}. Use its emergency stop now."

@@ -105,10 +105,18 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _as_a_program(debug: bool) -> None:
     """What holds for the process, and not for a caller within Python: signals, and how a bug is said."""
+    _open_closed_streams()
     signal.signal(signal.SIGTERM, _terminated)
     atexit.register(_drop_what_nobody_reads)
     if not debug:
         sys.excepthook = _say_bug
+
+
+def _open_closed_streams() -> None:
+    """Lead to nowhere what was closed before the program began: else a port gets its number, and what is printed there."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _drop_what_nobody_reads() -> None:

@@ -196,17 +196,20 @@ def _check_lines(
 def _raise_at_bad_line(
     path: Path, header: Sequence[str], wanted: Sequence[str], cause: Exception | None
 ) -> NoReturn:
-    with reading(path), path.open(encoding="utf-8-sig", errors="replace", newline="") as f:
-        for number, row in enumerate(csv.reader(f, quoting=_quoting(header, wanted)), start=1):
-            if number == 1:
-                continue
-            if len(row) != len(header):
-                msg = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. The file may be truncated; repair or remove the line."
-                raise InputError(msg) from cause
-            for name, cell in zip(header, row, strict=True):
-                if name in wanted and not _NUMBER.fullmatch(cell):
-                    msg = f"{path}, line {number}: {name:.80} is {cell[:40]!r}, not a number. Repair or remove the line."
+    try:
+        with reading(path), path.open(encoding="utf-8-sig", errors="replace", newline="") as f:
+            for number, row in enumerate(csv.reader(f, quoting=_quoting(header, wanted)), start=1):
+                if number == 1:
+                    continue
+                if len(row) != len(header):
+                    msg = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. The file may be truncated; repair or remove the line."
                     raise InputError(msg) from cause
+                for name, cell in zip(header, row, strict=True):
+                    if name in wanted and not _NUMBER.fullmatch(cell):
+                        msg = f"{path}, line {number}: {name:.80} is {cell[:40]!r}, not a number. Repair or remove the line."
+                        raise InputError(msg) from cause
+    except csv.Error as error:  # a cell as long as a file
+        cause = cause or error
     raise InputError(f"{path}: cannot be parsed as CSV ({cause or 'unexpected bytes'}).") from cause
 
 

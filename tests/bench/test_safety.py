@@ -200,6 +200,30 @@ def test_a_chamber_that_fails_to_start_is_made_safe_too(tmp_path: Path) -> None:
     assert stand.table.motions == ["stop"] * len(stand.table.motions) != []
 
 
+def test_a_table_that_never_turned_and_does_not_know_its_rate_is_no_emergency(tmp_path: Path) -> None:
+    def fail(call: str) -> None:
+        if call == "gyro.start":
+            raise DeviceError("no byte came")
+
+    stand = Stand(tmp_path / "r", fail)
+    stand.table.falsify = lambda reading: replace(
+        reading, rate_dps=float("nan")
+    )  # a manual one, not answered for yet
+    with pytest.raises(DeviceError, match="no byte came"):
+        stand.run()
+
+
+def test_a_bug_stands_in_the_journal_too(tmp_path: Path) -> None:
+    def fail(call: str) -> None:
+        if call == "chamber.read":
+            raise ZeroDivisionError("a driver's bug")
+
+    with pytest.raises(ZeroDivisionError):
+        Stand(tmp_path / "r", fail).run()
+    (line,) = events(tmp_path / "r", "aborted")
+    assert (line["error"], line["reason"]) == ("ZeroDivisionError", "a driver's bug")
+
+
 def test_a_signal_ends_a_question_to_the_operator() -> None:
     requests = StopRequests()
 

@@ -65,3 +65,10 @@ main()
         done.stderr.splitlines()[-1] == "gyrocal: interrupted; nothing was left half-written. Run it again."
     )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes streams by a shell")
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_streams_that_were_closed_before_are_no_bug(closed: str) -> None:
+    command = f'exec "{sys.executable}" -m gyrocal profile {closed}'
+    assert subprocess.run(["/bin/sh", "-c", command], check=False).returncode == 0

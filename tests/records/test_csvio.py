@@ -197,3 +197,9 @@ def test_a_file_of_another_kind_is_told_with_the_commands_that_take_it(
     for required in (known[:1], ()):
         with pytest.raises(InputError, match=commands):
             require_columns(Path("a.csv"), header, required, known)
+
+
+def test_a_cell_as_long_as_a_file_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.csv", "t_s,gyro_dps\n" + 200_000 * "x" + ",1\n")
+    with pytest.raises(InputError, match="cannot be parsed as CSV"):
+        read(path)
