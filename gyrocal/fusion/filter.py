@@ -292,7 +292,7 @@ def _report(nav: Any, m: Any, figures: Any, out: Any, k: int, filtering: bool) -
         out[k, STD + c] = UNIT[c] * math.sqrt(variance)
 
 
-def covariance(m: Any) -> Any:
+def covariance(_: Any, m: Any, __: Any) -> Any:
     """Covariance of the errors in the paper's order, radians, shape (9, 9)."""
     half = m[PLACE, :] * m[D] ** 0.5
     return half @ half.T

@@ -28,6 +28,7 @@ from gyrocal.fusion.filter import (
     FILE_WIDTH,
     GATE,
     GATED,
+    LAST_TEMP,
     LEFT,
     MOVED,
     MOVED_M,
@@ -41,6 +42,7 @@ from gyrocal.fusion.filter import (
     SLIP,
     SPEED,
     STD,
+    TEMP,
     TURN,
     UNIT,
     UPDATES,
@@ -78,11 +80,18 @@ AHEAD = PAPER_SIZE
 E, G1, G2, G3, STRAY, SINCE, TRAVEL, ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(
     AHEAD, AHEAD + 14
 )
-MEMORY_SIZE = AHEAD + 14
+# What heading and position change by for a gyro scale that is wrong by one; how far the temperature was from where the
+# bias holds.
+HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C = range(AHEAD + 14, AHEAD + 18)
+MEMORY_SIZE = AHEAD + 18
 
 # Figures after those of `filter`: spacing of the nodes, s; variance of the tick error, rad^2; of the clocks, s^2; of each
-# part of the flicker, (rad/s)^2; of the wander; of the bias step, (rad/s)^2; law of slip, amplitude, shape.
-SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, LAW, AMPLITUDE, SHAPE = range(15, 24)
+# part of the flicker, (rad/s)^2; of the wander; of the bias step, (rad/s)^2; of its slope, (rad/s/deg C)^2; of the
+# scales of the gyro and of both wheels, which no heading difference shows; law of slip, amplitude, shape.
+(
+    SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE, WAY_VARIANCE, LAW,
+    AMPLITUDE, SHAPE,
+) = range(15, 27)  # fmt: skip
 
 # Rows of the matrix: the covariance, then scratch.
 _GAIN, _V = _N, _N + 1
@@ -133,11 +142,15 @@ def _row(
     nav[X] += cos * chord - sin * aside
     nav[Y] += sin * chord + cos * aside
     nav[PHI] += turned
+    by_scale = nav[RATE] * dt if gyro else turned
+    nav[X_BY_SCALE] -= sin * chord * (nav[HEADING_BY_SCALE] + 0.5 * by_scale)
+    nav[Y_BY_SCALE] += cos * chord * (nav[HEADING_BY_SCALE] + 0.5 * by_scale)
+    nav[HEADING_BY_SCALE] += by_scale
     nav[SINCE] += dt
     nav[TRAVEL] += travel
     nav[ACROSS] += across
     nav[TURNED] += turned
-    nav[BY_GYRO] += nav[RATE] * dt if gyro else turned
+    nav[BY_GYRO] += by_scale
     nav[STILL] = 0.0 if _moves(left, right) or not encoders else nav[STILL] + dt
 
 
@@ -316,6 +329,16 @@ def _report(nav: Any, p: Any, figures: Any, out: Any, k: int) -> None:
         variance = p[PLACE[c], PLACE[c]]
         if c == 2:
             variance += p[PHI, PHI] + 2.0 * p[PSI, PHI]
+        if c < 2:
+            variance += figures[WAY_VARIANCE] * nav[c] * nav[c]
+            variance += figures[SCALE_VARIANCE] * nav[X_BY_SCALE + c] * nav[X_BY_SCALE + c]
+        if c == 8:
+            for i in range(FLICKER_1, FLICKER_3 + 1):
+                variance += 2.0 * p[BIAS, i]
+                for j in range(FLICKER_1, FLICKER_3 + 1):
+                    variance += p[i, j]
+        if c == 2 or c == 6:
+            variance += figures[SCALE_VARIANCE] * nav[HEADING_BY_SCALE] * nav[HEADING_BY_SCALE]
         out[k, STD + c] = UNIT[c] * math.sqrt(max(variance, 0.0))
 
 
@@ -323,20 +346,34 @@ def initial_covariance(std: Any, figures: Any) -> Any:
     """Matrix of the loop, from standard deviations in the paper's order, radians, shape (9,)."""
     p = np.zeros((MATRIX_ROWS, _N))
     p[PLACE, PLACE] = std**2
-    # The encoders cannot tell the gyro's scale from the track, and the gyro's is the better known.
+    # The encoders cannot tell the gyro's scale from the track: the track is the one that agrees with this gyro, and
+    # what the scale does to the pose is carried beside.
     p[SCALE, SCALE] = 0.0
     p[(FLICKER_1, FLICKER_2, FLICKER_3), (FLICKER_1, FLICKER_2, FLICKER_3)] = figures[FLICKER]
     p[WANDER, WANDER] = figures[WANDERING]
     return p
 
 
-def covariance(p: Any) -> Any:
+def covariance(nav: Any, p: Any, figures: Any) -> Any:
     """Covariance of the errors in the paper's order, radians, shape (9, 9)."""
     rows = np.zeros((9, _N))
     rows[range(9), PLACE] = 1.0
     rows[2, PHI] = 1.0
     rows[8, [FLICKER_1, FLICKER_2, FLICKER_3]] = 1.0
-    return rows @ p[:_N] @ rows.T
+    by_scale, by_way = np.zeros(9), np.zeros(9)
+    by_scale[[0, 1, 2, 6]] = nav[[X_BY_SCALE, Y_BY_SCALE, HEADING_BY_SCALE, HEADING_BY_SCALE]]
+    by_way[:2] = nav[:2]
+    unseen = figures[SCALE_VARIANCE] * np.outer(by_scale, by_scale)
+    return rows @ p[:_N] @ rows.T + unseen + figures[WAY_VARIANCE] * np.outer(by_way, by_way)
+
+
+@part
+def _warm(nav: Any, p: Any, figures: Any) -> None:
+    """A slope of the bias is known to its deviation only: the further from where the bias holds, the less of the bias."""
+    away = abs(nav[LAST_TEMP] - figures[TEMP])
+    if away > nav[AWAY_C]:
+        p[BIAS, BIAS] += figures[SLOPE_VARIANCE] * (away * away - nav[AWAY_C] * nav[AWAY_C])
+        nav[AWAY_C] = away
 
 
 @part
@@ -353,6 +390,7 @@ def _take(
         rate = rate_of(nav, figures, gyro, temp, left, right)
         if nav[MOVED] > moved:
             p[BIAS, BIAS] += figures[STEP_VARIANCE]
+        _warm(nav, p, figures)
         if _resting(nav) and _moves(left, right):
             nu, expected = _node(nav, p, figures, counts, False, filtering)
         _row(nav, figures, dt, left, right, rate, encoders, good)

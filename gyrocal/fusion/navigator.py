@@ -180,7 +180,9 @@ class Navigator:
         """Covariance of (estimate - truth) of `STATES`, in their units, shape (9, 9)."""
         # What is left of a constant's error is the truth of `STATES` minus its estimate: the other sign.
         unit = np.array([1, 1, 1, -1, -1, -1, 1, -1, -1]) * self._unit
-        return np.asarray(self._loop.covariance(self._matrix) * np.outer(unit, unit))
+        return np.asarray(
+            self._loop.covariance(self._nav, self._matrix, self._figures) * np.outer(unit, unit)
+        )
 
     def run(
         self, t_s: ArrayLike, left_m: ArrayLike, right_m: ArrayLike, gyro_dps: ArrayLike,
@@ -286,12 +288,14 @@ def _figures(
     scales = [1.0 / (1.0 + s) for s in (wheels.right_scale, wheels.left_scale, raw * gyro.scale)]
     # A tick is rounded evenly, on both wheels.
     ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
-    in_motion = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, gyro.bias_motion_dps_std * DEG_TO_RAD]
+    slope = raw * gyro.bias_slope_dps_per_c_std * DEG_TO_RAD
+    spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, gyro.bias_motion_dps_std * DEG_TO_RAD]
+    spreads += [slope, raw * robot.gyro_scale_std, robot.way_std]
     model = [
         NODE_S if robot.encoders.window_s < NODE_S else robot.encoders.window_s,
         ticks,
         noise.jitter_s**2,
-        *(v * v for v in in_motion),
+        *(v * v for v in spreads),
     ]
     law = [float(SLIP_LAWS.index(slip.law)), slip.amplitude, slip.shape]
     return np.concatenate([squared, known, [robot.wheel_separation_m, *scales], model, law])

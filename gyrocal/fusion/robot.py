@@ -175,3 +175,15 @@ class RobotParameters(_Figures):
             unknown = min(BIAS_STD_DPS, by_walk)
             known["gyro_bias_dps"] = BIAS_STD_AFTER_REST_DPS if self.static_s > 0.0 else unknown
         object.__setattr__(self, "initial_std", replace(self.initial_std, **known))
+
+    @property
+    def gyro_scale_std(self) -> float:
+        """What the gyro's scale may be off by."""
+        return self.gyro.scale_std if self.gyro.scale_std > 0.0 else self.initial_std.gyro_scale
+
+    @property
+    def way_std(self) -> float:
+        """What the scales of both wheels may be off by alike, beyond what `initial_std` gives each of them."""
+        wheels, each = self.encoders, self.initial_std
+        whole = wheels.left_scale_std**2 + wheels.right_scale_std**2
+        return math.sqrt(max(0.5 * (whole - each.left_scale**2 - each.right_scale**2), 0.0))

@@ -53,4 +53,13 @@ def left_to_gyro(gyro: Track, filtered: Track) -> Track:
 
 
 def _deviation(track: Track) -> float:
-    return float(np.sqrt(np.mean(track.std[:, 0] ** 2 + track.std[:, 1] ** 2)))
+    """Deviation of position along the path but for the scales' part, which is the same with the filter and without."""
+    at_m = track.x_m + 1j * track.y_m
+    turned = np.radians(track.heading_deg - track.heading_deg[0])
+    aside_m = np.cumsum(0.5 * (turned[1:] + turned[:-1]) * np.diff(at_m))
+    scale_std = 0.0 if track.condition.calibrated else track.robot.gyro_scale_std
+    common = scale_std**2 * np.abs(np.append(0.0, aside_m)) ** 2
+    common += track.robot.way_std**2 * np.abs(at_m - at_m[0]) ** 2
+    squares = track.std[:, 0] ** 2 + track.std[:, 1] ** 2
+    # The steps between kept rows are straight: a little of the scales' part may be left, or taken too much.
+    return float(np.sqrt(np.mean(np.maximum(squares - common, 0.0))))

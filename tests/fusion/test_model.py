@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.fusion import (
+    EncoderFigures,
     FilterNoise,
     GyroFigures,
     InitialStd,
@@ -24,8 +25,14 @@ from gyrocal.physics.slip import slip_shape
 Floats = NDArray[np.float64]
 DT, WIDTH = 0.1, 0.5
 NOISE = FilterNoise(0.002, 0.1, 0.2, tick_m=0.001, jitter_s=0.002, flicker_dps=0.002, track_wander=0.02)
-PRIOR = InitialStd(right_scale=0.002, left_scale=0.002, wheel_separation_m=0.005, gyro_bias_dps=0.02)
+PRIOR = InitialStd(
+    right_scale=0.002, left_scale=0.002, wheel_separation_m=0.005, gyro_scale=0.0, gyro_bias_dps=0.02
+)
 ROBOT = RobotParameters(WIDTH, PRIOR, NOISE, static_s=0.0)
+#: A robot of which nobody has measured how far and how much it really went.
+UNSURE = replace(
+    ROBOT, initial_std=replace(PRIOR, gyro_scale=0.003), encoders=EncoderFigures(0.0, 0.005, 0.0, 0.005)
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,9 @@ def markov(rng: np.random.Generator, n: int, tau_s: float, sigma: float) -> Floa
     return out
 
 
-def draw(rng: np.random.Generator, rest_s: float = 10.0, duration_s: float = 300.0) -> Drive:
+def draw(
+    rng: np.random.Generator, rest_s: float = 10.0, duration_s: float = 300.0, robot: RobotParameters = ROBOT
+) -> Drive:
     """A drive of the model: stand, wind, stand in the middle, wind, stand."""
     t: Floats = np.arange(0.0, duration_s, DT)
     n = t.size
@@ -60,9 +69,10 @@ def draw(rng: np.random.Generator, rest_s: float = 10.0, duration_s: float = 300
     omega = np.radians(25.0 * np.sin(t / 7.0) + 8.0) * moving
     travel = (1.0 + 0.4 * np.sin(t / 11.0)) * DT * moving
     turned = omega * DT
-    std, noise = ROBOT.initial_std, ROBOT.noise
+    std, noise = robot.initial_std, robot.noise
     right_scale, left_scale = rng.normal(0.0, std.right_scale), rng.normal(0.0, std.left_scale)
     width = WIDTH - rng.normal(0.0, std.wheel_separation_m or 0.0)
+    scale, way = rng.normal(0.0, robot.gyro_scale_std), rng.normal(0.0, robot.way_std)
     right, left = travel + 0.5 * width * turned, travel - 0.5 * width * turned
     constant = rng.normal(0.0, std.gyro_bias_dps or 0.0)
     bias = constant + sum(markov(rng, n, tau, noise.flicker_dps) for tau in FLICKER_TAUS_S)
@@ -79,6 +89,8 @@ def draw(rng: np.random.Generator, rest_s: float = 10.0, duration_s: float = 300
     across = 0.5 * WIDTH * (spin + np.diff(held, prepend=0.0))
     heading = np.cumsum(turned)
     along = heading - 0.5 * turned
+    # Wheels and track agree with the gyro: by themselves they know neither the true turn nor the true way.
+    heading, along, travel = heading / (1 + scale), along / (1 + scale), travel / (1 + way)
     return Drive(
         t,
         (1 + left_scale) * left + slip[1] * moving - across,
@@ -113,8 +125,22 @@ def test_position_and_heading_err_as_the_covariance_says(filtering: bool) -> Non
         )
         places = [0, 1, 6]
         squares += float(error @ np.linalg.solve(navigator.covariance[np.ix_(places, places)], error))
+        np.testing.assert_allclose(out.std[-1], np.sqrt(np.diag(navigator.covariance)), rtol=1e-6)
     # False alarm in 2 of 1000 sets of seeds.
     assert stats.chi2.ppf(1e-3, 3 * drives) < squares < stats.chi2.ppf(1 - 1e-3, 3 * drives)
+
+
+@pytest.mark.parametrize("filtering", [True, False])
+def test_deviations_hold_what_the_scales_are_unsure_by(filtering: bool) -> None:
+    squares, drives = np.zeros(3), 60
+    for seed in range(drives):
+        drive = draw(np.random.default_rng(seed), robot=UNSURE)
+        _, out = run(drive, UNSURE, filtering=filtering)
+        for k, name in enumerate(("x_m", "y_m", "heading_deg")):
+            error = getattr(out, name)[-1] - getattr(drive, name)[-1]
+            squares[k] += float(error / out.std[-1, (0, 1, 6)[k]]) ** 2
+    # Each on its own: a turn of the whole path by ten degrees is no small one, and bends their correlation.
+    assert np.all((stats.chi2.ppf(1e-3, drives) < squares) & (squares < stats.chi2.ppf(1 - 1e-3, drives)))
 
 
 def test_innovations_are_white_and_of_the_size_that_the_filter_expects() -> None:
@@ -179,6 +205,18 @@ def test_a_turn_before_the_first_tick_is_not_taken_for_a_bias() -> None:
     early[start - 5 : start] += 5.0
     (_, out), (_, clean) = run(replace(drive, gyro_dps=early)), run(drive)
     assert abs(out.states[start, 8] - clean.states[start, 8]) < 0.01
+
+
+def test_a_slope_of_the_bias_is_known_as_well_as_the_file_says() -> None:
+    drive = draw(np.random.default_rng(16), rest_s=0.0)
+    robot = replace(ROBOT, gyro=GyroFigures(bias_slope_dps_per_c_std=0.1, temp_c=20.0))
+    temp_c = 20.0 + 0.02 * drive.t_s
+    out = Navigator(robot, filtering=False).run(
+        drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps, temp_c
+    )
+    np.testing.assert_allclose(
+        out.std[-1, 8] ** 2 - out.std[0, 8] ** 2, (0.1 * (temp_c[-1] - 20.0)) ** 2, rtol=0.05
+    )
 
 
 @pytest.mark.parametrize("filtering", [True, False])

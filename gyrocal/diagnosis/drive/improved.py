@@ -226,11 +226,15 @@ def improved_robot(
     if not earned:
         return None
     if series.differential:
-        keys |= _geometry_keys(series, yaw, parts)
+        keys |= _geometry_keys(series, yaw, truth, parts)
     elif "wheel_scale" in parts:
         for side in ("left", "right"):
             keys[f"encoders.{side}_scale"] = parts["wheel_scale"].value
             keys[f"encoders.{side}_scale_std"] = parts["wheel_scale"].std
+    if truth is not None and not truth.mirrored and "gyro_scale" not in parts:
+        # Not sure enough to be taken out, and yet better known than before.
+        left = float(np.hypot(truth.values["gyro_scale"], truth.stds["gyro_scale"]))
+        keys["gyro.scale_std"] = min(left, series.robot.initial_std["gyro_scale"])
     keys |= _noise_keys(yaw)
     return series.robot.with_figures(keys)
 
@@ -247,10 +251,21 @@ def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict
     return keys | ({"gyro.temp_c": temp_c} if np.isfinite(temp_c) else {})
 
 
-def _geometry_keys(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]) -> dict[str, float]:
+def _untold_wheels(series: DriveSeries, truth: TruthAnswer | None) -> Scale:
+    """What both wheels may be off by alike where the truth is not sure enough to take it out, or there is none."""
+    granted = series.robot.initial_std
+    std = 0.5 * float(np.hypot(granted["left_scale"], granted["right_scale"]))
+    if truth is not None and not truth.mirrored:
+        std = min(std, float(np.hypot(truth.values["wheel_scale"], truth.stds["wheel_scale"])))
+    return Scale(0.0, std)
+
+
+def _geometry_keys(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale]
+) -> dict[str, float]:
     """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
     asymmetry, std = yaw.estimate("asymmetry")
-    wheels = parts["wheel_scale"] if "wheel_scale" in parts else Scale(0.0, 0.0)
+    wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     track, track_std = yaw.estimate("track")
     # What the scales of the truth make of the ratio of the headings is no track.
     gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
