@@ -18,46 +18,14 @@ from typing import Any
 
 import numpy as np
 
+# isort: off
 from gyrocal.fusion.filter import (
-    BIAS,
-    BIAS_WALK,
-    BLIND,
-    FILE_LEFT,
-    FILE_RIGHT,
-    FILE_SCALE,
-    FILE_WIDTH,
-    GATE,
-    GATED,
-    LAST_TEMP,
-    LEFT,
-    MOVED,
-    MOVED_M,
-    NU,
-    PHI,
-    PLACE,
-    PSI,
-    RATE,
-    RIGHT,
-    SCALE,
-    SLIP,
-    SPEED,
-    STD,
-    TEMP,
-    TURN,
-    UNIT,
-    UPDATES,
-    WALK,
-    WIDTH,
-    X,
-    Y,
-    part,
-    rate_of,
-    usable,
-    whole,
+    BIAS, BIAS_WALK, BLIND, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
+    NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
+    MEMORY_SIZE as PAPER_SIZE, part, rate_of, usable, whole,
 )  # fmt: skip
-from gyrocal.fusion.filter import (
-    MEMORY_SIZE as PAPER_SIZE,
-)
+
+# isort: on
 from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -156,31 +124,24 @@ def _row(
 
 @part
 def _transit(
-    p: Any, i: int, columns: bool, sin: float, cos: float, right: float, left: float, width: float, raw: float,
-    dt: float, keep: float, f1: float, f2: float, f3: float, f4: float,
+    p: Any, i: int, sin: float, cos: float, right: float, left: float, width: float, raw: float, dt: float,
+    keep: float, f1: float, f2: float, f3: float, f4: float,
 ) -> None:  # fmt: skip
-    """The errors of one column of P (or row) over a node (eqs. 8, 9, 11), at the mid-point heading."""
+    """The errors of one column of P over a node (eqs. 8, 9, 11), at the mid-point heading."""
     travel, turned = 0.5 * (right + left), (right - left) / width
-    if columns:
-        x, y, psi, phi = p[X, i], p[Y, i], p[PSI, i], p[PHI, i]
-        b, s, r, le, d = p[BIAS, i], p[SCALE, i], p[RIGHT, i], p[LEFT, i], p[WIDTH, i]
-        e, g1, g2, g3, o = p[TICK, i], p[FLICKER_1, i], p[FLICKER_2, i], p[FLICKER_3, i], p[WANDER, i]
-    else:
-        x, y, psi, phi = p[i, X], p[i, Y], p[i, PSI], p[i, PHI]
-        b, s, r, le, d = p[i, BIAS], p[i, SCALE], p[i, RIGHT], p[i, LEFT], p[i, WIDTH]
-        e, g1, g2, g3, o = p[i, TICK], p[i, FLICKER_1], p[i, FLICKER_2], p[i, FLICKER_3], p[i, WANDER]
-    by_gyro = raw * s + dt * (b + g1 + g2 + g3)
-    by_wheels = (right * r - left * le - turned * d) / width + turned * o
-    heading, along = phi + 0.5 * by_gyro, 0.5 * (right * r + left * le)
-    x, y = x + cos * along - sin * travel * heading, y + sin * along + cos * travel * heading
-    psi, phi = psi + by_wheels - by_gyro, phi + by_gyro
-    e, g1, g2, g3, o = keep * e, f1 * g1, f2 * g2, f3 * g3, f4 * o
-    if columns:
-        p[X, i], p[Y, i], p[PSI, i], p[PHI, i] = x, y, psi, phi
-        p[TICK, i], p[FLICKER_1, i], p[FLICKER_2, i], p[FLICKER_3, i], p[WANDER, i] = e, g1, g2, g3, o
-    else:
-        p[i, X], p[i, Y], p[i, PSI], p[i, PHI] = x, y, psi, phi
-        p[i, TICK], p[i, FLICKER_1], p[i, FLICKER_2], p[i, FLICKER_3], p[i, WANDER] = e, g1, g2, g3, o
+    by_gyro = raw * p[SCALE, i] + dt * (p[BIAS, i] + p[FLICKER_1, i] + p[FLICKER_2, i] + p[FLICKER_3, i])
+    across = right * p[RIGHT, i] - left * p[LEFT, i] - turned * p[WIDTH, i]
+    by_wheels = across / width + turned * p[WANDER, i]
+    heading, along = p[PHI, i] + 0.5 * by_gyro, 0.5 * (right * p[RIGHT, i] + left * p[LEFT, i])
+    p[X, i] += cos * along - sin * travel * heading
+    p[Y, i] += sin * along + cos * travel * heading
+    p[PSI, i] += by_wheels - by_gyro
+    p[PHI, i] += by_gyro
+    p[TICK, i] *= keep
+    p[FLICKER_1, i] *= f1
+    p[FLICKER_2, i] *= f2
+    p[FLICKER_3, i] *= f3
+    p[WANDER, i] *= f4
 
 
 @part
@@ -267,30 +228,24 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bo
     rate, speed = turned / dt * RAD_TO_DEG, nav[TRAVEL] / dt
     wider = 1.0 + figures[AMPLITUDE] * _widened(figures[LAW], rate, speed, width, figures[SHAPE])
     nav[PSI] += nav[ACROSS] / (width * wider) * (1.0 + nav[STRAY])
-    f1, f2, f3 = (
-        math.exp(-dt / FLICKER_TAUS_S[0]),
-        math.exp(-dt / FLICKER_TAUS_S[1]),
-        math.exp(-dt / FLICKER_TAUS_S[2]),
-    )
-    f4, keep = math.exp(-dt / WANDER_TAU_S), 1.0 if quiet else 0.0
+    f1, f2 = math.exp(-dt / FLICKER_TAUS_S[0]), math.exp(-dt / FLICKER_TAUS_S[1])
+    f3, f4 = math.exp(-dt / FLICKER_TAUS_S[2]), math.exp(-dt / WANDER_TAU_S)
+    keep = 1.0 if quiet else 0.0
     middle = nav[PHI] - 0.5 * turned
     sin, cos = math.sin(middle), math.cos(middle)
     # The wheels' errors act on the true turn. At rest that is none, and the gyro's noise in its place would look like
     # a wrong track.
     half = 0.0 if quiet else 0.5 * width * turned
     right, left = nav[TRAVEL] + half, nav[TRAVEL] - half
-    for i in range(_N):
-        _transit(p, i, True, sin, cos, right, left, width, nav[BY_GYRO], dt, keep, f1, f2, f3, f4)
-    for i in range(_N):
-        _transit(p, i, False, sin, cos, right, left, width, nav[BY_GYRO], dt, keep, f1, f2, f3, f4)
+    for _ in range(2):  # F P F' is F (F P)', for P is symmetric
+        for i in range(_N):
+            _transit(p, i, sin, cos, right, left, width, nav[BY_GYRO], dt, keep, f1, f2, f3, f4)
+        for i in range(_N):
+            for j in range(i):
+                p[i, j], p[j, i] = p[j, i], p[i, j]
     _spread(nav, p, figures, sin, cos, right, left, width, rest, quiet, f1, f2, f3, f4)
-    nav[E], nav[G1], nav[G2], nav[G3], nav[STRAY] = (
-        keep * nav[E],
-        f1 * nav[G1],
-        f2 * nav[G2],
-        f3 * nav[G3],
-        f4 * nav[STRAY],
-    )
+    nav[E], nav[STRAY] = keep * nav[E], f4 * nav[STRAY]
+    nav[G1], nav[G2], nav[G3] = f1 * nav[G1], f2 * nav[G2], f3 * nav[G3]
     nu = expected = 0.0
     if nav[LOST] > 0.0 or not (filtering or rest):
         _forget(nav, p)
@@ -332,11 +287,8 @@ def _report(nav: Any, p: Any, figures: Any, out: Any, k: int) -> None:
         if c < 2:
             variance += figures[WAY_VARIANCE] * nav[c] * nav[c]
             variance += figures[SCALE_VARIANCE] * nav[X_BY_SCALE + c] * nav[X_BY_SCALE + c]
-        if c == 8:
-            for i in range(FLICKER_1, FLICKER_3 + 1):
-                variance += 2.0 * p[BIAS, i]
-                for j in range(FLICKER_1, FLICKER_3 + 1):
-                    variance += p[i, j]
+        for i in range(FLICKER_1, FLICKER_3 + 1 if c == 8 else 0):
+            variance += 2.0 * p[BIAS, i] + p[i, FLICKER_1] + p[i, FLICKER_2] + p[i, FLICKER_3]
         if c == 2 or c == 6:
             variance += figures[SCALE_VARIANCE] * nav[HEADING_BY_SCALE] * nav[HEADING_BY_SCALE]
         out[k, STD + c] = UNIT[c] * math.sqrt(max(variance, 0.0))

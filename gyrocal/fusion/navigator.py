@@ -291,12 +291,7 @@ def _figures(
     slope = raw * gyro.bias_slope_dps_per_c_std * DEG_TO_RAD
     spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, gyro.bias_motion_dps_std * DEG_TO_RAD]
     spreads += [slope, raw * robot.gyro_scale_std, robot.way_std]
-    model = [
-        NODE_S if robot.encoders.window_s < NODE_S else robot.encoders.window_s,
-        ticks,
-        noise.jitter_s**2,
-        *(v * v for v in spreads),
-    ]
+    model = [max(NODE_S, wheels.window_s), ticks, noise.jitter_s**2, *(v * v for v in spreads)]
     law = [float(SLIP_LAWS.index(slip.law)), slip.amplitude, slip.shape]
     return np.concatenate([squared, known, [robot.wheel_separation_m, *scales], model, law])
 
