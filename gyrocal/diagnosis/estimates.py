@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from gyrocal.diagnosis.intervals import (
     Point,
@@ -56,8 +57,19 @@ class _Beside:
     precision: Floats
 
     def at(self, shape: Mapping[str, float]) -> Point:
-        """At a shape of a law of one amplitude."""
-        return self.of(self.laws.at(self.effect, shape))
+        """At a shape of a law of one amplitude; what of it is of a few kinds is of the best of them."""
+        kinds = [{**shape, **kind} for kind in self._kinds(shape)]
+        points = [self.of(self.laws.at(self.effect, kind)) for kind in kinds]
+        return min(points, key=lambda p: p.loss)
+
+    def _kinds(self, shape: Mapping[str, float]) -> list[dict[str, float]]:
+        """Values on the grid of what is not refined."""
+        search = self.effect.search
+        choices = [n for n in shape if n not in search.refined]
+        if not choices:
+            return [{}]
+        kinds = {tuple(s[n] for n in choices) for s in search.grid(self.laws.offer)}
+        return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)]
 
     def of(self, columns: Floats) -> Point:
         """For columns; of two amplitudes their size counts."""
@@ -110,7 +122,10 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     """
     effect = CATALOGUE[law.effect]
     model = fitted.model.without(without)
-    others = [c for c in model.all if c.name != law.name]
+    # One law that was found in two blocks is one; plays and jumps may be several.
+    several = effect.search.adds_up or "at_s" in law.shape
+    same = [x.name for x in model.laws if x.name == law.name or (x.effect == law.effect and not several)]
+    others = [c for c in model.all if c.name not in same]
     surface, _ = np.linalg.qr(model.design[:, model.flat])
     score, p = fitted.contrasts.precision(others, fitted.fit.log_variance)
     beside = _Beside(effect, laws, surface, score, p)
@@ -179,9 +194,12 @@ def _instants(laws: Laws, near_s: float) -> Floats:
 
 
 def of_pattern(pattern: Pattern) -> dict[str, Estimate]:
-    """Parameters of a pattern within data sets: amplitude and phase from cosine and sine."""
+    """Parameters of a pattern within data sets: amplitude and phase from cosine and sine.
+
+    Their covariance is known to the scatter between the sets: Student's t.
+    """
     effect = CATALOGUE[pattern.effect]
-    b, v = pattern.amplitudes, pattern.covariance
+    b, v = pattern.amplitudes, pattern.covariance * (student.ppf(0.975, pattern.dof) / NORMAL_95) ** 2
     unit = effect.parameter("amplitude").unit
     if b.size == 1:
         found = {"amplitude": normal(float(b[0]), float(np.sqrt(v[0, 0])), unit)}
@@ -192,7 +210,9 @@ def of_pattern(pattern: Pattern) -> dict[str, Estimate]:
             "amplitude": normal(size, float(np.sqrt(along @ v @ along)), unit),
             "phase_rad": normal(float(np.arctan2(-b[1], b[0])), float(np.sqrt(across @ v @ across)), "rad"),
         }
-    return found | _shapes(effect, pattern.shape, {})
+    if pattern.size is not None:
+        found["amplitude"] = Estimate(found["amplitude"].value, pattern.size.std, unit, pattern.size.interval)
+    return found | _shapes(effect, pattern.shape, pattern.profiles)
 
 
 def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:

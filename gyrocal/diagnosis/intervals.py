@@ -105,7 +105,10 @@ def shapes_around(interval: tuple[float, float], limits: tuple[float, float]) ->
 
 
 def amplitude_interval(points: Sequence[Point]) -> Profile:
-    """Interval of an amplitude that is traded against shapes: each shape allows for what it loses less."""
+    """Interval of an amplitude that is traded against shapes: each shape allows for what it loses less.
+
+    The first point is the one whose amplitude is stated, and lies inside.
+    """
     # A shape that no row shows says nothing of the amplitude.
     shown = [(p.loss, p.amplitude, p.std) for p in points if np.isfinite(p.std)]
     if not shown:
@@ -113,7 +116,9 @@ def amplitude_interval(points: Sequence[Point]) -> Profile:
     loss, amplitude, std = np.array(shown).T
     likely = loss - loss.min() < _RISE_95
     reach = np.sqrt(_RISE_95 - (loss[likely] - loss.min())) * std[likely]
-    interval = (float(np.min(amplitude[likely] - reach)), float(np.max(amplitude[likely] + reach)))
+    stated = points[0].amplitude
+    low, high = float(np.min(amplitude[likely] - reach)), float(np.max(amplitude[likely] + reach))
+    interval = (min(low, stated), max(high, stated))
     return Profile(interval, (interval[1] - interval[0]) / _RATIO_95)
 
 

@@ -12,17 +12,19 @@ Liang and Zeger, Biometrika 73 (1986): covariance from independent clusters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
-from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
+from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER, Profile
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.within_shapes import ShapeWithin
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Effect
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -48,6 +50,9 @@ class Pattern:
         At the rows of the series, means of the sets included.
     amplitudes, covariance : ndarray, shape (q,), (q, q)
     p_value : float
+    dof : float
+        Degrees of freedom of the covariance.
+    profiles, size : intervals of the shape's parameters, and of the amplitude where it is traded against them
     """
 
     effect: str
@@ -56,6 +61,9 @@ class Pattern:
     amplitudes: Floats
     covariance: Floats
     p_value: float
+    dof: float
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    size: Profile | None = None
 
     @property
     def family(self) -> str:
@@ -104,7 +112,42 @@ def patterns(series: Series, level: float) -> list[Pattern]:
         candidates = [c for c in candidates if _kind(c) != _kind(candidate)]
         found.append(_refined(series, rows, sets, found, candidate))
         result = _test(series, rows, sets, found)
-    return sorted(result, key=lambda p: p.p_value)
+    return sorted(_with_intervals(series, rows, sets, result), key=lambda p: p.p_value)
+
+
+def _with_intervals(
+    series: Series, rows: NDArray[np.bool_], sets: Ints, found: list[Pattern]
+) -> list[Pattern]:
+    """The same with how well amplitudes and shapes are known.
+
+    A few sets may carry most, and the scatter of their scores is too small: each set is left out in turn. For the
+    test the plain scatter serves, whose law is known.
+    """
+    if not found:
+        return []
+    candidates = [_Candidate(p.effect, p.shape, p.columns) for p in found]
+    y, z = _centred(series, rows, sets, candidates)
+    covariance = jackknife(y, z, sets)
+    c, first, result = conditions_of(series), 0, []
+    for pattern in found:
+        own = slice(first, first + pattern.amplitudes.size)
+        first = own.stop
+        pattern = replace(pattern, covariance=covariance[own, own])
+        effect = CATALOGUE[pattern.effect]
+        if effect.search.refined:
+            basis = np.linalg.qr(np.delete(z, np.arange(own.start, own.stop), axis=1))[0]
+
+            def columns(shape: Mapping[str, float], effect: Effect = effect) -> Floats:
+                there = _Candidate(effect.id, shape, effect.columns(c, shape, None))
+                return _centred(series, rows, sets, [there])[1]
+
+            beside = ShapeWithin(effect, columns, y - basis @ (basis.T @ y), basis)
+            profiles, size = beside.intervals(
+                pattern.shape, pattern.amplitudes, pattern.covariance, pattern.dof
+            )
+            pattern = replace(pattern, profiles=profiles, size=size)
+        result.append(pattern)
+    return result
 
 
 def strange_turns(series: Series, level: float) -> list[Located]:
@@ -223,8 +266,22 @@ def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[
         p = 1.0
         if dof >= _SETS_A_COLUMN * size:
             p = float(fisher.sf(t2 * dof / ((used - 1.0) * size), size, dof))
-        found.append(Pattern(candidate.effect, candidate.shape, candidate.columns, b[own], v, p))
+        found.append(
+            Pattern(candidate.effect, candidate.shape, candidate.columns, b[own], v, p, max(dof, 1.0))
+        )
     return found
+
+
+def jackknife(y: Floats, z: Floats, sets: Ints) -> Floats:
+    """Covariance of least-squares coefficients from leaving out each set in turn."""
+    size = z.shape[1]
+    bread = np.linalg.pinv(z.T @ z, rcond=1e-10, hermitian=True)
+    left = y - z @ (bread @ (z.T @ y))
+    score = np.column_stack([np.bincount(sets, x * left) for x in z.T])
+    each = np.column_stack([np.bincount(sets, x * w) for x in z.T for w in z.T]).reshape(-1, size, size)
+    moved = np.linalg.pinv(np.eye(size) - each @ bread, rcond=1e-6) @ score[:, :, None]
+    change = moved[:, :, 0] @ bread
+    return np.asarray((len(score) - 1.0) / len(score) * change.T @ change)
 
 
 def _effective_sets(z: Floats, sets: Ints) -> float:
