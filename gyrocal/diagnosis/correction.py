@@ -27,6 +27,7 @@ from gyrocal.physics.smooth import Factor, SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
+from gyrocal.physics.timewise import WARM_UP
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -36,6 +37,8 @@ _TERMS = SHAPE[0] * SHAPE[1]
 _NEGLIGIBLE = 0.03
 #: Evidence of a part without a name that needs no other proof, nats.
 _BEYOND_DOUBT = 10.0
+#: What comes again with less probability than this has no term in the file.
+_OVER = 0.01
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,8 @@ def doubtful(found: Examination, left_out: Mapping[str, Improvement]) -> list[st
 def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     """The coefficient file of what was found; of a table of sweeps it is averaged over the models that are near.
 
-    The surface has the state at the end of the record: a drift or a step is held where it was last.
+    The surface has the state at the end of the record: a drift or a step is held where it was last. Where it is open
+    whether a change since power-on comes again, the file has the mean of both, which errs least.
 
     Parameters
     ----------
@@ -90,8 +94,9 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     else:
         models = [(1.0, _less(found.naming.fitted, without))]
     solved = [(weight, fitted, fitted.solve(widened=True)) for weight, fitted in models]
-    items, total = _items([(f.model, s) for _, f, s in solved])
-    each = [(w, _estimate(f.model, s, items, total)) for w, f, s in solved]
+    again = found.naming.comes_again
+    items, total = _items([(f.model, s) for _, f, s in solved], again)
+    each = [(w, _estimate(f.model, s, items, total, again)) for w, f, s in solved]
     mean = np.asarray(sum((w * e.values for w, e in each), np.zeros(total)))
     covariance = np.zeros((total, total))
     for w, e in each:
@@ -149,8 +154,8 @@ def _noise(fitted: Fitted) -> Noise:
     return Noise(angle_random_walk_deg_per_rt_h=(walk, walk * (1.0 - spread), walk * (1.0 + spread)))
 
 
-def _items(models: Sequence[tuple[Model, Solution]]) -> tuple[list[_Item], int]:
-    """Terms that any of the models needs, and the number of all parameters."""
+def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list[_Item], int]:
+    """Terms that any of the models needs, and the number of all parameters; none that surely does not come again."""
     found: list[_Item] = []
     place = _TERMS
     known: set[str] = set()
@@ -158,8 +163,13 @@ def _items(models: Sequence[tuple[Model, Solution]]) -> tuple[list[_Item], int]:
         least = _NEGLIGIBLE * float(np.std(solution.left))
         laws = {law.name: law for law in model.laws if CATALOGUE[law.effect].runtime and not law.from_end}
         parts = {p.name: p for p in model.parts if p.block != "surface"}
+        over = set(_since_power_on(model)) if again < _OVER else set()
         for name in solution.order:
-            if name in known or (name != DIRECTION and name not in laws and name not in parts):
+            if (
+                name in over
+                or name in known
+                or (name != DIRECTION and name not in laws and name not in parts)
+            ):
                 continue
             if name in parts and not _of_robot(parts[name]):
                 continue
@@ -179,8 +189,15 @@ def _of_robot(part: Part) -> bool:
     return needs <= ROBOT_CHANNELS
 
 
-def _estimate(model: Model, solution: Solution, items: Sequence[_Item], total: int) -> _Estimate:
-    """Parameters of the file from the amplitudes of one model: linear, so that the covariance follows."""
+def _estimate(
+    model: Model, solution: Solution, items: Sequence[_Item], total: int, again: float
+) -> _Estimate:
+    """Parameters of the file from the amplitudes of one model: linear, so that the covariance follows.
+
+    Parameters
+    ----------
+    again : probability that what follows the time since power-on comes again; else it is held where it was last
+    """
     sizes = [len(solution.flat), *(len(solution.amplitudes[n]) for n in solution.order)]
     starts = dict(zip(("", *solution.order), np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
     to_file = np.zeros((total, int(np.sum(sizes))))
@@ -201,10 +218,25 @@ def _estimate(model: Model, solution: Solution, items: Sequence[_Item], total: i
             # The surface gives back what the smooth part was freed of.
             taken = powers @ polynomials(item.part.columns, model.basis.frame)
             to_file[:_TERMS, at : at + item.size] -= taken * weight
+    for name, columns in _since_power_on(model).items():
+        mine = slice(starts[name], starts[name] + columns.shape[1])
+        to_file[_TERMS:, mine] *= again
+        to_file[0, mine] += (1.0 - again) * columns[-1]
     amplitudes = np.concatenate([solution.flat, *(solution.amplitudes[n] for n in solution.order)])
     values = to_file @ amplitudes
     values[:_TERMS] += _end_state(model, solution)
     return _Estimate(values, to_file @ solution.covariance @ to_file.T)
+
+
+def _since_power_on(model: Model) -> dict[str, Floats]:
+    """Columns of what follows the time since power-on, by component."""
+    parts = {
+        p.name: model.components[p.name].columns
+        for p in model.parts
+        if p.block == "warm-up" and p.name in model.components
+    }
+    laws = {law.name: law.columns for law in model.laws if law.effect == WARM_UP.id and not law.from_end}
+    return laws | {n: columns for n, columns in parts.items() if columns is not None}
 
 
 def _end_state(model: Model, solution: Solution) -> Floats:

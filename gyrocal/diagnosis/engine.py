@@ -12,7 +12,7 @@ from gyrocal.diagnosis.answer import layers_of, named_effects
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
-from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
@@ -36,6 +36,7 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
 
@@ -44,6 +45,8 @@ Floats = NDArray[np.float64]
 #: A walk is taken in at this rate of false alarms at the most: the processes that stand for 1/f noise follow it to
 #: some percent only, and a long record would have a walk make up for that.
 _WALK_LEVEL = 1e-6
+#: What is less probable than this is not said to be open.
+_SURE = 0.05
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,13 @@ def diagnose(
         surface=coefficients or surface,
         improved=improved if layered or found.candidates or any(p.corrected for p in parts) else None,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *temperature_alone(found), *_not_written(withheld, parts, series)),
+        notes=(
+            *notes,
+            *series.notes,
+            *temperature_alone(found),
+            *_not_written(withheld, parts, series),
+            *_open(found, parts),
+        ),
         layers=stairs.layers,
         unnamed=parts,
     )
@@ -141,6 +150,15 @@ def _not_written(withheld: list[str], parts: tuple[UnnamedPart, ...], series: Se
     seen = {p.coordinate for p in parts}
     coordinates = dict.fromkeys(coordinate_of(b, series) for b in withheld)
     return [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
+
+
+def _open(found: Examination, parts: tuple[UnnamedPart, ...]) -> list[Remark]:
+    """Whether it is open that a change since power-on comes again."""
+    seen = {n.law.effect for n in found.naming.named} | {p.coordinate for p in parts}
+    again = found.naming.comes_again
+    if not seen & {WARM_UP.id, WARM_UP.seen_in} or not _SURE < again < 1.0 - _SURE:
+        return []
+    return [Remark(Said.OPEN_SINCE_POWER_ON, {"again": again})]
 
 
 def _sampling(series: Series) -> list[Finding]:

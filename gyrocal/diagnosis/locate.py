@@ -153,6 +153,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     fitted = found.naming.fitted
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
+    passed = () if found.naming.comes_again > 0.5 else ("warm-up",)
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
         if block in named or block in ("each rate", WANDERING) or block_p_value(nats, len(BLOCKS)) > level:
@@ -168,7 +169,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
                 place.get("high"),
                 place["unit"],
                 found.naming.nearest.get(block, {}),
-                BLOCKS[block].stays and block not in ("supply", *withheld),
+                BLOCKS[block].stays and block not in ("supply", *withheld, *passed),
             )
         )
     return tuple(parts)

@@ -21,6 +21,7 @@ from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER
+from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -37,6 +38,8 @@ _REPLACED = 2.0
 _NAMED_SHARE = 0.6
 #: A law worth less at the end is dropped, nats.
 _DROPPED = 4.0
+#: What a law lacks that was not even near, nats.
+_UNLIKELY = 50.0
 _REFITTED = 3
 #: Blocks that a wrong direction of the surface looks like.
 _BENT = ("odd rate", "even rate", "each rate")
@@ -83,6 +86,13 @@ class Naming:
     unnamed: dict[str, float] = field(default_factory=dict)
     nearest: dict[str, dict[str, float]] = field(default_factory=dict)
     input_gain: float = 0.0
+
+    @property
+    def comes_again(self) -> float:
+        """Probability that what the bias did since power-on begins anew with the next one: of a warm-up, not a drift."""
+        near = self.nearest.get("warm-up") or self.nearest.get("bias in time", {})
+        behind = near.get(WARM_UP.id, _UNLIKELY) - near.get(BIAS_DRIFT.id, _UNLIKELY)
+        return float(1.0 / (1.0 + np.exp(np.clip(behind, -_UNLIKELY, _UNLIKELY))))
 
 
 def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:

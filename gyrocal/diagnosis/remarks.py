@@ -26,6 +26,7 @@ class Said(Enum):
     TEMPERATURE_ALONE = auto()
     NOT_TEMPERATURE_ALONE = auto()
     NOT_WRITTEN = auto()
+    OPEN_SINCE_POWER_ON = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
     BURST_SAMPLES = auto()

@@ -17,6 +17,9 @@ from gyrocal.units import S_PER_H
 #: Instants of a jump of the bias that are tried from the first; a scan of all of them adds the likely ones.
 _JUMP_NET = 48
 
+#: A drift is straight, or slows down: the power that is nearest to ageing with the logarithm of time is about a third.
+_POWERS = (0.35, 0.5, 0.7, 1.0)
+_POWER = shape("power", "1", 0.2, 1.0, 1.0, "1: steady; below 1 it slows down, as ageing does")
 _AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record's clock")
 
 
@@ -25,11 +28,17 @@ def _warm_up(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> 
 
 
 def _bias_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(MDPS * p["amplitude"] * c.t_s / S_PER_H)
+    return np.asarray(MDPS * p["amplitude"] * _grown(c, p))
+
+
+def _grown(c: Conditions, p: Mapping[str, float]) -> Floats:
+    """Growth since the beginning of the record, 1 after an hour; a clock that began long before makes it straight."""
+    hours = c.t_s / S_PER_H
+    return np.asarray(np.sign(hours) * np.abs(hours) ** p["power"])
 
 
 def _scale_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(PPM * p["amplitude"] * c.t_s / S_PER_H * c.rate_dps)
+    return np.asarray(PPM * p["amplitude"] * _grown(c, p) * c.rate_dps)
 
 
 def _bias_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -42,6 +51,10 @@ def _scale_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) 
 
 def _net(offer: Offer) -> list[dict[str, float]]:
     return [{"at_s": float(x)} for x in np.linspace(*offer.t_s, _JUMP_NET + 2)[1:-1]]
+
+
+def _powers(offer: Offer) -> list[dict[str, float]]:
+    return [{"power": power} for power in _POWERS]
 
 
 def _between_turns(offer: Offer) -> list[dict[str, float]]:
@@ -75,30 +88,31 @@ WARM_UP = Effect(
 BIAS_DRIFT = Effect(
     id="bias_drift",
     family="time",
-    equation="e = k t",
+    equation="e = k t^p",
     statement="The bias drifts slowly, all the run long (ageing, rate ramp).",
-    parameters=(amplitude("mdeg/s/h", 100.0, 1.0, "drift"),),
+    parameters=(amplitude("mdeg/s/h", 100.0, 1.0, "drift in the first hour"), _POWER),
     needs=("t_s",),
     seen_in="time",
     looks_like=("warm_up", "thermal_hysteresis"),
     reference="IEEE Std 952, rate ramp",
     runtime=False,
     error_dps=memoryless(_bias_drift),
+    search=Search(grid=_powers, refined=("power",)),
 )
 
 SCALE_DRIFT = Effect(
     id="scale_drift",
     family="time",
-    equation="e = k t w",
+    equation="e = k t^p w",
     statement="The scale factor drifts slowly, all the run long.",
-    parameters=(amplitude("ppm/h", 10000.0, 50.0, "drift"),),
+    parameters=(amplitude("ppm/h", 10000.0, 50.0, "drift in the first hour"), _POWER),
     needs=("t_s", "rate_dps"),
     seen_in="time",
     looks_like=("scale_step", "thermal_lag"),
     reference="wavelength of the source",
     runtime=False,
     error_dps=memoryless(_scale_drift),
-    search=Search(requires=(table_turns,)),
+    search=Search(grid=_powers, refined=("power",), requires=(table_turns,)),
     fold=scale_on_time,
 )
 

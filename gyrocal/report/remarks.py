@@ -74,6 +74,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
     Said.NOT_TEMPERATURE_ALONE: _beyond_temperature,
     Said.NOT_WRITTEN: _not_written,
+    Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
+    "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
     "mdeg/s: small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,

@@ -153,3 +153,26 @@ def test_a_creep_after_steps_has_its_time_constant_though_the_first_sample_is_ea
     assert found.effect == "step_response"
     assert found.shape["frequency_hz"] == 0.0
     assert found.shape["tau_s"] == pytest.approx(2.2, rel=0.07)
+
+
+def at_rest(change_dps: Floats, t: Floats) -> Diagnosis:
+    """Diagnosis of data sets at rest from power-on, with noise of 0.4 mdeg/s and a change of the bias."""
+    rng = np.random.default_rng(5)
+    temp = 25.0 + 0.1 * np.sin(t / 500.0)
+    gyro = 0.01 + change_dps + 4e-4 * rng.standard_normal(t.size)
+    return diagnose(DataSetTable(Path("rest.csv"), np.zeros(t.size), gyro, temp, t_s=t))
+
+
+def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_again() -> None:
+    t: Floats = 60.0 * np.arange(120, dtype=np.float64)
+    aged, warmed = at_rest(5e-3 * np.sqrt(t / t[-1]), t), at_rest(5e-3 * np.exp(-t / 900.0), t)
+    assert [e.effect for e in aged.effects] == ["bias_drift"]
+    assert [e.effect for e in warmed.effects] == ["warm_up"]
+    later = np.array([0.0, 3600.0])
+    for found, expected in ((aged, [0.015, 0.015]), (warmed, [0.015, 0.0101])):
+        assert found.improved is not None
+        file = parse_coefficients(found.improved.to_text(), "improved")
+        gyro, temp = np.array(expected), np.full(2, 25.0)
+        since = later if found is warmed else None
+        left = Compensator(file).evaluate(later, gyro, temp, since).rate_dps
+        np.testing.assert_allclose(left, 0.0, atol=8e-4)

@@ -108,6 +108,9 @@ def test_laws_by_hand() -> None:
     ] == pytest.approx(10e-3 / np.e)
     t = np.array([0.0, 3600.0, 7200.0])
     np.testing.assert_allclose(error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0), [0, 2e-3, 4e-3])
+    np.testing.assert_allclose(
+        error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0, power=0.5), [0, 2e-3, 2e-3 * np.sqrt(2.0)]
+    )
     np.testing.assert_allclose(error("scale_drift", at([50.0] * 3, t_s=t), amplitude=10.0), [0, 5e-4, 1e-3])
     np.testing.assert_allclose(
         error("bias_step", at([1.0] * 3, t_s=t), amplitude=3.0, at_s=3600.0), [0, 3e-3, 3e-3]
