@@ -133,32 +133,22 @@ def diagnose(
         surface=coefficients or surface,
         improved=improved if layered or found.candidates or any(p.corrected for p in parts) else None,
         rows=_rows(series, left, coefficients, levels),
-        notes=(
-            *notes,
-            *series.notes,
-            *temperature_alone(found),
-            *_not_written(withheld, parts, series),
-            *_open(found, parts),
-        ),
+        notes=(*notes, *series.notes, *temperature_alone(found), *_of_file(found, withheld, parts)),
         layers=stairs.layers,
         unnamed=parts,
     )
 
 
-def _not_written(withheld: list[str], parts: tuple[UnnamedPart, ...], series: Series) -> list[Remark]:
-    """What was found and is not in the correction."""
+def _of_file(found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...]) -> list[Remark]:
+    """What was found and is not in the correction, and whether it is open that a change since power-on comes again."""
     seen = {p.coordinate for p in parts}
-    coordinates = dict.fromkeys(coordinate_of(b, series) for b in withheld)
-    return [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
-
-
-def _open(found: Examination, parts: tuple[UnnamedPart, ...]) -> list[Remark]:
-    """Whether it is open that a change since power-on comes again."""
-    seen = {n.law.effect for n in found.naming.named} | {p.coordinate for p in parts}
+    coordinates = dict.fromkeys(coordinate_of(b, found.series) for b in withheld)
+    remarks = [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
     again = found.naming.comes_again
-    if not seen & {WARM_UP.id, WARM_UP.seen_in} or not _SURE < again < 1.0 - _SURE:
-        return []
-    return [Remark(Said.OPEN_SINCE_POWER_ON, {"again": again})]
+    warming = WARM_UP.seen_in in seen or WARM_UP.id in {n.law.effect for n in found.naming.named}
+    if warming and _SURE < again < 1.0 - _SURE:
+        remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))
+    return remarks
 
 
 def _sampling(series: Series) -> list[Finding]:

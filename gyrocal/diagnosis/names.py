@@ -196,8 +196,28 @@ def name(
     fitted, input_gain = settle_direction(fitted)
     # What a law's first surface or shape had left to smooth parts may be gone.
     fitted, left = present(around_itself(fitted), laws)
+    if passes:
+        fitted, left, more = _jumps_instead(fitted, left, passes, laws)
+        named += [_jumped(jump) for jump in more]
     fitted, laws = tied_anew(fitted, laws)
     return Naming(fitted, tuple(_mechanisms(_as_fitted(named, fitted))), left, nearest, input_gain), laws
+
+
+def _jumps_instead(
+    fitted: Fitted, worth: dict[str, float], passes: Sequence[Component], laws: Laws
+) -> tuple[Fitted, dict[str, float], list[Jump]]:
+    """The model with jumps in place of a block that has no name, where they explain as much.
+
+    A plan goes through temperatures in turn: what is smooth in temperature can follow a jump at an instant.
+    """
+    for block in sorted(worth, key=lambda b: -worth[b]):
+        if not BLOCKS[block].stays:
+            continue
+        without = evidence(fitted, block, laws)[1]
+        jumped, jumps = with_jumps(without, passes, laws, GAIN)
+        if jumps and jumped.nll <= fitted.nll + _REPLACED + len(jumps):
+            return *present(jumped, laws), jumps
+    return fitted, worth, []
 
 
 def _as_fitted(named: list[Named], fitted: Fitted) -> list[Named]:
