@@ -237,6 +237,27 @@ def test_a_stuck_output_is_seen_across_drains(pieces: int, equal: int, stuck: bo
     assert (verdict is not None and "stuck" in verdict) == stuck
 
 
+def coarse(level: float, *, pieces: int = 7, stuck: int = 0) -> StreamTally:
+    """A minute at a kilohertz of an output whose steps are five times its noise, at a level between two steps."""
+    rng = np.random.default_rng(3)
+    values = np.round(level + 0.2 * rng.normal(size=60_000))
+    values[20_000 : 20_000 + stuck] = 1.0
+    tally, t_s = StreamTally(1000.0), np.arange(60_000) / 1000.0
+    for part, now_s in zip(np.array_split(values, pieces), np.array_split(t_s, pieces), strict=True):
+        tally.add(GyroSamples(now_s, part, now_s, np.zeros(now_s.size)))
+    return tally
+
+
+@pytest.mark.parametrize(("stuck", "verdict"), [(0, False), (2_000, True)])
+def test_a_coarse_output_is_not_stuck_where_its_runs_have_all_lengths(stuck: int, verdict: bool) -> None:
+    tally = coarse(0.07, stuck=stuck)
+    assert tally.longest_run >= 100
+    said = judge_stream(
+        tally, NONE, StreamHealth(frames_good=60_000), 1000.0, StreamLimits(), duration_s=60.0
+    )
+    assert (said is not None and "stuck" in said) == verdict
+
+
 @pytest.mark.parametrize(("after_pause", "restarts"), [(1, 1), (50, 0)])
 def test_a_pause_is_a_restart_unless_its_bytes_come_late(after_pause: int, restarts: int) -> None:
     transport = ChunkTransport([])
