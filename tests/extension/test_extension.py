@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -135,3 +137,22 @@ def test_a_bad_package_is_named(tmp_path: Path, line: str, said: str) -> None:
     assert done.returncode == 3
     assert said in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_the_page_for_packages_is_a_package(tmp_path: Path) -> None:
+    """The law, the package file and the profile of the page as they stand there."""
+    page = (ROOT / "gyrocal" / "physics" / "extending.md").read_text(encoding="utf-8")
+    law = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)[0]
+    project, virtual = (tomllib.loads(t) for t in re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)[:2])
+    added = project["project"]["entry-points"]["gyrocal.effects"]
+    environment = install(tmp_path, "[gyrocal.effects]\n" + "".join(f"{k} = {v}\n" for k, v in added.items()))
+    (module,) = project["tool"]["setuptools"]["py-modules"]
+    (tmp_path / f"{module}.py").write_text(law, encoding="utf-8")
+    profile = tmp_path / "mine.toml"
+    ((effect, sizes),) = virtual["virtual"]["effects"].items()
+    profile.write_text(toml(tiny(**{f"virtual__effects__{effect}": sizes})), encoding="utf-8")
+    words = ("-m", "gyrocal", "acquire", str(profile), "--dry-run", "--out", str(tmp_path / "run"))
+    assert run(environment, *words).returncode == 0
+    refused = run({**environment, "PYTHONPATH": str(ROOT)}, *words)
+    assert refused.returncode != 0
+    assert effect in refused.stderr

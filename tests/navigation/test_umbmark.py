@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import stats
 
 from gyrocal.errors import DataError
 from gyrocal.navigation.umbmark import umbmark
@@ -59,6 +60,15 @@ def test_intervals_cover() -> None:
         inside += found.track_ratio.low <= bare.track_ratio.value <= found.track_ratio.high
     # A wider interval than 95 % comes of adding four t variables of 4 degrees of freedom; 1e-4 of a binomial below.
     assert inside >= 178
+
+
+def test_an_interval_of_one_scattering_coordinate_is_students() -> None:
+    """Three runs have two degrees of freedom: 4.3 standard errors of their mean, where a normal law has 2."""
+    scatter = np.array([[-0.01, 0.0], [0.0, 0.0], [0.01, 0.0]])
+    found = umbmark(scatter, np.zeros((3, 2)), SIDE_M, SEPARATION_M).track_ratio
+    per_metre = 0.5 / (4.0 * SIDE_M) / (0.5 * math.pi)
+    half = stats.t.ppf(0.975, 2) * 0.01 / math.sqrt(3) * per_metre
+    assert 0.5 * (found.high - found.low) == pytest.approx(half, rel=0.05)
 
 
 def test_too_few_runs_are_refused() -> None:
