@@ -57,7 +57,8 @@ def command(
     """Run PROFILE, a .toml file or the name of a shipped profile (quick, rd2100, ...), on the bench.
 
     Ctrl-C once ends the run after the data set at hand, twice at once; the table is stopped and the
-    chamber goes to its safe set point either way, and --resume carries on.
+    chamber goes to its safe set point either way, and --resume carries on. Ctrl-Z does nothing, and
+    under nohup the run outlives its terminal.
 
     Example: gyrocal acquire quick --simulate --seed 7 --out run
     """
