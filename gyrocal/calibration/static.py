@@ -7,7 +7,7 @@ variances show: white, 1/f down to the slowest that the fit allows for, and rand
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from gyrocal.calibration.datasets import load_recording
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.fit import gls_gain
 from gyrocal.calibration.flicker import TIME_CONSTANTS_S, flicker_correlation
+from gyrocal.calibration.jumps import jumps_of
 from gyrocal.calibration.noise import (
     NoiseFigures,
     add_pieces,
@@ -141,6 +142,7 @@ class _Reading:
     elapsed_s: float = 0.0
     steps: int = 0
     jitter_s: float = 0.0
+    step_dps: float = np.inf
 
 
 def examine_static(
@@ -172,13 +174,21 @@ def examine_static(
             f"{config.path}: holds no samples at rest. Record some with the static_allan profile."
         )
     course = reading.course.course()
+    spans = list[tuple[float, float]]()
     if run is None:
         _refuse_turns(config.path, course)
+        spans = jumps_of(course, reading.step_dps)
+    if spans:
+        notes.append(_jumps_said(spans))
+        reading = _read(_without(_log_blocks(config, []), spans))
     tell(0.8, "figures")
     noise = figures_of(_curves(reading)) if run is None else figures_of(curves_at_rest(run, _bias(run)))
     covariance = _covariance(course, noise, reading.elapsed_s)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
     figures = [*_mean(course, covariance, blank, config), *_slopes(course, covariance, blank)]
+    if spans:
+        reason = "the output jumps within the record: cut out a rest"
+        figures = [replace(f, value=None, low=None, high=None, reason=reason) for f in figures]
     figures.append(_clock(reading, rate_hz))
     return StaticFigures(
         config.path,
@@ -200,6 +210,23 @@ def _refuse_turns(path: Path, course: Course) -> None:
             f"{path}: the gyro turns in it, at up to {np.max(np.abs(course.gyro_dps)):.3g} deg/s, and noise is told of one that "
             "stands. Cut out a rest, give the table's rate as rate_dps, or take `turn` for turns on a mark."
         )
+
+
+def _jumps_said(spans: Sequence[tuple[float, float]]) -> str:
+    shown = ", ".join(f"{0.5 * (start + end):.4g} s" for start, end in spans[:4]) + (
+        ", ..." if len(spans) > 4 else ""
+    )
+    length_s = sum(end - start for start, end in spans)
+    return f"the output jumps (at {shown}): the gyro was moved, or its bias stepped; noise is told without the {length_s:.3g} s around"
+
+
+def _without(blocks: Iterator[_Block], spans: Sequence[tuple[float, float]]) -> Iterator[_Block]:
+    """The blocks, missing what lies in `spans`."""
+    for block in blocks:
+        inside = np.zeros(block.t_s.shape, dtype=np.bool_)
+        for start, end in spans:
+            inside |= (block.t_s >= start) & (block.t_s <= end)
+        yield replace(block, gyro_dps=np.where(inside, np.nan, block.gyro_dps))
 
 
 def _bias(run: Run) -> Floats:
@@ -243,6 +270,8 @@ def _read(blocks: Iterator[_Block]) -> _Reading:
         if t_s.size < 2:
             continue
         reading.samples += t_s.size
+        moved = np.abs(np.diff(gyro_dps))
+        reading.step_dps = float(np.min(moved, where=moved > 0.0, initial=reading.step_dps))
         reading.course.add(t_s, gyro_dps, block.temp_c[good])
         cuts, tail = gaps(tail, t_s, block.dt_s)
         _time(reading, t_s, cuts, block.dt_s)

@@ -138,7 +138,7 @@ def fit_noise(curves: Sequence[AllanCurve]) -> NoiseModel | None:
             if best is None or p_value > best[0]:
                 best = p_value, used
             if p_value >= LACK_OF_FIT:
-                return data.model(data.beyond_memory(used))
+                return data.model(data.beyond_memory(data.off_the_bend(used, first)))
     return None if best is None else data.model(best[1])
 
 
@@ -214,6 +214,15 @@ class _Data:
             c = best.coefficients
         free = np.count_nonzero(c[1:] > 1e-6 * (avar[:, None] / powers[:, 1:]).min(axis=0)) + 1
         return best, logs, float(stats.chi2.sf(best.cost, int(used.sum()) - free))
+
+    def off_the_bend(self, used: Mask, left_out: int) -> Mask:
+        """All but the shortest averaging time, where `left_out` shorter ones do not fit.
+
+        What bends those bends the next one too, only not enough to be seen: a filter that rings has a memory in the sense
+        of this model that is far shorter than its ringing.
+        """
+        longer = used & (self.tau_s > self.tau_s[used].min())
+        return longer if left_out and longer.sum() >= len(POWERS) + _LEAST_SPARE else used
 
     def beyond_memory(self, used: Mask) -> Mask:
         """Those of the averaging times that are long against the sensor's memory as the fit to them says it.

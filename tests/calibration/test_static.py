@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.course import CourseSums
+from gyrocal.calibration.jumps import jumps_of
 from gyrocal.calibration.noise import gaps
 from gyrocal.calibration.static import StaticConfig, StaticFigures, earth_rate_dph, examine_static
 from gyrocal.cli import gyrocal_command
@@ -66,6 +67,42 @@ def test_a_log_without_temperature(tmp_path: Path) -> None:
     assert "not told from noise" in found.figures["rate_ramp"].reason
     assert found.samples == 60_000
     json.dumps(found.to_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("size_dps", [2.0, 90.0])
+def test_a_turn_in_a_log_is_left_out_of_its_noise(tmp_path: Path, size_dps: float) -> None:
+    """Ten seconds in half an hour: taken for noise they are a random walk of the rate, and its interval is short."""
+    rng = np.random.default_rng(5)
+    t_s = 0.02 * np.arange(90_000)
+    gyro = white(rng, t_s.size, 0.02)
+    gyro[25_000:25_500] += size_dps
+    found = examine_static(StaticConfig(write_log(tmp_path / "moved.csv", t_s, gyro)))
+    walk = found.noise.angle_random_walk_deg_per_rt_h
+    assert walk is not None
+    assert walk[1] < 60.0 * ARW_DPS_RT_S < walk[2]
+    assert walk[2] / walk[1] < 1.1
+    assert found.noise.figures["rate_random_walk"].value is None
+    assert "the output jumps (at 50" in found.notes[-1]
+    assert found.figures["mean_bias"].reason == "the output jumps within the record: cut out a rest"
+
+
+def test_noise_of_any_kind_does_not_jump() -> None:
+    """2 of 600 logs of ten kinds when this was written: white, 1/f, walks, filters, rounding, warm-ups, telegraphs."""
+    rng = np.random.default_rng(6)
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    noise = white(rng, t_s.size)
+    logs = (
+        noise,
+        noise + flicker(rng, t_s.size, 2e-3, 0.1),
+        noise + np.cumsum(rng.normal(0.0, 1e-4, t_s.size)),
+        noise + np.exp(-t_s / 300.0),
+        np.round(noise / 0.02) * 0.02,
+    )
+    for gyro in logs:
+        sums = CourseSums()
+        sums.add(t_s, gyro, np.full(t_s.size, np.nan))
+        steps = np.abs(np.diff(gyro))
+        assert jumps_of(sums.course(), float(np.min(steps[steps > 0]))) == []
 
 
 def test_earth_rate_by_axis() -> None:

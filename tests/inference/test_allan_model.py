@@ -101,7 +101,7 @@ def test_correlation_of_the_variances_counts(monkeypatch: pytest.MonkeyPatch) ->
     def diagonal(curve: AllanCurve) -> Floats:
         return np.asarray(covariance_parts(curve) * np.eye(curve.factor.size)[:, :, None, None])
 
-    values = FILTERED.record(np.random.default_rng(12), 36_000)
+    values = SENSORS["white, 1/f"].record(np.random.default_rng(12), 36_000)
     right = model_of(values)
     monkeypatch.setattr(allan_model, "covariance_parts", diagonal)
     wrong = model_of(values)
@@ -143,6 +143,73 @@ def test_a_low_pass_that_is_fast_against_its_points_is_left_out() -> None:
         model = model_of(np.asarray(signal.lfilter([1.0 - last], [1.0, -last], noise))[100:])
         assert not model.used[0]
         assert model.parts[1].low < 0.1 * 4.4e-3**2 < model.parts[1].high
+
+
+def test_a_filter_that_rings_does_not_bend_the_angle_random_walk() -> None:
+    """A resonance of Q 1.5 at 2 Hz: its ringing goes on behind the averaging times that it visibly bends."""
+    omega, step_s = 2.0 * np.pi * 2.0, 0.0125
+    b, a = signal.bilinear([omega**2], [1.0, omega / 1.5, omega**2], 1.0 / step_s)
+    hits = 0
+    for k in range(8):
+        noise = np.random.default_rng([19, k]).normal(0.0, 1.4e-3 / np.sqrt(step_s), 36_600 * 8)
+        white = model_of(np.asarray(signal.lfilter(b, a, noise))[::8][600:]).parts[1]
+        hits += white.low < 1.4e-3**2 < white.high
+    assert hits >= 7
+
+
+#: Overlapping Allan deviations of the three gyros of an ADIS16448, deg/h, at these multiples of 0.005 s: a real sensor,
+#: as github.com/gaowenliang/imu_utils publishes it (data/data_16448_gyr_*.txt; about 1.6 h).
+FACTORS = (
+    1,
+    2,
+    4,
+    8,
+    17,
+    32,
+    62,
+    121,
+    267,
+    520,
+    1010,
+    1964,
+    4363,
+    8484,
+    16500,
+    32087,
+    62402,
+    138624,
+    269590,
+    524288,
+)
+PUBLISHED = {
+    "x": "365.42 311.0 235.77 171.74 119.81 88.223 63.906 46.508 32.666 25.406 21.449 18.493 17.648 18.009 19.99 20.742 "
+    "22.788 28.311 27.323 26.602",
+    "y": "368.74 312.43 237.76 173.63 120.55 88.662 63.935 46.309 31.881 23.501 18.633 15.966 15.705 17.66 20.198 24.165 "
+    "31.143 41.29 43.217 57.232",
+    "z": "377.38 337.77 241.66 175.72 120.8 88.735 64.098 46.521 32.232 24.504 19.316 16.718 16.447 17.151 18.18 18.862 "
+    "25.447 50.623 72.501 62.777",
+}
+
+
+@pytest.mark.parametrize("axis", PUBLISHED)
+def test_the_published_curve_of_a_real_gyro(axis: str) -> None:
+    """It bends at 0.01 s by the sensor's filter, and rises behind a minute: the angle random walk is the slope between."""
+    adev = np.array(PUBLISHED[axis].split(), dtype=float) / 3600.0
+    curve = AllanCurve(0.005, np.array(FACTORS), adev**2, np.array([1_150_000]), np.array([1]))
+    model = fit_noise([curve])
+    assert model is not None
+    assert model.fits
+    assert not model.used[:2].any()
+    assert model.used[-1]
+    second = curve.tau_s.searchsorted(1.0)
+    np.testing.assert_allclose(
+        np.sqrt(model.avar(curve.tau_s[5 : second + 2])), adev[5 : second + 2], rtol=0.02
+    )
+    walk, flat = model.parts[1], model.parts[2]
+    # What the curve says at 0.085 s, where there is little else.
+    assert np.sqrt(walk.value) == pytest.approx(adev[4] * np.sqrt(curve.tau_s[4]), rel=0.05)
+    assert walk.high / walk.low < 1.06
+    assert 0.0 < flat.low < flat.value < adev.min() ** 2
 
 
 def test_noise_of_slope_minus_one_has_no_angle_random_walk() -> None:
