@@ -67,7 +67,8 @@ def command(
     """Compare RECORDING with its simulation and name what is missing.
 
     RECORDING is a run directory, a table of data sets or, with --robot, a drive log; OTHERS are drive logs of the
-    same robot, on which is shown what the first one told.
+    same robot, on which is shown what the first one told; with --simulation they are recordings of further units, and
+    between.json says which parameters differ between them.
 
     Writes diagnosis.json, diagnosis.html with pictures, surface.json (the model before), improved.json where
     physics was found (a coefficient file with that physics as terms), next_experiment.toml where an experiment
@@ -112,8 +113,9 @@ def _say(result: DiagnoseResult) -> None:
 
     found = result.diagnosis
     emit_list(dict.fromkeys([*result.told, *plain_sentences(found)]))
-    for table in tables(found):
+    for table in [*result.more, *tables(found)]:
         if table.rows and table.name in (
+            "between",
             "estimates",
             "located",
             "effects",

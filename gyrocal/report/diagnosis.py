@@ -126,8 +126,13 @@ def _effect_picture(diagnosis: Diagnosis, rows: Rows, effect: NamedEffect) -> tu
     return Picture(f"effect_{effect.effect}", title, caption, missing="" if figure else missing), figure
 
 
-def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture], provenance: Mapping[str, str]) -> str:
-    """HTML of the diagnosis, self-contained."""
+def diagnosis_page(
+    diagnosis: Diagnosis,
+    pictures: Sequence[Picture],
+    provenance: Mapping[str, str],
+    more: Sequence[Table] = (),
+) -> str:
+    """HTML of the diagnosis, self-contained; `more`: tables that stand first."""
     remarks = [s for s in plain_sentences(diagnosis) if s != verdict_sentence(diagnosis)]
     page = Page(
         title=f"Diagnosis of {diagnosis.recording}",
@@ -135,7 +140,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture], provenance
         key_figures=_key_figures(diagnosis),
         remarks=remarks,
         pictures=pictures,
-        tables=tables(diagnosis),
+        tables=[*more, *tables(diagnosis)],
         provenance=provenance,
         beside="Every figure stands beside this page as PNG, and every number in diagnosis.json.",
     )

@@ -19,6 +19,7 @@ from gyrocal.diagnosis.drive.engine import diagnose_drive
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.diagnosis.versus.answer import versus
+from gyrocal.diagnosis.versus.between import between
 from gyrocal.errors import InputError, LimitError, ProfileError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.planning.next_experiment import propose, to_toml
@@ -27,11 +28,12 @@ from gyrocal.records.drive_source import Reading, read_drive
 from gyrocal.records.robot import format_robot, read_robot
 from gyrocal.records.run import Run, read_run
 from gyrocal.report import style
+from gyrocal.report.between import BETWEEN_JSON, between_file, between_table, between_told
 from gyrocal.report.diagnosis import diagnosis_page, figures
 from gyrocal.report.diagnosis_drive import drive_figures
 from gyrocal.report.drive_words import drive_sentences
 from gyrocal.report.output import check_output, write_directory
-from gyrocal.report.page import Picture
+from gyrocal.report.page import Picture, Table
 from gyrocal.report.sentences import document
 from gyrocal.report.versus import law_files, told
 
@@ -53,7 +55,8 @@ class DiagnoseConfig:
     bench_hours: float = 8.0
     seed: int = 0
     force_sensor: bool = False
-    #: Drive logs of the same robot that the figures are shown on and not fitted to.
+    #: Drive logs of the same robot that the figures are shown on and not fitted to; or, with a simulation, recordings
+    #: of further units.
     others: tuple[Path, ...] = ()
     reading: Reading = field(default_factory=Reading)
     simulation: Path | None = None
@@ -67,6 +70,7 @@ class DiagnoseResult:
     out: Path
     files: tuple[str, ...]
     told: tuple[str, ...] = ()
+    more: tuple[Table, ...] = ()
 
 
 def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResult:
@@ -85,15 +89,16 @@ def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResul
         )
     if config.robot is not None:
         return _write_drive(config, config.robot, progress)
-    if config.others:
+    if config.others and config.simulation is None:
         raise InputError(
-            f"{config.others[0]}: several recordings are for drive logs. State the robot file with --robot."
+            f"{config.others[0]}: several recordings are compared with a simulation, or are drive logs. State --simulation "
+            "or --robot."
         )
     if config.reading != Reading():
         raise InputError(
             f"{config.recording}: --columns, --topic and --axis are for drive logs. State the robot file with --robot."
         )
-    source = _read(config)
+    source = _read(config.recording, config.counts_per_dps)
     if config.simulation is not None:
         return _write_versus(config, source, config.simulation, progress)
     coefficients, notes = _model(config, source)
@@ -169,27 +174,37 @@ def _write_versus(
     simulated = series_of(simulation)
     progress(0.1, "match and examine")
     answer = versus(series_of(source), simulated, Options(seed=config.seed))
-    said = told(answer)
+    said, files, more = told(answer), law_files(answer), []
+    if config.others:
+        answers = [answer]
+        for number, path in enumerate(config.others, 1):
+            progress(0.1 + 0.6 * number / (len(config.others) + 1), path.name)
+            other = series_of(_read(path, config.counts_per_dps))
+            answers.append(versus(other, simulated, Options(seed=config.seed, heldout=False)))
+        compared = between(answers)
+        said = (*said, *between_told(answers, compared))
+        files[BETWEEN_JSON] = between_file(answers, compared)
+        more = [between_table(answers, compared)]
     # Coefficients of the difference are none of a gyro, and no robot must take them for such.
     found = replace(answer.diagnosis, surface=None, improved=None, notes=(*said, *answer.diagnosis.notes))
     drawn = figures(found)
     provenance = _provenance(config) | {"coefficients": "none", "simulation": simulation.name}
-    files = diagnosis_files(found, drawn, provenance, progress) | law_files(answer)
+    files |= diagnosis_files(found, drawn, provenance, progress, more)
     write_directory(config.out, files)
     progress(1.0, "")
-    return DiagnoseResult(found, config.out, tuple(files), said)
+    return DiagnoseResult(found, config.out, tuple(files), said, tuple(more))
 
 
-def _read(config: DiagnoseConfig) -> Run | DataSetTable:
-    if config.recording.is_dir():
-        if config.counts_per_dps is not None:
+def _read(path: Path, counts_per_dps: float | None) -> Run | DataSetTable:
+    if path.is_dir():
+        if counts_per_dps is not None:
             raise InputError(
-                f"{config.recording}: a run is in deg/s already; --counts-per-dps is for tables. Leave it out."
+                f"{path}: a run is in deg/s already; --counts-per-dps is for tables. Leave it out."
             )
-        run = read_run(config.recording)
+        run = read_run(path)
         refuse_compensated(run)
         return run
-    return read_data_sets(config.recording, config.counts_per_dps)
+    return read_data_sets(path, counts_per_dps)
 
 
 def _model(config: DiagnoseConfig, source: Run | DataSetTable) -> tuple[Coefficients | None, tuple[str, ...]]:
@@ -225,8 +240,9 @@ def diagnosis_files(
     drawn: Sequence[tuple[Picture, Figure | None]],
     provenance: Mapping[str, str],
     progress: Progress,
+    more: Sequence[Table] = (),
 ) -> dict[str, bytes | str]:
-    """Name to contents of everything that a diagnosis writes."""
+    """Name to contents of everything that a diagnosis writes; `more`: tables that stand first on the page."""
     files: dict[str, bytes | str] = {
         "diagnosis.json": json.dumps(document(diagnosis), indent=1, sort_keys=True, allow_nan=False) + "\n"
     }
@@ -245,7 +261,7 @@ def diagnosis_files(
         png = style.render(figure, "png")
         files[f"figures/{picture.name}.png"] = png
         pictures.append(replace(picture, png=png))
-    files["diagnosis.html"] = diagnosis_page(diagnosis, pictures, provenance)
+    files["diagnosis.html"] = diagnosis_page(diagnosis, pictures, provenance, more)
     return files
 
 

@@ -1,0 +1,36 @@
+"""Spread between sources: alike ones are not told apart, and the intervals cover."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gyrocal.inference.spread import spread_between
+
+
+@pytest.mark.parametrize("spread", [0.0, 2.0])
+def test_intervals_of_mean_and_spread_cover(spread: float) -> None:
+    rng = np.random.default_rng(11)
+    held = np.zeros(3)
+    for _ in range(400):
+        stds = rng.uniform(0.5, 1.5, 5)
+        values = 7.0 + spread * rng.standard_normal(5) + stds * rng.standard_normal(5)
+        found = spread_between(values, stds)
+        held += [
+            found.mean_interval_95[0] <= 7.0 <= found.mean_interval_95[1],
+            found.spread_interval_95[0] <= spread <= found.spread_interval_95[1],
+            found.p_value < 0.05,
+        ]
+    mean, between, found_apart = held / 400
+    # Binomial scatter of 400 draws is 1.1 %.
+    assert 0.92 < mean <= 1.0
+    assert 0.92 < between <= 1.0
+    assert found_apart < 0.09 if spread == 0.0 else found_apart > 0.5
+
+
+def test_equal_estimates_have_no_spread() -> None:
+    found = spread_between(np.array([3.0, 3.0]), np.array([1.0, 1.0]))
+    assert found.spread == 0.0
+    assert found.spread_interval_95[0] == 0.0
+    assert found.mean == 3.0
+    assert found.p_value == pytest.approx(1.0)
