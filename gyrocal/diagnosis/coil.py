@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,20 @@ from gyrocal.diagnosis.parts import Coil, since_on
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
-from gyrocal.units import S_PER_H
+from gyrocal.units import NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
+Shape = TypeVar("Shape", bound=float)
 
 #: A law of time: effect, and the row from which on a step holds, or the time constant of a warm-up, s; otherwise 0.
 Change = tuple[str, int]
 
-_SHARES = (0.3, 0.6, 1.0)
-_LAGS_S = (60.0, 120.0, 240.0, 450.0, 900.0)
-#: Time constants that a coil may have, s.
+#: Time constants that a coil may have, s; of a logarithm that is normal, these are 95 %.
 LAG_BOUNDS_S = (30.0, 1500.0)
+_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
+_LAGS_S = tuple(np.geomspace(*LAG_BOUNDS_S, 18).round(1).tolist())
+#: Of these, with which a search begins.
+_FIRST_SHARES, _FIRST_LAGS_S = _SHARES[1::2] + _SHARES[-1:], _LAGS_S[3:16:3]
 #: What is the surface's, or is freed of it.
 _AT_COIL = ("surface", "temperature")
 _STEPS = (SCALE_STEP.id, BIAS_STEP.id)
@@ -45,6 +49,8 @@ _ITERATIONS = 20
 _TOLL_NATS = 3.0
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
+#: Around models within this of the best one every shape is tried, and around no more of them than this.
+_SPREAD_NATS, _MOST_SPREAD = 2.5, 20
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,7 @@ class TableSearch:
         first = self.fit(None, (), None)
         coils: list[Coil] = [None]
         if np.ptp(self.base.means.series.history.temp_c) > 1.0:
-            coils += [(a, tau) for tau in _LAGS_S for a in _SHARES]
+            coils += [(a, tau) for tau in _FIRST_LAGS_S for a in _FIRST_SHARES]
         warm_up = self.best_warm_up(first)
         beam = [self.fit(None, (change,), first) for change in warm_up]
         for coil in coils:
@@ -90,7 +96,21 @@ class TableSearch:
             if [c.score for c in wider] == [c.score for c in beam]:
                 break
             beam = wider
+        self._spread()
         return sorted(self.known.values(), key=lambda c: c.score)
+
+    def _spread(self) -> None:
+        """Every shape near those of the best models, so that an average over them is one over all that they may be."""
+        done: set[tuple[Coil, tuple[Change, ...]]] = set()
+        while len(done) < _MOST_SPREAD:
+            best = min(self.known.values(), key=lambda c: c.score)
+            near = [c for k, c in self.known.items() if k not in done and c.score < best.score + _SPREAD_NATS]
+            if not near:
+                break
+            start = min(near, key=lambda c: c.score)
+            done.add((start.coil, start.changes))
+            for move in self.reshaped(start):
+                self.fit(*move, start)
 
     def fit(self, coil: Coil, changes: tuple[Change, ...], near: Candidate | None) -> Candidate:
         """A model with the variances of a near one for a start."""
@@ -98,7 +118,7 @@ class TableSearch:
         if key not in self.known:
             model = self.model(coil, changes)
             if near is None:
-                designs = [replace(self.base.basis, coil=(1.0, tau)).surface() for tau in _LAGS_S]
+                designs = [replace(self.base.basis, coil=(1.0, tau)).surface() for tau in _FIRST_LAGS_S]
                 contrasts = contrasts_of(model, designs=designs)
             else:
                 contrasts = contrasts_of(model, near.fitted.contrasts)
@@ -166,21 +186,10 @@ class TableSearch:
         """Models one step away."""
         coil, changes = candidate.coil, candidate.changes
         if coil is not None:
-            share, tau = coil
             yield None, changes
-            for factor in (0.8, 1.25):
-                if LAG_BOUNDS_S[0] < tau * factor < LAG_BOUNDS_S[1]:
-                    yield (share, round(tau * factor, 1)), changes
-            for step in (-0.15, 0.15):
-                if 0.05 < share + step <= 1.0 + 1e-9:
-                    yield (round(share + step, 3), tau), changes
-        for k, (effect, tau_s) in enumerate(changes):
-            others = changes[:k] + changes[k + 1 :]
-            yield coil, others
-            if effect == WARM_UP.id:
-                at = _WARM_UPS_S.index(tau_s)
-                for near_s in _WARM_UPS_S[max(at - 1, 0) : at + 2]:
-                    yield coil, tuple(sorted({*others, (effect, near_s)}))
+        for k in range(len(changes)):
+            yield coil, changes[:k] + changes[k + 1 :]
+        yield from self.reshaped(candidate)
         if len(changes) < _MOST_CHANGES:
             for effect in _STEPS:
                 yield coil, tuple(sorted({*changes, self.best_step(candidate, effect)}))
@@ -190,11 +199,38 @@ class TableSearch:
                 for change in self.best_warm_up(candidate):
                     yield coil, tuple(sorted({*changes, change}))
 
+    def reshaped(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
+        """The same laws, one of them in a neighbouring shape."""
+        coil, changes = candidate.coil, candidate.changes
+        if coil is not None:
+            share, tau_s = coil
+            yield from (((near, tau_s), changes) for near in _neighbours(_SHARES, share))
+            yield from (((share, near), changes) for near in _neighbours(_LAGS_S, tau_s))
+        rows = range(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
+        for k, (effect, at) in enumerate(changes):
+            grid: Sequence[int] = rows if effect in _STEPS else _WARM_UPS_S if effect == WARM_UP.id else ()
+            others = changes[:k] + changes[k + 1 :]
+            yield from ((coil, tuple(sorted({*others, (effect, near)}))) for near in _neighbours(grid, at))
+
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
-        shapes = [float(len(_SHARES) * len(_LAGS_S))] if coil else []
+        """What the laws of a model pay, nats: a coil's time constant its prior too, a normal one of its logarithm."""
+        shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         tried = dict.fromkeys(_STEPS, float(len(self.base.means))) | {WARM_UP.id: float(len(_WARM_UPS_S))}
         shapes += [tried.get(effect, 1.0) for effect, _ in changes]
-        return float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+        paid = float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+        if coil is None:
+            return paid
+        low, high = np.log(LAG_BOUNDS_S)
+        off = (np.log(coil[1]) - 0.5 * (low + high)) / ((high - low) / (2.0 * NORMAL_95))
+        return paid + 0.5 * float(off**2)
+
+
+def _neighbours(grid: Sequence[Shape], value: Shape) -> list[Shape]:
+    """The values before and after one of a grid."""
+    if value not in grid:
+        return []
+    at = grid.index(value)
+    return [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
 
 
 def _best(candidates: list[Candidate]) -> list[Candidate]:

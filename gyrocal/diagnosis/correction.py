@@ -93,8 +93,8 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
         models = [(weight, candidate.fitted) for weight, candidate in found.candidates]
     else:
         models = [(1.0, _less(found.naming.fitted, without))]
-    solved = [(weight, fitted, fitted.solve(widened=True)) for weight, fitted in models]
-    again = found.naming.comes_again
+    solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
+    again = found.comes_again
     items, total = _items([(f.model, s) for _, f, s in solved], again)
     each = [(w, _estimate(f.model, s, items, total, again)) for w, f, s in solved]
     mean = np.asarray(sum((w * e.values for w, e in each), np.zeros(total)))
@@ -102,6 +102,9 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     for w, e in each:
         covariance += w * (e.covariance + np.outer(e.values - mean, e.values - mean))
     first = models[0][1]
+    # What the variances add is much the same in models so near to each other.
+    widened = _estimate(first.model, first.solve(widened=True), items, total, again)
+    covariance += widened.covariance - each[0][1].covariance
     frame = first.model.basis.frame
     direction: Direction = "output" if first.model.direction == "output" else "input"
     surface = Surface(

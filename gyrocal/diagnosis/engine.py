@@ -144,7 +144,7 @@ def _of_file(found: Examination, withheld: list[str], parts: tuple[UnnamedPart, 
     seen = {p.coordinate for p in parts}
     coordinates = dict.fromkeys(coordinate_of(b, found.series) for b in withheld)
     remarks = [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
-    again = found.naming.comes_again
+    again = found.comes_again
     warming = WARM_UP.seen_in in seen or WARM_UP.id in {n.law.effect for n in found.naming.named}
     if warming and _SURE < again < 1.0 - _SURE:
         remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))

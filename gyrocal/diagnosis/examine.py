@@ -55,6 +55,14 @@ class Examination:
     ranked: tuple[Candidate, ...] = ()
 
     @property
+    def comes_again(self) -> float:
+        """Probability that what the bias did since power-on begins anew with the next one."""
+        if not self.ranked:
+            return self.naming.comes_again
+        weight = np.exp([self.ranked[0].score - c.score for c in self.ranked])
+        return float(weight @ [c.warms_up for c in self.ranked] / weight.sum())
+
+    @property
     def model(self) -> Model:
         """The model at the end."""
         return self.naming.fitted.model

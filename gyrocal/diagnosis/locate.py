@@ -153,7 +153,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     fitted = found.naming.fitted
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
-    passed = () if found.naming.comes_again > 0.5 else ("warm-up",)
+    passed = () if found.comes_again > 0.5 else ("warm-up",)
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
         if block in named or block in ("each rate", WANDERING) or block_p_value(nats, len(BLOCKS)) > level:
