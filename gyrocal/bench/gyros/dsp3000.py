@@ -14,8 +14,8 @@ from gyrocal.bench.gyros.codec import GOOD, Frame, LineDecoder
 LINE_CHARACTERS = 19
 #: Beyond this the data are unreliable whatever the BIT word says (manual 54-0215).
 MAX_TRUSTED_DPS = 375.0
-#: Single-character commands; nothing is answered, so they are sent three times (as kvh_drivers does).
-COMMAND_RATE, COMMAND_INCREMENT, COMMAND_ANGLE, COMMAND_ZERO = b"R", b"A", b"P", b"Z"
+#: Switches to rates; nothing is answered, so it is sent three times (as kvh_drivers does).
+COMMAND_RATE = b"R"
 
 STATUS_FAULT = 1
 STATUS_OVER_RANGE = 2
