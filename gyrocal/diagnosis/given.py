@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 #: A surface has changed where the evidence is this strong and the change is above the noise of a data set.
 _CHANGED_P = 1e-4
 _LEAST_SPAN_C = 10.0
+#: Heating and cooling are compared in so many stretches of temperature, where either has this many rows at the least
+#: and moves faster than a soak does.
+_STRETCHES, _FEWEST_ROWS, _MOVING_C_PER_MIN = 20, 5, 0.1
 #: Evidence that something else than the temperature moves the bias, nats: odds of 150.
 _HISTORY_NATS = 5.0
 
@@ -99,12 +102,13 @@ def temperature_alone(found: Examination) -> tuple[Remark, ...]:
 
 def _branch_gap(series: Series, left: Floats) -> float | None:
     """Difference between heating and cooling at the same temperature, rms over the temperatures of both, deg/s."""
-    edges = np.linspace(series.temp_c.min(), series.temp_c.max(), 21)
-    bins = np.clip(np.searchsorted(edges, series.temp_c, side="right") - 1, 0, 19)
+    edges = np.linspace(series.temp_c.min(), series.temp_c.max(), _STRETCHES + 1)
+    bins = np.clip(np.searchsorted(edges, series.temp_c, side="right") - 1, 0, _STRETCHES - 1)
     means = []
-    for up in (series.temp_rate_c_per_min > 0.1, series.temp_rate_c_per_min < -0.1):
-        count = np.bincount(bins[up], minlength=20)
-        total = np.bincount(bins[up], weights=left[up], minlength=20)
-        means.append(np.where(count >= 5, total / np.maximum(count, 1), np.nan))
+    rate = series.temp_rate_c_per_min
+    for up in (rate > _MOVING_C_PER_MIN, rate < -_MOVING_C_PER_MIN):
+        count = np.bincount(bins[up], minlength=_STRETCHES)
+        total = np.bincount(bins[up], weights=left[up], minlength=_STRETCHES)
+        means.append(np.where(count >= _FEWEST_ROWS, total / np.maximum(count, 1), np.nan))
     gap = means[0] - means[1]
     return float(np.sqrt(np.nanmean(gap**2))) if np.isfinite(gap).any() else None

@@ -14,8 +14,8 @@ Floats = NDArray[np.float64]
 _SMOOTH_TEMP_S = 10.0
 _SMOOTH_RATE_S = 20.0
 _MOST_POINTS = 30_000
-#: A pause between readings over which nothing is smoothed, s.
-_GAP_S = 60.0
+#: A pause between readings over which nothing is smoothed: longer than this, s, and than so many usual ones.
+_GAP_S, _GAP_STEPS = 60.0, 20.0
 
 
 @dataclass(frozen=True)
@@ -57,19 +57,6 @@ class TemperatureHistory:
         return np.asarray(np.interp(t_s, self.t_s, lagged))
 
 
-def play(values: Floats, radius: float) -> Floats:
-    """Play operator over a sequence, shape (n,); it starts in the middle of its play."""
-    out = np.empty_like(values)
-    position = float(values[0])
-    for i, value in enumerate(values.tolist()):
-        if value - radius > position:
-            position = value - radius
-        elif value + radius < position:
-            position = value + radius
-        out[i] = position
-    return out
-
-
 def fill_gaps(t_s: Floats, values: Floats) -> Floats:
     """Linear interpolation across NaN."""
     known = np.isfinite(values)
@@ -93,7 +80,7 @@ def temperature_history(t_s: Floats, temp_c: Floats, smooth: bool = True) -> Tem
 
 def _pieces(grid: Floats, t_s: Floats) -> list[slice]:
     """Parts of the grid that readings cover; between them the temperature is not known and not smoothed over."""
-    gaps = np.flatnonzero(np.diff(t_s) > max(_GAP_S, 20.0 * float(np.median(np.diff(t_s)))))
+    gaps = np.flatnonzero(np.diff(t_s) > max(_GAP_S, _GAP_STEPS * float(np.median(np.diff(t_s)))))
     if t_s.size < 3 or gaps.size == 0:
         return [slice(0, grid.size)]
     starts = np.concatenate([[t_s[0]], t_s[gaps + 1]])

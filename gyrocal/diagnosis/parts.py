@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.series import LEAST_SUPPLY_V
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.effect import Conditions
@@ -41,7 +42,6 @@ _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC.
 _LEAST_SPAN_C = 0.5
-_LEAST_SUPPLY_V = 0.02
 _SAME_RATE_DPS = 0.01
 _MOST_RATES = 80
 
@@ -227,7 +227,7 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
             if tau < 2.0 * np.ptp(means.t_s)
         )
         found.append(_part("warm-up", "warm-up", warm))
-    if means.supply_v is not None and np.ptp(means.supply_v) > _LEAST_SUPPLY_V:
+    if means.supply_v is not None and np.ptp(means.supply_v) > LEAST_SUPPLY_V:
         found.append(_part("supply", "supply", (Column(driver=Factor("supply")),)))
         if turning:
             found.append(_part("supply on scale", "supply", (Column(_LINEAR, driver=Factor("supply")),)))

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from gyrocal.diagnosis.base import fit_surface
+from gyrocal.diagnosis.estimates import normal
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.diagnosis.series import FEWEST_OUTLIERS, Series, set_means
+from gyrocal.diagnosis.series import FEWEST_OUTLIERS, OUTLIER_SIGMAS, Series, set_means
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
-from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,17 +27,29 @@ Bools = NDArray[np.bool_]
 
 #: P-value of what is counted, not tested: that noise puts every sample on a lattice is out of the question.
 _CERTAIN = 0.0
+#: The surface of the others may say this much more of a set that lost its output than the least output that is left:
+#: it is known to some percent there, and a set that lacks far more has lost its gyro, not a small input.
+_DEEPER = 1.5
 #: A data set this many times farther off than 95 % of all others is not of this recording.
 _GROSS = 8.0
 _MOST_BAD_SHARE = 0.03
+#: Fewer data sets show no gross one beside the twelve terms of a surface; the robust fit settles in so many rounds.
+_FEWEST_SETS, _ROUNDS = 30, 30
 #: Fewest data sets of no output that are a dead zone, and the share of them all beyond which the gyro is not read.
 _FEWEST_DEAD, _MOST_DEAD_SHARE = 3, 0.5
 #: What is lost must stand out of the noise of a row by this factor.
 _LOST_SIGMAS = 5.0
 #: Output steps that make less than this share of the variance of a sample are no effect.
 _STEP_VARIANCE = 0.05
-#: Sample clocks nearer to nominal than this are as good as any.
-_CLOCK_PPM = 20.0
+#: A step is known to this share: distances of many steps are whole multiples of it.
+_STEP_KNOWN = 1e-3
+#: Sample clocks nearer to nominal than this are as good as any; one that is off is so by this many standard deviations,
+#: and is not known better than the crystal that timed it.
+_CLOCK_PPM, _CLOCK_STDS, _LEAST_CLOCK_STD_PPM = 20.0, 5.0, 0.01
+#: The scale of the noise is an estimate too: outliers that it makes are counted half a standard deviation lower.
+_COUNTED_FROM_SIGMAS = OUTLIER_SIGMAS - 0.5
+#: Groups whose scatter is compared: fewest rows, stretches of time, and sectors of a turn, deg.
+_FEWEST_ROWS, _STRETCHES, _SECTOR_DEG = 20, 40, 15.0
 
 
 @dataclass(frozen=True)
@@ -64,8 +76,8 @@ def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding]
     if dead.size:
         findings.append(_dead_finding(dead, lost_dps, reach, np.unique(series.set_index).size))
         series = series.take(~np.isin(series.set_index, dead))
-    numbers, off_dps = bad_sets(series)
-    findings += bad_set_findings(series, numbers, off_dps)
+    numbers, off_dps, spread_dps = bad_sets(series)
+    findings += bad_set_findings(series, numbers, off_dps, spread_dps)
     return (series.take(~np.isin(series.set_index, numbers)) if numbers.size else series), findings
 
 
@@ -89,7 +101,7 @@ def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[f
     least_alive = float(np.min(np.abs(set_means(others, others.gyro_dps)[1])))
     deepest = float(np.max(np.abs(lost)))
     # Sets that lack far more than others show lost their gyro, not a small input.
-    if float(np.sqrt(np.mean(lost**2))) < _LOST_SIGMAS * noise or deepest > 1.5 * least_alive:
+    if float(np.sqrt(np.mean(lost**2))) < _LOST_SIGMAS * noise or deepest > _DEEPER * least_alive:
         return nothing
     return dead, lost, (deepest, max(least_alive, deepest))
 
@@ -108,20 +120,20 @@ def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets
     return Finding(DEAD_ZONE.id, seen, parameters, _CERTAIN, place)
 
 
-def bad_sets(series: Series) -> tuple[Ints, Floats]:
-    """Data sets that are grossly off a robust surface (mislabelled, disturbed), and by how much, deg/s.
+def bad_sets(series: Series) -> tuple[Ints, Floats, float]:
+    """Data sets that are grossly off a robust surface (mislabelled, disturbed), by how much, and the others' spread, deg/s.
 
     At most a few: many that are off together are physics, and left to the search.
     """
-    nothing = np.empty(0, dtype=np.int64), np.empty(0)
+    nothing = np.empty(0, dtype=np.int64), np.empty(0), 0.0
     base = fit_surface(series)
     numbers, y = set_means(series, base.residual_dps)
-    if numbers.size < 30:
+    if numbers.size < _FEWEST_SETS:
         return nothing
     design = np.column_stack([set_means(series, column)[1] for column in base.design.T])
     weight = np.ones(numbers.size)
-    left = y
-    for _ in range(30):
+    left, spread = y, 0.0
+    for _ in range(_ROUNDS):
         solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
         left = y - design @ solution
         spread = 1.4826 * float(np.median(np.abs(left))) + 1e-12
@@ -130,11 +142,11 @@ def bad_sets(series: Series) -> tuple[Ints, Floats]:
     bad = size > _GROSS * float(np.quantile(size, 0.95))
     if not bad.any() or bad.sum() > max(1, _MOST_BAD_SHARE * numbers.size):
         return nothing
-    return numbers[bad], left[bad]
+    return numbers[bad], left[bad], spread
 
 
-def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Finding]:
-    """One finding for all data sets that are left out."""
+def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats, spread_dps: float) -> list[Finding]:
+    """One finding for all data sets that are left out; the largest is known to the spread of the others."""
     if numbers.size == 0:
         return []
     rows = [np.flatnonzero(series.set_index == n)[0] for n in numbers]
@@ -148,7 +160,7 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats) -> list[Fin
         Finding(
             BURSTS.id,
             Remark(Said.STRANGE_SETS, {"sets": sets}),
-            {"amplitude": Estimate(size, size / 10, "mdeg/s", (0.8 * size, 1.2 * size))},
+            {"amplitude": normal(size, 1e3 * spread_dps, "mdeg/s")},
             _CERTAIN,
             place,
         )
@@ -160,7 +172,7 @@ def outlier_findings(series: Series) -> list[Finding]:
     count = series.raw.outliers_t_s.size
     if count < FEWEST_OUTLIERS:
         return []
-    expected = series.raw.samples * 2.0 * float(norm.sf(5.5))
+    expected = series.raw.samples * 2.0 * float(norm.sf(_COUNTED_FROM_SIGMAS))
     p = float(chi2.sf(2.0 * count, 2)) if expected < 1 else 0.5
     size = 1e3 * float(np.sqrt(np.mean(series.raw.outliers_dps**2)))
     share = count / series.raw.samples
@@ -183,9 +195,7 @@ def outlier_findings(series: Series) -> list[Finding]:
             BURSTS.id,
             seen,
             {
-                "amplitude": Estimate(
-                    size, spread, "mdeg/s", (size - NORMAL_95 * spread, size + NORMAL_95 * spread)
-                ),
+                "amplitude": normal(size, spread, "mdeg/s"),
                 "share": Estimate(share, share / np.sqrt(count), "1", (low, high)),
             },
             p,
@@ -206,7 +216,7 @@ def step_findings(series: Series) -> list[Finding]:
         Finding(
             QUANTISATION.id,
             seen,
-            {"amplitude": Estimate(size, 1e-3 * size, "mdeg/s", (0.998 * size, 1.002 * size))},
+            {"amplitude": normal(size, _STEP_KNOWN * size, "mdeg/s")},
             _CERTAIN,
             place,
         )
@@ -218,14 +228,13 @@ def clock_findings(series: Series) -> list[Finding]:
     ratio, std = series.raw.interval_ratio, series.raw.interval_ratio_std
     if ratio is None or std is None:
         return []
-    ppm, std_ppm = 1e6 * ratio, max(1e6 * std, 0.01)
-    if abs(ppm) < max(_CLOCK_PPM, 5.0 * std_ppm):
+    ppm, std_ppm = 1e6 * ratio, max(1e6 * std, _LEAST_CLOCK_STD_PPM)
+    if abs(ppm) < max(_CLOCK_PPM, _CLOCK_STDS * std_ppm):
         return []
-    p = float(2.0 * norm.sf(min(abs(ppm) / std_ppm, 37.0)))
+    p = float(2.0 * norm.sf(abs(ppm) / std_ppm))
     seen = Remark(Said.SAMPLE_CLOCK, {"ppm": ppm})
     place = Located("rate", "mean", p, 0.0, target="sample times", finding=TIME_BASE.id)
-    value = Estimate(ppm, std_ppm, "ppm", (ppm - NORMAL_95 * std_ppm, ppm + NORMAL_95 * std_ppm))
-    return [Finding(TIME_BASE.id, seen, {"amplitude": value}, p, place)]
+    return [Finding(TIME_BASE.id, seen, {"amplitude": normal(ppm, std_ppm, "ppm")}, p, place)]
 
 
 def variance_places(
@@ -246,7 +255,7 @@ def variance_places(
     for coordinate, groups, stretches in _groupings(series):
         count = np.bincount(groups).astype(np.float64)
         total = np.bincount(groups, weights=squares)
-        usable = np.flatnonzero(count >= 20)
+        usable = np.flatnonzero(count >= _FEWEST_ROWS)
         mean, spread = float(np.mean(squares)), float(np.std(squares))
         for g in usable.tolist():
             z = (total[g] - count[g] * mean) / (spread * np.sqrt(count[g]))
@@ -284,15 +293,16 @@ def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[Mapping[str, An
     if 2 < sizes.size <= 60:
         at = [{"low": float(s), "high": float(s), "unit": "deg/s"} for s in sizes]
         found.append(("rate", by_size.astype(np.int64), at))
-    hours = np.linspace(series.t_s[0], series.t_s[-1], 41)
-    by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, 39)
+    hours = np.linspace(series.t_s[0], series.t_s[-1], _STRETCHES + 1)
+    by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, _STRETCHES - 1)
     found.append(
         (series.time_coordinate, by_time, [_when(series, float(a), float(b)) for a, b in pairwise(hours)])
     )
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:
-        sector = np.floor(np.mod(series.angle_deg, 360.0) / 15.0).astype(np.int64)
-        sector = np.where(np.abs(series.rate_dps) > 0, sector, 24)
-        at = [{"low": 15.0 * k, "high": 15.0 * (k + 1), "unit": "deg"} for k in range(24)]
+        sectors = round(360.0 / _SECTOR_DEG)
+        sector = np.floor(np.mod(series.angle_deg, 360.0) / _SECTOR_DEG).astype(np.int64)
+        sector = np.where(np.abs(series.rate_dps) > 0, sector, sectors)
+        at = [{"low": _SECTOR_DEG * k, "high": _SECTOR_DEG * (k + 1), "unit": "deg"} for k in range(sectors)]
         found.append(("table_angle", sector, [*at, {"target": "rest"}]))
     if not series.is_table:
         last = int(series.set_index.max()) + 1

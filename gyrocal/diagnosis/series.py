@@ -35,6 +35,17 @@ _HEAD_S = 2.5
 OUTLIER_SIGMAS = 6.0
 #: Fewest isolated outliers that are bursts; fewer are left out with a note.
 FEWEST_OUTLIERS = 3
+#: A supply that changes less shows no dependence on it, V.
+LEAST_SUPPLY_V = 0.02
+#: Levels of samples of different averaging times are those of one white noise where they differ by less than this share.
+_ONE_WHITE = 0.1
+#: Samples whose interval is this near to the nominal one, as a share, are the sensor's own, not means.
+_NATIVE = 0.2
+#: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
+_LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
+#: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
+#: can be told from that rounding.
+_OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
 #: Stand-in for the time between data sets where a table has no time stamps.
 SURROGATE_PERIOD_S = 20.0
 
@@ -316,7 +327,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
     kinds = {record.kind for record in run.segments}
     if "ramp" not in kinds:
         untestable["temperature_rate"] = "no temperature ramp was logged"
-    if supply is not None and np.ptp(supply) < 0.02:
+    if supply is not None and np.ptp(supply) < LEAST_SUPPLY_V:
         untestable["supply"] = "the supply voltage did not change"
     averaging = c["count"] * c["sample_s"]
     return Series(
@@ -371,7 +382,7 @@ def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]]) -> Floats:
         rows = c["sample_s"] == averaging
         stated = reference / np.sqrt(averaging)
         # Logged samples may be points rather than means (aliasing): then the scatter itself is right.
-        std[rows] = (stated if 0.9 < sigma / stated < 1.1 else sigma) / np.sqrt(c["count"][rows])
+        std[rows] = (stated if abs(sigma / stated - 1.0) < _ONE_WHITE else sigma) / np.sqrt(c["count"][rows])
     return np.asarray(np.maximum(std, 1e-9))
 
 
@@ -383,7 +394,7 @@ def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
     if run.sensor.sample_rate_hz:
         spans = np.array([r["span_s"] / max(r["n"] - 1, 1) for r in sets])
         nominal = np.array([r["averaging_s"] for r in sets])
-        native = np.isclose(nominal, 1.0 / run.sensor.sample_rate_hz, rtol=0.2)
+        native = np.isclose(nominal, 1.0 / run.sensor.sample_rate_hz, rtol=_NATIVE)
         if native.sum() >= 3:
             each = spans[native] * run.sensor.sample_rate_hz - 1.0
             ratio = float(np.median(each))
@@ -407,16 +418,16 @@ def lattice(values: Floats) -> float | None:
     multiples of it, which continuous values would not do by chance.
     """
     distinct = np.unique(np.round(values, 9))
-    if distinct.size < 5 or values.size < 50:
+    if distinct.size < _LATTICE_VALUES or values.size < _LATTICE_SAMPLES:
         return None
     gaps = np.diff(distinct)
-    gaps = gaps[gaps > 2e-7]
-    if gaps.size < 4:
+    gaps = gaps[gaps > 0.1 * _ROUNDED]
+    if gaps.size < _LATTICE_VALUES - 1:
         return None
     small = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     multiples = gaps / small
     off = np.abs(multiples - np.round(multiples))
-    if np.mean(off < 0.02 + 2e-6 / small) < 0.98 or small < 5e-6:
+    if np.mean(off < _OFF_LATTICE + _ROUNDED / small) < _ON_LATTICE or small < _LEAST_LATTICE:
         return None
     return float(np.sum(gaps) / np.sum(np.round(multiples)))
 

@@ -105,6 +105,9 @@ def test_a_mislabelled_data_set_is_left_out_and_said() -> None:
     found = diagnose(table, options=Options(heldout=False))
     assert [e.effect for e in found.effects] == ["bursts"]
     assert "number 41" in statement(found.effects[0])
+    low, high = found.effects[0].parameters["amplitude"].interval_95
+    assert low < 100.0 < high
+    assert high - low < 20.0
 
 
 def test_what_a_record_cannot_show_is_said() -> None:

@@ -16,9 +16,12 @@ from gyrocal.units import NORMAL_95, RAD_TO_DEG
 _NONE = (float("nan"), float("nan"))
 #: A factor this near to a wrong unit (on a log scale: a factor of 3) is one; nothing physical comes near.
 _UNIT_FACTOR = 3.0
-_WINDOW_S = 5.0
+#: Turns are compared over windows of this length; below this share of common variance they are not of one robot.
+_WINDOW_S, _COMMON = 5.0, 0.25
 #: Share of missing rows that is worth a name, and a step of time in usual ones from which a row is missing.
 _LOST, _STEP = 1e-3, 1.8
+#: Steps shorter than this share of the usual one are doubles; time stamps that scatter by more than this share are uneven.
+_DOUBLE, _UNEVEN = 0.2, 0.05
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     encoder, gyro = (np.diff(np.interp(edges, series.t_s, v)) for v in (series.encoder_rad, series.gyro_rad))
     e, g = encoder - np.median(encoder), gyro - np.median(gyro)
     see, sgg, seg = float(e @ e), float(g @ g), float(e @ g)
-    if min(see, sgg) <= 0 or seg**2 < 0.25 * see * sgg:
+    if min(see, sgg) <= 0 or seg**2 < _COMMON * see * sgg:
         return series, None
     ratio = float(np.sign(seg) * np.sqrt(sgg / see))
     units = ((RAD_TO_DEG, "rad/s"), (1.0 / RAD_TO_DEG, "twice"), (1.0, ""))
@@ -92,8 +95,8 @@ def uneven_clock(t_s: Floats) -> Remark | None:
     """Unsteady time stamps; None where they are steady."""
     steps = np.diff(t_s)
     usual = float(np.median(steps))
-    regular = steps[(steps > 0.2 * usual) & (steps < _STEP * usual)]
+    regular = steps[(steps > _DOUBLE * usual) & (steps < _STEP * usual)]
     jitter_s = float(np.std(regular) / np.sqrt(2.0)) if regular.size else 0.0
-    if jitter_s <= 0.05 * usual:
+    if jitter_s <= _UNEVEN * usual:
         return None
     return Remark(Said.UNEVEN_CLOCK, {"jitter_ms": 1e3 * jitter_s, "usual_ms": 1e3 * usual})

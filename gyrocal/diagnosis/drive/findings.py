@@ -24,6 +24,8 @@ _OUT = 20.0
 _MIXED_UP, _MIXED_UP_BY = (0.5, 2.0), 0.1
 #: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
 _TILT_STDS = 3.0
+#: A scale that the truth knows to less than this is said to be not testable: no maker is as far off.
+_KNOWN = 0.02
 #: Noise above what the robot file says by more than this is no noise of that kind.
 _NOISY = 4.0
 
@@ -314,6 +316,6 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
     for name, what in (("gyro_scale", "the effective wheel separation"), ("wheel_scale", "the true way")):
         if not usable or truth is None:
             reasons[name] = f"without true positions it cannot be told from {what}"
-        elif truth.stds[name] > 0.02:
+        elif truth.stds[name] > _KNOWN:
             reasons[name] = f"with this truth it is known to {100 * truth.stds[name]:.2g} % only"
     return reasons
