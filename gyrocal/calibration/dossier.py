@@ -153,7 +153,7 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
     Raises
     ------
     DataError
-        Runs of different units. ProfileError: a limit of a figure that there is not.
+        Runs of different units, or one given twice. ProfileError: a limit of a figure that there is not.
     """
     serials = sorted({str(run.calibration.recording.sensor.get("serial") or "") for run in runs})
     if len(serials) > 1:
@@ -161,6 +161,7 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         raise DataError(
             f"The runs are of several units ({shown}): a certificate is of one. Use `fleet` for many."
         )
+    _refuse_twice(runs)
     rows = [*_merit_rows(runs), *_noise_rows(runs), *_repeatability(runs), *_reach(runs)]
     unknown = sorted(set(limits) - {row.known.name for row in rows})
     if unknown:
@@ -181,6 +182,16 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         (*missing, *_NEVER_TESTED),
         tuple(quality),
     )
+
+
+def _refuse_twice(runs: Sequence[UnitRun]) -> None:
+    """One recording given twice repeats itself exactly, which is no repeatability."""
+    seen: dict[str, Path] = {}
+    for run in runs:
+        checksum = run.calibration.recording.sha256
+        if checksum in seen:
+            raise DataError(f"{run.path} and {seen[checksum]} are the same recording: give each once.")
+        seen[checksum] = run.path
 
 
 def _without_number(row: Row) -> list[tuple[Figure, str]]:

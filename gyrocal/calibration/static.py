@@ -29,9 +29,10 @@ from gyrocal.calibration.noise import (
     figures_of,
     gaps,
 )
-from gyrocal.errors import DataError
+from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
+from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import iterate_gyro_log
 from gyrocal.records.run import Run, read_run
 from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H
@@ -58,8 +59,8 @@ class StaticConfig:
         Of the sensing axis: above the horizon (90: up), and clockwise from north.
     rate_hz : float, optional
         Nominal rate of the logged samples, for the error of the clock.
-    axis, instance
-        Of an autopilot's log (`records.gyro_log`).
+    axis, instance, topic
+        Of an autopilot's log or a ROS bag (`records.gyro_log`).
     """
 
     path: Path
@@ -69,6 +70,7 @@ class StaticConfig:
     rate_hz: float | None = None
     axis: str = "z"
     instance: int = 0
+    topic: str | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ class _Reading:
 def examine_static(
     config: StaticConfig, progress: Callable[[float, str], None] | None = None
 ) -> StaticFigures:
-    """Read a run directory, a CSV log or an autopilot's log of a gyro that stands, and take its figures.
+    """Read a run directory, a CSV log, an autopilot's log or a ROS bag of a gyro that stands, and take its figures.
 
     Raises
     ------
@@ -160,7 +162,9 @@ def examine_static(
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
     rate_hz, notes = config.rate_hz, list[str]()
-    if config.path.is_dir():
+    if config.path.is_dir() and not is_bag(config.path):
+        if config.axis != "z" or config.instance or config.topic:
+            raise InputError(f"{config.path}: is a run of one gyro; leave out axis, instance and topic.")
         run = read_run(config.path)
         blocks = _run_blocks(run)
         if config.latitude_deg is None and isinstance(run.bench.get("latitude_deg"), int | float):
@@ -251,7 +255,7 @@ def _run_blocks(run: Run) -> Iterator[_Block]:
 
 
 def _log_blocks(config: StaticConfig, notes: list[str]) -> Iterator[_Block]:
-    for block in iterate_gyro_log(config.path, config.axis, config.instance):
+    for block in iterate_gyro_log(config.path, config.axis, config.instance, config.topic):
         notes += block.notes
         rate = np.where(np.isfinite(block.rate_dps), block.rate_dps, 0.0)
         yield _Block(block.segment, block.usual_dt_s, block.t_s, block.gyro_dps - rate, block.temp_c)
@@ -324,25 +328,33 @@ def _mean(course: Course, covariance: Floats | None, blank: Figure, config: Stat
         blank,
         name="mean_bias",
         unit="deg/h",
-        definition="mean output at rest, earth rate within it",
+        definition=f"mean output at rest{_at(course)}, earth rate within it",
         method="mean of all samples; white noise, 1/f and random walk in its interval",
     )
     without = replace(mean, name="bias_without_earth_rate")
     if config.latitude_deg is None:
         reason = "the latitude is not given (--latitude)"
-        definition = "mean output less the earth rate about the axis"
+        definition = f"mean output{_at(course)} less the earth rate about the axis"
         return [
             _with_interval(mean, mean_dps, half, DPS_TO_DPH),
             replace(without, definition=definition, reason=reason),
         ]
     earth_dph = earth_rate_dph(config.latitude_deg, config.elevation_deg, config.azimuth_deg)
     without = replace(
-        without, definition=f"mean output less the earth rate about the axis, {earth_dph:.4f} deg/h"
+        without,
+        definition=f"mean output{_at(course)} less the earth rate about the axis, {earth_dph:.4f} deg/h",
     )
     return [
         _with_interval(mean, mean_dps, half, DPS_TO_DPH),
         _with_interval(without, mean_dps - earth_dph / DPS_TO_DPH, half, DPS_TO_DPH),
     ]
+
+
+def _at(course: Course) -> str:
+    """Temperatures that a mean is over: it is of these."""
+    if not np.isfinite(course.temp_c).any():
+        return ""
+    return f" at {np.nanmin(course.temp_c):.1f} to {np.nanmax(course.temp_c):.1f} °C"
 
 
 def earth_rate_dph(latitude_deg: float, elevation_deg: float, azimuth_deg: float) -> float:

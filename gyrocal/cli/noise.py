@@ -33,11 +33,16 @@ from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, p
     "--rate-hz", type=click.FloatRange(min=0, min_open=True), help="Nominal sample rate, for the clock."
 )
 @click.option(
-    "--axis", default="z", show_default=True, help="Axis of an autopilot's log: x, y, z, -x, -y, -z."
+    "--axis",
+    type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
+    default="z",
+    show_default=True,
+    help="Axis of an autopilot's log or a bag.",
 )
 @click.option(
     "--instance", type=click.IntRange(0), default=0, help="Which gyro of an autopilot's log, from 0."
 )
+@click.option("--topic", help="Of a ROS bag with several IMUs: imu=TOPIC, or the topic alone.")
 @json_option
 def command(
     record: Path,
@@ -48,9 +53,10 @@ def command(
     rate_hz: float | None,
     axis: str,
     instance: int,
+    topic: str | None,
     as_json: bool,
 ) -> None:
-    """Noise and bias of a gyro that stands: RECORD is a run, a CSV with t_s and gyro_dps, a .ulg or a .bin.
+    """Noise and bias of a gyro that stands: RECORD is a run, a CSV with t_s and gyro_dps, a .ulg, a .bin or a bag.
 
     Prints angle random walk, bias instability, rate random walk, quantisation, drift and mean with 95 % intervals, or
     the reason why the record cannot carry one; and how well the noise model fits. Hours at 1 kHz are read in blocks.
@@ -60,7 +66,9 @@ def command(
     from gyrocal.calibration.static import StaticConfig
     from gyrocal.report.noise import examine_noise, noise_rows, noise_sentences
 
-    config = StaticConfig(record, latitude, elevation, azimuth, rate_hz, axis, instance)
+    config = StaticConfig(
+        record, latitude, elevation, azimuth, rate_hz, axis, instance, topic and topic.removeprefix("imu=")
+    )
     with progress("noise", quiet=as_json) as tell:
         found = examine_noise(config, out, tell)
     if as_json:

@@ -88,6 +88,21 @@ def read_bag(path: Path, wheels: Wheels, topics: Mapping[str, str] | None = None
     return join(iterate_bag(path, wheels, topics))
 
 
+def iterate_rates(path: Path, topic: str | None = None) -> Iterator[tuple[float, tuple[float, float, float]]]:
+    """Time in s and rates about x, y and z in rad/s of the messages of a bag's IMU, as they were recorded.
+
+    Raises
+    ------
+    InputError
+        As `iterate_bag`; several IMUs and no `topic`.
+    """
+    with _open(path) as reader:
+        found = {c.topic: c.msgtype for c in reader.connections if c.msgtype in PURPOSES["imu"]}
+    chosen = _choose(path, found, {"imu": topic} if topic else {}, ("imu",))
+    for _, message in _messages(path, chosen):
+        yield message.t_s, axis_rates(message)
+
+
 @contextmanager
 def _open(path: Path) -> Iterator[Any]:
     """An open reader of rosbags; whatever it does at damaged bytes becomes a sentence."""
@@ -121,7 +136,9 @@ def _messages(path: Path, chosen: Mapping[str, tuple[str, str]]) -> Iterator[tup
             yield purposes[connection.topic], Message(connection.msgtype, 1e-9 * stamp_ns, body)
 
 
-def _choose(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+def _choose(
+    path: Path, found: Mapping[str, str], asked: Mapping[str, str], required: tuple[str, ...] = _REQUIRED
+) -> dict[str, tuple[str, str]]:
     """Purpose -> topic and what was said behind it: as asked, or the only one of its type."""
     chosen: dict[str, tuple[str, str]] = {}
     for purpose, types in PURPOSES.items():
@@ -134,7 +151,7 @@ def _choose(path: Path, found: Mapping[str, str], asked: Mapping[str, str]) -> d
             chosen[purpose] = (topic, frames)
         elif purpose != "truth" and len(candidates) == 1:
             chosen[purpose] = (candidates[0], "")
-        elif purpose in _REQUIRED:
+        elif purpose in required:
             listed = f"several ({', '.join(candidates)})" if candidates else "none"
             msg = f"{path}: {listed} of type {' or '.join(types)}; say which one is {purpose} with --topic {purpose}=TOPIC."
             raise InputError(msg)

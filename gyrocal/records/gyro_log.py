@@ -1,4 +1,4 @@
-"""Plain logs of a gyro from whoever wrote them: our CSV, PX4 (ULog, extra ``px4``) or ArduPilot (extra ``ardupilot``)."""
+"""Plain logs of a gyro from whoever wrote them: our CSV, PX4 (ULog, extra ``px4``), ArduPilot (extra ``ardupilot``), ROS bags (extra ``ros``)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gyrocal.errors import GyrocalError, InputError
+from gyrocal.records.bags import is_bag, iterate_rates
 from gyrocal.records.csvio import Floats
 from gyrocal.records.files import reading
 from gyrocal.records.static_log import StaticBlock, cut_at_steps, iterate_static_log
@@ -34,21 +36,31 @@ _LARGEST_RPS = 1e6
 _DAMAGED = ("parts of the file are damaged and left out",)
 
 
-def iterate_gyro_log(path: Path, axis: str = "z", instance: int = 0) -> Iterator[StaticBlock]:
-    """Yield the log `path` in blocks: ``.ulg`` of PX4, ``.bin`` of ArduPilot, else a CSV (see `iterate_static_log`).
+def iterate_gyro_log(
+    path: Path, axis: str = "z", instance: int = 0, topic: str | None = None
+) -> Iterator[StaticBlock]:
+    """Yield the log `path` in blocks: ``.ulg`` of PX4, ``.bin`` of ArduPilot, a ROS bag, else a CSV (see `iterate_static_log`).
 
     Parameters
     ----------
     axis : str
-        Of an autopilot's log: one of `AXES`.
+        Of a log with three axes: one of `AXES`.
     instance : int
         Of an autopilot's log: which of its gyros, from 0.
+    topic : str, optional
+        Of a bag with several IMUs.
 
     Raises
     ------
     InputError
-        The extra is not installed; a damaged file; no such gyro in it; an axis or instance asked of a CSV.
+        The extra is not installed; a damaged file; no such gyro in it; something asked that the log does not have.
     """
+    if topic is not None and not is_bag(path):
+        raise InputError(f"{path}: is no ROS bag, and a topic is of one. Leave it out.")
+    if is_bag(path):
+        if instance:
+            raise InputError(f"{path}: is a ROS bag, and an instance is of an autopilot's log. Give a topic.")
+        return _iterate_bag(path, axis, topic)
     if path.suffix.lower() == ".ulg":
         return _iterate_ulog(path, axis, instance)
     if path.suffix.lower() == ".bin":
@@ -86,6 +98,16 @@ def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]
         return
     known = ", ".join(f"{name} {number}" for name, number in sorted(found)) or "none"
     raise InputError(f"{path}: holds no gyro {instance} (found: {known}). Choose another instance.")
+
+
+def _iterate_bag(path: Path, axis: str, topic: str | None) -> Iterator[StaticBlock]:
+    """ROS 1 and 2, streamed; the temperature has no clock of its own there and is left out."""
+    clock: list[Timeline] = []
+    messages = iterate_rates(path, topic)
+    while rows := list(islice(messages, _CHUNK_ROWS)):
+        t_s, rate_rps = (np.array(column, dtype=np.float64) for column in zip(*rows, strict=True))
+        nothing = np.full(t_s.shape, np.nan)
+        yield from _blocks(path, t_s, rate_rps[:, "xyz".index(axis[-1])], nothing, axis, clock)
 
 
 def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]:

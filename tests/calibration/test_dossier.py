@@ -72,6 +72,8 @@ def test_runs_become_one_dossier(tmp_path: Path) -> None:
     assert any(text.startswith("angle random walk: a table of data sets") for text in dossier.not_tested)
     for row in dossier.rows:
         assert (row.known.value is None) == bool(row.known.reason), row.known
+    with pytest.raises(DataError, match=r"run1.csv are the same recording: give each once"):
+        compile_dossier([runs[0], runs[0]], {}, "limits.toml")
     with pytest.raises(ProfileError, match="there is no figure bais"):
         compile_dossier(runs, {"bais": Limit(1.0)}, "limits.toml")
     changes = compare_runs([run.calibration for run in runs])

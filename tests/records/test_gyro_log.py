@@ -12,6 +12,7 @@ import pytest
 
 from gyrocal.errors import InputError
 from gyrocal.records.gyro_log import iterate_gyro_log
+from tests.records.test_drive_bags import write_bag
 
 T_S = 0.004 * np.arange(2000)
 RATES = np.stack([np.sin(T_S), 2.0 + 0.0 * T_S, -0.01 * T_S], axis=1)
@@ -118,6 +119,28 @@ def test_what_is_no_log_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"nothing of the kind" * 100)
     with pytest.raises(InputError):
         list(iterate_gyro_log(tmp_path / name))
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_ros_bag(tmp_path: Path, kind: str) -> None:
+    topics = {"/a": "sensor_msgs/msg/Imu", "/odom": "nav_msgs/msg/Odometry"}
+    path = write_bag(tmp_path / ("still.bag" if kind == "bag" else "still"), kind, topics)
+    blocks = list(iterate_gyro_log(path))
+    t_s = np.concatenate([block.t_s for block in blocks])
+    assert t_s.size == 150
+    np.testing.assert_allclose(np.diff(t_s), 0.02, atol=1e-6)
+    turned = np.concatenate([block.gyro_dps for block in iterate_gyro_log(path, axis="-z")])
+    np.testing.assert_allclose(turned, -np.concatenate([block.gyro_dps for block in blocks]))
+    with pytest.raises(InputError, match="topic '/odom' cannot be imu"):
+        next(iterate_gyro_log(path, topic="/odom"))
+
+
+def test_a_bag_with_two_imus_is_asked_which(tmp_path: Path) -> None:
+    imu = "sensor_msgs/msg/Imu"
+    path = write_bag(tmp_path / "two.bag", "bag", {"/a": imu, "/b": imu})
+    with pytest.raises(InputError, match=r"several \(/a, /b\).*--topic imu=TOPIC"):
+        next(iterate_gyro_log(path))
+    assert next(iterate_gyro_log(path, topic="/b")).t_s.size == 150
 
 
 def test_a_csv_has_one_gyro(tmp_path: Path) -> None:
