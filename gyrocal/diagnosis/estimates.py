@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,10 @@ from scipy.stats import t as student
 from gyrocal.diagnosis.intervals import (
     Point,
     Profile,
+    along_axis,
     amplitude_interval,
     descend,
+    holding,
     profile_interval,
     shapes_around,
 )
@@ -32,8 +35,11 @@ Floats = NDArray[np.float64]
 _MDPS = 1e3
 #: Shapes are profiled within this ratio of the best.
 _REACH = 9.0
-#: One parameter of a shape is sought within this ratio while another is held.
-_NEAR = 3.0
+#: The best of two parameters is sought within this ratio, in turn so often.
+_NEAR, _ROUNDS = 2.0, 3
+#: Of two parameters so many values each, to this power of the ratio within which each would be by itself.
+_GRID = 21
+_WIDER = 3.0
 #: Rows on either side of a jump in which its instant is looked for more closely than between rows.
 _ROWS_NEAR = 2
 
@@ -88,16 +94,6 @@ class _Beside:
         unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
         return Point(loss + ((size - bounded) / std) ** 2, bounded, std, unit_dps)
 
-    def best(self, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
-        """The best shape near one, some of its parameters being free."""
-        found = dict(shape)
-        for name in free:
-            found[name] = descend(partial(self._loss, found, name), found[name], _NEAR)
-        return found
-
-    def _loss(self, shape: Mapping[str, float], name: str, value: float) -> float:
-        return self.at({**shape, name: value}).loss
-
 
 @dataclass(frozen=True)
 class LawEstimates:
@@ -131,10 +127,8 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     beside = _Beside(effect, laws, surface, score, p)
     here = beside.of(law.columns)
     free = [n for n in effect.search.refined if law.shape.get(n, 0.0) > 0.0 and law.columns.shape[1] == 1]
-    profiles, points = {}, [here]
-    for name in free:
-        profiles[name], along = _profile(beside, law.shape, name, [n for n in free if n != name])
-        points += along
+    profiles, along = _profiles(beside, law.shape, free)
+    points = [here, *along]
     unit = effect.parameter("amplitude").unit
     amplitude = amplitude_interval(points)
     found = {"amplitude": Estimate(here.amplitude, amplitude.std, unit, amplitude.interval)}
@@ -163,26 +157,74 @@ def _shapes(
     return found
 
 
-def _profile(
-    beside: _Beside, shape: Mapping[str, float], name: str, others: list[str]
-) -> tuple[Profile, list[Point]]:
-    """Interval of a parameter of the shape, the others at their best, and points along it."""
-
-    def along(value: float) -> Point:
-        return beside.at(beside.best({**shape, name: value}, others))
-
-    def loss(value: float) -> float:
-        return along(value).loss
-
-    parameter, best = beside.effect.parameter(name), shape[name]
-    limits = (parameter.low, parameter.high)
-    if name == "at_s":
+def _profiles(
+    beside: _Beside, shape: Mapping[str, float], free: Sequence[str]
+) -> tuple[dict[str, Profile], list[Point]]:
+    """Intervals of the parameters of a shape, the others at their best, and points all over them."""
+    if "at_s" in free:
+        known, best = beside.effect.parameter("at_s"), shape["at_s"]
         instants = _instants(beside.laws, best)
-        own = profile_interval(loss, best, 1.0, limits, instants)
+        loss = partial(_loss, beside, shape, "at_s")
+        own = profile_interval(loss, best, 1.0, (known.low, known.high), instants)
         inside = instants[(instants >= own.interval[0]) & (instants <= own.interval[1])]
-        return own, [along(float(x)) for x in inside]
-    own = profile_interval(loss, best, _REACH, (max(limits[0], best / 30.0), min(limits[1], best * 30.0)))
-    return own, [along(float(x)) for x in shapes_around(own.interval, limits)]
+        return {"at_s": own}, [beside.at({**shape, "at_s": float(x)}) for x in inside]
+    best_shape = _best_shape(beside, shape, free)
+    alone = {}
+    for name in free:
+        (low, high), best = _limits(beside, name), best_shape[name]
+        loss = partial(_loss, beside, best_shape, name)
+        own = profile_interval(loss, best, _REACH, (max(low, best / 30.0), min(high, best * 30.0)))
+        alone[name] = holding(own, shape[name])
+    if len(free) > 1:
+        return _jointly(beside, shape, best_shape, alone)
+    values = {n: shapes_around(own.interval, _limits(beside, n)) for n, own in alone.items()}
+    return alone, [beside.at({**shape, n: float(x)}) for n, tried in values.items() for x in tried]
+
+
+def _best_shape(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
+    """The best shape near the one that stands in the model, which was found beside less."""
+    best = dict(shape)
+    for _ in range(_ROUNDS if len(free) > 1 else 1):
+        for name in free:
+            best[name] = descend(partial(_loss, beside, best, name), best[name], _NEAR)
+    return best
+
+
+def _loss(beside: _Beside, shape: Mapping[str, float], name: str, value: float) -> float:
+    return beside.at({**shape, name: value}).loss
+
+
+def _limits(beside: _Beside, name: str) -> tuple[float, float]:
+    known = beside.effect.parameter(name)
+    return known.low, known.high
+
+
+def _jointly(
+    beside: _Beside,
+    shape: Mapping[str, float],
+    best_shape: Mapping[str, float],
+    alone: Mapping[str, Profile],
+) -> tuple[dict[str, Profile], list[Point]]:
+    """The same for two parameters: over a grid that reaches beyond the interval that each has by itself."""
+    axes = {}
+    for name, own in alone.items():
+        best, (low, high) = best_shape[name], _limits(beside, name)
+        ends = [
+            max(best * (own.interval[0] / best) ** _WIDER, low),
+            min(best * (own.interval[1] / best) ** _WIDER, high),
+        ]
+        axes[name] = np.unique([*np.geomspace(ends[0], ends[1], _GRID), best])
+    names = list(axes)
+    places = [dict(zip(names, map(float, place), strict=True)) for place in product(*axes.values())]
+    points = [beside.at({**shape, **place}) for place in places]
+    loss = np.array([p.loss for p in points]).reshape([axis.size for axis in axes.values()])
+    # A peak between two rates may fit better than the one that is stated, and be none: both are inside.
+    stated = beside.at(shape).loss
+    profiles = {
+        name: holding(along_axis(axis, loss.min(axis=1 - k), stated), shape[name])
+        for k, (name, axis) in enumerate(axes.items())
+    }
+    return profiles, points
 
 
 def _instants(laws: Laws, near_s: float) -> Floats:

@@ -85,6 +85,24 @@ def profile_interval(
     return Profile((low, high), (high - low) / _RATIO_95)
 
 
+def along_axis(values: Floats, loss: Floats, stated: float) -> Profile:
+    """Where a profile on a grid of ascending values is less than 3.84 above what is stated, between the points by lines."""
+    rise = loss - max(stated, float(loss.min()))
+    first, last = np.flatnonzero(rise < _RISE_95)[[0, -1]]
+    low, high = float(values[first]), float(values[last])
+    if first > 0:
+        low = float(np.interp(-_RISE_95, -rise[first - 1 : first + 1], values[first - 1 : first + 1]))
+    if last < values.size - 1:
+        high = float(np.interp(_RISE_95, rise[last : last + 2], values[last : last + 2]))
+    return Profile((low, high), (high - low) / _RATIO_95)
+
+
+def holding(profile: Profile, value: float) -> Profile:
+    """The same interval, and the value that is stated with it inside."""
+    low, high = min(profile.interval[0], value), max(profile.interval[1], value)
+    return Profile((low, high), (high - low) / _RATIO_95)
+
+
 @dataclass(frozen=True)
 class Point:
     """At a value of the shape: residual sum of squares, the best amplitude there and its standard deviation.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.intervals import Point, amplitude_interval
+from gyrocal.diagnosis.intervals import Point, along_axis, amplitude_interval
 
 
 def test_shape_that_no_row_shows_says_nothing_of_the_amplitude() -> None:
@@ -25,3 +25,10 @@ def test_an_interval_reaches_over_all_shapes_that_fit_as_well() -> None:
     low, high = amplitude_interval(points).interval
     assert low == pytest.approx(3.0 / 2.0**4, abs=0.03)
     assert high == pytest.approx(3.0 / 0.5**4, abs=0.03)
+
+
+def test_a_profile_on_a_grid_is_read_between_its_points() -> None:
+    values = np.linspace(0.0, 10.0, 101)
+    low, high = along_axis(values, 7.0 + (values - 4.0) ** 2, 7.0).interval
+    assert (low, high) == pytest.approx((4.0 - 1.96, 4.0 + 1.96), abs=0.02)
+    assert along_axis(values, np.zeros(101), 0.0).interval == (0.0, 10.0)
