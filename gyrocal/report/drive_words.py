@@ -58,6 +58,11 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
 def _first_sentence(found: DriveDiagnosis) -> str:
     if not found.series.differential and not found.diagnosis.effects:
         return "The vehicle logs no turn of its wheels, so that encoders and gyro cannot be compared."
+    if found.diagnosis.verdict == "partly_explained" and not any(p.remains for p in found.diagnosis.located):
+        return (
+            "The log departs from the robot file; the physics named below explains it, and so does what it could also "
+            "be, which this log cannot tell from it."
+        )
     return {
         "consistent": "Encoders and gyro agree within their noise and what the robot file grants.",
         "explained": "The log departs from the robot file, and the physics named below explains it.",

@@ -28,6 +28,8 @@ _TILT_STDS = 3.0
 _KNOWN = 0.02
 #: Noise above what the robot file says by more than this is no noise of that kind.
 _NOISY = 4.0
+#: Scales that make the same ratio of encoder turn to gyro turn.
+_RATIO = frozenset({"skid_slip", "gyro_scale", "wheel_scale"})
 
 
 @dataclass(frozen=True)
@@ -287,12 +289,19 @@ def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
 
 
 def verdict(effects: list[NamedEffect], located: list[Located]) -> str:
-    """`consistent` only where nothing is named and nothing is left, `explained` only where nothing is left."""
+    """`consistent` only where nothing is named and nothing is left, `explained` only where nothing is left.
+
+    Nor is a ratio of the headings explained by one of the scales that make it while the log cannot exclude the others.
+    """
     remains = any(place.remains for place in located)
     physics = [e for e in effects if e.effect != "dropped_samples"]
     if physics:
-        return "partly_explained" if remains else "explained"
+        return "partly_explained" if remains or any(_may_be_another(e) for e in physics) else "explained"
     return "unexplained" if remains else "consistent"
+
+
+def _may_be_another(effect: NamedEffect) -> bool:
+    return effect.effect in _RATIO and any(other.effect in _RATIO for other in effect.alternatives)
 
 
 def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, str]:

@@ -42,6 +42,8 @@ _SHIFT = 0.2
 _ROUNDS = 3
 #: Radii of wheels, m, and how many peaks of each side's spectrum are looked at.
 _RADII_M, _PEAKS = (0.02, 0.6), 3
+#: Parts of a drive in which a named law must be the same.
+_PARTS = 24
 _MOST = 6
 
 
@@ -165,6 +167,9 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     named = _named(grams, chosen, beside, ahead_s)
     chosen = [n for n in chosen if n in constant or n == "delay" or n in named or _pair_of(n) in named]
     values, covariance = grams[0].solve(chosen)
+    uneven = _uneven(model, everything, chosen, named)
+    if uneven[2] < STRANGER_P:
+        odd["time"], located = uneven, tuple(dict.fromkeys([*located, "time"]))
     return YawAnswer(
         model, everything, tuple(chosen), values, covariance, named, odd, located, ahead_s, window_s, grams[0]
     )
@@ -245,6 +250,28 @@ def _named(
     largest = max(gains.values(), default=0.0)
     named = {n: g for n, g in gains.items() if g >= max(GAIN, SECOND * largest)}
     return dict(sorted(named.items(), key=lambda item: -item[1]))
+
+
+def _uneven(
+    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
+) -> tuple[float, int, float]:
+    """Gain, degrees of freedom and p-value of the named law that changes most between the parts of a drive.
+
+    A law that was taken for another one, of a patch of ground or of a wheel that sticks at times, holds in some parts
+    and not in others. Parts of equal weight, so that each could show it.
+    """
+    found = [(0.0, 1, 1.0)]
+    tried = [n for n in named if not n.startswith("wheel_")]
+    for name in tried:
+        column = laws[name].column
+        weight = np.cumsum(column**2)
+        part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
+        columns = {n: laws[n].column for n in chosen}
+        more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
+        gain = gram_of(model, columns | more, flicker_floor=name in _BY_FLOOR).added(chosen, list(more))
+        p = len(tried) * float(stats.chi2.sf(gain, len(more)))
+        found.append((gain, len(more), min(p, 1.0)))
+    return min(found, key=lambda one: one[2])
 
 
 def _wheels(
