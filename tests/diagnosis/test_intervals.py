@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from gyrocal.diagnosis.intervals import Point, along_axis, amplitude_interval
+from gyrocal.diagnosis.intervals import Point, along_axis, amplitude_interval, profile_interval
+
+Floats = NDArray[np.float64]
 
 
 def test_shape_that_no_row_shows_says_nothing_of_the_amplitude() -> None:
@@ -32,3 +35,24 @@ def test_a_profile_on_a_grid_is_read_between_its_points() -> None:
     low, high = along_axis(values, 7.0 + (values - 4.0) ** 2, 7.0).interval
     assert (low, high) == pytest.approx((4.0 - 1.96, 4.0 + 1.96), abs=0.02)
     assert along_axis(values, np.zeros(101), 0.0).interval == (0.0, 10.0)
+
+
+def test_a_shape_reaches_to_where_its_likelihood_has_fallen() -> None:
+    """Of a normal law that is 1.96 standard deviations either way."""
+    profile = profile_interval(lambda x: ((x - 5.0) / 0.2) ** 2, 5.0, 9.0, (0.1, 100.0))
+    assert profile.interval == pytest.approx((5.0 - 0.392, 5.0 + 0.392), abs=2e-3)
+    assert profile.std == pytest.approx(0.2, rel=0.01)
+
+
+def test_the_instant_of_a_jump_has_an_interval_of_its_own_law() -> None:
+    """The likelihood has a corner there: 95 % is a rise of -2 log(1 - sqrt(0.95)), not of a chi-square."""
+    instants = np.arange(21.0)
+    rise = -2.0 * np.log(1.0 - np.sqrt(0.95))
+    for slope, last in ((rise / 3.01, 3), (rise / 2.99, 2)):
+        losses = slope * np.abs(instants - 10.0)
+
+        def loss(at_s: float, losses: Floats = losses) -> float:
+            return float(losses[round(at_s)])
+
+        found = profile_interval(loss, 10.0, 1.0, (0.0, 20.0), instants)
+        assert found.interval == (10.0 - last - 0.5, 10.0 + last + 0.5)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.result import Diagnosis, Layer, UnnamedPart
+from gyrocal.diagnosis.staircase import leave_out
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.inference.additive import Component
 from gyrocal.report.diagnosis_layers import (
     layer_rows,
     staircase_figure,
@@ -27,6 +34,27 @@ def stepped() -> Diagnosis:
     noise = np.random.default_rng(2).normal(0, NOISE_DPS, t.size)
     gyro = SURFACE.output_dps(rate, temp) + STEP * rate * (t > t[-1] / 2) + noise
     return diagnose(series_of_table(table("stepped.csv", t, rate, gyro, temp)), None, Options())
+
+
+def test_log_loss_on_rows_left_out_is_that_of_their_prediction() -> None:
+    """By the conditional normal law, with the flat columns of a variance beyond all measure."""
+    rng = np.random.default_rng(4)
+    n, out = 12, np.array([2, 3, 9])
+    flat = np.column_stack([np.ones(n), np.arange(n) / n])
+    columns, y = rng.standard_normal((n, 3)), rng.standard_normal(n)
+    parts = [Component("part", columns), Component("white", covariance=np.eye(n))]
+    variance = {"part": 0.7, "white": 0.4}
+    model = SimpleNamespace(design=flat, flat=(0, 1), error_dps=y, all=parts)
+    fitted = SimpleNamespace(fit=SimpleNamespace(variance=variance))
+    found = leave_out(cast(Fitted, fitted), cast(Model, model), [out])
+    v = 0.7 * columns @ columns.T + 0.4 * np.eye(n) + 1e5 * flat @ flat.T
+    rest = np.setdiff1d(np.arange(n), out)
+    gain = np.linalg.solve(v[np.ix_(rest, rest)], v[np.ix_(rest, out)]).T
+    law = multivariate_normal(gain @ y[rest], v[np.ix_(out, out)] - gain @ v[np.ix_(rest, out)])
+    # Nats beyond the constant of the normal law.
+    assert found.logloss.sum() == pytest.approx(-law.logpdf(y[out]) - 1.5 * np.log(2 * np.pi), abs=1e-3)
+    np.testing.assert_allclose(found.squares, (y[out] - law.mean) ** 2, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(found.variance, np.diag(law.cov), rtol=1e-3)
 
 
 def test_a_hidden_step_of_the_scale_factor_is_a_step_of_the_staircase(stepped: Diagnosis) -> None:

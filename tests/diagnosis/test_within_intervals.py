@@ -9,7 +9,9 @@ import pytest
 
 from gyrocal.diagnosis.engine import series_of
 from gyrocal.diagnosis.estimates import of_pattern
-from gyrocal.diagnosis.within import jackknife, patterns
+from gyrocal.diagnosis.within import Pattern, jackknife, patterns
+from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.effect import Conditions
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 
@@ -31,3 +33,21 @@ def test_a_decay_time_has_an_interval(tmp_path: Path) -> None:
         low, high = estimate.interval_95
         assert low < estimate.value < high
         assert high - low < abs(estimate.value)
+
+
+def test_amplitude_and_phase_are_those_of_the_law() -> None:
+    """Cosine and sine of a turn, and the law of the catalogue at the amplitude and phase that they are said to be."""
+    effect, angle = find_effect("earth_rate_tilt"), np.linspace(0.0, 360.0, 25)
+    c = Conditions(np.arange(25.0), np.full(25, 10.0), np.full(25, 20.0), angle_deg=angle)
+    both = np.array([0.3, 0.4])
+    covariance = np.array([[0.01, 0.004], [0.004, 0.02]])
+    pattern = Pattern(effect.id, {}, effect.columns(c, {}, None), both, covariance, 1e-9, 1e9)
+    found = of_pattern(pattern)
+    law = effect.error_dps(c, {n: e.value for n, e in found.items()}, None, None)[0]
+    np.testing.assert_allclose(law, pattern.values, atol=1e-12)
+    draws = np.random.default_rng(1).multivariate_normal(both, 1e-4 * covariance, 20_000)
+    for name, each in (
+        ("amplitude", np.hypot(*draws.T)),
+        ("phase_rad", np.arctan2(-draws[:, 1], draws[:, 0])),
+    ):
+        assert found[name].std == pytest.approx(100.0 * each.std(), rel=0.03)

@@ -112,6 +112,15 @@ def test_the_ratio_of_turns_is_that_of_the_separations() -> None:
     assert found.offset_dps == pytest.approx(0.0, abs=1e-6)
 
 
+def test_sigma_of_the_ratio_is_its_scatter() -> None:
+    """Over drives that differ in noise alone; a jackknife over ten blocks is known to a quarter."""
+    log, rng = drive(), np.random.default_rng(6)
+    noisy = [replace(log, left_m=log.left_m + rng.normal(0.0, 3e-3, len(log))) for _ in range(6)]
+    found = [compare_yaw(survey("log", [x]), robot().wheel_separation_m) for x in noisy]
+    scatter = np.std([x.ratio for x in found], ddof=1)
+    assert 0.5 < np.mean([x.ratio_sigma for x in found]) / scatter < 2.0
+
+
 def test_a_circling_robot_that_stops_is_not_one_whose_encoders_stick() -> None:
     rows = 1800
     t_s = 0.1 * np.arange(rows, dtype=np.float64)
