@@ -1,4 +1,9 @@
-"""Noise of a drive by maximum likelihood of the filter's own innovations, where the robot file is silent."""
+"""Noise of a drive by maximum likelihood of the filter's own innovations, where the robot file is silent.
+
+`gyrocal.diagnosis.drive.yaw` estimates the same levels in another way, and neither can serve for both. The diagnosis asks
+for laws: it looks back and ahead, keeps every law free in the mean and takes no prior of the robot file for them. A
+runtime must have the levels with which this very filter, its gates, its file and its rests describe the log.
+"""
 
 from __future__ import annotations
 
