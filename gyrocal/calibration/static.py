@@ -84,7 +84,9 @@ class StaticFigures:
         ``mean_bias``, ``bias_without_earth_rate``, ``rate_ramp``, ``bias_temperature_sensitivity``, ``clock_error``.
     course : Course
     samples, missing : int
-        Samples used, and samples that were bad, empty or not finite.
+        Samples used, and samples that were bad, empty, not finite or left out.
+    warning : str
+        That the output jumps, and what was left out for it.
     """
 
     source: Path
@@ -93,6 +95,7 @@ class StaticFigures:
     course: Course
     samples: int
     missing: int
+    warning: str = ""
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -118,6 +121,7 @@ class StaticFigures:
                 }
                 for p in self.noise.points
             ],
+            "warning": self.warning or None,
             "notes": list(self.notes),
         }
 
@@ -183,7 +187,6 @@ def examine_static(
         _refuse_turns(config.path, course)
         spans = jumps_of(course, reading.step_dps)
     if spans:
-        notes.append(_jumps_said(spans))
         reading = _read(_without(_log_blocks(config, []), spans))
     tell(0.8, "figures")
     noise = figures_of(_curves(reading)) if run is None else figures_of(curves_at_rest(run, _bias(run)))
@@ -201,6 +204,7 @@ def examine_static(
         course,
         reading.samples,
         reading.missing,
+        _jumps_said(spans) if spans else "",
         tuple(notes),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import gyrocal
+from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.fleet import ALARM_RATE, LEAST_UNITS, Fleet
 from gyrocal.records.files import finite
 from gyrocal.report import style
@@ -162,15 +164,15 @@ def _page(fleet: Fleet, png: bytes | None) -> Page:
 def tables(fleet: Fleet) -> list[Table]:
     """Spread of each figure, units out of line, drifts along the serials."""
     spread = [
-        (s.figure, str(s.n), *(f"{v:.4g}" for v in (s.median, s.low, s.high, s.between, s.within)))
+        (_words(s.figure), str(s.n), *map(_cell, (s.median, s.low, s.high, s.between, s.within)))
         for s in fleet.spreads
     ]
     out = [
-        (o.serial, o.figure, f"{o.value:.4g}", f"{o.deviations:+.1f}", f"{o.p_value:.1g}")
+        (o.serial, _words(o.figure), _cell(o.value), f"{o.deviations:+.1f}", f"{o.p_value:.1g}")
         for o in fleet.outlying
     ]
     drift = [
-        (d.figure, f"{d.per_unit:+.3g}", f"{d.low:+.3g} to {d.high:+.3g}", f"{d.p_value:.1g}")
+        (_words(d.figure), _cell(d.per_unit), interval_said(d.low, d.high), f"{d.p_value:.1g}")
         for d in fleet.drifts
     ]
     columns = ("figure", "units", "median", "least", "largest", "between units", "within a unit")
@@ -181,6 +183,15 @@ def tables(fleet: Fleet) -> list[Table]:
         _table("drifts", "Change along the serials", ("figure", "per unit", "95 %", "p"), drift),
         _table("spreads", "Spread", columns, spread),
     ]
+
+
+def _words(figure: str) -> str:
+    return figure.replace("_", " ")
+
+
+def _cell(value: float) -> str:
+    """A number, or a dash where none is known."""
+    return number(value) if math.isfinite(value) else "-"
 
 
 def _table(name: str, title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:

@@ -58,8 +58,9 @@ def _figures(found: StaticFigures) -> tuple[Figure, ...]:
 
 
 def noise_sentences(found: StaticFigures) -> list[str]:
-    """How well the model fits; what each figure is, or why there is none; what is missing, and notes."""
-    told = [found.noise.fit_statement or f"noise figures: {found.noise.statement}"]
+    """Whether it jumps; how well the model fits; what each figure is, or why there is none; what is missing, and notes."""
+    told = [found.warning] if found.warning else []
+    told.append(found.noise.fit_statement or f"noise figures: {found.noise.statement}")
     by_reason: dict[str, list[str]] = {}
     for f in _figures(found):
         by_reason.setdefault(f.reason or f.definition, []).append(f.title)

@@ -82,7 +82,7 @@ def test_a_turn_in_a_log_is_left_out_of_its_noise(tmp_path: Path, size_dps: floa
     assert walk[1] < 60.0 * ARW_DPS_RT_S < walk[2]
     assert walk[2] / walk[1] < 1.1
     assert found.noise.figures["rate_random_walk"].value is None
-    assert "the output jumps (at 50" in found.notes[-1]
+    assert "the output jumps (at 50" in found.warning
     assert found.figures["mean_bias"].reason == "the output jumps within the record: cut out a rest"
 
 
