@@ -105,7 +105,7 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
 
 
 def _gains(columns: Floats, score: Floats, p: Floats) -> Floats:
-    """Log-likelihood that each column gains by itself, shape (m,)."""
+    """Twice the log-likelihood that each column gains by itself, shape (m,)."""
     information = np.einsum("ij,ij->j", columns, p @ columns)
     enough = information > 1e-9 * np.max(information, initial=0.0)
     return np.where(enough, (columns.T @ score) ** 2 / np.where(enough, information, 1.0), 0.0)

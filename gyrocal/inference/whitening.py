@@ -403,9 +403,9 @@ def look_for_walk(model: NoiseModel, y: Floats, X: Floats, without: Likelihood) 
     if max(likelihoods) < without.reml - _HOPELESS:
         return without.levels, 1.0
     found = _climb(model, yX, trials[int(np.argmax(likelihoods))], 0.3)
-    return found.levels, _walk_p_value(found, without)
+    return found.levels, walk_p_value(found, without)
 
 
-def _walk_p_value(found: Likelihood, without: Likelihood) -> float:
+def walk_p_value(found: Likelihood, without: Likelihood) -> float:
     """A walk from nothing is a variance at the edge of what it can be: half a chi-square of one degree of freedom."""
     return 0.5 * float(chi2.sf(max(2.0 * (found.reml - without.reml), 0.0), 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,39 @@ def test_studentised_residuals_are_student() -> None:
         [fit_surface(simulate(np.random.default_rng([7, k]))).studentised for k in range(8)]
     )
     assert stats.kstest(values, stats.t(100).cdf).pvalue > FALSE_ALARM
+
+
+def _white(dof: float) -> SurfaceFit:
+    """A fit under white scatter alone, whose variance is an inverse gamma law of so many degrees of freedom."""
+    sets = simulate(np.random.default_rng(8))
+    law = stats.invgamma(dof / 2.0, scale=dof / 2.0 * 1e-6)
+    n, level = len(sets), float(law.mean())
+    scatter = replace(
+        fit_surface(sets).scatter,
+        matrix=level * np.eye(n),
+        parts=(np.ones(n),),
+        level_covariance=np.array([[float(law.var())]]),
+    )
+    return fit_surface(sets, scatter=scatter)
+
+
+def test_a_variance_that_is_known_to_a_few_degrees_of_freedom_makes_students_law_of_as_many() -> None:
+    fit = _white(12.0)
+    np.testing.assert_allclose(fit.dof, 12.0, rtol=1e-6)
+    unit = stats.t(12.0, scale=1.0 / stats.t(12.0).std())
+    np.testing.assert_allclose(fit.half_width_dps() / fit.std_dps, unit.ppf(0.975), rtol=1e-6)
+
+
+def test_a_studentised_residual_is_that_of_a_fit_to_the_others() -> None:
+    fit = _white(12.0)
+    y, x = fit.sets.error_dps, fit.design
+    for k in (0, 17, 40):
+        others = np.delete(np.arange(y.size), k)
+        b, squares, *_ = np.linalg.lstsq(x[others], y[others], rcond=None)
+        variance = float(squares[0]) / (others.size - x.shape[1])
+        spread = 1.0 + x[k] @ np.linalg.solve(x[others].T @ x[others], x[k])
+        expected = (y[k] - x[k] @ b) / np.sqrt(variance * spread)
+        assert fit.studentised[k] == pytest.approx(expected, rel=1e-6)
 
 
 def inside(fit: SurfaceFit) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import chi2, kstest
 
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.series import Raw, Series
 from gyrocal.inference import whitening
-from gyrocal.inference.whitening import TAUS_S, NoiseLevels, NoiseModel, estimate_levels, look_for_walk
+from gyrocal.inference.whitening import (
+    TAUS_S,
+    Likelihood,
+    NoiseLevels,
+    NoiseModel,
+    estimate_levels,
+    look_for_walk,
+    walk_p_value,
+)
 
 LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
 WALKING = replace(LEVELS, walk=4e-4)
@@ -124,3 +132,12 @@ def test_a_random_walk_is_taken_in_where_there_is_one_and_nowhere_else() -> None
             assert np.median(taken) == pytest.approx(levels.walk, rel=0.5)
         else:
             assert np.count_nonzero(taken) <= 1
+
+
+def test_a_walk_from_nothing_is_at_the_edge_of_what_a_variance_can_be() -> None:
+    """Half of all records of no walk have a likelihood that is highest without: 5 % is the 10 % point of chi-square."""
+    without = Likelihood(WALKING, 100.0, 0.0)
+    for p in (0.05, 1e-4):
+        gain = 0.5 * float(chi2.isf(2.0 * p, 1))
+        assert walk_p_value(Likelihood(WALKING, 100.0 + gain, 0.0), without) == pytest.approx(p)
+    assert walk_p_value(Likelihood(WALKING, 99.0, 0.0), without) == 0.5
