@@ -172,14 +172,14 @@ def _write_versus(
             f"{config.coefficients}: --simulation says what the recording is compared with. Leave --coefficients out."
         )
     simulated = series_of(simulation)
+    others = [series_of(_read(path, config.counts_per_dps)) for path in config.others]
     progress(0.1, "match and examine")
     answer = versus(series_of(source), simulated, Options(seed=config.seed))
     said, files, more = told(answer), law_files(answer), []
-    if config.others:
+    if others:
         answers = [answer]
-        for number, path in enumerate(config.others, 1):
-            progress(0.1 + 0.6 * number / (len(config.others) + 1), path.name)
-            other = series_of(_read(path, config.counts_per_dps))
+        for number, other in enumerate(others, 1):
+            progress(0.1 + 0.6 * number / (len(others) + 1), other.name)
             answers.append(versus(other, simulated, Options(seed=config.seed, heldout=False)))
         compared = between(answers)
         said = (*said, *between_told(answers, compared))
