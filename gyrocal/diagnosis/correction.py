@@ -73,10 +73,15 @@ def doubtful(found: Examination, left_out: Mapping[str, Improvement]) -> list[st
     if found.candidates:
         return []
     named = {n.block for n in found.naming.named}
-    weak = [b for b, nats in found.naming.unnamed.items() if BLOCKS[b].stays and nats < _BEYOND_DOUBT]
+    weak = [b for b, nats in found.naming.unnamed.items() if _lasts(b) and nats < _BEYOND_DOUBT]
     return [
         b for b in weak if b not in named and not (b in left_out and left_out[b].logloss_interval_95[0] > 0.0)
     ]
+
+
+def _lasts(block: str) -> bool:
+    """Whether a block goes into the file: what stays, and where the scale factor was at the end of its course."""
+    return BLOCKS[block].stays or block == "scale in time"
 
 
 def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
