@@ -50,7 +50,9 @@ _REFITTED = 3
 _BENT = ("odd rate", "even rate", "each rate")
 _MOST_LAWS = 3
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
-_BENDS = 2
+_BENDS = 6
+#: What the coefficients of a bend may change by at its end, deg/s.
+_SETTLED_DPS = 1e-4
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,8 @@ def around_itself(fitted: Fitted) -> Fitted:
         return fitted
     for _ in range(_BENDS):
         bend = fitted.model.bend_of(fitted.solve())
+        if fitted.model.bend is not None and np.abs(bend - fitted.model.bend).max() < _SETTLED_DPS:
+            break
         fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend), 20)
     return fitted
 
@@ -205,6 +209,7 @@ def name(
         fitted, left, instead = _instead(fitted, left, named, passes, laws)
         named += instead
     fitted, laws = tied_anew(fitted, laws)
+    fitted = around_itself(fitted)
     return Naming(fitted, tuple(_mechanisms(_as_fitted(named, fitted))), left, nearest, input_gain), laws
 
 
