@@ -13,6 +13,7 @@ from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
 from gyrocal.diagnosis.examine import Examination, examine
+from gyrocal.diagnosis.fresh_run import chance_of_gain
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
@@ -47,6 +48,8 @@ Floats = NDArray[np.float64]
 _WALK_LEVEL = 1e-6
 #: What is less probable than this is not said to be open.
 _SURE = 0.05
+#: A file that makes another run of the gyro better with less probability than this is not written.
+_SURELY_BETTER = 0.9
 
 
 @dataclass(frozen=True)
@@ -96,8 +99,7 @@ def diagnose(
     InputError, DataError
         The recording cannot be read, or is too short to be examined.
     """
-    options = options or Options()
-    level = options.false_alarm_rate
+    level = (options := options or Options()).false_alarm_rate
     notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
     series, findings = set_aside(whole, recorded.gyro_dps)
@@ -106,10 +108,11 @@ def diagnose(
     withheld = doubtful(found, stairs.each)
     surface, improved = surface_alone(found), correction(found, withheld)
     parts, layered = unnamed(found, level, withheld), named_effects(found)
+    more_than_surface = bool(layered or found.candidates or any(p.corrected for p in parts))
+    better = _chance(found, improved, surface) if more_than_surface else 1.0
     names = [*layered, *map(_found, findings)]
     accounted = {a for e in names for a in CATALOGUE[e.effect].search.accounts_for}
     more = [f for f in _sampling(series) if f.effect not in accounted]
-    findings += more
     names += map(_found, more)
     left = residuals(found, series, surface)
     noise, levels, walk = _noise(series, left)
@@ -118,8 +121,8 @@ def diagnose(
     change = None if coefficients is None else surface_change(found, coefficients, improved)
     strange = strange_turns(found.series, level)
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
-    changed = [change] if change else []
-    everywhere = [*changed, *located(found, level), *strange, *(f.place for f in findings), *scatter]
+    places = [f.place for f in (*findings, *more)]
+    everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
     lacking = bool(parts or strange or scatter or change) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -131,16 +134,30 @@ def diagnose(
         noise=_noise_figures(series, noise, levels),
         improvement=stairs.total,
         surface=coefficients or surface,
-        improved=improved if layered or found.candidates or any(p.corrected for p in parts) else None,
+        improved=improved if more_than_surface and better > _SURELY_BETTER else None,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *temperature_alone(found), *_of_file(found, withheld, parts)),
+        notes=(*notes, *series.notes, *temperature_alone(found), *_of_file(found, withheld, parts, better)),
         layers=stairs.layers,
         unnamed=parts,
     )
 
 
-def _of_file(found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...]) -> list[Remark]:
-    """What was found and is not in the correction, and whether it is open that a change since power-on comes again."""
+def _chance(found: Examination, improved: Coefficients, surface: Coefficients) -> float:
+    """Of a better second run: the sweeps of a table may leave much of the surface to what time did."""
+    return chance_of_gain(improved, surface, found.model.means) if found.ranked else 1.0
+
+
+def _of_file(
+    found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...], better: float
+) -> list[Remark]:
+    """What was found and is not in the correction, and whether it is open that a change since power-on comes again.
+
+    Parameters
+    ----------
+    better : probability that the correction makes another run better
+    """
+    if better <= _SURELY_BETTER:
+        return [Remark(Said.NO_SURE_GAIN, {"chance": better})]
     seen = {p.coordinate for p in parts}
     coordinates = dict.fromkeys(coordinate_of(b, found.series) for b in withheld)
     remarks = [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]

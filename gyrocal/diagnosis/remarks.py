@@ -27,6 +27,7 @@ class Said(Enum):
     NOT_TEMPERATURE_ALONE = auto()
     NOT_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
+    NO_SURE_GAIN = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
     BURST_SAMPLES = auto()

@@ -232,23 +232,30 @@ class _Likelihood:
         factors = [p.factor for p in parts if p.factor is not None]
         self.columns = np.concatenate([np.empty((left.size, 0)), *factors], axis=1)
         self.owner = np.repeat(self.with_columns, [f.shape[1] for f in factors]).astype(np.int64)
-        self.matrices = [p.matrix for p in parts if p.matrix is not None]
+        matrices = [p.matrix.ravel() for p in parts if p.matrix is not None]
+        self.matrices = np.array(matrices).reshape(len(matrices), left.size**2)
 
     def covariance(self, logs: Floats) -> Floats:
         """Covariance of the contrasts, shape (m, m)."""
         size = np.exp(logs)
         a = (self.columns * size[self.owner]) @ self.columns.T
-        for k, matrix in zip(self.dense, self.matrices, strict=True):
-            a += size[k] * matrix
+        a += (size[self.dense] @ self.matrices).reshape(a.shape)
         a[np.diag_indices_from(a)] += _JITTER * np.trace(a) / len(a)
         return np.asarray(a)
 
     def inverse(self, logs: Floats) -> Floats:
         """Inverse of the covariance."""
+        return self._inverse(logs)[0]
+
+    def _inverse(self, logs: Floats) -> tuple[Floats, float]:
+        """Inverse of the covariance, and the logarithm of the root of its determinant."""
         lower = linalg.cholesky(self.covariance(logs), lower=True, overwrite_a=True, check_finite=False)
+        half_log = float(np.sum(np.log(np.diag(lower))))
         inverse, _ = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
-        inverse = np.tril(inverse)
-        return np.asarray(inverse + np.tril(inverse, -1).T)
+        # Above the diagonal there are zeros.
+        whole = inverse + inverse.T
+        whole[np.diag_indices_from(whole)] *= 0.5
+        return np.asarray(whole), half_log
 
     def __call__(self, logs: Floats) -> tuple[float, Floats]:
         """Value and gradient."""
@@ -259,20 +266,15 @@ class _Likelihood:
 
     def terms(self, logs: Floats) -> tuple[float, Floats, Floats, Floats]:
         """Value, variances, and for each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``."""
-        lower = linalg.cholesky(self.covariance(logs), lower=True, overwrite_a=True, check_finite=False)
-        half_log = float(np.sum(np.log(np.diag(lower))))
-        inverse, _ = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
-        inverse = np.tril(inverse)
-        inverse = inverse + np.tril(inverse, -1).T
+        inverse, half_log = self._inverse(logs)
         weighted = inverse @ self.left
         value = half_log + 0.5 * float(self.left @ weighted)
-        each = np.sum((inverse @ self.columns) * self.columns, axis=0)
+        each = np.einsum("ij,ij->j", inverse @ self.columns, self.columns)
         trace = np.bincount(self.owner, each, minlength=logs.size).astype(np.float64)
         squared = (weighted @ self.columns) ** 2
         square = np.bincount(self.owner, squared, minlength=logs.size).astype(np.float64)
-        for k, matrix in zip(self.dense, self.matrices, strict=True):
-            trace[k] = np.sum(inverse * matrix)
-            square[k] = weighted @ matrix @ weighted
+        trace[self.dense] = self.matrices @ inverse.ravel()
+        square[self.dense] = self.matrices @ np.outer(weighted, weighted).ravel()
         return value, np.exp(logs), trace, square
 
 

@@ -76,6 +76,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.NOT_WRITTEN: _not_written,
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
+    Said.NO_SURE_GAIN: "What was found would make another run of this gyro better than the surface alone with probability "
+    "{chance:.2f} only: no improved coefficients are written. Record sweeps of both signs at each temperature.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
     "mdeg/s: small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,

@@ -1,0 +1,71 @@
+"""What the search of a table offers, and whether its correction makes another run better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.coil import TableSearch
+from gyrocal.diagnosis.fresh_run import chance_of_gain
+from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.means import Means, means_of
+from gyrocal.diagnosis.parts import polynomials
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.physics.surface import SHAPE, Surface
+from tests.diagnosis.test_layers import sweeps
+
+
+@pytest.fixture(scope="module")
+def means() -> Means:
+    """Rows of a table of sweeps."""
+    return means_of(series_of_table(sweeps(1)[0]))
+
+
+def surface(constant_dps: float, variance_dps2: float = 1e-12) -> Coefficients:
+    c = np.zeros(SHAPE)
+    c[0, 0] = constant_dps
+    spread = np.zeros((12, 12))
+    spread[0, 0] = variance_dps2
+    return Coefficients({}, Surface(c, 0.0, 100.0, 25.0, 10.0), spread, Valid((-100, 100), (0, 50)))
+
+
+def test_the_chance_of_gain_is_that_of_the_stated_uncertainty(means: Means) -> None:
+    """A bias that was found to be 2 deviations off is better corrected wherever it is more than half of that."""
+    assert chance_of_gain(surface(0.02), surface(0.0), means) == pytest.approx(1.0)
+    assert chance_of_gain(surface(0.02, 0.01**2), surface(0.0), means) == pytest.approx(0.841, abs=2e-3)
+    assert chance_of_gain(surface(0.02, 1.0), surface(0.0), means) == pytest.approx(0.504, abs=2e-3)
+    assert chance_of_gain(surface(0.0), surface(0.0), means) == 0.5
+
+
+def test_a_warm_up_comes_again_and_a_drift_ends_where_it_is(means: Means) -> None:
+    search = TableSearch(full_model(means, memory=False))
+    warm, drift = search.law(("warm_up", 478)), search.law(("bias_drift", 0))
+    assert (warm.from_end, drift.from_end) == (False, True)
+    np.testing.assert_allclose(warm.columns[:, 0], 1e-3 * np.exp(-means.t_s / 478.0), rtol=1e-12)
+    assert drift.columns[-1, 0] == 0.0
+
+
+def test_neighbouring_shapes_lie_on_the_lattice(means: Means) -> None:
+    search = TableSearch(full_model(means, memory=False))
+    start: Any = replace(search.fit(None, (), None), coil=(1.0, 30.0), changes=(("scale_step", 10),))
+    found = set(search.reshaped(start))
+    assert found == {
+        ((0.85, 30.0), (("scale_step", 10),)),
+        ((1.0, 37.8), (("scale_step", 10),)),
+        ((1.0, 30.0), (("scale_step", 9),)),
+        ((1.0, 30.0), (("scale_step", 11),)),
+    }
+
+
+def test_shapes_in_temperature_are_freed_of_the_surface_at_the_coil(means: Means) -> None:
+    """What the fit takes of them is what the surface of the file, which lags, gives back."""
+    model = TableSearch(full_model(means, memory=False)).model((1.0, 237.6), ())
+    part = next(p for p in model.parts if p.name == "temperature on bias")
+    taken = model.design @ polynomials(part.columns, model.basis.frame)
+    found = model.components[part.name].columns
+    assert found is not None
+    np.testing.assert_allclose(found + taken, model.basis.at(part.columns), atol=1e-12)
