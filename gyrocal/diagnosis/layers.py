@@ -14,6 +14,7 @@ from gyrocal.diagnosis.parts import FLAT, PASSING, SURFACE, Basis, Part, design_
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
+from gyrocal.physics.rate import ROUNDS
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
@@ -72,7 +73,7 @@ class Model:
     direction : str
         Whether the surface is one of the ``input`` or of the ``output``, or ``free``: a part of the model.
     bend : ndarray, shape (12,), optional
-        Where it is not one of the input: coefficients of the surface over the input, of Legendre products, from which
+        Where it is not one of the input: coefficients of the surface over the output, of Legendre products, from which
         the output of a gyro with the surface alone is known.
     law_variance : float
         Prior variance of what a law adds beyond the surface's free terms, for a scan of shapes.
@@ -99,7 +100,7 @@ class Model:
 
         Parameters
         ----------
-        bend : coefficients of the surface over the input as far as they are known
+        bend : coefficients of the surface over the output as far as they are known
         """
         moved = np.zeros_like(self.design)
         if self.direction == "output" and self.bend is not None:
@@ -125,12 +126,18 @@ class Model:
         return replace(self, design=self.design + moved, components=components)
 
     def bend_of(self, solution: Solution) -> Floats:
-        """Coefficients of the surface over the input, of Legendre products, shape (12,)."""
+        """Coefficients of the surface over the output, of Legendre products, shape (12,).
+
+        A surface over the input is none over the output, but is near to one.
+        """
         found = self.legendre(solution)
-        if self.direction != "output" or self.bend is None:
+        if self.direction == "output":
             return found
-        input_design = self.design - beyond_input(self.basis, self.bend)
-        return np.asarray(np.linalg.lstsq(input_design, self.design @ found, rcond=1e-12)[0])
+        error_dps, here = self.design @ found, self.means
+        if DIRECTION in solution.amplitudes:
+            error_dps += self.components[DIRECTION].columns @ solution.amplitudes[DIRECTION]
+        at_output = design_at(here.rate_dps + error_dps, here.temp_c, self.basis.frame)
+        return np.asarray(np.linalg.lstsq(at_output, error_dps, rcond=1e-12)[0])
 
     def legendre(self, solution: Solution) -> Floats:
         """Coefficients of the surface, of Legendre products, shape (12,)."""
@@ -243,9 +250,14 @@ def beyond_input(rows: Basis, bend: Floats) -> Floats:
 
     The output is that of a gyro with the surface alone, to which effects are added, as a robot takes it.
     """
-    here = rows.means
-    at_input = design_at(here.rate_dps, here.temp_c, rows.frame)
-    return design_at(here.rate_dps + at_input @ bend, here.temp_c, rows.frame) - at_input
+    here, frame = rows.means, rows.frame
+    output_dps = here.rate_dps
+    for _ in range(ROUNDS):
+        error_dps = design_at(output_dps, here.temp_c, frame) @ bend
+        # A surface that is not known yet may be as steep as no gyro's.
+        output_dps = here.rate_dps + np.clip(error_dps, -frame.rate_scale_dps, frame.rate_scale_dps)
+    at_input = design_at(here.rate_dps, here.temp_c, frame)
+    return design_at(output_dps, here.temp_c, frame) - at_input
 
 
 def fit_model(model: Model, start: Mapping[str, float] | None = None, iterations: int = 60) -> Fitted:

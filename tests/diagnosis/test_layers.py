@@ -13,7 +13,7 @@ from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import fit_twice
 from gyrocal.diagnosis.layers import beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import around_itself
+from gyrocal.diagnosis.names import around_itself, settle_direction
 from gyrocal.diagnosis.parts import SURFACE, polynomials, staying
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.result import Diagnosis
@@ -21,7 +21,7 @@ from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import patterns
 from gyrocal.fusion.coefficients import Coefficients, parse_coefficients
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.physics.surface import SHAPE
+from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
@@ -130,6 +130,20 @@ def test_a_surface_of_the_output_bends_as_the_surface_that_it_has_in_the_end() -
     now = found.model.bend_of(found.solve())
     bends = [beyond_input(found.model.basis, b) @ now for b in (found.model.bend, now)]
     np.testing.assert_allclose(bends[0], bends[1], atol=5e-3 * np.abs(bends[1]).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_steep_surface_of_the_output_leaves_nothing(seed: int) -> None:
+    """Twelve terms of the output that reach 4 % of full rate are no twelve terms of anything that is known of the rate."""
+    rng = np.random.default_rng(seed)
+    rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 15), np.linspace(-10.0, 50.0, 7)))
+    c = rng.standard_normal(SHAPE) * np.array([[0.2], [1.0], [0.5], [4.0]]) * np.array([1.0, 0.3, 0.1])
+    gyro = Surface(c, 0.0, 100.0, 20.0, 30.0).output_dps(rate, temp) + 1e-3 * rng.standard_normal(rate.size)
+    series = series_of_table(DataSetTable(Path("steep.csv"), rate, gyro, temp))
+    fitted, _ = settle_direction(fit_model(full_model(means_of(series), memory=False)))
+    left_dps = around_itself(fitted).solve().left
+    assert fitted.model.direction == "output"
+    assert np.sqrt(np.mean(left_dps**2)) == pytest.approx(1e-3, rel=0.25)
 
 
 def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:
