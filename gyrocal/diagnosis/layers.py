@@ -134,8 +134,9 @@ class Model:
         if self.direction == "output":
             return found
         error_dps, here = self.design @ found, self.means
-        if DIRECTION in solution.amplitudes:
-            error_dps += self.components[DIRECTION].columns @ solution.amplitudes[DIRECTION]
+        between = self.components[DIRECTION].columns if DIRECTION in solution.amplitudes else None
+        if between is not None:
+            error_dps = error_dps + between @ solution.amplitudes[DIRECTION]
         at_output = design_at(here.rate_dps + error_dps, here.temp_c, self.basis.frame)
         return np.asarray(np.linalg.lstsq(at_output, error_dps, rcond=1e-12)[0])
 

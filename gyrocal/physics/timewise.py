@@ -90,7 +90,7 @@ BIAS_DRIFT = Effect(
     family="time",
     equation="e = k t^p",
     statement="The bias drifts slowly, all the run long (ageing, rate ramp).",
-    parameters=(amplitude("mdeg/s/h", 100.0, 1.0, "drift in the first hour"), _POWER),
+    parameters=(amplitude("mdeg/s/h", 10000.0, 1.0, "drift in the first hour"), _POWER),
     needs=("t_s",),
     seen_in="time",
     looks_like=("warm_up", "thermal_hysteresis"),
