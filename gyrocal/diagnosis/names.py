@@ -41,7 +41,7 @@ _NAMED_SHARE = 0.6
 #: A law worth less at the end is dropped, nats.
 _DROPPED = 4.0
 #: A walk follows a drift nearly as well as the drift itself does: it has to be this much worse, nats. Of 100 data sets
-#: at rest, walks of 2.5 times the noise were called a drift in 1 of 24 (0 to 20 %), drifts of d' 12 in 9, of 25 in 16 of 16.
+#: at rest, walks of 2.5 times the noise were called a drift in 0 of 24 (0 to 14 %), drifts of d' 12 in 17, of 25 in 24 of 24.
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
