@@ -16,6 +16,7 @@ from gyrocal.diagnosis.layers import DIRECTION, Fitted, Model
 from gyrocal.diagnosis.locate import block_p_value
 from gyrocal.diagnosis.names import GAIN, Named
 from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
 from gyrocal.diagnosis.staircase import Step
 from gyrocal.diagnosis.untimed import between_sets, by_data_set
@@ -45,10 +46,18 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         share = _input_share(found)
         p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
         named.append((found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, {})))
-    best: dict[str, tuple[float, NamedEffect]] = {}
-    for nats, effect in sorted(named, key=lambda x: -x[0]):
-        best.setdefault(effect.effect, (nats, effect))
-    return [effect for _, effect in best.values()]
+    found_as: dict[str, list[NamedEffect]] = {}
+    for _, effect in sorted(named, key=lambda x: -x[0]):
+        found_as.setdefault(effect.effect, []).append(effect)
+    return [_as_one(laws) for laws in found_as.values()]
+
+
+def _as_one(laws: list[NamedEffect]) -> NamedEffect:
+    """Several laws of one effect, the strongest first, as one: figures of the one that adds most."""
+    largest = max(laws, key=lambda e: e.adds.value if e.adds else 0.0)
+    if len(laws) == 1 or largest.beside:
+        return largest
+    return replace(largest, p_value=laws[0].p_value, beside=Remark(Said.SEVERAL_LAWS, {"count": len(laws)}))
 
 
 def _effect(

@@ -303,28 +303,17 @@ def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
 def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     worth, without = evidence(fitted, block)
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
-    current = without
-    chosen: list[Named] = []
-    near: dict[str, float] = {}
-    while trials and len(chosen) < _MOST_LAWS:
-        taken = {n.law.effect for n in chosen if not CATALOGUE[n.law.effect].search.adds_up}
-        found = _best_law(fitted, current, block, trials, taken, laws)
-        if not found:
-            break
-        trial, better, rivals, count = found
-        gain = current.nll - better.nll
-        if not chosen:
-            near = {trial.effect.id: worth - gain} | {e: worth - gain + r for e, r in rivals.items()}
-        if gain < GAIN + 0.5 * np.log(count) - trial.effect.search.prior_nats:
-            break
-        whole = better.nll <= fitted.nll + _REPLACED + len(chosen) + 1
-        more = trial.effect.id in {n.law.effect for n in chosen}
-        told = min(rivals.values(), default=np.inf) > _TOLD_APART
-        if chosen and not more and not (told and (whole or gain >= _SECOND * worth)):
-            # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
-            break
-        chosen.append(Named(better.model.laws[-1], block, gain, 0.0, rivals, count))
-        current = better
+    current, chosen, near = _chosen(fitted, without, block, trials, laws)
+    kinds = {n.law.effect for n in chosen}
+    for kind in sorted(kinds) if len(kinds) > 1 else ():
+        if CATALOGUE[kind].search.adds_up:
+            # One mechanism of several laws is likelier than two that do hardly better.
+            alone, only, _ = _chosen(fitted, without, block, [t for t in trials if t.effect.id == kind], laws)
+            ahead = current.nll + GAIN * (len(kinds) - 1) - alone.nll
+            if ahead > 0.0:
+                left = worth - (without.nll - alone.nll)
+                near = dict.fromkeys(near, left + ahead) | {kind: left}
+                current, chosen, kinds = alone, only, {kind}
     if not chosen:
         return _Answer(fitted, [], near, fitted.nll)
     share = (without.nll - current.nll) / worth
@@ -348,6 +337,41 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     if fitted.nll - beside.nll > GAIN * len(chosen):
         return _Answer(beside, chosen, near, beside.nll)
     return _Answer(fitted, [], near, fitted.nll)
+
+
+def _chosen(
+    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws
+) -> tuple[Fitted, list[Named], dict[str, float]]:
+    """The best law in place of a block, and further ones beside it; also what each leaves of the block, nats.
+
+    Parameters
+    ----------
+    without : the model without the block
+    """
+    worth = without.nll - fitted.nll
+    current = without
+    chosen: list[Named] = []
+    near: dict[str, float] = {}
+    while trials and len(chosen) < _MOST_LAWS:
+        taken = {n.law.effect for n in chosen if not CATALOGUE[n.law.effect].search.adds_up}
+        found = _best_law(fitted, current, block, trials, taken, laws)
+        if not found:
+            break
+        trial, better, rivals, count = found
+        gain = current.nll - better.nll
+        if not chosen:
+            near = {trial.effect.id: worth - gain} | {e: worth - gain + r for e, r in rivals.items()}
+        if gain < GAIN + 0.5 * np.log(count) - trial.effect.search.prior_nats:
+            break
+        whole = better.nll <= fitted.nll + _REPLACED + len(chosen) + 1
+        more = trial.effect.id in {n.law.effect for n in chosen}
+        told = min(rivals.values(), default=np.inf) > _TOLD_APART
+        if chosen and not more and not (told and (whole or gain >= _SECOND * worth)):
+            # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
+            break
+        chosen.append(Named(better.model.laws[-1], block, gain, 0.0, rivals, count))
+        current = better
+    return current, chosen, near
 
 
 def _of_robot(named: Named) -> bool:

@@ -34,6 +34,7 @@ class Said(Enum):
     OUTPUT_STEPS = auto()
     SAMPLE_CLOCK = auto()
     BETWEEN_SETS = auto()
+    SEVERAL_LAWS = auto()
     # A drive log.
     GAPS = auto()
     EMPTY_WHEEL = auto()

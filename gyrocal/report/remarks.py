@@ -87,6 +87,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "to a sample.",
     Said.SAMPLE_CLOCK: _clock,
     Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
+    Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
     Said.GAPS: "{count} gaps of more than {steps:g} usual steps are left out",
     Said.EMPTY_WHEEL: "{count} rows without {wheel} count as no motion of that wheel",
     Said.CALIBRATED: "the gyro was calibrated with the coefficients given",

@@ -190,3 +190,17 @@ def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_aga
         since = later if found is warmed else None
         left = Compensator(file).evaluate(later, gyro, temp, since).rate_dps
         np.testing.assert_allclose(left, 0.0, atol=8e-4)
+
+
+def test_a_transient_of_two_time_constants_is_a_warm_up_and_no_drift() -> None:
+    """A power of time follows it nearly as well, and would be held where it was last."""
+    t: Floats = 60.0 * np.arange(120, dtype=np.float64)
+    found = at_rest(8e-3 * np.exp(-t / 200.0) + 5e-3 * np.exp(-t / 2500.0), t)
+    assert [e.effect for e in found.effects] == ["warm_up"]
+    assert found.improved is not None
+    file = parse_coefficients(found.improved.to_text(), "improved")
+    gyro = np.array([0.023, 0.0101])
+    left_dps = Compensator(file).evaluate(
+        np.array([0.0, 9000.0]), gyro, np.full(2, 25.0), np.array([0.0, 9000.0])
+    )
+    np.testing.assert_allclose(left_dps.rate_dps, 0.0, atol=1.2e-3)
