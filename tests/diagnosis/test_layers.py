@@ -195,7 +195,7 @@ def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_aga
 def test_a_transient_of_two_time_constants_is_a_warm_up_and_no_drift() -> None:
     """A power of time follows it nearly as well, and would be held where it was last."""
     t: Floats = 60.0 * np.arange(120, dtype=np.float64)
-    found = at_rest(8e-3 * np.exp(-t / 200.0) + 5e-3 * np.exp(-t / 2500.0), t)
+    found = at_rest(5e-3 * np.exp(-t / 150.0) + 8e-3 * np.exp(-t / 2000.0), t)
     assert [e.effect for e in found.effects] == ["warm_up"]
     assert found.improved is not None
     file = parse_coefficients(found.improved.to_text(), "improved")
