@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,9 +12,10 @@ from scipy.stats import chi2
 from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.lag_posterior import lag_estimates
-from gyrocal.diagnosis.layers import DIRECTION, Fitted, Model
+from gyrocal.diagnosis.laws import GAIN
+from gyrocal.diagnosis.layers import DIRECTION, Law, Model
 from gyrocal.diagnosis.locate import block_p_value
-from gyrocal.diagnosis.names import GAIN, Named
+from gyrocal.diagnosis.names import Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
@@ -29,6 +30,8 @@ from gyrocal.physics.thermal import THERMAL_LAG
 CLASS_NATS = 3.0
 #: What is left of this after what a table's laws have paid.
 _NAMED_BEYOND_TOLL = 2.5
+#: Models of a table, the best first, in which rivals of a law of time are looked for.
+_RIVALS = 20
 _EACH_RATE = "each rate"
 
 
@@ -36,7 +39,7 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     """All that has a name, the strongest first."""
     named = [(n.gain, _law(found, n)) for n in found.naming.named]
     named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
-    named += _table_laws(found)
+    named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.nats > _NAMED_BEYOND_TOLL]
     gain = found.naming.unnamed.get(_EACH_RATE, 0.0)
     if gain > GAIN:
         size = estimates.of_draws(found.naming.fitted, _EACH_RATE, found.model.basis.frame.rate_scale_dps)
@@ -112,8 +115,10 @@ def _input_share(found: Examination) -> Estimate:
     if DIRECTION not in fitted.model.components:
         free = fitted.model.directed("free", fitted.model.bend_of(fitted.solve()))
         fitted = fitted.refit(free, 20)
-    bent = _amplitude(fitted, DIRECTION, "1")
-    return estimates.normal(1.0 - bent.value, bent.std, "1")
+    solution = fitted.solve()
+    place = solution.starts[DIRECTION]
+    std = float(np.sqrt(solution.covariance[place, place]))
+    return estimates.normal(1.0 - float(solution.amplitudes[DIRECTION][0]), std, "1")
 
 
 def _of_the_input(found: Examination) -> bool:
@@ -122,62 +127,50 @@ def _of_the_input(found: Examination) -> bool:
     return found.naming.input_gain > GAIN and not laws_of_rate
 
 
-def _searched_gains(found: Examination) -> dict[str, float]:
-    """What the search of a table put in, and how much worse the models without it are, nats."""
+@dataclass(frozen=True)
+class _Searched:
+    """What the search of a table put in: the lag of the coil, or a law of time.
+
+    `nats`: how much worse the models without it are; `rivals`: other laws in those, to the same.
+    """
+
+    effect: str
+    nats: float
+    law: Law | None
+    rivals: dict[str, float]
+
+
+def _searched(found: Examination) -> list[_Searched]:
     if not found.ranked:
-        return {}
-    best = found.ranked[0]
-    gains = {}
-    if best.coil is not None:
-        gains[THERMAL_LAG.id] = min(c.score for c in found.ranked if c.coil is None) - best.score
-    for law in best.fitted.model.laws:
-        without = [c.score for c in found.ranked if law.effect not in {e for e, _ in c.changes}]
-        gains[law.effect] = min(without) - best.score
-    return gains
-
-
-def _table_laws(found: Examination) -> list[tuple[float, NamedEffect]]:
-    """The coil's lag and the laws of time of a table, where the models without them are that much worse."""
-    gains = {e: gain for e, gain in _searched_gains(found).items() if gain > _NAMED_BEYOND_TOLL}
-    if not gains:
         return []
     best = found.ranked[0]
-    named = []
-    if THERMAL_LAG.id in gains:
-        parameters = lag_estimates([(w, c) for w, c in found.candidates if c.coil is not None])
-        gain = gains[THERMAL_LAG.id]
-        p = float(chi2.sf(2.0 * gain, 2))
-        named.append((gain, _effect(found, THERMAL_LAG.id, parameters, p, {})))
+    searched = []
+    if best.coil is not None:
+        nats = min(c.score for c in found.ranked if c.coil is None) - best.score
+        searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
     for law in best.fitted.model.laws:
-        if law.effect not in gains:
-            continue
-        gain = gains[law.effect]
-        others = {
-            e: c.score - best.score
-            for c in found.ranked[:20]
-            for e, _ in c.changes
-            if law.effect not in {x for x, _ in c.changes}
-        }
-        known = estimates.of_law(best.fitted, law, found.laws, [])
-        p = float(chi2.sf(2.0 * gain, 1))
-        effect = _effect(found, law.effect, known.parameters, p, others, adds=known.adds)
-        named.append((gain, effect))
-    return named
+        nats = min(c.score for c in found.ranked if law.effect not in c.effects) - best.score
+        others = [c for c in found.ranked[:_RIVALS] if law.effect not in c.effects]
+        rivals = {e: c.score - best.score for c in others for e in c.effects}
+        searched.append(_Searched(law.effect, nats, law, rivals))
+    return searched
 
 
-def _amplitude(fitted: Fitted, name: str, unit: str) -> Estimate:
-    """Amplitude of a component of one column."""
-    solution = fitted.solve()
-    before = solution.order[: solution.order.index(name)]
-    place = len(solution.flat) + sum(len(solution.amplitudes[n]) for n in before)
-    std = float(np.sqrt(solution.covariance[place, place]))
-    return estimates.normal(float(solution.amplitudes[name][0]), std, unit)
+def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
+    """The coil's lag or a law of time of a table."""
+    if searched.law is None:
+        p = float(chi2.sf(2.0 * searched.nats, 2))
+        coils = [(weight, c) for weight, c in found.candidates if c.coil is not None]
+        return _effect(found, searched.effect, lag_estimates(coils), p, {})
+    p = float(chi2.sf(2.0 * searched.nats, 1))
+    known = estimates.of_law(found.ranked[0].fitted, searched.law, found.laws, [])
+    return _effect(found, searched.effect, known.parameters, p, searched.rivals, adds=known.adds)
 
 
 def layers_of(found: Examination) -> list[Step]:
     """Steps of the staircase, the strongest first: laws, the lag of a coil, blocks without a name, errors of each rate."""
     model = found.naming.fitted.model
-    steps = [*_searched_steps(found)]
+    steps = [_step_of_table(found, s) for s in _searched(found)]
     if _of_the_input(found):
         bend = model.bend_of(found.naming.fitted.solve())
         less = partial(Model.directed, direction="output", bend=bend)
@@ -196,19 +189,11 @@ def layers_of(found: Examination) -> list[Step]:
     return sorted(steps, key=lambda step: -step.nats)
 
 
-def _searched_steps(found: Examination) -> list[Step]:
-    """What the search of a table put in: the lag of the coil, and laws of time."""
-    if not found.ranked:
-        return []
-    gains, best = _searched_gains(found), found.ranked[0]
-    steps = [
-        Step(law.effect, gains[law.effect], partial(Model.without_laws, names=[law.name]))
-        for law in best.fitted.model.laws
-    ]
-    if best.coil is not None:
-        basis = best.fitted.model.basis
-        moved = replace(basis, coil=None).surface() - replace(basis, coil=best.coil).surface()
-        steps.append(
-            Step(THERMAL_LAG.id, gains[THERMAL_LAG.id], partial(Model.with_surface_moved, moved=moved))
-        )
-    return steps
+def _step_of_table(found: Examination, searched: _Searched) -> Step:
+    best = found.ranked[0]
+    if searched.law is not None:
+        less = partial(Model.without_laws, names=[searched.law.name])
+        return Step(searched.effect, searched.nats, less)
+    basis = best.fitted.model.basis
+    moved = replace(basis, coil=None).surface() - replace(basis, coil=best.coil).surface()
+    return Step(searched.effect, searched.nats, partial(Model.with_surface_moved, moved=moved))

@@ -63,9 +63,14 @@ class Candidate:
     score: float
 
     @property
+    def effects(self) -> set[str]:
+        """Its laws of time."""
+        return {effect for effect, _ in self.changes}
+
+    @property
     def warms_up(self) -> bool:
         """Whether a warm-up is among its laws of time."""
-        return WARM_UP.id in {effect for effect, _ in self.changes}
+        return WARM_UP.id in self.effects
 
 
 @dataclass

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
+from gyrocal.diagnosis.blocks import around_itself
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
-from gyrocal.diagnosis.names import around_itself
 from gyrocal.diagnosis.parts import BLOCKS, SURFACE, Part, polynomials
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.result import Improvement
@@ -73,15 +73,10 @@ def doubtful(found: Examination, left_out: Mapping[str, Improvement]) -> list[st
     if found.candidates:
         return []
     named = {n.block for n in found.naming.named}
-    weak = [b for b, nats in found.naming.unnamed.items() if _lasts(b) and nats < _BEYOND_DOUBT]
+    weak = [b for b, nats in found.naming.unnamed.items() if BLOCKS[b].lasts and nats < _BEYOND_DOUBT]
     return [
         b for b in weak if b not in named and not (b in left_out and left_out[b].logloss_interval_95[0] > 0.0)
     ]
-
-
-def _lasts(block: str) -> bool:
-    """Whether a block goes into the file: what stays, and where the scale factor was at the end of its course."""
-    return BLOCKS[block].stays or block == "scale in time"
 
 
 def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
@@ -206,9 +201,9 @@ def _estimate(
     ----------
     again : probability that what follows the time since power-on comes again; else it is held where it was last
     """
-    sizes = [len(solution.flat), *(len(solution.amplitudes[n]) for n in solution.order)]
-    starts = dict(zip(("", *solution.order), np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
-    to_file = np.zeros((total, int(np.sum(sizes))))
+    amplitudes = np.concatenate([solution.flat, *(solution.amplitudes[n] for n in solution.order)])
+    starts = solution.starts
+    to_file = np.zeros((total, amplitudes.size))
     powers = legendre_to_powers()
     to_file[:_TERMS, : len(model.flat)] = powers[:, list(model.flat)]
     for part in model.parts:
@@ -230,7 +225,6 @@ def _estimate(
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] *= again
         to_file[0, mine] += (1.0 - again) * columns[-1]
-    amplitudes = np.concatenate([solution.flat, *(solution.amplitudes[n] for n in solution.order)])
     values = to_file @ amplitudes
     values[:_TERMS] += _end_state(model, solution)
     return _Estimate(values, to_file @ solution.covariance @ to_file.T)

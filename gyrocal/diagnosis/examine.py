@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import errors_of_each_rate, present, settle_direction
 from gyrocal.diagnosis.coil import Candidate, TableSearch, averaged
 from gyrocal.diagnosis.jumps import with_jumps
 from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import GAIN, Naming, errors_of_each_rate, name, present, settle_direction
+from gyrocal.diagnosis.names import Naming, name
 from gyrocal.diagnosis.parts import PASSING, Basis, passing
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.within import Pattern, patterns
@@ -80,7 +81,7 @@ def examine(series: Series, level: float) -> Examination:
     whole, _ = settle_direction(alive(fit_twice(full)))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
     passes = wandering(full)
-    jumped, jumps = with_jumps(whole, passes, laws, GAIN)
+    jumped, jumps = with_jumps(whole, passes, laws)
     if jumps:
         jumped, _ = settle_direction(jumped)
     settled, worth = present(errors_of_each_rate(jumped, draws_of(full)))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.laws import GAIN, Laws
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.inference.additive import Component
@@ -44,15 +44,12 @@ class Jump:
     trials: int
 
 
-def with_jumps(
-    fitted: Fitted, passes: Sequence[Component], laws: Laws, least_nats: float
-) -> tuple[Fitted, list[Jump]]:
+def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple[Fitted, list[Jump]]:
     """The model with the jumps that are there.
 
     Parameters
     ----------
     passes : what passes, that may have died in `fitted` and is to stand beside each jump
-    least_nats : evidence that a jump needs at least, with the logarithm of the root of the number of instants
     """
     found: list[Jump] = []
     beside = {c.name: c for c in passes}
@@ -60,7 +57,7 @@ def with_jumps(
     while len(found) < _MOST:
         tried = [_best(wide, laws, effect) for effect in (BIAS_STEP.id, SCALE_STEP.id)]
         gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
-        gains = [g for g in gains if g[0] > least_nats + 0.5 * np.log(g[2])]
+        gains = [g for g in gains if g[0] > GAIN + 0.5 * np.log(g[2])]
         if not gains:
             break
         gain, new, count = max(gains, key=lambda g: g[0])

@@ -22,6 +22,8 @@ from gyrocal.physics.timewise import BIAS_STEP
 
 Floats = NDArray[np.float64]
 
+#: What a law gains at least, nats, with the logarithm of the root of the number of its shapes.
+GAIN = 8.0
 #: Columns that are nothing at these rows, as a share of the largest.
 _NOTHING = 1e-12
 #: Rounds in which the surface and the laws that act through it follow each other.

@@ -6,36 +6,26 @@ evidence it is named and the block stays beside it; where no law does, the block
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
+from gyrocal.diagnosis.blocks import BENT, REPLACED, around_itself, evidence, present, settle_direction
+from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import Laws, Trial, effects_of, tied_anew
+from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER
 from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
-from gyrocal.units import NORMAL_95
 
-Floats = NDArray[np.float64]
-
-#: Blocks whose removal costs less, nats, are not there.
-_ABSENT = 2.5
-#: What a law gains at least, nats, with the logarithm of the root of the number of its shapes.
-GAIN = 8.0
 #: A further law of the same block leaves nothing of the block, or takes this share of its evidence.
 _SECOND = 0.2
 #: And no other law explains as much to within 20 to 1, nats.
 _TOLD_APART = 3.0
-#: Laws stand for a block that gains no more than this beside them, and a nat for each of them.
-_REPLACED = 2.0
 #: A law that takes this share of a block's evidence names it, lack of fit and all.
 _NAMED_SHARE = 0.6
 #: A law worth less at the end is dropped, nats.
@@ -45,14 +35,7 @@ _DROPPED = 4.0
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
-_REFITTED = 3
-#: Blocks that a wrong direction of the surface looks like.
-_BENT = ("odd rate", "even rate", "each rate")
 _MOST_LAWS = 3
-#: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
-_BENDS = 6
-#: What the coefficients of a bend may change by at its end, deg/s.
-_SETTLED_DPS = 1e-4
 
 
 @dataclass(frozen=True)
@@ -102,79 +85,6 @@ class Naming:
         return float(1.0 / (1.0 + np.exp(np.clip(behind, -_UNLIKELY, _UNLIKELY))))
 
 
-def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
-    """The model with a surface of the output or of the input, where either does as well as what is between.
-
-    Also how much better the input is, nats. Around itself: what bends is the surface that stands beside all else.
-    """
-    model = fitted.model
-    if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
-        return fitted, 0.0
-    bend = model.bend_of(fitted.solve())
-    free = fitted.refit(model.directed("free", bend), 40)
-    bend = free.model.bend_of(free.solve())
-    free = free.refit(model.directed("free", bend), 20)
-    ways = {d: free.refit(free.model.directed(d, bend), 40) for d in ("output", "input")}
-    gain = ways["output"].nll - ways["input"].nll
-    best = ways["input"] if gain > 0.0 else ways["output"]
-    # What is between the two is neither: it takes evidence to be believed.
-    return (best if best.nll < free.nll + GAIN else free), gain
-
-
-def around_itself(fitted: Fitted) -> Fitted:
-    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface."""
-    if fitted.model.direction == "input":
-        return fitted
-    for _ in range(_BENDS):
-        bend = fitted.model.bend_of(fitted.solve())
-        if fitted.model.bend is not None and np.abs(bend - fitted.model.bend).max() < _SETTLED_DPS:
-            break
-        fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend), 20)
-    return fitted
-
-
-def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
-    """The model with an error of each rate in place of odd smooth parts, where it explains as much.
-
-    A few rates can be followed by anything smooth; independent errors of one size are the simpler account of them.
-    """
-    odd = [n for n, b in fitted.model.blocks.items() if b == "odd rate"]
-    if draws is None or not odd:
-        return fitted
-    without = fitted.model.without(odd)
-    other = replace(without, components={**without.components, draws.name: draws})
-    found = fitted.refit(other, 40)
-    return found if found.nll <= fitted.nll + _REPLACED else fitted
-
-
-def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:
-    """What a block is worth, nats, and the model without it, in which laws act through the surface that it leaves."""
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
-    model, bend = fitted.model.without(names), fitted.model.bend
-    ways = [model]
-    if block in _BENT and bend is not None:
-        ways = [model.directed(d, bend) for d in ("input", "output")]
-    without = min((fitted.refit(way, 30) for way in ways), key=lambda f: f.nll)
-    if laws is not None and without.model.laws:
-        without = min(without, tied_anew(without, laws)[0], key=lambda f: f.nll)
-    return without.nll - fitted.nll, without
-
-
-def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str, float]]:
-    """The model less the blocks that are not there, and what each of the others is worth."""
-    while True:
-        found = {b: evidence(fitted, b, laws) for b in sorted(set(fitted.model.blocks.values()))}
-        weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
-        if not weak:
-            return around_itself(fitted), {b: gain for b, (gain, _) in found.items()}
-        # The weakest at once, so that one of two that share a pattern stays.
-        fitted = found[weak[0][1]][1]
-        for _, block in weak[1:]:
-            gain, without = evidence(fitted, block, laws)
-            if gain < _ABSENT:
-                fitted = without
-
-
 def name(
     fitted: Fitted,
     worth: Mapping[str, float],
@@ -194,7 +104,7 @@ def name(
     fitted, laws, found, nearest = _name_blocks(fitted, worth, named, laws)
     named += found
     if passes:
-        fitted, more = with_jumps(fitted, passes, laws, GAIN)
+        fitted, more = with_jumps(fitted, passes, laws)
         named += [_jumped(jump) for jump in more]
         # A walk that smooth parts had taken the place of: laws that it can follow are none.
         fitted = _beside(fitted, passes)
@@ -244,9 +154,9 @@ def _instead(
             continue
         other = _beside(evidence(fitted, block, laws)[1], passes)
         other, _, more, _ = _name_blocks(*present(other, laws), named, laws)
-        other, jumps = with_jumps(other, passes, laws, GAIN)
+        other, jumps = with_jumps(other, passes, laws)
         more += [_jumped(jump) for jump in jumps]
-        if more and other.nll <= fitted.nll + _REPLACED + len(more):
+        if more and other.nll <= fitted.nll + REPLACED + len(more):
             return *present(other, laws), more
     return fitted, worth, []
 
@@ -287,13 +197,32 @@ class _Answer:
     nll: float
 
 
+@dataclass(frozen=True)
+class _Alone:
+    """Laws alone in place of a block: the model, and what each of the nearest ones leaves of the block, nats."""
+
+    fitted: Fitted
+    named: list[Named]
+    near: dict[str, float]
+
+    @property
+    def kinds(self) -> set[str]:
+        """Effects that it takes."""
+        return {n.law.effect for n in self.named}
+
+    @property
+    def cost(self) -> float:
+        """One mechanism of several laws is likelier than two that do hardly better."""
+        return self.fitted.nll + GAIN * max(len(self.kinds) - 1, 0)
+
+
 def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     """Name a block; one that is odd in the rate beside a surface of the input and beside one of the output.
 
     Smooth parts make up for the wrong one of the two, a law cannot.
     """
     bend = fitted.model.bend
-    if block not in _BENT or bend is None:
+    if block not in BENT or bend is None:
         return _name_block(fitted, block, laws)
     ways = [fitted.refit(fitted.model.directed(d, bend), 30) for d in ("input", "output")]
     found = [_name_block(way, block, laws) for way in ways]
@@ -301,77 +230,73 @@ def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
 
 
 def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
+    """Laws in place of a block where they explain as much; else beside it, if they say enough."""
     worth, without = evidence(fitted, block)
-    trials = [t for e in effects_of(block) for t in laws.trials(e)]
-    current, chosen, near = _chosen(fitted, without, block, trials, laws)
-    kinds = {n.law.effect for n in chosen}
-    for kind in sorted(kinds) if len(kinds) > 1 else ():
-        if CATALOGUE[kind].search.adds_up:
-            # One mechanism of several laws is likelier than two that do hardly better.
-            alone, only, _ = _chosen(fitted, without, block, [t for t in trials if t.effect.id == kind], laws)
-            ahead = current.nll + GAIN * (len(kinds) - 1) - alone.nll
-            if ahead > 0.0:
-                left = worth - (without.nll - alone.nll)
-                near = dict.fromkeys(near, left + ahead) | {kind: left}
-                current, chosen, kinds = alone, only, {kind}
-    if not chosen:
-        return _Answer(fitted, [], near, fitted.nll)
-    share = (without.nll - current.nll) / worth
-    chosen = [replace(n, share=share) for n in chosen]
+    alone = _simplest(fitted, without, block, laws)
+    unnamed = _Answer(fitted, [], alone.near, fitted.nll)
+    if not alone.named:
+        return unnamed
+    share = (without.nll - alone.fitted.nll) / worth
+    named = [replace(n, share=share) for n in alone.named]
     # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.
-    replaces = all(_of_robot(n) or _passes(n) for n in chosen) or not BLOCKS[block].stays
+    replaces = all(_of_robot(n) or _passes(n) for n in named) or not BLOCKS[block].stays
     # Errors of single rates are as simple as a law is.
-    slack = 0.0 if block == "each rate" else _REPLACED + len(chosen)
-    if current.nll <= fitted.nll + slack:
-        return _Answer(current if replaces else fitted, chosen, near, current.nll)
-    # A scale factor seldom walks: what a law leaves of its course is the law's misfit.
-    misfit = BLOCKS[block].stays or block == "scale in time"
-    if misfit and share < _NAMED_SHARE:
-        return _Answer(fitted, [], near, fitted.nll)
-    if not replaces:
-        return _Answer(fitted, chosen, near, current.nll)
-    beside = fitted.refit(replace(fitted.model, laws=current.model.laws), 30)
-    if misfit:
-        return _Answer(beside, chosen, near, current.nll)
+    slack = 0.0 if block == "each rate" else REPLACED + len(named)
+    if alone.fitted.nll <= fitted.nll + slack:
+        return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
+    beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws), 30) if replaces else fitted
+    if BLOCKS[block].lasts:
+        # What a law leaves is its misfit.
+        return _Answer(beside, named, alone.near, alone.fitted.nll) if share >= _NAMED_SHARE else unnamed
     # A walk follows a line without being one: each law must say more than the walk does.
-    if fitted.nll - beside.nll > GAIN * len(chosen):
-        return _Answer(beside, chosen, near, beside.nll)
-    return _Answer(fitted, [], near, fitted.nll)
+    says_more = fitted.nll - beside.nll > GAIN * len(named)
+    return _Answer(beside, named, alone.near, beside.nll) if says_more else unnamed
 
 
-def _chosen(
-    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws
-) -> tuple[Fitted, list[Named], dict[str, float]]:
-    """The best law in place of a block, and further ones beside it; also what each leaves of the block, nats.
+def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws) -> _Alone:
+    """The laws that explain a block best, those of one mechanism if they do nearly as well."""
+    trials = [t for e in effects_of(block) for t in laws.trials(e)]
+    best = _alone(fitted, without, block, trials, laws)
+    for kind in sorted(best.kinds):
+        if len(best.kinds) == 1 or not CATALOGUE[kind].search.adds_up:
+            continue
+        single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws)
+        ahead = best.cost - single.cost
+        if ahead > 0.0:
+            left = single.fitted.nll - fitted.nll
+            best = replace(single, near=dict.fromkeys(best.near, left + ahead) | {kind: left})
+    return best
+
+
+def _alone(fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws) -> _Alone:
+    """The best law in place of a block, and further ones beside it.
 
     Parameters
     ----------
     without : the model without the block
     """
     worth = without.nll - fitted.nll
-    current = without
-    chosen: list[Named] = []
-    near: dict[str, float] = {}
-    while trials and len(chosen) < _MOST_LAWS:
-        taken = {n.law.effect for n in chosen if not CATALOGUE[n.law.effect].search.adds_up}
-        found = _best_law(fitted, current, block, trials, taken, laws)
-        if not found:
+    found = _Alone(without, [], {})
+    while len(found.named) < _MOST_LAWS:
+        taken = {e for e in found.kinds if not CATALOGUE[e].search.adds_up}
+        best = best_law(fitted, found.fitted, block, [t for t in trials if t.effect.id not in taken], laws)
+        if best is None:
             break
-        trial, better, rivals, count = found
-        gain = current.nll - better.nll
-        if not chosen:
-            near = {trial.effect.id: worth - gain} | {e: worth - gain + r for e, r in rivals.items()}
-        if gain < GAIN + 0.5 * np.log(count) - trial.effect.search.prior_nats:
+        gain = found.fitted.nll - best.fitted.nll
+        if not found.named:
+            left = {best.effect.id: 0.0, **best.rivals}
+            found = replace(found, near={e: worth - gain + behind for e, behind in left.items()})
+        if gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
             break
-        whole = better.nll <= fitted.nll + _REPLACED + len(chosen) + 1
-        more = trial.effect.id in {n.law.effect for n in chosen}
-        told = min(rivals.values(), default=np.inf) > _TOLD_APART
-        if chosen and not more and not (told and (whole or gain >= _SECOND * worth)):
+        another = found.named and best.effect.id not in found.kinds
+        told_apart = min(best.rivals.values(), default=np.inf) > _TOLD_APART
+        enough = best.fitted.nll <= fitted.nll + REPLACED + len(found.named) + 1 or gain >= _SECOND * worth
+        if another and not (told_apart and enough):
             # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
             break
-        chosen.append(Named(better.model.laws[-1], block, gain, 0.0, rivals, count))
-        current = better
-    return current, chosen, near
+        law = Named(best.fitted.model.laws[-1], block, gain, 0.0, best.rivals, best.shapes)
+        found = _Alone(best.fitted, [*found.named, law], found.near)
+    return found
 
 
 def _of_robot(named: Named) -> bool:
@@ -382,94 +307,6 @@ def _passes(named: Named) -> bool:
     """Whether a law is of what passes: its state at the end is held, and it does not begin anew."""
     effect = CATALOGUE[named.law.effect]
     return effect.family == BLOCKS["bias in time"].family and not effect.runtime
-
-
-def _best_law(
-    fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial], taken: set[str], laws: Laws
-) -> tuple[Trial, Fitted, dict[str, float], int] | None:
-    """The law that explains most of what a block did, its rivals and how many shapes it had; None where none is left.
-
-    Shapes are compared under the variances that the block leaves to the others: without it these would swell to
-    take its place. Gains can be compared after a new fit only, so the best few are fitted.
-    """
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
-    model = replace(fitted.model.without(names), laws=current.model.laws)
-    logs = {**current.fit.log_variance, **fitted.fit.log_variance}
-    score, p = fitted.contrasts.precision(model.all, logs)
-
-    def gain_of(trial: Trial) -> float:
-        beyond = fitted.contrasts.beyond(trial.columns)
-        if _unphysical(trial.effect, beyond, score, p):
-            return -np.inf
-        return _gain(beyond, score, p, model.law_variance)
-
-    best: dict[str, tuple[float, Trial]] = {}
-    counts: dict[str, int] = {}
-    for trial in trials:
-        if trial.effect.id in taken:
-            continue
-        gain = gain_of(trial) + trial.effect.search.prior_nats
-        counts[trial.effect.id] = counts.get(trial.effect.id, 0) + 1
-        if trial.effect.id not in best or gain > best[trial.effect.id][0]:
-            best[trial.effect.id] = gain, trial
-    top = sorted((b for b in best.values() if np.isfinite(b[0])), key=lambda x: -x[0])[:_REFITTED]
-    if not top:
-        return None
-    refined = [_refined(trial, laws, gain_of) for _, trial in top]
-    refits = []
-    for trial in refined:
-        law = Law(trial.effect.id, trial.shape, trial.columns)
-        refits.append((current.refit(replace(current.model, laws=(*current.model.laws, law)), 30), trial))
-
-    def loss(found: Fitted, trial: Trial) -> float:
-        """What had more shapes to choose from has to gain more."""
-        return found.nll - trial.effect.search.prior_nats + 0.5 * float(np.log(counts[trial.effect.id]))
-
-    refits.sort(key=lambda x: loss(*x))
-    winner = refits[0]
-    rivals = {t.effect.id: loss(f, t) - loss(*winner) for f, t in refits[1:]}
-    return winner[1], winner[0], rivals, counts[winner[1].effect.id]
-
-
-def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Trial:
-    """The same law with its shape between the points of the grid, one parameter after the other."""
-    best, best_gain = trial, gain_of(trial)
-    grid = trial.effect.search.grid(laws.offer)
-    for spread in REFINED_OVER:
-        for parameter in trial.effect.search.refined:
-            value = best.shape.get(parameter, 0.0)
-            if value <= 0.0:
-                continue
-            around, tried = best, [s[parameter] for s in grid]
-            for factor in np.geomspace(1.0 / spread, spread, REFINED_AT):
-                shape = {**around.shape, parameter: float(np.clip(value * factor, min(tried), max(tried)))}
-                new = Trial(trial.effect, shape, laws.at(trial.effect, shape))
-                gain = gain_of(new) if np.isfinite(new.columns).all() else -np.inf
-                if gain > best_gain:
-                    best, best_gain = new, gain
-    return best
-
-
-def _unphysical(effect: Effect, columns: Floats, score: Floats, p: Floats) -> bool:
-    """Whether a law would need a sign, or a size beyond doubt, that physics does not know."""
-    along = columns.T @ score
-    if effect.positive and float(np.sum(along)) < 0.0:
-        return True
-    if along.size > 1:
-        return False
-    information = float(np.sum(columns * (p @ columns)))
-    most = effect.parameter("amplitude").high
-    return bool(abs(along[0]) - most * information > NORMAL_95 * np.sqrt(max(information, 0.0)))
-
-
-def _gain(columns: Floats, score: Floats, p: Floats, variance: float) -> float:
-    """Evidence of columns under fixed variances, with their wide prior, nats."""
-    size = np.sqrt(np.mean(columns**2, axis=0))
-    x = columns / np.where(size > 0, size, 1.0)
-    information = x.T @ p @ x
-    b = x.T @ score
-    whole = np.eye(b.size) + variance * information
-    return float(0.5 * variance * b @ np.linalg.solve(whole, b) - 0.5 * np.linalg.slogdet(whole)[1])
 
 
 def _least_worth(named: Named) -> float:

@@ -82,11 +82,21 @@ class Part:
 
 @dataclass(frozen=True)
 class Block:
-    """Family and coordinate of what is decided together; `stays`: whether it is part of the gyro."""
+    """Family and coordinate of what is decided together.
+
+    Attributes
+    ----------
+    stays : bool
+        Whether it is part of the gyro.
+    lasts : bool
+        Whether it goes into the file: what stays, and where a scale factor was at the end of its course. Neither
+        walks as a rule: what a law leaves of it is the law's misfit.
+    """
 
     family: str
     coordinate: str
     stays: bool = True
+    lasts: bool = True
 
 
 BLOCKS = {
@@ -96,9 +106,9 @@ BLOCKS = {
     "temperature": Block("temperature shape", "temperature"),
     "warm-up": Block("time", "time_since_power_on"),
     "supply": Block("supply", "supply"),
-    "bias in time": Block("time", "time", stays=False),
+    "bias in time": Block("time", "time", stays=False, lasts=False),
     "scale in time": Block("time", "time", stays=False),
-    "each rate": Block("rate shape", "rate", stays=False),
+    "each rate": Block("rate shape", "rate", stays=False, lasts=False),
 }
 
 

@@ -313,6 +313,12 @@ class Solution:
     left: Floats
     random: Mapping[str, Floats]
 
+    @property
+    def starts(self) -> dict[str, int]:
+        """Component to the place of its first amplitude in `covariance`."""
+        sizes = [len(self.flat), *(len(self.amplitudes[name]) for name in self.order)]
+        return dict(zip(self.order, np.cumsum(sizes).tolist(), strict=False))
+
 
 def solve(
     y: Floats, flat: Floats, components: Sequence[Component], variance: Mapping[str, float]

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.examine import fit_twice, wandering
 from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.laws import GAIN, laws_of
 from gyrocal.diagnosis.layers import full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import GAIN
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
@@ -29,7 +28,7 @@ def jumps_in(added_dps: NDArray[np.float64], seed: int) -> list[Jump]:
     full = full_model(means_of(series_of_table(table)))
     fitted = fit_twice(full)
     laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
-    return with_jumps(fitted, wandering(full), laws, GAIN)[1]
+    return with_jumps(fitted, wandering(full), laws)[1]
 
 
 def test_a_jump_is_found_at_its_instant() -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import around_itself, settle_direction
 from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import fit_twice
 from gyrocal.diagnosis.layers import beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import around_itself, settle_direction
 from gyrocal.diagnosis.parts import SURFACE, polynomials, staying
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.diagnosis.result import Diagnosis

@@ -1,0 +1,95 @@
+"""Blocks of smooth parts: which of them are there, what each is worth, and which way the surface bends beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
+from gyrocal.diagnosis.layers import Fitted
+from gyrocal.inference.additive import Component
+
+#: Blocks whose removal costs less, nats, are not there.
+_ABSENT = 2.5
+#: What is simpler stands for what it replaces where it explains no worse than by this, nats.
+REPLACED = 2.0
+#: Blocks that a wrong direction of the surface looks like.
+BENT = ("odd rate", "even rate", "each rate")
+#: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
+_BENDS = 6
+#: What the coefficients of a bend may change by at its end, deg/s.
+_SETTLED_DPS = 1e-4
+
+
+def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
+    """The model with a surface of the output or of the input, where either does as well as what is between.
+
+    Also how much better the input is, nats. Around itself: what bends is the surface that stands beside all else.
+    """
+    model = fitted.model
+    if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
+        return fitted, 0.0
+    bend = model.bend_of(fitted.solve())
+    free = fitted.refit(model.directed("free", bend), 40)
+    bend = free.model.bend_of(free.solve())
+    free = free.refit(model.directed("free", bend), 20)
+    ways = {d: free.refit(free.model.directed(d, bend), 40) for d in ("output", "input")}
+    gain = ways["output"].nll - ways["input"].nll
+    best = ways["input"] if gain > 0.0 else ways["output"]
+    # What is between the two is neither: it takes evidence to be believed.
+    return (best if best.nll < free.nll + GAIN else free), gain
+
+
+def around_itself(fitted: Fitted) -> Fitted:
+    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface."""
+    if fitted.model.direction == "input":
+        return fitted
+    for _ in range(_BENDS):
+        bend = fitted.model.bend_of(fitted.solve())
+        if fitted.model.bend is not None and np.abs(bend - fitted.model.bend).max() < _SETTLED_DPS:
+            break
+        fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend), 20)
+    return fitted
+
+
+def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
+    """The model with an error of each rate in place of odd smooth parts, where it explains as much.
+
+    A few rates can be followed by anything smooth; independent errors of one size are the simpler account of them.
+    """
+    odd = [n for n, b in fitted.model.blocks.items() if b == "odd rate"]
+    if draws is None or not odd:
+        return fitted
+    without = fitted.model.without(odd)
+    other = replace(without, components={**without.components, draws.name: draws})
+    found = fitted.refit(other, 40)
+    return found if found.nll <= fitted.nll + REPLACED else fitted
+
+
+def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:
+    """What a block is worth, nats, and the model without it, in which laws act through the surface that it leaves."""
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    model, bend = fitted.model.without(names), fitted.model.bend
+    ways = [model]
+    if block in BENT and bend is not None:
+        ways = [model.directed(d, bend) for d in ("input", "output")]
+    without = min((fitted.refit(way, 30) for way in ways), key=lambda f: f.nll)
+    if laws is not None and without.model.laws:
+        without = min(without, tied_anew(without, laws)[0], key=lambda f: f.nll)
+    return without.nll - fitted.nll, without
+
+
+def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str, float]]:
+    """The model less the blocks that are not there, and what each of the others is worth."""
+    while True:
+        found = {b: evidence(fitted, b, laws) for b in sorted(set(fitted.model.blocks.values()))}
+        weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
+        if not weak:
+            return around_itself(fitted), {b: gain for b, (gain, _) in found.items()}
+        # The weakest at once, so that one of two that share a pattern stays.
+        fitted = found[weak[0][1]][1]
+        for _, block in weak[1:]:
+            gain, without = evidence(fitted, block, laws)
+            if gain < _ABSENT:
+                fitted = without

@@ -1,0 +1,125 @@
+"""Laws against each other: which of them explains best what a block of smooth parts did, and at which shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
+from gyrocal.diagnosis.laws import Laws, Trial
+from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.physics.effect import Effect
+from gyrocal.units import NORMAL_95
+
+Floats = NDArray[np.float64]
+
+#: So many effects are fitted, each at its best shape; the others are far behind by a gain under fixed variances.
+_REFITTED = 3
+#: Iterations of the variances of a model with one law more.
+_ITERATIONS = 30
+
+
+@dataclass(frozen=True)
+class Winner:
+    """The law that won, the model with it, how much worse others are (nats), and how many shapes it had."""
+
+    effect: Effect
+    fitted: Fitted
+    rivals: dict[str, float]
+    shapes: int
+
+
+def best_law(
+    fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial], laws: Laws
+) -> Winner | None:
+    """The law beside those of `current` that explains most of what a block did; None where none is left.
+
+    Shapes are compared under the variances that the block leaves to the others: without it these would swell to
+    take its place. Gains can be compared after a new fit only, so the best few are fitted.
+
+    Parameters
+    ----------
+    fitted : the model with the block
+    current : the model without it, and with the laws that were found so far
+    """
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    model = replace(fitted.model.without(names), laws=current.model.laws)
+    logs = {**current.fit.log_variance, **fitted.fit.log_variance}
+    score, p = fitted.contrasts.precision(model.all, logs)
+
+    def gain_of(trial: Trial) -> float:
+        beyond = fitted.contrasts.beyond(trial.columns)
+        if _unphysical(trial.effect, beyond, score, p):
+            return -np.inf
+        return _gain(beyond, score, p, model.law_variance)
+
+    best: dict[str, tuple[float, Trial]] = {}
+    shapes: dict[str, int] = {}
+    for trial in trials:
+        own, gain = trial.effect.id, gain_of(trial) + trial.effect.search.prior_nats
+        shapes[own] = shapes.get(own, 0) + 1
+        if own not in best or gain > best[own][0]:
+            best[own] = gain, trial
+    top = sorted((b for b in best.values() if np.isfinite(b[0])), key=lambda x: -x[0])[:_REFITTED]
+    if not top:
+        return None
+
+    def loss(found: Fitted, effect: Effect) -> float:
+        """What had more shapes to choose from has to gain more."""
+        return found.nll - effect.search.prior_nats + 0.5 * float(np.log(shapes[effect.id]))
+
+    refits = [(_with(current, _refined(trial, laws, gain_of)), trial.effect) for _, trial in top]
+    refits.sort(key=lambda x: loss(*x))
+    winner, effect = refits[0]
+    rivals = {e.id: loss(f, e) - loss(winner, effect) for f, e in refits[1:]}
+    return Winner(effect, winner, rivals, shapes[effect.id])
+
+
+def _with(fitted: Fitted, trial: Trial) -> Fitted:
+    """The model with one law more."""
+    law = Law(trial.effect.id, trial.shape, trial.columns)
+    return fitted.refit(replace(fitted.model, laws=(*fitted.model.laws, law)), _ITERATIONS)
+
+
+def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Trial:
+    """The same law with its shape between the points of the grid, one parameter after the other."""
+    best, best_gain = trial, gain_of(trial)
+    grid = trial.effect.search.grid(laws.offer)
+    for spread in REFINED_OVER:
+        for parameter in trial.effect.search.refined:
+            value = best.shape.get(parameter, 0.0)
+            if value <= 0.0:
+                continue
+            around, tried = best, [s[parameter] for s in grid]
+            for factor in np.geomspace(1.0 / spread, spread, REFINED_AT):
+                shape = {**around.shape, parameter: float(np.clip(value * factor, min(tried), max(tried)))}
+                new = Trial(trial.effect, shape, laws.at(trial.effect, shape))
+                gain = gain_of(new) if np.isfinite(new.columns).all() else -np.inf
+                if gain > best_gain:
+                    best, best_gain = new, gain
+    return best
+
+
+def _unphysical(effect: Effect, columns: Floats, score: Floats, p: Floats) -> bool:
+    """Whether a law would need a sign, or a size beyond doubt, that physics does not know."""
+    along = columns.T @ score
+    if effect.positive and float(np.sum(along)) < 0.0:
+        return True
+    if along.size > 1:
+        return False
+    information = float(np.sum(columns * (p @ columns)))
+    most = effect.parameter("amplitude").high
+    return bool(abs(along[0]) - most * information > NORMAL_95 * np.sqrt(max(information, 0.0)))
+
+
+def _gain(columns: Floats, score: Floats, p: Floats, variance: float) -> float:
+    """Evidence of columns under fixed variances, with their wide prior, nats."""
+    size = np.sqrt(np.mean(columns**2, axis=0))
+    x = columns / np.where(size > 0, size, 1.0)
+    information = x.T @ p @ x
+    b = x.T @ score
+    whole = np.eye(b.size) + variance * information
+    return float(0.5 * variance * b @ np.linalg.solve(whole, b) - 0.5 * np.linalg.slogdet(whole)[1])
