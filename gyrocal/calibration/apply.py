@@ -102,6 +102,7 @@ class _Block:
     t_s: Floats
     gyro_dps: Floats
     temp_c: Floats
+    supply_v: Floats
     bad_status: NDArray[np.bool_]
 
 
@@ -167,7 +168,7 @@ def _corrected(
     for block in blocks:
         held, last_c = hold(block.temp_c, last_c)
         since = None if power_on_t_s is None else block.t_s - power_on_t_s
-        result = compensator.evaluate(block.t_s, block.gyro_dps, held, since)
+        result = compensator.evaluate(block.t_s, block.gyro_dps, held, since, block.supply_v)
         flags = result.flags | FLAG_STATUS * block.bad_status
         flags = flags | FLAG_HELD * (np.isnan(block.temp_c) & np.isfinite(held))
         columns = (block.segment, block.t_s, block.gyro_dps, block.temp_c, result.rate_dps, result.sigma_dps)
@@ -191,12 +192,14 @@ def _text(columns: tuple[NDArray[Any], ...]) -> str:
 
 
 def _blocks_of_run(run: Run, report: Callable[[float, str], None]) -> Iterator[_Block]:
+    last_v = float("nan")
     for number, record in enumerate(run.segments):
         report(number / len(run.segments), record.file)
         run.verify(record)
         for part in run.iterate_segment(record, _CHUNK_ROWS):
             segment = np.full(part.t_s.size, record.id, dtype=np.int64)
-            yield _Block(segment, part.t_s, part.gyro_dps, part.gyro_temp_c, part.status != 0)
+            supply_v, last_v = part.supply_held(last_v)
+            yield _Block(segment, part.t_s, part.gyro_dps, part.gyro_temp_c, supply_v, part.status != 0)
     report(1.0, "")
 
 
@@ -205,7 +208,10 @@ def _block_of_table(table: DataSetTable, coefficients: Coefficients) -> _Block:
     n = table.rate_dps.size
     each_s = float(coefficients.provenance.get(SECONDS_A_DATA_SET, np.nan))
     t_s: Floats = each_s * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s
-    return _Block(np.arange(1, n + 1), t_s, table.gyro_dps, table.temp_c, np.zeros(n, dtype=np.bool_))
+    supply_v = np.full(n, np.nan)
+    return _Block(
+        np.arange(1, n + 1), t_s, table.gyro_dps, table.temp_c, supply_v, np.zeros(n, dtype=np.bool_)
+    )
 
 
 def _since_on(term: Part) -> bool:

@@ -258,6 +258,7 @@ _MORE = """\
  * dt_s     time since the sample before, s (0 for the first); call error or correct once a sample
  * state    what the error remembers of earlier temperatures; set all members to zero before the first sample
  * since_power_on_s   time since the gyro was switched on, s
+ * supply_v   supply voltage, V; NAN where it is not read: then it counts as that of the recording
  * An argument that the terms do not need is left out.
  *
 """

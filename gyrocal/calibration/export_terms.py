@@ -181,7 +181,8 @@ def term_source(surface: Surface, terms: Sequence[Part], number: Number, kind: s
     sources = [term.c_laws(number, memory) for term in terms]
     helpers = dict.fromkeys(helper for _, called in sources for helper in called)
     remembers = bool(memory.tau_s or memory.width_c)
-    last = ["@real@ since_power_on_s"] * any("since_power_on_s" in term.channels for term in terms)
+    needed = frozenset().union(*(term.channels for term in terms))
+    last = [f"@real@ {name}" for name in ("since_power_on_s", "supply_v") if name in needed]
     state = ["const PREFIX_state *s"] * remembers
     parameters = [*["PREFIX_state *s", "@real@ dt_s"] * remembers, "@real@ gyro_dps", "@real@ temp_c", *last]
     of_miss = [*state, "@real@ gyro_dps", "@real@ temp_c", *last]

@@ -59,6 +59,7 @@ def offer_of(series: Series) -> Offer:
         has_time=series.has_time,
         channels=frozenset(f.name for f in fields(c) if getattr(c, f.name) is not None),
         lacking=series.untestable,
+        supply_v=None if series.supply_v is None else float(np.median(series.supply_v)),
     )
 
 

@@ -20,10 +20,9 @@ from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions
+from gyrocal.physics.effect import Conditions
 from gyrocal.physics.rate import FIT_DIRECTION
-from gyrocal.physics.shapes import DRIVERS
-from gyrocal.physics.smooth import Factor, SmoothTerm
+from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -174,8 +173,6 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
                 or (name != DIRECTION and name not in laws and name not in parts)
             ):
                 continue
-            if name in parts and not _of_robot(parts[name]):
-                continue
             columns = model.components[name].columns if name in parts else None
             if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
                 continue
@@ -184,12 +181,6 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
             found.append(_Item(name, parts.get(name), laws.get(name), place, size))
             place += size
     return found, place
-
-
-def _of_robot(part: Part) -> bool:
-    """Whether a robot has what the part depends on."""
-    needs = {DRIVERS[c.driver.kind].channel for c in part.columns if c.driver != Factor()}
-    return needs <= ROBOT_CHANNELS
 
 
 def _estimate(

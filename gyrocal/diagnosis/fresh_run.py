@@ -30,11 +30,13 @@ def chance_of_gain(improved: Coefficients, surface: Coefficients, means: Means) 
     t_s, since_s = means.t_s, means.t_s - means.t_s[0]
     chances = []
     for _ in range(_RUNS):
-        channels = t_s, rng.permutation(means.gyro_dps), means.temp_c, since_s
+        channels = t_s, rng.permutation(means.gyro_dps), means.temp_c, since_s, means.supply_v
         d = Compensator(surface).correct(*channels) - Compensator(improved).correct(*channels)
         d = np.where(np.isfinite(d), d, 0.0)
         spread = 2.0 * _sigma_of_sum(
-            d, improved, Conditions(t_s, channels[1], means.temp_c, since_power_on_s=since_s)
+            d,
+            improved,
+            Conditions(t_s, channels[1], means.temp_c, since_power_on_s=since_s, supply_v=means.supply_v),
         )
         chances.append(norm.cdf(float(d @ d) / spread) if spread > 0.0 else 0.5)
     return float(np.mean(chances))

@@ -169,7 +169,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
                 place.get("high"),
                 place["unit"],
                 found.naming.nearest.get(block, {}),
-                BLOCKS[block].stays and block not in ("supply", *withheld, *passed),
+                BLOCKS[block].stays and block not in (*withheld, *passed),
             )
         )
     return tuple(parts)

@@ -56,15 +56,18 @@ class Compensator:
         gyro_dps: ArrayLike,
         temp_c: ArrayLike,
         since_power_on_s: ArrayLike | None = None,
+        supply_v: ArrayLike | None = None,
     ) -> Any:
         """Corrected rate, deg/s; scalars in, float out. NaN where there is no solution or no finite input.
+
+        A supply that is not read (NaN) counts as that of the recording.
 
         Raises
         ------
         CoefficientError
             A term needs the time since power-on, and it was not given.
         """
-        gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
+        gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s, supply_v)
         rate = self._solve(gyro, c).rate_dps
         return float(rate[0]) if np.ndim(gyro_dps) == 0 else rate
 
@@ -74,13 +77,14 @@ class Compensator:
         gyro_dps: ArrayLike,
         temp_c: ArrayLike,
         since_power_on_s: ArrayLike | None = None,
+        supply_v: ArrayLike | None = None,
     ) -> Corrected:
         """`correct`, with standard deviations and the flags of `Coefficients.flags`.
 
         The standard deviation is that of the rate by the uncertainty of surface and terms: their joint covariance
         where the file has it, otherwise that of each term by itself. The noise of the sample is not in it.
         """
-        gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s)
+        gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s, supply_v)
         before = self._memories
         solved = self._solve(gyro, c)
         at_rate = replace(c, rate_dps=solved.rate_dps)
@@ -96,19 +100,15 @@ class Compensator:
             sigma = np.sqrt(np.maximum(((by @ self._covariance) * by).sum(axis=1), 0.0))
         return Corrected(solved.rate_dps, sigma, flags)
 
-    def _channels(
-        self, t_s: ArrayLike, gyro_dps: ArrayLike, temp_c: ArrayLike, since_power_on_s: ArrayLike | None
-    ) -> tuple[Floats, Conditions]:
+    def _channels(self, *channels: ArrayLike | None) -> tuple[Floats, Conditions]:
         missing = [t.name for t in self.terms if "since_power_on_s" in t.channels]
-        if since_power_on_s is None and missing:
+        if channels[3] is None and missing:
             raise CoefficientError(
                 f"The coefficients hold {missing[0]}, which needs the time since power-on: give it, or remove the term."
             )
-        given = (t_s, gyro_dps, temp_c, np.nan if since_power_on_s is None else since_power_on_s)
-        t, gyro, temp, since = np.broadcast_arrays(
-            *(np.atleast_1d(np.asarray(x, dtype=float)) for x in given)
-        )
-        return gyro, Conditions(t, gyro, temp, since_power_on_s=since)
+        given = (np.atleast_1d(np.asarray(np.nan if x is None else x, dtype=float)) for x in channels)
+        t, gyro, temp, since, supply = np.broadcast_arrays(*given)
+        return gyro, Conditions(t, gyro, temp, since_power_on_s=since, supply_v=supply)
 
     def _solve(self, gyro: Floats, c: Conditions) -> Solution:
         solved = solve_rate(self.coefficients.surface, self.terms, self._memories, gyro, c)

@@ -44,7 +44,7 @@ class CText:
     ----------
     law : callable
         From parameters, number writer and memory to a C expression of ``w`` (rate, deg/s), ``temp_c``,
-        ``since_power_on_s`` and the memory: the error in deg/s.
+        ``since_power_on_s``, ``supply_v`` and the memory: the error in deg/s.
     helpers : tuple of str
         Functions that it calls.
     """
@@ -77,6 +77,14 @@ static inline @real@ PREFIX_legendre@f@(@real@ x, int order)
         now = ahead;
     }
     return now;
+}
+"""
+
+#: How far a reading is above a usual one, which counts for it where it is none.
+ABOVE = """\
+static inline @real@ PREFIX_above@f@(@real@ x, @real@ usual)
+{
+    return x - x <= 0 ? x - usual : 0;
 }
 """
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gyrocal.physics.c_text import ABOVE, CMemory, CText, Number
 from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, choice, memoryless, shape
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.offer import Offer, steps_of_rate
@@ -23,8 +24,28 @@ def _step_response(c: Conditions, p: Mapping[str, float], surface: Surface | Non
     return np.asarray(MDPS * p["amplitude"] * step_dps / _STEP_DPS * decay * ringing)
 
 
+def above_usual(c: Conditions, usual_v: float) -> Floats:
+    """Supply above the usual one, V, which counts for it where nobody reads it."""
+    if c.supply_v is None:
+        return np.zeros(len(c))
+    return np.where(np.isfinite(c.supply_v), c.supply_v - usual_v, 0.0)
+
+
+def above_usual_c(number: Number, usual_v: float) -> str:
+    """The same as C, which calls `ABOVE`."""
+    return f"PREFIX_above@f@(supply_v, {number(usual_v)})"
+
+
 def _supply(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(MDPS * p["amplitude"] * (c.need("supply_v") - p["nominal_v"]))
+    return np.asarray(MDPS * p["amplitude"] * above_usual(c, p["nominal_v"]))
+
+
+def _supply_c(p: Mapping[str, float], number: Number, memory: CMemory) -> str:
+    return f"{number(MDPS * p['amplitude'])} * {above_usual_c(number, p['nominal_v'])}"
+
+
+def _at_usual_supply(offer: Offer) -> list[dict[str, float]]:
+    return [{} if offer.supply_v is None else {"nominal_v": offer.supply_v}]
 
 
 def _creep_and_ringing(offer: Offer) -> list[dict[str, float]]:
@@ -84,14 +105,16 @@ SUPPLY_VOLTAGE = Effect(
     statement="The bias follows the supply voltage.",
     parameters=(
         amplitude("mdeg/s/V", 1000.0, 1.0, "bias per volt"),
-        shape("nominal_v", "V", 0.0, 60.0, 12.0, "nominal supply V0"),
+        choice("nominal_v", "V", 0.0, 60.0, 12.0, "nominal supply V0"),
     ),
     needs=("supply_v",),
     seen_in="supply",
     looks_like=(),
     reference="IEEE Std 952, supply sensitivity",
-    runtime=False,
+    runtime=True,
     error_dps=memoryless(_supply),
+    search=Search(grid=_at_usual_supply),
+    c_text=CText(_supply_c, (ABOVE,)),
 )
 
 EFFECTS = (STEP_RESPONSE, SUPPLY_VOLTAGE)

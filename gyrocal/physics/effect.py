@@ -44,7 +44,7 @@ PPM = 1e-6
 
 
 #: Channels of `Conditions` that a robot has.
-ROBOT_CHANNELS = frozenset({"t_s", "rate_dps", "temp_c", "since_power_on_s"})
+ROBOT_CHANNELS = frozenset({"t_s", "rate_dps", "temp_c", "since_power_on_s", "supply_v"})
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class Described:
     looks_like : tuple of str
         Ids that the same data may not tell apart.
     runtime : bool
-        Whether a robot can evaluate it (from gyro, temperature and its history, time since power-on).
+        Whether a robot can evaluate it (from gyro, temperature and its history, time since power-on, supply).
     """
 
     id: str

@@ -34,6 +34,7 @@ class Offer:
     has_time : whether the times are known, and not only the order
     channels : fields of `Conditions` that the record has
     lacking : coordinate to the reason why the record cannot show it
+    supply_v : usual supply, V; None where it was not read
     """
 
     t_s: tuple[float, float]
@@ -46,6 +47,7 @@ class Offer:
     has_time: bool
     channels: frozenset[str]
     lacking: Mapping[str, str]
+    supply_v: float | None = None
 
     @property
     def span_s(self) -> float:

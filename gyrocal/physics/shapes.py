@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal.physics.c_text import Number
+from gyrocal.physics.disturbance import above_usual, above_usual_c
 from gyrocal.physics.effect import Floats
 from gyrocal.physics.thermal import SMOOTHING_S
 
@@ -141,8 +142,8 @@ Trace = tuple[str, float]
 class Driver:
     """Names of its numbers; the traces that it needs; its values and its C; the channel that it cannot do without.
 
-    `value` is called with conditions, frame, traces and numbers; `c` with a writer of numbers, the memory of the
-    header and the numbers.
+    `value` is called with conditions, frame, traces and numbers; `c` with a writer of numbers, the frame, the memory
+    of the header and the numbers.
     """
 
     names: tuple[str, ...]
@@ -158,43 +159,43 @@ def _no_traces(*_: float) -> tuple[Trace, ...]:
 
 #: Drivers. A lag and a play are what the low-passed temperature or the play's position is above the temperature.
 DRIVERS: dict[str, Driver] = {
-    "one": Driver((), _no_traces, lambda c, f, traces: np.ones(len(c)), lambda n, m: ""),
+    "one": Driver((), _no_traces, lambda c, f, traces: np.ones(len(c)), lambda n, f, m: ""),
     "lag": Driver(
         ("tau_s",),
         lambda tau: (("lag", tau),),
         lambda c, f, traces, tau: traces["lag", tau],
-        lambda n, m, tau: f"(-{m.lag(tau)})",
+        lambda n, f, m, tau: f"(-{m.lag(tau)})",
     ),
     "band": Driver(
         ("tau_s", "longer_tau_s"),
         lambda tau, longer: (("lag", tau), ("lag", longer)),
         lambda c, f, traces, tau, longer: traces["lag", tau] - traces["lag", longer],
-        lambda n, m, tau, longer: f"({m.lag(longer)} - {m.lag(tau)})",
+        lambda n, f, m, tau, longer: f"({m.lag(longer)} - {m.lag(tau)})",
     ),
     "temperature_rate": Driver(
         (),
         lambda: (("rate", SMOOTHING_S),),
         lambda c, f, traces: traces["rate", SMOOTHING_S],
-        lambda n, m: f"({m.lag(SMOOTHING_S)} / {n(SMOOTHING_S)})",
+        lambda n, f, m: f"({m.lag(SMOOTHING_S)} / {n(SMOOTHING_S)})",
     ),
     "play": Driver(
         ("half_width_c",),
         lambda r: (("play", r),),
         lambda c, f, traces, r: traces["play", r],
-        lambda n, m, r: f"(@real@)({m.play(r)} - temp_c)",
+        lambda n, f, m, r: f"(@real@)({m.play(r)} - temp_c)",
     ),
     "warm_up": Driver(
         ("tau_s",),
         _no_traces,
         lambda c, f, traces, tau: np.exp(-c.need("since_power_on_s") / tau),
-        lambda n, m, tau: f"exp@f@(-since_power_on_s / {n(tau)})",
+        lambda n, f, m, tau: f"exp@f@(-since_power_on_s / {n(tau)})",
         "since_power_on_s",
     ),
     "supply": Driver(
         (),
         _no_traces,
-        lambda c, f, traces: c.need("supply_v") - f.supply_v,
-        lambda n, m: "",  # no robot has it, so that no header does
+        lambda c, f, traces: above_usual(c, f.supply_v),
+        lambda n, f, m: above_usual_c(n, f.supply_v),
         "supply_v",
     ),
 }

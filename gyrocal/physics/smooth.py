@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gyrocal.physics.c_text import BUMP, LEGENDRE, CMemory, Number
+from gyrocal.physics.c_text import ABOVE, BUMP, LEGENDRE, CMemory, Number
 from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions, Floats
 from gyrocal.physics.kernels import lag, play
 from gyrocal.physics.shapes import DRIVERS, RATE, TEMPERATURE, Driver, Frame, Shape, Trace
@@ -79,7 +79,7 @@ def histories(
     Raises
     ------
     DataError
-        A driver needs the supply or the time since power-on, and the record has none.
+        A driver needs the time since power-on, and the record has none.
     """
     wanted = dict.fromkeys(drivers)
     traces: dict[Trace, Floats] = {}
@@ -256,11 +256,11 @@ class SmoothTerm:
             factors = (
                 number(float(coefficient)),
                 TEMPERATURE[column.temperature.kind].c(number, self.frame, *column.temperature.numbers),
-                DRIVERS[column.driver.kind].c(number, memory, *column.driver.numbers),
+                DRIVERS[column.driver.kind].c(number, self.frame, memory, *column.driver.numbers),
                 RATE[column.rate.kind].c(number, self.frame, *column.rate.numbers),
             )
             laws.append(" * ".join(filter(None, factors)))
-        helpers = {"PREFIX_bump": BUMP, "PREFIX_legendre": LEGENDRE}
+        helpers = {"PREFIX_above": ABOVE, "PREFIX_bump": BUMP, "PREFIX_legendre": LEGENDRE}
         return laws, tuple(text for name, text in helpers.items() if any(name in law for law in laws))
 
     def to_json(self) -> dict[str, Any]:

@@ -103,6 +103,12 @@ class Segment:
         """Mask, shape (n,): finite rate and status 0. The rest is counted by whoever uses the segment."""
         return np.asarray(np.isfinite(self.gyro_dps) & (self.status == 0))
 
+    def supply_held(self, last_v: float) -> tuple[Floats, float]:
+        """Supply at each gyro sample: its last reading, `last_v` before the first; and the last of all."""
+        read = np.isfinite(self.supply_v)
+        values = np.concatenate([[last_v], self.supply_v[read]])
+        return values[np.searchsorted(self.bench_t_s[read], self.t_s, side="right")], float(values[-1])
+
 
 @dataclass(frozen=True)
 class Run:

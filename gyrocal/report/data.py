@@ -84,7 +84,7 @@ def read_course(run: Run, compensator: Compensator | None) -> tuple[Timeline, di
     step = max(1, sum(record.n for record in run.segments) // _CURVE_POINTS)
     parts: list[Segment] = []
     sums: dict[int, tuple[float, int]] = {}
-    last_c = float("nan")
+    last_c = last_v = float("nan")
     for record in run.segments:
         for block in run.iterate_segment(record):
             parts.append(_thinned(block, step))
@@ -92,7 +92,8 @@ def read_course(run: Run, compensator: Compensator | None) -> tuple[Timeline, di
                 continue
             temp_c, last_c = hold(block.gyro_temp_c, last_c)
             since_s = None if run.power_on_t_s is None else block.t_s - run.power_on_t_s
-            rate_dps = compensator.correct(block.t_s, block.gyro_dps, temp_c, since_s)
+            supply_v, last_v = block.supply_held(last_v)
+            rate_dps = compensator.correct(block.t_s, block.gyro_dps, temp_c, since_s, supply_v)
             good = block.good & np.isfinite(rate_dps)
             total, count = sums.get(record.id, (0.0, 0))
             sums[record.id] = total + float(rate_dps[good].sum()), count + int(good.sum())

@@ -32,6 +32,7 @@ LAG = Term(
     True,
 )
 WARM = Term("warm_up", {"amplitude": {"value": 10.0, "std": 1.0, "unit": "mdeg/s"}}, True)
+SUPPLY = Term("supply_voltage", {"amplitude": {"value": 1000.0}, "nominal_v": {"value": 11.5}}, True)
 BENCH = Term("table_eccentricity", {"amplitude": {"value": 3.0, "std": 1.0, "unit": "arcsec"}}, False)
 
 
@@ -105,6 +106,25 @@ def test_every_sample_of_a_run(tmp_path: Path) -> None:
     assert applied.terms == ("thermal_lag", "warm_up")
     assert applied.not_applied == ("table_eccentricity",)
     assert applied.notes == ()
+
+
+def test_the_supply_of_a_run_is_that_of_its_last_reading(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    c = write_coefficients(tmp_path / "c.json", SUPPLY)
+    run = write_run(tmp_path / "run")
+    for rows in (100, 1):
+        monkeypatch.setattr(apply, "_CHUNK_ROWS", rows)
+        apply_recording(config(tmp_path, run), quiet)
+        out = pd.read_csv(tmp_path / "out.csv")
+        supply = np.array([np.nan, 12.0, 12.0, 12.0, 12.0, 12.0])
+        wanted = Compensator(c).correct(out["t_s"], out["gyro_dps"], 20.0, supply_v=supply)
+        surface = Compensator(write_coefficients(tmp_path / "bare.json")).correct(
+            out["t_s"], out["gyro_dps"], 20.0
+        )
+        np.testing.assert_allclose(wanted - surface, [0, -0.5, -0.5, -0.5, np.nan, -0.5], atol=5e-3)
+        same_c = np.array([0, 1])
+        np.testing.assert_allclose(out["corrected_dps"][same_c], wanted[same_c], atol=1e-9)
 
 
 def test_blocks_of_any_size_give_the_same_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

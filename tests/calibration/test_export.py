@@ -139,7 +139,7 @@ TERMS_MAIN = """
 #include "fog.h"
 int main(void)
 {
-    double p[4];
+    double p[5];
     STATES
     while (fread(p, sizeof p, 1, stdin) == 1) {
         double out[2];
@@ -171,6 +171,7 @@ def run_terms(tmp_path: Path, c: Coefficients, rows: Floats) -> Floats:
         arguments = [f"{cast}p[1]", f"{cast}p[2]"]
         arguments = [state, f"{cast}p[0]", *arguments] if "fog_state" in export.text else arguments
         arguments += [f"{cast}p[3]"] if "double since_power_on_s" in export.text else []
+        arguments += [f"{cast}p[4]"] if "double supply_v" in export.text else []
         source = source.replace(name, ", ".join(arguments))
     (tmp_path / "main.c").write_text(source, encoding="utf-8")
     program = tmp_path / "program"
@@ -220,17 +221,21 @@ def smooth_part() -> SmoothTerm:
     def factors(kinds: Mapping[str, Shape] | Mapping[str, Driver]) -> list[Factor]:
         return [Factor(kind, tuple(numbers[name] for name in of.names)) for kind, of in kinds.items()]
 
-    drivers = [factor for factor in factors(DRIVERS) if factor.kind != "supply"]
     columns = (
         *(Column(rate) for rate in factors(RATE)),
         *(Column(Factor("linear"), temperature) for temperature in factors(TEMPERATURE)),
-        *(Column(Factor("legendre", (2.0,)), Factor("legendre", (1.0,)), driver) for driver in drivers),
+        *(
+            Column(Factor("legendre", (2.0,)), Factor("legendre", (1.0,)), driver)
+            for driver in factors(DRIVERS)
+        ),
     )
     p = len(columns)
     size = {"lag": 0.1, "band": 0.1, "temperature_rate": 10.0, "play": 0.3}
     b = [0.01 * (-1) ** k / size.get(column.driver.kind, 1.0) for k, column in enumerate(columns)]
     seen = np.tile([-9.0, 9.0], (p, 1))
-    return SmoothTerm("rate shape", "part", Frame(128.0, 20.0, 32.0), columns, np.array(b), np.eye(p), seen)
+    return SmoothTerm(
+        "rate shape", "part", Frame(128.0, 20.0, 32.0, 12.0), columns, np.array(b), np.eye(p), seen
+    )
 
 
 def third_of_nonlinearity() -> Surface:
@@ -280,7 +285,7 @@ def test_an_open_loop_of_a_third_in_c(tmp_path: Path, terms: tuple[SmoothTerm, .
 
 
 def random_rows(largest_dps: float) -> Floats:
-    """Rows of (dt, output, temperature, time since power-on), in numbers that a float holds: both types see the same."""
+    """Rows of (dt, output, temperature, time since power-on, supply), in numbers that a float holds: both types see the same."""
     rng = np.random.default_rng(4)
     dt = rng.choice([0.0, 0.0078125, 0.125, 30.0], POINTS, p=[0.01, 0.5, 0.48, 0.01])
     dt[0] = 0.0
@@ -288,12 +293,13 @@ def random_rows(largest_dps: float) -> Floats:
     gyro = rng.uniform(-largest_dps, largest_dps, POINTS)
     temp = 20 + 28 * np.sin(t / 700) + rng.normal(0, 0.01, POINTS)
     temp[rng.random(POINTS) < 0.01] = np.nan
-    return np.column_stack([dt, gyro, temp, t + 64.0]).astype(np.float32).astype(np.float64)
+    supply = np.where(rng.random(POINTS) < 0.1, np.nan, rng.uniform(11.0, 13.0, POINTS))
+    return np.column_stack([dt, gyro, temp, t + 64.0, supply]).astype(np.float32).astype(np.float64)
 
 
 def error_by_python(c: Coefficients, rows: Floats) -> Floats:
-    dt, gyro, temp, since = rows.T
-    return np.asarray(gyro - Compensator(c).correct(np.cumsum(dt), gyro, temp, since))
+    dt, gyro, temp, *more = rows.T
+    return np.asarray(gyro - Compensator(c).correct(np.cumsum(dt), gyro, temp, *more))
 
 
 def test_terms_that_cannot_be_exported_and_bad_prefixes_are_refused() -> None:

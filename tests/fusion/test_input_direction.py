@@ -265,14 +265,20 @@ def sealed(body: dict[str, Any]) -> str:
     return json.dumps(rest | {"sha256": hashlib.sha256(canonical.encode()).hexdigest()})
 
 
-def test_a_term_that_needs_the_supply_is_not_applied() -> None:
+def test_a_supply_that_is_not_read_is_that_of_the_recording() -> None:
     term = SmoothTerm(
         "supply", "supply", Frame(100, 20, 30, 12), (Column(driver=Factor("supply")),), np.ones(1), np.eye(1),
         np.array([[-1.0, 1.0]]),
     )  # fmt: skip
-    compensator = Compensator(coefficients(MILD, term))
-    assert compensator.not_applied == ("supply",)
-    assert compensator.terms == ()
+    law = Term("supply_voltage", {"amplitude": {"value": 1000.0}, "nominal_v": {"value": 12.0}}, True)
+    bare = Compensator(coefficients(MILD)).correct(0.0, 5.0, 20.0)
+    for part in (term, law):
+        compensator = Compensator(coefficients(MILD, part))
+        assert not compensator.not_applied
+        assert compensator.correct(0.0, 5.0, 20.0) == pytest.approx(bare)
+        assert compensator.correct(0.0, 5.0, 20.0, supply_v=np.nan) == pytest.approx(bare)
+        read = compensator.correct(0.0, 5.0, 20.0, supply_v=12.5)
+        assert read == pytest.approx(Compensator(coefficients(MILD)).correct(0.0, 4.5, 20.0), abs=1e-9)
 
 
 def test_fit_direction_turns_round_with_the_surface() -> None:

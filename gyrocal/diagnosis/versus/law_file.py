@@ -109,6 +109,10 @@ def play(values, half_width, position=None):
 '''
 
 _SMOOTH_HELP = """
+def above(x, usual):
+    return np.where(np.isfinite(x), x - usual, 0.0)
+
+
 def bump(x, center, width):
     return np.exp(-0.5 * ((x - center) / width) ** 2)
 
@@ -191,6 +195,8 @@ def _smooth_source(term: SmoothTerm, number: int) -> str:
         lines.append(f"    play_c = [play(temp_c, half_width)[0] for half_width in {memory.width_c!r}]")
     if any("since_power_on_s" in law for law in laws):
         lines.append("    since_power_on_s = c.need('since_power_on_s')")
+    if any("supply_v" in law for law in laws):
+        lines.append("    supply_v = c.need('supply_v')")
     lines.append("    e = np.zeros(len(c))")
     functions = {"exp": "np.exp", "fabs": "np.abs", "asinh": "np.arcsinh"}
     for law in laws:
