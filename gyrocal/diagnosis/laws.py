@@ -15,6 +15,7 @@ from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.effect import Conditions, Effect
+from gyrocal.physics.lacking import Reason
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.surface import Surface
@@ -118,7 +119,7 @@ def effects_of(block: str) -> list[Effect]:
     return found
 
 
-def untestable(series: Series, named: Collection[str] = ()) -> dict[str, str]:
+def untestable(series: Series, named: Collection[str] = ()) -> dict[str, Reason]:
     """Effect to the reason why this record cannot show it; not of what was `named` from something like it.
 
     A table without times has the order of its data sets.

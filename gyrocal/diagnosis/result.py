@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.remarks import Note, Remark
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.lacking import Reason
 from gyrocal.records.files import finite
 
 Floats = NDArray[np.float64]
@@ -339,7 +340,7 @@ class Diagnosis:
     verdict: str
     located: tuple[Located, ...]
     effects: tuple[NamedEffect, ...]
-    not_testable: Mapping[str, str]
+    not_testable: Mapping[str, Reason]
     sentences: tuple[str, ...]
     noise: NoiseFigures | None
     improvement: Improvement | None
@@ -364,7 +365,7 @@ class Diagnosis:
             "unnamed": [part.to_json() for part in self.unnamed],
             "layers": [layer.to_json() for layer in self.layers],
             "improvement": None if self.improvement is None else self.improvement.to_json(),
-            "not_testable": dict(self.not_testable),
+            "not_testable": list(self.not_testable),
             "noise": None if self.noise is None else self.noise.to_json(),
             "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),
             **({} if self.drive is None else {"drive": dict(self.drive)}),

@@ -18,6 +18,7 @@ from gyrocal.calibration.datasets import reduce_segment, reference_rate
 from gyrocal.diagnosis.history import TemperatureHistory, fill_gaps, temperature_history
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
+from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.records.run import Run, Segment
 
 Floats = NDArray[np.float64]
@@ -105,7 +106,7 @@ class Series:
     since_power_on_s: Floats | None = None
     since_set_s: Floats | None = None
     step_dps: Floats | None = None
-    untestable: Mapping[str, str] = field(default_factory=dict)
+    untestable: Mapping[str, Reason] = field(default_factory=dict)
     notes: tuple[Note, ...] = ()
     has_time: bool = True
     #: Rows were averages already (white noise has no stated averaging time).
@@ -299,13 +300,13 @@ def _smooth(values: Floats, bench_t_s: Floats, seconds: float = 7.0) -> Floats:
 
 
 def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[Note]) -> Series:
-    untestable: dict[str, str] = {}
+    untestable: dict[str, Reason] = {}
 
-    def channel(key: str, coordinate: str, reason: str) -> Floats | None:
+    def channel(key: str, coordinate: str, why: Why) -> Floats | None:
         values = c[key]
         if np.isfinite(values).all():
             return values
-        untestable[coordinate] = reason
+        untestable[coordinate] = Lack(why)
         return None
 
     logged = c["temp_raw_c"]
@@ -316,19 +317,19 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         notes.append(Remark(Said.CHAMBER_FOR_GYRO))
     temp_raw = fill_gaps(c["t_s"], logged)
     history = temperature_history(c["t_s"], temp_raw)
-    angle = channel("angle_deg", "table_angle", "the table angle was not logged with every segment")
-    supply = channel("supply_v", "supply", "the supply voltage was not logged with every segment")
+    angle = channel("angle_deg", "table_angle", Why.ANGLE_NOT_LOGGED)
+    supply = channel("supply_v", "supply", Why.SUPPLY_NOT_LOGGED)
     chamber = c["chamber_c"] if np.isfinite(c["chamber_c"]).all() else None
     since_on = None
     if run.power_on_t_s is None:
-        untestable["time_since_power_on"] = "run.json does not say when the gyro was powered on"
+        untestable["time_since_power_on"] = Lack(Why.NO_POWER_ON)
     else:
         since_on = _since_power_on(run, c["t_s"])
     kinds = {record.kind for record in run.segments}
     if "ramp" not in kinds:
-        untestable["temperature_rate"] = "no temperature ramp was logged"
+        untestable["temperature_rate"] = Lack(Why.NO_RAMP)
     if supply is not None and np.ptp(supply) < LEAST_SUPPLY_V:
-        untestable["supply"] = "the supply voltage did not change"
+        untestable["supply"] = Lack(Why.STEADY_SUPPLY)
     averaging = c["count"] * c["sample_s"]
     return Series(
         name=run.path.name,

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.series import (
     sample_notes,
 )
 from gyrocal.errors import DataError
+from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]
@@ -124,14 +125,14 @@ def _raw(table: DataSetTable, t_s: Floats, wild: Bools, one_rate: bool) -> Raw:
     )
 
 
-def _untestable(table: DataSetTable) -> dict[str, str]:
-    found = {
-        "table_angle": "a table of data sets carries no table angle",
-        "supply": "a table of data sets carries no supply voltage",
-        "time_since_power_on": "a table of data sets does not say when the gyro was powered on",
-        "time_since_step": "a table of data sets carries no samples",
+def _untestable(table: DataSetTable) -> dict[str, Reason]:
+    found: dict[str, Reason] = {
+        "table_angle": Lack(Why.TABLE_NO_ANGLE),
+        "supply": Lack(Why.TABLE_NO_SUPPLY),
+        "time_since_power_on": Lack(Why.TABLE_NO_POWER_ON),
+        "time_since_step": Lack(Why.TABLE_NO_SAMPLES),
     }
     if table.t_s is None:
-        found["time"] = "the table has no t_s; the order of the data sets stands for time"
-        found["temperature_rate"] = "the table has no t_s, so temperature rates are per data set only"
+        found["time"] = Lack(Why.UNTIMED_ORDER)
+        found["temperature_rate"] = Lack(Why.UNTIMED_RATES)
     return found

@@ -19,6 +19,7 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.physics.c_text import CText
 from gyrocal.physics.fold import BY_COORDINATE, Fold, FoldAxis
 from gyrocal.physics.hiding import Hiding
+from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.search import Search, Shape
 from gyrocal.physics.surface import Surface
@@ -276,10 +277,12 @@ class Effect(Described):
         """Columns at unit amplitude in which it is linear, shape (n, k), deg/s."""
         return self.search.columns(self, c, shape, surface)
 
-    def why_not(self, offer: Offer) -> str | None:
+    def why_not(self, offer: Offer) -> Reason | None:
         """Why a record cannot show it; None if it can."""
         reasons = (offer.why_unseen(self.seen_in), *(need(offer) for need in self.search.requires))
-        lacking = (f"the record has no {need}" for need in self.needs if need not in offer.channels)
+        lacking = (
+            Lack(Why.NO_CHANNEL, {"channel": need}) for need in self.needs if need not in offer.channels
+        )
         return next((reason for reason in (*reasons, *lacking) if reason is not None), None)
 
     def fold_axis(self, c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.physics.lacking import Lack, Reason, Why
+from gyrocal.units import S_PER_H
+
 Floats = NDArray[np.float64]
 
 #: Fewer different rates than this carry no shape beyond the cubic.
@@ -46,7 +49,7 @@ class Offer:
     since_power_on_s: float | None
     has_time: bool
     channels: frozenset[str]
-    lacking: Mapping[str, str]
+    lacking: Mapping[str, Reason]
     supply_v: float | None = None
 
     @property
@@ -64,7 +67,7 @@ class Offer:
         """Whether the table turned at all."""
         return self.largest_rate_dps > 0
 
-    def why_unseen(self, coordinate: str) -> str | None:
+    def why_unseen(self, coordinate: str) -> Reason | None:
         """Why a coordinate does not show in the record; None where it does.
 
         Time is never lacking (the order of the rows stands for it), and where times are known a warm-up has the
@@ -76,53 +79,49 @@ class Offer:
 
 
 #: Why a record does not meet a need of an effect; None: it does.
-Requirement = Callable[[Offer], str | None]
+Requirement = Callable[[Offer], Reason | None]
 
 
-def table_turns(offer: Offer) -> str | None:
+def table_turns(offer: Offer) -> Reason | None:
     """The table turned."""
-    return None if offer.turns else "the table did not turn"
+    return None if offer.turns else Lack(Why.NO_TURN)
 
 
-def many_rates(offer: Offer) -> str | None:
+def many_rates(offer: Offer) -> Reason | None:
     """Enough rates for a shape that a cubic leaves over."""
     count = offer.rates_dps.size
     if count >= _FEWEST_RATES:
         return None
-    return f"it has {count} different rates, and shapes in rate need at least {_FEWEST_RATES}"
+    return Lack(Why.FEW_RATES, {"count": count, "fewest": _FEWEST_RATES})
 
 
-def both_ways(offer: Offer) -> str | None:
+def both_ways(offer: Offer) -> Reason | None:
     """Turns to the left and to the right."""
-    return None if offer.rates_dps.min() < 0 < offer.rates_dps.max() else "it turns one way only"
+    return None if offer.rates_dps.min() < 0 < offer.rates_dps.max() else Lack(Why.ONE_WAY)
 
 
-def data_at_rest(offer: Offer) -> str | None:
+def data_at_rest(offer: Offer) -> Reason | None:
     """Rows at rest."""
-    return None if np.any(np.abs(offer.rates_dps) < _REST_DPS) else "it has no data at rest"
+    return None if np.any(np.abs(offer.rates_dps) < _REST_DPS) else Lack(Why.NO_REST)
 
 
-def steps_of_rate(offer: Offer) -> str | None:
+def steps_of_rate(offer: Offer) -> Reason | None:
     """Samples that say how long ago the rate changed, and by how much."""
-    return (
-        None
-        if {"since_step_s", "step_dps"} <= offer.channels
-        else "the record has no samples after a step of rate"
-    )
+    return None if {"since_step_s", "step_dps"} <= offer.channels else Lack(Why.NO_STEPS)
 
 
-def begins_warm(offer: Offer) -> str | None:
+def begins_warm(offer: Offer) -> Reason | None:
     """A beginning soon after power-on, where that is known."""
     late = offer.since_power_on_s is not None and offer.since_power_on_s > _WARM_S
-    return "the record begins more than 1.5 h after power-on" if late else None
+    return Lack(Why.LATE, {"hours": _WARM_S / S_PER_H}) if late else None
 
 
-def temperature_changes(by_c: float, otherwise: str) -> Requirement:
-    """A change of temperature of at least so much; `otherwise` is said where there is less."""
+def temperature_changes(by_c: float) -> Requirement:
+    """A change of temperature of at least so much."""
 
-    def requirement(offer: Offer) -> str | None:
+    def requirement(offer: Offer) -> Reason | None:
         span = offer.temp_c[1] - offer.temp_c[0]
-        return otherwise if span < by_c else None
+        return Lack(Why.STEADY_TEMPERATURE, {"by_c": by_c}) if span < by_c else None
 
     return requirement
 
@@ -130,7 +129,7 @@ def temperature_changes(by_c: float, otherwise: str) -> Requirement:
 def either(first: Requirement, second: Requirement) -> Requirement:
     """One of two needs; the reason of the second where neither is met."""
 
-    def requirement(offer: Offer) -> str | None:
+    def requirement(offer: Offer) -> Reason | None:
         return None if first(offer) is None else second(offer)
 
     return requirement

@@ -138,7 +138,7 @@ static inline @real@ PREFIX_lagged@f@(@real@ w, @real@ temp_c, @real@ behind_c)
 """
 
 #: Below this nothing that follows the temperature's history can be seen, deg C.
-_SOME_CHANGE = temperature_changes(2.0, "the temperature hardly changed")
+_SOME_CHANGE = temperature_changes(2.0)
 
 
 SHUPE = Effect(
@@ -198,7 +198,7 @@ THERMAL_LAG = Effect(
     search=Search(
         grid=scales("tau_s", 30.0, 1800.0, 10),
         refined=("tau_s",),
-        requires=(_SOME_CHANGE, either(temperature_changes(10.0, ""), table_turns)),
+        requires=(_SOME_CHANGE, either(temperature_changes(10.0), table_turns)),
     ),
     fold=on_model("Error by the lag as modelled, mdeg/s"),
     c_text=CText(_thermal_lag_c, (_LAGGED,)),
@@ -246,7 +246,7 @@ TEMPERATURE_ORDER = Effect(
     search=Search(
         grid=_powers,
         columns=_order_columns,
-        requires=(temperature_changes(10.0, "the temperature changed by less than 10 degC"),),
+        requires=(temperature_changes(10.0),),
     ),
     hiding=Hiding(_draw_order),
     c_text=CText(_temperature_order_c, (POWER,)),

@@ -25,6 +25,7 @@ from gyrocal.report.diagnosis_figures import (
 from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, staircase_figure
 from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
+from gyrocal.report.reasons import reason_words
 from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import (
     counted,
@@ -68,7 +69,7 @@ def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
     if int(turning(rows).sum()) >= _LEAST_TURNING:
         found.append(_drawn("angle", residual_over_angle(diagnosis, rows)))
     else:
-        why = diagnosis.not_testable.get("table_angle", "The table did not turn long enough.")
+        why = reason_words(diagnosis.not_testable.get("table_angle", "The table did not turn long enough."))
         found.append(_missing("angle", why[0].upper() + why[1:].rstrip(".") + "."))
     found += [_effect_picture(diagnosis, rows, effect) for effect in diagnosis.effects]
     if diagnosis.layers:
@@ -231,7 +232,7 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             "not_testable",
             "Not testable with this record",
             ("Effect or coordinate", "because"),
-            list(diagnosis.not_testable.items()),
+            [(what, reason_words(why)) for what, why in diagnosis.not_testable.items()],
         ),
     ]
 

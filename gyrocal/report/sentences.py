@@ -12,6 +12,7 @@ from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Improveme
 from gyrocal.physics.catalogue import described
 from gyrocal.report.diagnosis_layers import staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
+from gyrocal.report.reasons import reason_words
 from gyrocal.report.remarks import remark_words, statement
 from gyrocal.report.words import (
     coordinate_words,
@@ -100,6 +101,7 @@ def document(d: Diagnosis) -> dict[str, Any]:
     for entry, effect in zip(found["effects"], d.effects, strict=True):
         law = described(effect.effect)
         entry |= {"equation": law.equation, "reference": law.reference, "statement": statement(effect)}
+    found["not_testable"] = {what: reason_words(why) for what, why in d.not_testable.items()}
     return found | {"notes": [remark_words(note) for note in d.notes], "statements": plain_sentences(d)}
 
 
@@ -121,7 +123,7 @@ def not_testable_sentences(d: Diagnosis) -> list[str]:
     """What this record cannot show, by reason."""
     by_reason: dict[str, list[str]] = {}
     for what, why in d.not_testable.items():
-        by_reason.setdefault(why.rstrip("."), []).append(what)
+        by_reason.setdefault(reason_words(why).rstrip("."), []).append(what)
     return [
         f"Not testable with this record: {', '.join(things)}, because {why}."
         for why, things in by_reason.items()

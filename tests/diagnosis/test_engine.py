@@ -12,6 +12,7 @@ from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.result import VERDICTS, Diagnosis
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import parse_coefficients
+from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.remarks import statement
@@ -112,8 +113,8 @@ def test_a_mislabelled_data_set_is_left_out_and_said() -> None:
 
 def test_what_a_record_cannot_show_is_said() -> None:
     found = diagnose(make_table(), options=Options(heldout=False))
-    assert "no table angle" in found.not_testable["earth_rate_tilt"]
-    assert "powered on" in found.not_testable["time_since_power_on"]
+    assert found.not_testable["earth_rate_tilt"] == Lack(Why.TABLE_NO_ANGLE)
+    assert found.not_testable["time_since_power_on"] == Lack(Why.TABLE_NO_POWER_ON)
     assert any("Not testable" in sentence for sentence in plain_sentences(found))
 
 

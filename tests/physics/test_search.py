@@ -11,6 +11,7 @@ from gyrocal.physics.c_text import CMemory
 from gyrocal.physics.catalogue import CATALOGUE, find_effect, law_of, twins_of
 from gyrocal.physics.effect import Conditions, Effect
 from gyrocal.physics.fold import BY_COORDINATE
+from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.offer import Offer
 from tests.physics.test_catalogue import COORDINATES, SURFACE, conditions
 
@@ -91,9 +92,8 @@ def test_a_lacking_coordinate_says_why() -> None:
     assert find_effect("magnetic").why_not(dark) == "nobody looked"
     assert find_effect("warm_up").why_not(dark) is None
     assert find_effect("warm_up").why_not(replace(dark, has_time=False)) == "nobody knows"
-    assert "1.5 h after power-on" in str(
-        find_effect("warm_up").why_not(replace(WHOLE, since_power_on_s=6000.0))
-    )
+    late = find_effect("warm_up").why_not(replace(WHOLE, since_power_on_s=6000.0))
+    assert late == Lack(Why.LATE, {"hours": 1.5})
 
 
 def test_twins_are_looked_for_as_the_first_of_them() -> None:

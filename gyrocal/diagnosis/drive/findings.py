@@ -16,6 +16,7 @@ from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import DRIVE_CATALOGUE
+from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95
 
 #: Evidence against a rival beyond which it is no rival.
@@ -304,27 +305,25 @@ def _may_be_another(effect: NamedEffect) -> bool:
     return effect.effect in _RATIO and any(other.effect in _RATIO for other in effect.alternatives)
 
 
-def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, str]:
+def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Reason]:
     """Effects that the log may hold and cannot show, with the reason."""
-    reasons = {
-        "robot_tilt": "the log has no inclination",
-        "earth_rate": "it cannot be told from a gyro bias",
-        "start_stop_slip": "it changes distances for moments only, which nothing in the log resolves",
-        "encoder_overcount": "single bumps cannot be told from the wheels' noise, nor many of them from a scale of the wheels",
+    reasons: dict[str, Reason] = {
+        "robot_tilt": Lack(Why.NO_INCLINATION),
+        "earth_rate": Lack(Why.LIKE_GYRO_BIAS),
+        "start_stop_slip": Lack(Why.MOMENTS_ONLY),
+        "encoder_overcount": Lack(Why.SINGLE_BUMPS),
     }
     if "slope" not in yaw.laws:
-        reasons["bias_temperature"] = "the log has no gyro temperature, or it hardly changes"
+        reasons["bias_temperature"] = Lack(Why.NO_GYRO_TEMPERATURE)
     if "step" not in yaw.laws:
-        reasons["gyro_bias"] = (
-            "the log does not begin with a rest: a bias is seen, but not that in motion less that at rest"
-        )
+        reasons["gyro_bias"] = Lack(Why.NO_REST_AT_START)
     if not series.differential:
         for name in ("skid_slip", "wheel_asymmetry", "wheel_eccentricity", "gyro_delay"):
-            reasons[name] = "both wheel columns hold one speed, so that nothing but the truth speaks of turns"
+            reasons[name] = Lack(Why.ONE_SPEED)
     usable = truth is not None and not truth.mirrored
-    for name, what in (("gyro_scale", "the effective wheel separation"), ("wheel_scale", "the true way")):
+    for name, twin in (("gyro_scale", "the effective wheel separation"), ("wheel_scale", "the true way")):
         if not usable or truth is None:
-            reasons[name] = f"without true positions it cannot be told from {what}"
+            reasons[name] = Lack(Why.NO_TRUTH, {"twin": twin})
         elif truth.stds[name] > _KNOWN:
-            reasons[name] = f"with this truth it is known to {100 * truth.stds[name]:.2g} % only"
+            reasons[name] = Lack(Why.POOR_TRUTH, {"percent": 100.0 * truth.stds[name]})
     return reasons
