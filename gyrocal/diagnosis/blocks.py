@@ -17,7 +17,7 @@ REPLACED = 2.0
 #: Blocks that a wrong direction of the surface looks like.
 BENT = ("odd rate", "even rate", "each rate")
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
-_BENDS = 6
+_BENDS = 12
 #: What the coefficients of a bend may change by at its end, deg/s.
 _SETTLED_DPS = 1e-4
 
@@ -42,15 +42,19 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
 
 
 def around_itself(fitted: Fitted) -> Fitted:
-    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface."""
+    """The same with the bend of the surface that it has now: what is taken out of a model moves its surface.
+
+    Beside a law that may take the place of most of the surface it does not settle; then the surface is one of the input,
+    which needs no bend.
+    """
     if fitted.model.direction == "input":
         return fitted
     for _ in range(_BENDS):
         bend = fitted.model.bend_of(fitted.solve())
         if fitted.model.bend is not None and np.abs(bend - fitted.model.bend).max() < _SETTLED_DPS:
-            break
+            return fitted
         fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend), 20)
-    return fitted
+    return fitted.refit(fitted.model.directed("input", bend), 40)
 
 
 def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,17 +71,22 @@ def best_law(
         """What had more shapes to choose from has to gain more."""
         return found.nll - effect.search.prior_nats + 0.5 * float(np.log(shapes[effect.id]))
 
-    refits = [(_with(current, _refined(trial, laws, gain_of)), trial.effect) for _, trial in top]
+    refits = [(_with(current, _refined(trial, laws, gain_of), logs), trial.effect) for _, trial in top]
     refits.sort(key=lambda x: loss(*x))
     winner, effect = refits[0]
     rivals = {e.id: loss(f, e) - loss(winner, effect) for f, e in refits[1:]}
     return Winner(effect, winner, rivals, shapes[effect.id])
 
 
-def _with(fitted: Fitted, trial: Trial) -> Fitted:
-    """The model with one law more."""
+def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fitted:
+    """The model with one law more, from its own variances or from those beside the block.
+
+    What lacks the block may have noise grown so far in its place that a law which explains all of it cannot shrink it.
+    """
     law = Law(trial.effect.id, trial.shape, trial.columns)
-    return fitted.refit(replace(fitted.model, laws=(*fitted.model.laws, law)), _ITERATIONS)
+    model = replace(fitted.model, laws=(*fitted.model.laws, law))
+    starts = (fitted.fit.log_variance, beside_block)
+    return min((fitted.refit(model, _ITERATIONS, start) for start in starts), key=lambda f: f.nll)
 
 
 def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Trial:

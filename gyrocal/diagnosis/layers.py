@@ -203,11 +203,11 @@ class Fitted:
         wide = additive.widened(m.error_dps, m.design[:, m.flat], m.all, variance, found)
         return replace(found, covariance=wide)
 
-    def refit(self, model: Model, iterations: int = 60) -> Fitted:
-        """Another model of the same record, from these variances."""
+    def refit(self, model: Model, iterations: int = 60, start: Mapping[str, float] | None = None) -> Fitted:
+        """Another model of the same record, from these variances or from others (logarithms)."""
         same = model.design is self.model.design
         contrasts = self.contrasts if same else contrasts_of(model, self.contrasts)
-        return Fitted(model, contrasts.fit(model.all, self.fit.log_variance, iterations), contrasts)
+        return Fitted(model, contrasts.fit(model.all, start or self.fit.log_variance, iterations), contrasts)
 
 
 def contrasts_of(model: Model, like: Contrasts | None = None, designs: Sequence[Floats] = ()) -> Contrasts:

@@ -223,16 +223,23 @@ def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     """
     bend = fitted.model.bend
     if block not in BENT or bend is None:
-        return _name_block(fitted, block, laws)
+        return _name_block(fitted, block, laws, fitted.nll)
     ways = [fitted.refit(fitted.model.directed(d, bend), 30) for d in ("input", "output")]
-    found = [_name_block(way, block, laws) for way in ways]
+    whole_nll = min(way.nll for way in ways)
+    found = [_name_block(way, block, laws, whole_nll) for way in ways]
     return min(found, key=lambda a: a.nll + GAIN * max(len(a.named), 1))
 
 
-def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
-    """Laws in place of a block where they explain as much; else beside it, if they say enough."""
-    worth, without = evidence(fitted, block)
-    alone = _simplest(fitted, without, block, laws)
+def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _Answer:
+    """Laws in place of a block where they explain as much; else beside it, if they say enough.
+
+    Parameters
+    ----------
+    whole_nll : what the block explains, the surface being as it fits best beside it
+    """
+    without = evidence(fitted, block)[1]
+    worth = without.nll - whole_nll
+    alone = _simplest(fitted, without, block, laws, worth)
     unnamed = _Answer(fitted, [], alone.near, fitted.nll)
     if not alone.named:
         return unnamed
@@ -242,7 +249,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     replaces = all(_of_robot(n) or _passes(n) for n in named) or not BLOCKS[block].stays
     # Errors of single rates are as simple as a law is.
     slack = 0.0 if block == "each rate" else REPLACED + len(named)
-    if alone.fitted.nll <= fitted.nll + slack:
+    if alone.fitted.nll <= whole_nll + slack:
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
     beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws), 30) if replaces else fitted
     if BLOCKS[block].lasts:
@@ -253,29 +260,31 @@ def _name_block(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     return _Answer(beside, named, alone.near, beside.nll) if says_more else unnamed
 
 
-def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws) -> _Alone:
+def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws, worth: float) -> _Alone:
     """The laws that explain a block best, those of one mechanism if they do nearly as well."""
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
-    best = _alone(fitted, without, block, trials, laws)
+    best = _alone(fitted, without, block, trials, laws, worth)
     for kind in sorted(best.kinds):
         if len(best.kinds) == 1 or not CATALOGUE[kind].search.adds_up:
             continue
-        single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws)
+        single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws, worth)
         ahead = best.cost - single.cost
         if ahead > 0.0:
-            left = single.fitted.nll - fitted.nll
+            left = single.fitted.nll - (without.nll - worth)
             best = replace(single, near=dict.fromkeys(best.near, left + ahead) | {kind: left})
     return best
 
 
-def _alone(fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws) -> _Alone:
+def _alone(
+    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws, worth: float
+) -> _Alone:
     """The best law in place of a block, and further ones beside it.
 
     Parameters
     ----------
     without : the model without the block
+    worth : evidence for the block, nats
     """
-    worth = without.nll - fitted.nll
     found = _Alone(without, [], {})
     while len(found.named) < _MOST_LAWS:
         taken = {e for e in found.kinds if not CATALOGUE[e].search.adds_up}
@@ -284,13 +293,14 @@ def _alone(fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial],
             break
         gain = found.fitted.nll - best.fitted.nll
         if not found.named:
-            left = {best.effect.id: 0.0, **best.rivals}
-            found = replace(found, near={e: worth - gain + behind for e, behind in left.items()})
+            behind = {best.effect.id: 0.0, **best.rivals}
+            found = replace(found, near={e: worth - gain + more for e, more in behind.items()})
         if gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
             break
         another = found.named and best.effect.id not in found.kinds
         told_apart = min(best.rivals.values(), default=np.inf) > _TOLD_APART
-        enough = best.fitted.nll <= fitted.nll + REPLACED + len(found.named) + 1 or gain >= _SECOND * worth
+        left = worth - (without.nll - best.fitted.nll)
+        enough = left <= REPLACED + len(found.named) + 1 or gain >= _SECOND * worth
         if another and not (told_apart and enough):
             # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
             break

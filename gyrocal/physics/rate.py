@@ -349,7 +349,8 @@ RATE_ORDER = Effect(
     reference="next orders of the paper's eq. 2",
     runtime=True,
     error_dps=memoryless(_rate_order),
-    search=Search(grid=_orders, columns=_order_columns, requires=(many_rates,), prior_nats=-1.0),
+    # Where a mechanism does as well to within 20 to 1, it is the mechanism.
+    search=Search(grid=_orders, columns=_order_columns, requires=(many_rates,), prior_nats=-3.0),
     hiding=Hiding(_draw_order),
     c_text=CText(_rate_order_c, (POWER,)),
 )

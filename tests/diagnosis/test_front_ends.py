@@ -1,0 +1,57 @@
+"""Gyros of a strongly bent front end: the sine of an open loop, 18 % short at full rate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis import blocks
+from gyrocal.diagnosis.blocks import evidence, present
+from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.laws import Laws, effects_of, laws_of
+from gyrocal.diagnosis.layers import Fitted, fit_model, full_model, surface_of
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.physics.rate import SAGNAC_SINE
+from gyrocal.records.datasets import DataSetTable
+
+_K = 0.0107
+
+
+@pytest.fixture(scope="module")
+def open_loop() -> tuple[Fitted, Laws]:
+    """Every part of a table of 21 rates at 7 temperatures."""
+    rng = np.random.default_rng(2)
+    rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 21), np.linspace(-10.0, 50.0, 7)))
+    v = (temp - 20.0) / 30.0
+    surface = rate * (2e-3 * v - 3e-4 * v**2) + 0.02 * v + 0.005 * v**2
+    gyro = np.sin(_K * rate) / _K + surface + 3e-4 * rng.standard_normal(rate.size)
+    means = means_of(series_of_table(DataSetTable(Path("open.csv"), rate, gyro, temp)))
+    fitted = present(fit_model(full_model(means, memory=False)))[0]
+    return fitted, laws_of(means, surface_of(fitted.model, fitted.solve()))
+
+
+def test_a_law_that_explains_a_strong_block_shrinks_the_noise_that_grew_in_its_place(
+    open_loop: tuple[Fitted, Laws],
+) -> None:
+    fitted, laws = open_loop
+    worth, without = evidence(fitted, "odd rate")
+    trials = [t for e in effects_of("odd rate") for t in laws.trials(e)]
+    best = best_law(fitted, without, "odd rate", trials, laws)
+    assert best is not None
+    assert best.effect is SAGNAC_SINE
+    assert without.nll - best.fitted.nll > worth - 2.0
+
+
+def test_a_surface_that_does_not_settle_is_one_of_the_input(
+    open_loop: tuple[Fitted, Laws], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its file would be another model than the one that was fitted."""
+    monkeypatch.setattr(blocks, "_BENDS", 1)
+    fitted, _ = open_loop
+    bend = 2.0 * fitted.model.bend_of(fitted.solve())
+    found = blocks.around_itself(fitted.refit(fitted.model.directed("output", bend), 20))
+    assert found.model.direction == "input"
+    assert np.std(found.solve().left) == pytest.approx(3e-4, rel=0.1)
