@@ -32,7 +32,6 @@ Weights = Literal["gls", "ols"]
 #: Number of coefficients.
 TERMS = SHAPE[0] * SHAPE[1]
 ALL_TERMS = np.ones(TERMS, dtype=np.bool_)
-BIAS_TERMS = np.arange(TERMS) < SHAPE[1]
 
 _ROUNDS = 3
 #: As good as a normal law.
@@ -55,8 +54,6 @@ class SurfaceFit:
         Degrees of freedom of each standard error, more than 4, for Student intervals.
     residual_dps : ndarray
         Corrected rate minus true rate.
-    studentised : ndarray
-        Residual of each data set as predicted by all others, in its standard deviations.
     ols : Surface
         The same terms with equal weights, whatever the weights used.
     ols_residual_dps : ndarray
@@ -72,7 +69,6 @@ class SurfaceFit:
     scatter: Scatter
     design: Floats
     residual_dps: Floats
-    studentised: Floats
     ols: Surface
     ols_residual_dps: Floats
 
@@ -129,7 +125,7 @@ def fit_surface(
     weights : {"gls", "ols"}
         Weight by the estimated covariance of the scatter, or equally as the paper does.
     terms : ndarray of bool, shape (12,)
-        Terms to fit, row-major over (i, j); the others are zero. `BIAS_TERMS` is the bias over temperature.
+        Terms to fit, row-major over (i, j); the others are zero.
     rest : Rest, optional
         What the run's records at rest say about drift (`Recording.rest`): better intervals, the same surface.
     direction : {"output", "input"}
@@ -157,7 +153,6 @@ def fit_surface(
         scatter=scatter,
         design=design,
         residual_dps=surface.rate_dps(sets.gyro_dps, sets.temp_c) - sets.rate_dps,
-        studentised=studentised_residuals(scatter, error_dps),
         ols=ols,
         ols_residual_dps=ols.rate_dps(sets.gyro_dps, sets.temp_c) - sets.rate_dps,
     )

@@ -20,7 +20,7 @@ from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.residual import Residuals, residuals
-from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows, UnnamedPart
+from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows, UnnamedPart, Verdict
 from gyrocal.diagnosis.scatter import (
     Finding,
     clock_findings,
@@ -181,7 +181,7 @@ def _sampling(series: Series) -> list[Finding]:
     return outlier_findings(series) + step_findings(series) + clock_findings(series)
 
 
-def _verdict(names: list[NamedEffect], lacking: bool) -> str:
+def _verdict(names: list[NamedEffect], lacking: bool) -> Verdict:
     if names:
         return "partly_explained" if lacking else "explained"
     return "unexplained" if lacking else "consistent"

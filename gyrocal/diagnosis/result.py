@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SCHEMA = "gyrocal-diagnosis/1"
-VERDICTS = ("consistent", "explained", "partly_explained", "unexplained")
+Verdict = Literal["consistent", "explained", "partly_explained", "unexplained"]
 
 
 @dataclass(frozen=True)
@@ -318,8 +318,6 @@ class Diagnosis:
 
     Attributes
     ----------
-    verdict : str
-        One of `VERDICTS`.
     sentences : tuple of str
         What is said of a drive, plainly, in order; of a recording `gyrocal.report.sentences` makes them.
     surface : Coefficients
@@ -337,7 +335,7 @@ class Diagnosis:
     """
 
     recording: str
-    verdict: str
+    verdict: Verdict
     located: tuple[Located, ...]
     effects: tuple[NamedEffect, ...]
     not_testable: Mapping[str, Reason]

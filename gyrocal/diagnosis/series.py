@@ -60,7 +60,6 @@ class Raw:
     samples: int
     sample_std_dps: float | None = None
     lattice_dps: float | None = None
-    lattice_temp_c: float | None = None
     interval_ratio: float | None = None
     interval_ratio_std: float | None = None
 
@@ -390,7 +389,6 @@ def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]]) -> Floats:
 def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
     sets = [r for r in raws if r["is_set"]] or raws
     values = np.concatenate([r["gyro"] for r in sets])
-    temps = np.concatenate([r["temp"] for r in sets])
     ratio = ratio_std = None
     if run.sensor.sample_rate_hz:
         spans = np.array([r["span_s"] / max(r["n"] - 1, 1) for r in sets])
@@ -406,7 +404,6 @@ def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
         samples=int(sum(r["n"] for r in raws)),
         sample_std_dps=float(np.median([r["difference_std"] for r in sets])),
         lattice_dps=lattice(values),
-        lattice_temp_c=lattice(temps[np.isfinite(temps)]),
         interval_ratio=ratio,
         interval_ratio_std=ratio_std,
     )

@@ -113,7 +113,7 @@ def _raw(table: DataSetTable, t_s: Floats, wild: Bools, one_rate: bool) -> Raw:
     kept = table.gyro_dps[~wild]
     if not one_rate:
         # Means of data sets at many rates lie on no lattice that says anything of a sample.
-        return Raw(np.empty(0), np.empty(0), t_s.size, lattice_temp_c=lattice(table.temp_c))
+        return Raw(np.empty(0), np.empty(0), t_s.size)
     neighbours = np.interp(t_s[wild], t_s[~wild], kept)
     return Raw(
         outliers_t_s=t_s[wild],
@@ -121,7 +121,6 @@ def _raw(table: DataSetTable, t_s: Floats, wild: Bools, one_rate: bool) -> Raw:
         samples=t_s.size,
         sample_std_dps=float(np.std(np.diff(kept)) / np.sqrt(2.0)),
         lattice_dps=lattice(kept),
-        lattice_temp_c=lattice(table.temp_c),
     )
 
 

@@ -29,19 +29,6 @@ POWERS = (-2, -1, 0, 1)
 _LAG_STEP = 16
 
 
-def overlapping_avar(rate: Floats, factor: int) -> float:
-    """Overlapping Allan variance of gapless samples at one averaging factor, in the square of their unit.
-
-    Parameters
-    ----------
-    rate : ndarray, shape (n,)
-        Mean rate of each sample time; n at least ``2 * factor``.
-    factor : int
-        Averaging time over sample time.
-    """
-    return float(np.mean(_differences(rate, factor) ** 2)) / 2.0
-
-
 def _differences(rate: Floats, factor: int) -> Floats:
     """Mean of `factor` samples minus that of the `factor` before, at every start."""
     # Taking one value off costs nothing and keeps the digits of the running sum.

@@ -89,11 +89,6 @@ class DriveChange:
     gyro_yaw_rad: Floats
     distance_m: Floats
 
-    def wheels_m(self, wheel_separation_m: float) -> tuple[Floats, Floats]:
-        """The same as changes of the left and right wheel's distance, m."""
-        half = 0.5 * wheel_separation_m * self.encoder_yaw_rad
-        return self.distance_m - half, self.distance_m + half
-
 
 class DriveResponse(Protocol):
     """The law of an effect over a block of rows; any split of a log gives the same numbers."""

@@ -287,21 +287,6 @@ def solve_rate(
     return Solution(rate, own, [error for error, _ in last], [memory for _, memory in last])
 
 
-def output_of(
-    surface: Surface, terms: Sequence[Part], memories: Sequence[Memory], c: Conditions
-) -> tuple[Floats, list[Memory]]:
-    """Output at the true rates of `c`, deg/s, shape (n,), of a gyro with this surface and these terms.
-
-    Raises
-    ------
-    DataError
-        The surface has no output somewhere.
-    """
-    last = [term.at(c, surface, memory)(c.rate_dps) for term, memory in zip(terms, memories, strict=True)]
-    output = surface.output_dps(c.rate_dps, c.temp_c) + sum(error for error, _ in last)
-    return np.asarray(output), [memory for _, memory in last]
-
-
 def joint_covariance(surface_covariance: Floats, terms: Sequence[Part]) -> Floats:
     """Covariance of the coefficients of the surface and of all parameters of the terms, in this order.
 

@@ -20,7 +20,7 @@ import numpy as np
 from gyrocal.errors import GyrocalError, InputError, ProfileError
 from gyrocal.records.bag_messages import Fixes, Message, axis_rates, pose_row, side_angles, transform_row
 from gyrocal.records.csvio import Floats
-from gyrocal.records.drive import DriveBlock, join
+from gyrocal.records.drive import DriveBlock
 from gyrocal.records.files import reading
 from gyrocal.records.streams import Merger
 from gyrocal.records.timeline import Timeline, usual_step
@@ -81,11 +81,6 @@ def iterate_bag(path: Path, wheels: Wheels, topics: Mapping[str, str] | None = N
         if count % _FLUSH_MESSAGES == 0:
             yield from gather.flush()
     yield from gather.flush(last=True)
-
-
-def read_bag(path: Path, wheels: Wheels, topics: Mapping[str, str] | None = None) -> DriveBlock:
-    """The whole bag in memory; see `iterate_bag`."""
-    return join(iterate_bag(path, wheels, topics))
 
 
 def iterate_rates(path: Path, topic: str | None = None) -> Iterator[tuple[float, tuple[float, float, float]]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gyrocal.errors import InputError, ProfileError
 from gyrocal.records.columns import UNITS, ColumnMap, ColumnRule
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
-from gyrocal.records.drive import DriveBlock, join
+from gyrocal.records.drive import DriveBlock
 from gyrocal.records.streams import Merger
 from gyrocal.records.timeline import Timeline, usual_step
 
@@ -98,13 +98,6 @@ def iterate_drive_log(
         raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")
     reads = itertools.chain(head, reads)
     yield from _merge_columns(path, rules, reads) if _is_sparse(head) else (read.block for read in reads)
-
-
-def read_drive_log(
-    path: Path, metres_per_tick: tuple[float, float] | None = None, columns: ColumnMap | None = None
-) -> DriveBlock:
-    """The whole drive log in memory; see `iterate_drive_log`."""
-    return join(iterate_drive_log(path, metres_per_tick, columns))
 
 
 def _read_file(

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from gyrocal.calibration.crossval import cross_validate
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.figures import BeforeAfter, merit_figures
-from gyrocal.calibration.fit import BIAS_TERMS, SurfaceFit, fit_surface
+from gyrocal.calibration.fit import TERMS, SurfaceFit, fit_surface
+from gyrocal.physics.surface import SHAPE
 from tests.report.examples import examined
 
 TEMPS_C = np.array([-10.0, 10, 30, 50, 40, 20, 0])
+#: The bias over temperature alone.
+BIAS = np.arange(TERMS) < SHAPE[1]
 
 
 def data_sets(seed: int, noise_dps: float, rates: NDArray[np.float64] | None = None) -> DataSets:
@@ -95,7 +98,7 @@ def test_every_figure_is_a_number_or_a_reason() -> None:
     assert found["bias"].before.reason == "zero rate lies outside the recording"
     assert found["scale_factor_asymmetry"].before.reason == "the recording turns one way only"
     rest = data_sets(6, 1e-3, np.zeros(4))
-    bias = merit_figures(fit_surface(rest, "gls", BIAS_TERMS), None)
+    bias = merit_figures(fit_surface(rest, "gls", BIAS), None)
     assert bias["scale_factor_error"].before.reason == "the recording is at a single rate"
     assert bias["bias_over_temperature"].before.value is not None
     for pair in (*found.values(), *bias.values()):

@@ -14,6 +14,7 @@ from gyrocal.diagnosis.result import (
     NamedEffect,
     NoiseFigures,
     Rows,
+    Verdict,
 )
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.catalogue import CATALOGUE
@@ -63,7 +64,7 @@ def _rows(recording: Recording) -> Rows:
     )
 
 
-def made_up_diagnosis(recording: Recording, verdict: str = "explained") -> Diagnosis:
+def made_up_diagnosis(recording: Recording, verdict: Verdict = "explained") -> Diagnosis:
     """The true answer in the finder's form."""
     surface = Surface(np.full((4, 3), 0.01), 0.0, 100.0, 20.0, 30.0)
     model = Coefficients(

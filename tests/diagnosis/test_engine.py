@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.result import VERDICTS, Diagnosis
+from gyrocal.diagnosis.result import Diagnosis, Verdict
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.physics.lacking import Lack, Why
@@ -146,7 +147,7 @@ def test_document_is_plain_json_and_deterministic(asymmetric: tuple[DataSetTable
     assert texts[0] == texts[1]
     body = json.loads(texts[0])
     assert body["schema"] == "gyrocal-diagnosis/1"
-    assert body["verdict"] in VERDICTS
+    assert body["verdict"] in get_args(Verdict)
     assert set(body["located"][0]) >= {"coordinate", "statistic", "from", "to", "unit", "target", "region"}
     assert body["effects"][0]["equation"] == "e = k w for w > 0, 0 otherwise"
     assert set(body["effects"][0]["improvement"]) >= {

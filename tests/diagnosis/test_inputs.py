@@ -20,9 +20,9 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable, read_data_sets
-from gyrocal.records.drive_log import read_drive_log
 from gyrocal.report.remarks import remark_words
 from tests.diagnosis.concealed_bench import make_recording, write_run
+from tests.records.whole import read_drive_log
 
 
 def make_table(scale: float = 1.0, full_dps: float = 240.0) -> DataSetTable:

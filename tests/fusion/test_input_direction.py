@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -17,10 +18,10 @@ from scipy.optimize import brentq
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion import Coefficients, Compensator, Term, Valid, parse_coefficients
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_TERM
-from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.effect import Conditions, Floats, Memory
 from gyrocal.physics.smooth import Column, Factor, Frame, SmoothTerm, columns_of
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.terms import output_of
+from gyrocal.physics.terms import Part
 
 #: A cubic in the true rate whose slope falls to a third at the ends of the range, as a strong open loop's does.
 STRONG = Surface(
@@ -33,6 +34,15 @@ STRONG = Surface(
 )
 MILD = replace(STRONG, coefficients_dps=0.05 * STRONG.coefficients_dps)
 VALID = Valid((-90.0, 90.0), (-10.0, 50.0))
+
+
+def output_of(
+    surface: Surface, terms: Sequence[Part], memories: Sequence[Memory], c: Conditions
+) -> tuple[Floats, list[Memory]]:
+    """Output at the true rates of `c`, deg/s, shape (n,), of a gyro with this surface and these terms."""
+    last = [term.at(c, surface, memory)(c.rate_dps) for term, memory in zip(terms, memories, strict=True)]
+    output = surface.output_dps(c.rate_dps, c.temp_c) + sum(error for error, _ in last)
+    return np.asarray(output), [memory for _, memory in last]
 
 
 def coefficients(surface: Surface, *terms: Term | SmoothTerm) -> Coefficients:

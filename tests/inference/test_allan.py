@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.inference.allan import POWERS, AllanCurve, AllanSums, covariance_parts, overlapping_avar
+from gyrocal.inference.allan import POWERS, AllanCurve, AllanSums, covariance_parts
+from tests.inference.allan_reference import overlapping_avar
 
 Floats = NDArray[np.float64]
 

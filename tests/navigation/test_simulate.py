@@ -13,9 +13,9 @@ from gyrocal.navigation.drives import DriveRequest, simulate_to_directory, simul
 from gyrocal.navigation.path import Motion, drive, square_via_points
 from gyrocal.navigation.simulate import CCW, CW, Day, SimulatedRobot, Spread, encoder_steps, simulate_log
 from gyrocal.physics.gyro import rd2100_unit
-from gyrocal.records.drive_log import read_drive_log
 from gyrocal.records.robot import read_robot
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH
+from tests.records.whole import read_drive_log
 
 PATH = drive(square_via_points(Motion(), CCW), Motion(), 0.1, 10.0)
 STILL = Spread(separation_run_std=0.0, turn_slip_deg_per_rt_deg=0.0, bumps_per_m=0.0)

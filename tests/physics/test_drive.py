@@ -48,6 +48,12 @@ def whole(effect: DriveEffect, c: DriveConditions, **p: float) -> DriveChange:
     return effect.change(c, effect.complete(p), None)[0]
 
 
+def wheels_m(change: DriveChange, wheel_separation_m: float) -> tuple[Floats, Floats]:
+    """A change as those of the left and right wheel's distance, m."""
+    half = 0.5 * wheel_separation_m * change.encoder_yaw_rad
+    return change.distance_m - half, change.distance_m + half
+
+
 @pytest.mark.parametrize("effect", DRIVE_CATALOGUE.values(), ids=list(DRIVE_CATALOGUE))
 @settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 60), max_size=10), seed=st.integers(0, 1000))
@@ -131,7 +137,7 @@ def test_unknown_slip_laws_are_refused() -> None:
 def test_wheels_and_yaw_are_the_same_change() -> None:
     c = drive(50)
     change = whole(DRIVE_CATALOGUE["wheel_asymmetry"], c, amplitude=2.0)
-    left, right = change.wheels_m(SEPARATION_M)
+    left, right = wheels_m(change, SEPARATION_M)
     np.testing.assert_allclose(left, -0.01 * c.left_m, atol=1e-15)
     np.testing.assert_allclose(right, 0.01 * c.right_m, atol=1e-15)
 
@@ -149,7 +155,7 @@ def test_overcount_never_takes_away_and_has_the_stated_mean() -> None:
     n = 20_000
     step = np.full(n, 0.01)
     c = DriveConditions(0.1 * np.arange(n, dtype=np.float64), np.full(n, 0.1), step, -step, np.zeros(n), 0.5)
-    left, right = whole(DRIVE_CATALOGUE["encoder_overcount"], c, amplitude=2.0).wheels_m(0.5)
+    left, right = wheels_m(whole(DRIVE_CATALOGUE["encoder_overcount"], c, amplitude=2.0), 0.5)
     # An exponential draw has its mean as standard deviation; 4.9 sigma is a false-alarm rate of 1e-6.
     for wheel in (left, right):
         assert wheel.min() >= 0
@@ -158,7 +164,7 @@ def test_overcount_never_takes_away_and_has_the_stated_mean() -> None:
 
 def test_ticks_lose_nothing_in_the_long_run() -> None:
     c = drive(400)
-    left, right = whole(DRIVE_CATALOGUE["encoder_quantisation"], c, amplitude=7.0).wheels_m(SEPARATION_M)
+    left, right = wheels_m(whole(DRIVE_CATALOGUE["encoder_quantisation"], c, amplitude=7.0), SEPARATION_M)
     for change, wheel in ((left, c.left_m), (right, c.right_m)):
         counted = np.cumsum(wheel + change)
         np.testing.assert_allclose(counted / 7e-3, np.rint(counted / 7e-3), atol=1e-8)
@@ -169,7 +175,7 @@ def test_eccentric_wheel_comes_back_after_a_turn() -> None:
     turn_m = 2 * np.pi * 0.1
     step = np.full(100, turn_m / 100)
     c = DriveConditions(np.arange(100, dtype=np.float64), np.ones(100), step, step, np.zeros(100), 0.5)
-    left, right = whole(DRIVE_CATALOGUE["wheel_eccentricity"], c, amplitude=1.0).wheels_m(0.5)
+    left, right = wheels_m(whole(DRIVE_CATALOGUE["wheel_eccentricity"], c, amplitude=1.0), 0.5)
     assert np.abs(left).max() < 1e-15
     assert right[0] == pytest.approx(0.01 * step[0], rel=1e-2)
     assert abs(right.sum()) < 1e-12

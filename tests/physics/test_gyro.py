@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gyrocal.inference.allan import overlapping_avar
 from gyrocal.physics.gyro import GyroModel, GyroStream, rd2100_unit
 from gyrocal.physics.surface import Surface
+from tests.inference.allan_reference import overlapping_avar
 
 #: Quantiles of a two-sided test that errs once in 10,000.
 FALSE_ALARM = (0.5e-4, 1 - 0.5e-4)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from gyrocal.errors import GyrocalError, InputError, ProfileError
 from gyrocal.records.drive import DriveBlock, format_drive_log, join
-from gyrocal.records.drive_log import iterate_drive_log, read_drive_log
+from gyrocal.records.drive_log import iterate_drive_log
+from tests.records.whole import read_drive_log
 
 HEADER = "t_s,left_m,right_m,gyro_dps,gyro_temp_c"
 

@@ -9,7 +9,7 @@ import pytest
 
 from gyrocal.errors import InputError
 from gyrocal.records.columns import read_column_map
-from gyrocal.records.drive_log import read_drive_log
+from tests.records.whole import read_drive_log
 
 TIME = '[columns.t_s]\nfrom = "stamp"\nunit = "ms"\n'
 LEFT = '[columns.left_m]\nfrom = "encL"\nunit = "ticks_total"\nwrap = 65536\n'

@@ -10,7 +10,8 @@ import pytest
 from gyrocal.errors import DataError, InputError
 from gyrocal.records.columns import read_column_map
 from gyrocal.records.drive import format_drive_log, join
-from gyrocal.records.drive_log import iterate_drive_log, read_drive_log
+from gyrocal.records.drive_log import iterate_drive_log
+from tests.records.whole import read_drive_log
 
 #: A drive in closed form: speed and turn rate vary slowly beside every sampling interval.
 DURATION_S, SEPARATION_M = 60.0, 0.5

@@ -21,7 +21,6 @@ from gyrocal.fusion.coefficients import load_coefficients
 from gyrocal.records.bags import Wheels, iterate_bag
 from gyrocal.records.columns import read_column_map
 from gyrocal.records.datasets import read_data_sets
-from gyrocal.records.drive_log import read_drive_log
 from gyrocal.records.gyro_log import iterate_gyro_log
 from gyrocal.records.raw import RawWriter, iterate_raw, read_raw_head
 from gyrocal.records.robot import read_robot
@@ -30,6 +29,7 @@ from gyrocal.records.static_log import iterate_static_log
 from tests.records.mutation import mutated
 from tests.records.test_drive_bags import write_bag
 from tests.records.test_gyro_log import dataflash, ulog
+from tests.records.whole import read_drive_log
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "sample_data"

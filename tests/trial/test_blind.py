@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gyrocal.bench.session import AcquireConfig, acquire
-from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect
+from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
 from gyrocal.errors import ProfileError
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.report.diagnosis_blind import write_blind
@@ -53,7 +53,7 @@ class _Watch:
         """Nothing is said."""
 
 
-def _answer(effects: dict[str, dict[str, float]], verdict: str) -> Diagnosis:
+def _answer(effects: dict[str, dict[str, float]], verdict: Verdict) -> Diagnosis:
     named = tuple(
         NamedEffect(
             effect,

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from gyrocal.cli import gyrocal_command
-from gyrocal.diagnosis.result import Diagnosis, NamedEffect
+from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Verdict
 from gyrocal.errors import DataError
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.report.made_up_blind import write_made_up
@@ -24,7 +24,7 @@ def _quiet(share: float, what: str) -> None:
     """No progress is shown."""
 
 
-def _answer(names: list[str], verdict: str = "explained") -> Diagnosis:
+def _answer(names: list[str], verdict: Verdict = "explained") -> Diagnosis:
     named = tuple(
         NamedEffect(e, CATALOGUE[e].family, {}, 1e-9, (), None, CATALOGUE[e].runtime) for e in names
     )

@@ -21,7 +21,7 @@ _LOOK_S = 0.001
 
 
 class Line(Protocol):
-    """The cable between a device and the program, and what it does to the bytes; faults are in `virtual.faults`."""
+    """The cable between a device and the program, and what it does to the bytes."""
 
     def carry(self, now_s: float, messages: Sequence[bytes], request: bytes) -> bytes:
         """Bytes that reach the program now. Called at every look, also without messages, so that a line can delay."""

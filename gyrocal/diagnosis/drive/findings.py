@@ -14,7 +14,7 @@ from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect
+from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import DRIVE_CATALOGUE
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95
@@ -289,7 +289,7 @@ def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
     return found
 
 
-def verdict(effects: list[NamedEffect], located: list[Located]) -> str:
+def verdict(effects: list[NamedEffect], located: list[Located]) -> Verdict:
     """`consistent` only where nothing is named and nothing is left, `explained` only where nothing is left.
 
     Nor is a ratio of the headings explained by one of the scales that make it while the log cannot exclude the others.

@@ -12,7 +12,9 @@ import numpy as np
 
 from gyrocal.bench.devices import ChamberReading, GyroSamples, TableReading
 from gyrocal.bench.tables import zaber
-from gyrocal.bench.virtual.faults import (
+from gyrocal.bench.virtual.server import Line
+from gyrocal.errors import DeviceError, GyrocalError, InterlockError, StopNotVerifiedError
+from tests.bench.onwire.faulty import (
     ChangedLine,
     CutLine,
     DisorderlyLine,
@@ -24,8 +26,6 @@ from gyrocal.bench.virtual.faults import (
     stuck,
     thermometer_shows,
 )
-from gyrocal.bench.virtual.server import Line
-from gyrocal.errors import DeviceError, GyrocalError, InterlockError, StopNotVerifiedError
 from tests.bench.onwire.stand import WireStand
 
 #: While the first data sets are recorded, s.

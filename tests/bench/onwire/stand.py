@@ -14,13 +14,13 @@ from gyrocal.bench.runner import Runner
 from gyrocal.bench.safety import StopRequests
 from gyrocal.bench.session import plan_of
 from gyrocal.bench.virtual.devices import virtual_bench
-from gyrocal.bench.virtual.faults import FaultyChamber, FaultyTable
 from gyrocal.bench.virtual.server import Line, LiveTable, make_server
 from gyrocal.bench.virtual.serving import served_kinds, snippet_of
 from gyrocal.bench.watching import Summary
 from gyrocal.bench.wiring import Wire, open_bench
 from gyrocal.errors import DeviceError
 from gyrocal.records.journal import create_run
+from tests.bench.onwire.faulty import FaultyChamber, FaultyTable
 from tests.bench.tiny import Silent, tiny
 
 #: Virtual time between two looks of the server, s.

@@ -16,7 +16,6 @@ import pytest
 
 from gyrocal.bench.gyros.stream import StreamLimits
 from gyrocal.bench.profile import RetrySpec, profile_from_dict
-from gyrocal.bench.virtual.faults import NoisyLine, Span, stuck, thermometer_shows
 from gyrocal.bench.wiring import ROLES, read_wire
 from gyrocal.errors import DeviceError, GyrocalError, InterlockError, exit_code
 from gyrocal.records.run import read_run
@@ -31,6 +30,7 @@ from tests.bench.onwire.faults import (
     rng,
     vanishing,
 )
+from tests.bench.onwire.faulty import NoisyLine, Span, stuck, thermometer_shows
 from tests.bench.onwire.stand import WireStand
 from tests.bench.test_runner import events
 from tests.bench.tiny import tiny

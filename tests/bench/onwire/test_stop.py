@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from gyrocal.bench.virtual.faults import ChangedLine, CutLine, Span
 from gyrocal.errors import GyrocalError, StopNotVerifiedError
 from tests.bench.onwire.faults import CHAMBERS, TABLES, bench_of, check_safe, refusing
+from tests.bench.onwire.faulty import ChangedLine, CutLine, Span
 from tests.bench.onwire.stand import WireStand
 from tests.bench.test_runner import events
 

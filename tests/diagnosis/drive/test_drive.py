@@ -17,11 +17,11 @@ from gyrocal.diagnosis.drive.series import drive_series, nodes_of, tick_size
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.records.drive import DriveBlock, cut
-from gyrocal.records.drive_log import read_drive_log
 from gyrocal.records.robot import Robot, read_robot
 from gyrocal.report.remarks import remark_words, statement
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
+from tests.records.whole import read_drive_log
 
 SHARED = Path(__file__).parents[3].parent / "shared" / "data"
 
