@@ -199,7 +199,7 @@ def load_recording(path: Path, counts_per_dps: float | None = None) -> Recording
         return _from_table(read_data_sets(path, counts_per_dps))
     if counts_per_dps is not None:
         raise InputError(f"{path}: a run is in deg/s already; --counts-per-dps is for tables. Leave it out.")
-    return _from_run(read_run(path))
+    return recording_of(read_run(path))
 
 
 def _from_table(table: DataSetTable) -> Recording:
@@ -256,7 +256,14 @@ def _saturated_means(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
     return saturated
 
 
-def _from_run(run: Run) -> Recording:
+def recording_of(run: Run) -> Recording:
+    """Data sets of a run that was opened.
+
+    Raises
+    ------
+    InputError, DataError
+        As `load_recording`.
+    """
     rows: list[tuple[SegmentRecord, SegmentSums, float, str]] = []
     notes = list(run.notes)
     bad_status = non_finite = n_samples = 0

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from gyrocal.calibration.datasets import Recording
+from gyrocal.calibration.datasets import Recording, recording_of
 from gyrocal.calibration.figure import Figure, Interval
+from gyrocal.errors import DataError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER, NoiseModel, Part, fit_noise
 from gyrocal.records.run import Run, SegmentRecord
@@ -112,6 +113,20 @@ def noise_figures(recording: Recording) -> NoiseFigures:
     if run is None:
         return _nothing("a table of data sets holds no samples at rest")
     return figures_of(curves_at_rest(run, bias_over_temperature(recording)))
+
+
+def noise_at_rest(run: Run) -> NoiseFigures:
+    """The same of a run of which nothing is read but its segments at rest."""
+    return figures_of(curves_at_rest(run, bias_at_rest(run)))
+
+
+def bias_at_rest(run: Run) -> Floats:
+    """`bias_over_temperature` of a run's segments at rest; a constant where none of them is a data set."""
+    still = replace(run, segments=tuple(r for r in run.segments if r.rate_dps == 0.0))
+    try:
+        return bias_over_temperature(recording_of(still))
+    except DataError:
+        return np.zeros(1)
 
 
 def bias_over_temperature(recording: Recording) -> Floats:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.course import Course, CourseSums
-from gyrocal.calibration.datasets import load_recording
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.fit import gls_gain
 from gyrocal.calibration.flicker import TIME_CONSTANTS_S, flicker_correlation
@@ -24,10 +23,9 @@ from gyrocal.calibration.jumps import jumps_of
 from gyrocal.calibration.noise import (
     NoiseFigures,
     add_pieces,
-    bias_over_temperature,
-    curves_at_rest,
     figures_of,
     gaps,
+    noise_at_rest,
 )
 from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
@@ -189,7 +187,7 @@ def examine_static(
     if spans:
         reading = _read(_without(_log_blocks(config, []), spans))
     tell(0.8, "figures")
-    noise = figures_of(_curves(reading)) if run is None else figures_of(curves_at_rest(run, _bias(run)))
+    noise = figures_of(_curves(reading)) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
     figures = [*_mean(course, covariance, blank, config), *_slopes(course, covariance, blank)]
@@ -235,14 +233,6 @@ def _without(blocks: Iterator[_Block], spans: Sequence[tuple[float, float]]) -> 
         for start, end in spans:
             inside |= (block.t_s >= start) & (block.t_s <= end)
         yield replace(block, gyro_dps=np.where(inside, np.nan, block.gyro_dps))
-
-
-def _bias(run: Run) -> Floats:
-    """What temperature does to the bias, as `fit` takes it off; a constant where the run's data sets do not say."""
-    try:
-        return bias_over_temperature(load_recording(run.path))
-    except DataError:
-        return np.zeros(1)
 
 
 def _run_blocks(run: Run) -> Iterator[_Block]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,8 @@ _PRIOR_RATE = 1.0
 _CLIMBS = 8
 #: Added to the diagonal, relative to the mean of the diagonal, so that rounding cannot make a matrix indefinite.
 _JITTER = 1e-10
+#: Columns that LAPACK turns at a time.
+_BLOCK = 64
 
 
 @dataclass(frozen=True)
@@ -128,16 +131,16 @@ class Contrasts:
         elif span is not None and y.size > MOST_DIRECTIONS:
             self.kept = _directions(flat if whole is None else whole, span)
         seen = flat if self.kept is None else self.kept.T @ flat
-        q, _ = linalg.qr(seen / np.linalg.norm(seen, axis=0))
-        across = q[:, flat.shape[1] :]
-        self._across = np.ascontiguousarray(across if self.kept is None else self.kept @ across)
-        left = self._across.T @ y
+        self._reflectors, self._tau = linalg.qr(seen / np.linalg.norm(seen, axis=0), mode="raw")[0]
+        left = self._contrasts_of(y[:, None])[:, 0]
         own_unit = float(np.sqrt(np.mean(left**2))) or 1.0
         self.unit: float = own_unit if like is None else like.unit
         self._left = left / self.unit
         # With this the likelihood is the evidence under flat coefficients, comparable between flat columns.
         self._flat = float(np.linalg.slogdet(seen.T @ seen)[1]) / 2.0
         self._parts: dict[int, tuple[Component, _Part]] = {}
+        # Components in the directions that are looked in, which contrasts of other flat columns share.
+        self._looked_at: dict[int, tuple[Component, Floats]] = {} if like is None else like._looked_at
 
     def part(self, component: Component) -> _Part:
         """A component in the space of contrasts; kept, since models share most of them."""
@@ -149,12 +152,41 @@ class Contrasts:
 
     def _projected(self, component: Component) -> _Part:
         if component.columns is not None:
-            factor = self._across.T @ component.columns
+            factor = self._contrasts_of(component.columns)
             scale = float(np.sum(factor**2)) / factor.shape[0]
             return _Part(component.name, factor / np.sqrt(scale or 1.0), None, scale or 1.0)
-        matrix = self._across.T @ component.covariance @ self._across
+        first = self.flat.shape[1]
+        matrix = self._turned(self._turned(self._seen(component), "T").T, "T")[first:, first:]
         scale = float(np.trace(matrix)) / matrix.shape[0]
         return _Part(component.name, None, matrix / (scale or 1.0), scale or 1.0)
+
+    def _seen(self, component: Component) -> Floats:
+        """A covariance of the rows in the directions that are looked in."""
+        covariance = np.asarray(component.covariance)
+        if self.kept is None:
+            return covariance
+        known = self._looked_at.get(id(component))
+        if known is None or known[0] is not component:
+            known = (component, self.kept.T @ covariance @ self.kept)
+            self._looked_at[id(component)] = known
+        return known[1]
+
+    def _turned(self, columns: Floats, way: Literal["N", "T"]) -> Floats:
+        """Columns from contrasts, flat directions first (``N``), or to them (``T``)."""
+        room = _BLOCK * columns.shape[1]
+        found, _, _ = linalg.lapack.dormqr("L", way, self._reflectors, self._tau, columns, room)
+        return np.asarray(found)
+
+    def _contrasts_of(self, columns: Floats) -> Floats:
+        """Columns in the space of contrasts, shape (m, q)."""
+        seen = columns if self.kept is None else self.kept.T @ columns
+        return self._turned(seen, "T")[self.flat.shape[1] :]
+
+    def _rows_of(self, contrasts: Floats) -> Floats:
+        """Columns in the space of contrasts as rows of the record, shape (n, q)."""
+        padded = np.concatenate([np.zeros((self.flat.shape[1], contrasts.shape[1])), contrasts])
+        seen = self._turned(padded, "N")
+        return seen if self.kept is None else self.kept @ seen
 
     def fit(
         self,
@@ -188,7 +220,7 @@ class Contrasts:
 
     def beyond(self, columns: Floats) -> Floats:
         """Columns freed of the flat ones, shape (n, q)."""
-        return np.asarray(self._across @ (self._across.T @ columns))
+        return self._rows_of(self._contrasts_of(columns))
 
     def nll(self, components: Sequence[Component], logs: Mapping[str, float]) -> float:
         """Negative restricted log-likelihood at given variances."""
@@ -203,7 +235,7 @@ class Contrasts:
         """
         likelihood = _Likelihood([self.part(c) for c in components], self._left)
         inverse = likelihood.inverse(np.array([logs[c.name] for c in components]))
-        whole = self._across @ inverse @ self._across.T / self.unit**2
+        whole = self._rows_of(self._rows_of(inverse).T) / self.unit**2
         return whole @ self.y, whole
 
 
@@ -230,32 +262,32 @@ class _Likelihood:
         self.with_columns = [k for k, p in enumerate(parts) if p.factor is not None]
         self.dense = [k for k, p in enumerate(parts) if p.matrix is not None]
         factors = [p.factor for p in parts if p.factor is not None]
-        self.columns = np.concatenate([np.empty((left.size, 0)), *factors], axis=1)
+        self.stacked = np.concatenate([*factors, left[:, None]], axis=1)
+        self.columns = self.stacked[:, :-1]
         self.owner = np.repeat(self.with_columns, [f.shape[1] for f in factors]).astype(np.int64)
-        matrices = [p.matrix.ravel() for p in parts if p.matrix is not None]
-        self.matrices = np.array(matrices).reshape(len(matrices), left.size**2)
+        # Of symmetric matrices the upper half with half the diagonal: M = H + H'.
+        self.halves = np.empty((len(self.dense), left.size**2))
+        for half, matrix in zip(self.halves, [p.matrix for p in parts if p.matrix is not None], strict=True):
+            half[:] = np.triu(matrix).ravel()
+            half[:: left.size + 1] *= 0.5
 
-    def covariance(self, logs: Floats) -> Floats:
-        """Covariance of the contrasts, shape (m, m)."""
+    def _lower(self, logs: Floats) -> Floats:
+        """Lower factor of the covariance of the contrasts, zero above the diagonal, shape (m, m)."""
         size = np.exp(logs)
-        a = (self.columns * size[self.owner]) @ self.columns.T
-        a += (size[self.dense] @ self.matrices).reshape(a.shape)
-        a[np.diag_indices_from(a)] += _JITTER * np.trace(a) / len(a)
-        return np.asarray(a)
+        a = (size[self.dense] @ self.halves).reshape(self.left.size, self.left.size)
+        a.ravel()[:: len(a) + 1] *= 2.0
+        scaled = self.columns * np.sqrt(size[self.owner])
+        lower = linalg.blas.dsyrk(1.0, scaled.T, 1.0, a.T, trans=1, lower=1, overwrite_c=1)
+        lower[np.diag_indices_from(lower)] += _JITTER * np.trace(lower) / len(lower)
+        factor, info = linalg.lapack.dpotrf(lower, lower=1, clean=0, overwrite_a=1)
+        if info:
+            raise linalg.LinAlgError("the covariance of the contrasts is not positive definite")
+        return np.asarray(factor)
 
     def inverse(self, logs: Floats) -> Floats:
         """Inverse of the covariance."""
-        return self._inverse(logs)[0]
-
-    def _inverse(self, logs: Floats) -> tuple[Floats, float]:
-        """Inverse of the covariance, and the logarithm of the root of its determinant."""
-        lower = linalg.cholesky(self.covariance(logs), lower=True, overwrite_a=True, check_finite=False)
-        half_log = float(np.sum(np.log(np.diag(lower))))
-        inverse, _ = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
-        # Above the diagonal there are zeros.
-        whole = inverse + inverse.T
-        whole[np.diag_indices_from(whole)] *= 0.5
-        return np.asarray(whole), half_log
+        below = linalg.lapack.dpotri(self._lower(logs), lower=1, overwrite_c=1)[0]
+        return np.asarray(below + np.tril(below, -1).T)
 
     def __call__(self, logs: Floats) -> tuple[float, Floats]:
         """Value and gradient."""
@@ -266,15 +298,19 @@ class _Likelihood:
 
     def terms(self, logs: Floats) -> tuple[float, Floats, Floats, Floats]:
         """Value, variances, and for each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``."""
-        inverse, half_log = self._inverse(logs)
-        weighted = inverse @ self.left
-        value = half_log + 0.5 * float(self.left @ weighted)
-        each = np.einsum("ij,ij->j", inverse @ self.columns, self.columns)
+        lower = self._lower(logs)
+        white = linalg.blas.dtrsm(1.0, lower, self.stacked.T, side=1, lower=1, trans_a=1)
+        value = float(np.sum(np.log(np.diag(lower))) + 0.5 * white[-1] @ white[-1])
+        weighted = linalg.blas.dtrsv(lower, white[-1], lower=1, trans=1)
+        each = np.einsum("ij,ij->i", white[:-1], white[:-1])
         trace = np.bincount(self.owner, each, minlength=logs.size).astype(np.float64)
         squared = (weighted @ self.columns) ** 2
         square = np.bincount(self.owner, squared, minlength=logs.size).astype(np.float64)
-        trace[self.dense] = self.matrices @ inverse.ravel()
-        square[self.dense] = self.matrices @ np.outer(weighted, weighted).ravel()
+        # Below the diagonal the inverse, above it zeros.
+        below = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0]
+        trace[self.dense] = 2.0 * self.halves @ below.T.ravel()
+        pulled = (self.halves.reshape(-1, self.left.size) @ weighted).reshape(-1, self.left.size)
+        square[self.dense] = 2.0 * pulled @ weighted
         return value, np.exp(logs), trace, square
 
 
@@ -369,17 +405,29 @@ def precision(
     y: Floats, flat: Floats, components: Sequence[Component], variance: Mapping[str, float]
 ) -> tuple[Floats, Floats]:
     """``(P y, P)`` of all rows at given variances, shapes (n,) and (n, n): what leaving rows out needs."""
-    v = np.zeros((y.size, y.size))
+    p = _freed(flat, components, variance)[0]
+    return p @ y, p
+
+
+def _freed(
+    flat: Floats, components: Sequence[Component], variance: Mapping[str, float]
+) -> tuple[Floats, Floats]:
+    """``P = V^-1 (1 - X G)`` and ``G = (X' V^-1 X)^-1 X' V^-1``, shapes (n, n) and (p, n)."""
+    v = np.zeros((len(flat), len(flat)))
     for c in components:
-        if c.columns is not None:
-            v += variance[c.name] * (c.columns @ c.columns.T)
-        if c.covariance is not None:
-            v += variance[c.name] * c.covariance
+        v += variance[c.name] * _adds(c)
     v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
     inverse = linalg.inv(v)
     vx = inverse @ flat
-    p = inverse - vx @ linalg.solve(flat.T @ vx, vx.T, assume_a="pos")
-    return p @ y, p
+    gain = linalg.solve(flat.T @ vx, vx.T, assume_a="pos")
+    return inverse - vx @ gain, gain
+
+
+def _adds(component: Component) -> Floats:
+    """What a component of unit variance adds to the covariance of the rows."""
+    if component.columns is not None:
+        return np.asarray(component.columns @ component.columns.T)
+    return np.asarray(component.covariance)
 
 
 def widened(
@@ -394,37 +442,24 @@ def widened(
     First order in the logarithms of the variances, whose covariance is the inverse of their expected information
     (Kackar and Harville, J. Am. Stat. Assoc. 79, 1984).
     """
-    score, p = precision(y, flat, components, variance)
-    factors = [_factor(c, variance[c.name]) for c in components]
-    weighted = [p @ f for f in factors]
-    information = np.array([[0.5 * float(np.sum((a.T @ w) ** 2)) for w in weighted] for a in factors])
+    p, gain = _freed(flat, components, variance)
+    score = p @ y
+    size = len(components)
+    information, pulls = np.zeros((size, size)), np.zeros((y.size, size))
+    weighted: list[Floats] = []
+    for k, c in enumerate(components):
+        added = variance[c.name] * _adds(c)
+        pulls[:, k] = added @ score
+        weighted.append(p @ added)
+        information[k, : k + 1] = [0.5 * np.sum(w * weighted[k].T) for w in weighted]
+    information += np.tril(information, -1).T
     information[np.diag_indices_from(information)] += _VAGUE
     spread = linalg.inv(information)
-    pulls = np.column_stack([f @ (f.T @ score) for f in factors])
-    # b = G y with G X = 1; P = V^-1 (1 - X G).
-    moved = [-_flat_gain(flat, components, variance) @ pulls]
-    for c in components:
+    moved = [-gain @ pulls]
+    for k, c in enumerate(components):
         if c.columns is not None:
             change = -variance[c.name] * (c.columns.T @ (p @ pulls))
-            change[:, [k.name for k in components].index(c.name)] += solution.amplitudes[c.name]
+            change[:, k] += solution.amplitudes[c.name]
             moved.append(change)
     slopes = np.concatenate(moved)
     return np.asarray(solution.covariance + slopes @ spread @ slopes.T)
-
-
-def _factor(component: Component, variance: float) -> Floats:
-    """A square root of what a component adds to the covariance of the rows."""
-    if component.columns is not None:
-        return np.asarray(np.sqrt(variance) * component.columns)
-    values, vectors = np.linalg.eigh(np.asarray(component.covariance))
-    return np.asarray(vectors * np.sqrt(variance * np.maximum(values, 0.0)))
-
-
-def _flat_gain(flat: Floats, components: Sequence[Component], variance: Mapping[str, float]) -> Floats:
-    v = np.zeros((len(flat), len(flat)))
-    for c in components:
-        factor = _factor(c, variance[c.name])
-        v += factor @ factor.T
-    v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
-    vx = linalg.solve(v, flat, assume_a="pos")
-    return np.asarray(linalg.solve(flat.T @ vx, vx.T, assume_a="pos"))

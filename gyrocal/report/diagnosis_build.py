@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 import gyrocal
 from gyrocal.bench.profile import profile_from_dict
-from gyrocal.calibration.datasets import load_recording
-from gyrocal.calibration.noise import noise_figures
+from gyrocal.calibration.noise import noise_at_rest
 from gyrocal.calibration.provenance import check_sensor, fitted_to, refuse_compensated
 from gyrocal.diagnosis.drive.engine import diagnose_drive
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
@@ -120,7 +119,7 @@ def with_noise_at_rest(found: Diagnosis, source: Run | DataSetTable) -> Diagnosi
     """
     if found.noise is None or not isinstance(source, Run):
         return found
-    at_rest = noise_figures(load_recording(source.path)).figures
+    at_rest = noise_at_rest(source).figures
     walk, bias = (at_rest[name].value for name in ("angle_random_walk", "bias_instability"))
     noise = replace(
         found.noise,
