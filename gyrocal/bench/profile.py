@@ -305,7 +305,9 @@ def with_identity(
     for name, key, value in (("sensor", "serial", serial), ("identity", "operator", operator)):
         if value is not None:
             raw[name] = {**raw.get(name, {}), key: value}
-    return profile_from_dict(raw, profile.source)
+    # The profile was checked when it was read: what is wrong now stands in the bench file.
+    checked = profile_from_dict(raw, profile.source if bench_file is None else bench_file.name)
+    return _sealed(checked, checked.raw, profile.source)
 
 
 def profile_directory() -> Path:
@@ -347,6 +349,13 @@ def parse_profile(text: str, source: str) -> Profile:
 
 def profile_from_dict(raw: Mapping[str, Any], source: str) -> Profile:
     """Check a profile that was read already, for example the one in ``run.json``."""
+    identity = raw.get("identity")
+    if isinstance(identity, Mapping):
+        # TOML knows dates, and the JSON of a run does not.
+        texts = {
+            key: value.isoformat() if isinstance(value, date) else value for key, value in identity.items()
+        }
+        raw = {**raw, "identity": texts}
     profile = read_table(Profile, raw, source)
     raise_all(_inconsistencies(profile, source))
     effects = _effects(profile.virtual.effects, source)

@@ -15,6 +15,7 @@ from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
 from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.noise import noise_figures
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.records.files import reading
 from gyrocal.units import DPS_TO_DPH, NORMAL_95
@@ -209,9 +210,15 @@ def pooled(figures: Sequence[Figure]) -> Figure:
     """One figure from several runs: their mean; the interval allows for what changes between runs.
 
     With `n` runs the mean is Student t about the truth with n - 1 degrees of freedom; the error within the runs is
-    never counted for less than it is.
+    never counted for less than it is. A figure that some of the runs do not tell from noise is bounded: the mean of those
+    that do would be too large.
     """
     known = [f for f in figures if f.interval is not None]
+    bounded = [f for f in figures if f.interval is None and f.high is not None]
+    if bounded and known:
+        most = max(max(abs(f.low or 0.0), abs(f.high or 0.0)) for f in [*known, *bounded])
+        reason = f"told from noise in {len(known)} of {len(figures)} runs only"
+        return replace(known[0], value=None, low=None, high=most, reason=reason)
     if len(known) < 2:
         return known[0] if known else max(figures, key=lambda f: f.high or 0.0)
     values = np.array([f.value for f in known], dtype=float)
@@ -238,9 +245,10 @@ def _merit_rows(runs: Sequence[UnitRun]) -> list[Row]:
 
 
 def _noise_rows(runs: Sequence[UnitRun]) -> list[Row]:
-    noises = [run.calibration.noise.figures for run in runs]
-    names = dict.fromkeys(name for noise in noises for name in noise)
-    return [Row(pooled([noise[name] for noise in noises if name in noise]), None) for name in names]
+    """Of all records at rest together: a part that no run resolves by itself may be resolved by all of them."""
+    first = runs[0].calibration
+    noise = noise_figures(*(run.calibration.recording for run in runs)) if len(runs) > 1 else first.noise
+    return [Row(figure, None) for figure in noise.figures.values()]
 
 
 def _repeatability(runs: Sequence[UnitRun]) -> list[Row]:

@@ -107,12 +107,15 @@ _PARTS = (
 )
 
 
-def noise_figures(recording: Recording) -> NoiseFigures:
-    """Noise figures of a recording's segments at rest."""
-    run = recording.run
-    if run is None:
+def noise_figures(*recordings: Recording) -> NoiseFigures:
+    """Noise figures of the segments at rest of one recording, or of several of one gyro together."""
+    sums: dict[float, AllanSums] = {}
+    runs = [(r.run, bias_over_temperature(r)) for r in recordings if r.run is not None]
+    if not runs:
         return _nothing("a table of data sets holds no samples at rest")
-    return figures_of(curves_at_rest(run, bias_over_temperature(recording)))
+    for run, bias in runs:
+        _add_run(sums, run, bias)
+    return figures_of([sums[dt_s].curve() for dt_s in sorted(sums)])
 
 
 def noise_at_rest(run: Run) -> NoiseFigures:
@@ -144,10 +147,14 @@ def bias_over_temperature(recording: Recording) -> Floats:
 def curves_at_rest(run: Run, bias: Floats) -> list[AllanCurve]:
     """Allan curves of the segments at rest, one for each sample time; `bias` is taken off the output."""
     sums: dict[float, AllanSums] = {}
+    _add_run(sums, run, bias)
+    return [sums[dt_s].curve() for dt_s in sorted(sums)]
+
+
+def _add_run(sums: dict[float, AllanSums], run: Run, bias: Floats) -> None:
     for record in run.segments:
         if record.outcome != "failed" and record.kind in ("static", "rate") and record.rate_dps == 0.0:
             _add_segment(sums, run, record, bias)
-    return [sums[dt_s].curve() for dt_s in sorted(sums)]
 
 
 def _add_segment(sums: dict[float, AllanSums], run: Run, record: SegmentRecord, bias: Floats) -> None:

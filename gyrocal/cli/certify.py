@@ -16,7 +16,9 @@ from gyrocal.errors import OutOfLimitsError
     "--out", required=True, type=click.Path(path_type=Path), help="New directory for the certificate."
 )
 @click.option(
-    "--limits", type=click.Path(path_type=Path), help="TOML: FIGURE = { most = NUMBER }; pass or fail."
+    "--limits",
+    type=click.Path(path_type=Path),
+    help='TOML: FIGURE = { most = NUMBER } (before compensation) or { most = NUMBER, state = "after" }; pass or fail.',
 )
 @click.option("--counts-per-dps", type=float, help="Nominal scale of tables in gyro_counts, sign included.")
 @click.option("--pdf", is_flag=True, help="Also write certificate.pdf (needs the extra gyrocal[pdf]).")
@@ -52,9 +54,7 @@ def command(
     else:
         click.echo(certificate_sentence(dossier)[0])
         click.echo("")
-        columns, rows = figure_rows(dossier)
-        # What each figure is stands on the page.
-        emit_table(columns[:-1], [row[:-1] for row in rows])
+        emit_table(*figure_rows(dossier))
         click.echo("\nNot tested:")
         emit_list(dossier.not_tested)
         if dossier.quality:

@@ -117,7 +117,7 @@ def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:
             "limit decides nothing."
         ],
         pictures=pictures,
-        tables=[untested],
+        tables=[untested, _definitions(dossier)],
         lead=[table],
         quality=dossier.quality,
         tone=tone,
@@ -130,17 +130,23 @@ def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:
 def figure_rows(dossier: Dossier) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Columns and rows of the table of figures."""
     limited = any(row.judgement for row in dossier.rows)
-    columns = ("figure", "before", "after", "unit", *(("limit", "") if limited else ()), "definition, sample")
+    columns = ("figure", "before", "after", "unit", *(("limit", "") if limited else ()))
     return columns, [_cells(row, limited) for row in dossier.rows]
 
 
 def _cells(row: Row, limited: bool) -> tuple[str, ...]:
     known = row.known
     before = "does not apply" if row.before is None else said(row.before)
-    after = "the same" if row.after is None else said(row.after)
-    judged = (row.limit, row.judgement or "") if limited else ()
-    about = f"{known.definition}; {known.sample}" if known.sample else known.definition
-    return (known.title, before, after, known.unit, *judged, about)
+    after = said(row.after) if row.after is not None else "-" if before == "-" else "the same"
+    judged = (row.limit.replace(f" {known.unit}", ""), row.judgement or "") if limited else ()
+    return (known.title, before, after, known.unit, *judged)
+
+
+def _definitions(dossier: Dossier) -> Table:
+    """What each figure is, how it was found, and from what."""
+    columns = ("figure", "definition", "method", "sample")
+    rows = [(k.title, k.definition, k.method, k.sample) for k in (row.known for row in dossier.rows)]
+    return Table("definitions", "What the figures are", columns, rows, csv="")
 
 
 def provenance(dossier: Dossier) -> dict[str, str]:

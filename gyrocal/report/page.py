@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Literal
 
 import jinja2
+
+#: Cells of more characters are set in several lines.
+_LONGEST = 40
+#: With or without its interval.
+_NUMBER = re.compile(r"[-−+±<>~≈ ]*[\d.,e-]+( to [-−]?[\d.,e-]+)?( *%)?( \([-−+<\d.,e to]*\))?")
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,18 @@ class Table:
     csv: str
     note: str = ""
     on_page: bool = True
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """How each column is set: ``long`` texts in lines, ``words`` to the left, numbers and ``interval`` to the right."""
+        return tuple(_class([str(row[k]) for row in self.rows]) for k in range(len(self.columns)))
+
+
+def _class(cells: Sequence[str]) -> str:
+    if any(len(cell) > _LONGEST for cell in cells):
+        return "long"
+    numbers = [cell for cell in cells if _NUMBER.fullmatch(cell)]
+    return ("interval" if any(" to " in cell for cell in numbers) else "") if numbers else "words"
 
 
 #: How a verdict is meant, told by word and colour: blue where nothing is judged.

@@ -54,6 +54,16 @@ def test_a_due_date_is_a_date(tmp_path: Path) -> None:
     bench = tmp_path / "bench.toml"
     bench.write_text(BENCH.replace("2027-03-31", "31.3.2027"))
     with pytest.raises(
-        ProfileError, match=r'identity.table_due is "31.3.2027", and allowed is a date as 2027-03-31'
+        ProfileError,
+        match=r'bench.toml: identity.table_due is "31.3.2027", and allowed is a date as 2027-03-31',
     ):
         with_identity(load_profile("quick"), None, None, bench)
+
+
+def test_a_due_date_may_be_one_of_toml(tmp_path: Path) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(BENCH.replace('"2027-03-31"', "2027-03-31"))
+    profile = with_identity(load_profile("quick"), None, None, bench)
+    assert profile.identity.table_due == "2027-03-31"
+    assert profile.source == "quick.toml"
+    assert len(profile.sha256) == 64

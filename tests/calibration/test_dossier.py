@@ -38,6 +38,14 @@ def test_pooled_never_says_less_than_the_error_within_a_run() -> None:
     assert found.high == pytest.approx(1.0 + 2.0 / np.sqrt(2), rel=1e-3)
 
 
+def test_what_only_one_run_tells_from_noise_is_bounded() -> None:
+    """The run that happens to resolve it is the one in which it came out large."""
+    bound = replace(figure(0, 0), value=None, low=None, high=1.9, reason="not told from noise")
+    found = pooled([bound, figure(2.0, 0.5), bound])
+    assert (found.value, found.low, found.high) == (None, None, 2.5)
+    assert found.reason == "told from noise in 1 of 3 runs only"
+
+
 @pytest.mark.parametrize(
     ("value", "half", "judgement"),
     [(1.0, 0.5, "pass"), (-1.0, 0.5, "pass"), (1.8, 0.5, "open"), (-3.0, 0.5, "fail"), (3.0, 1.5, "open")],

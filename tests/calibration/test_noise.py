@@ -136,6 +136,14 @@ def test_noise_of_a_run_and_of_a_table(tmp_path: Path) -> None:
     assert walk is not None
     assert walk[0] == pytest.approx(ARW_DPRH, rel=0.1)
     assert figures.record_s == pytest.approx(300.0)
+    again = [gyro_row(i / 10, f"{rng.normal(0.05, 4.4e-3):.6f}") for i in range(3000)]
+    both = noise_figures(
+        load_recording(tmp_path / "run"), load_recording(run_at_rest(tmp_path / "again", again))
+    )
+    assert both.record_s == pytest.approx(600.0)
+    joint = both.angle_random_walk_deg_per_rt_h
+    assert joint is not None
+    assert joint[2] - joint[1] < walk[2] - walk[1]
     tau = np.array([0.1, 1.0])
     np.testing.assert_allclose(figures.model_dps(tau), ARW_DPS_RT_S / np.sqrt(tau), rtol=0.1)
     table = tmp_path / "t.csv"

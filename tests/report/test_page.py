@@ -84,3 +84,19 @@ def test_text_is_escaped() -> None:
 def test_same_page_same_text() -> None:
     assert render_page(PAGE) == render_page(PAGE)
     assert not re.search(r"\b20\d\d-\d\d-\d\d", render_page(PAGE))
+
+
+def test_columns_are_set_by_what_they_hold() -> None:
+    rows = [
+        (
+            "bias",
+            "-158.1 (-165.3 to -150.8)",
+            "deg/h",
+            "3 runs",
+            "12 %",
+            "the slope of the error over the rate of turn",
+        ),
+        ("maximum rate", "does not apply", "deg/s", "", "-", "-"),
+    ]
+    table = Table("t", "T", ("a", "b", "c", "d", "e", "f"), rows, "")
+    assert table.classes == ("words", "interval", "words", "words", "", "long")
