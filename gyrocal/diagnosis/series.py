@@ -100,7 +100,6 @@ class Series:
     raw: Raw
     chamber_c: Floats | None = None
     angle_deg: Floats | None = None
-    turn_deg: Floats | None = None
     supply_v: Floats | None = None
     since_power_on_s: Floats | None = None
     since_set_s: Floats | None = None
@@ -218,7 +217,6 @@ def _segment_rows(
         # The step is over when a data set begins, though a sample's time may be rounded to before that.
         "since_set_s": np.maximum(mean(t) - segment.record.t_start_s, 0.0),
         "step_dps": np.full(size, rate - previous_rate),
-        "turn_deg": count[filled] * abs(rate) * step_s,
         "angle_deg": mean(_at(segment.bench_t_s, segment.table_angle_deg, t, rate)),
         "supply_v": mean(_at(segment.bench_t_s, _smooth(segment.supply_v, segment.bench_t_s), t, 0.0)),
         "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),
@@ -346,7 +344,6 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         raw=_raw_facts(run, raws),
         chamber_c=chamber,
         angle_deg=angle,
-        turn_deg=c["turn_deg"],
         supply_v=supply,
         since_power_on_s=since_on,
         since_set_s=c["since_set_s"],

@@ -161,14 +161,11 @@ def strange_turns(series: Series, level: float) -> list[Located]:
     rows = _usable(series)
     if series.is_table or series.angle_deg is None or rows.sum() < 30:
         return []
-    angle, rate = (
-        np.radians(series.angle_deg),
-        series.rate_dps / max(float(np.max(np.abs(series.rate_dps))), 1e-9),
-    )
+    c, rate = conditions_of(series), series.rate_dps / max(float(np.max(np.abs(series.rate_dps))), 1e-9)
     sets = np.unique(series.set_index[rows], return_inverse=True)[1]
     candidates = []
     for k in STRANGE_HARMONICS:
-        turns = np.column_stack([np.cos(k * angle), np.sin(k * angle)])
+        turns = np.column_stack([c.turned(k, 0.0), c.turned(k, -0.5 * np.pi)])
         candidates += [_Candidate("", {"harmonic": float(k)}, turns)]
         candidates += [_Candidate("", {"harmonic": float(k)}, turns * rate[:, None])]
     places = []

@@ -17,16 +17,14 @@ _PHASE = choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "table angle of 
 
 
 def _once_a_turn(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    angle_rad = DEG_TO_RAD * c.need("angle_deg")
-    return np.asarray(MDPS * p["amplitude"] * np.cos(angle_rad - p["phase_rad"]))
+    return np.asarray(MDPS * p["amplitude"] * c.turned(1.0, -p["phase_rad"]))
 
 
 def _eccentricity(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     # The reference reads too fast where its angle error grows: gyro minus reference is then too small.
     k = round(p["harmonic"])
     epsilon_rad = p["amplitude"] * ARCSEC_TO_DEG * DEG_TO_RAD
-    angle_rad = DEG_TO_RAD * c.need("angle_deg")
-    return np.asarray(-epsilon_rad * k * c.rate_dps * np.cos(k * angle_rad + p["phase_rad"]))
+    return np.asarray(-epsilon_rad * k * c.rate_dps * c.turned(k, p["phase_rad"]))
 
 
 EARTH_RATE_TILT = Effect(

@@ -23,6 +23,7 @@ from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.search import Search, Shape
 from gyrocal.physics.surface import Surface
+from gyrocal.units import DEG_TO_RAD
 
 Floats = NDArray[np.float64]
 
@@ -135,6 +136,12 @@ class Conditions:
         if self.row_s is None:
             return np.asarray(self.t_s >= at_s, dtype=np.float64)
         return np.asarray(np.clip((self.t_s - at_s) / self.row_s + 0.5, 0.0, 1.0))
+
+    def turned(self, harmonic: float, phase_rad: float) -> Floats:
+        """Cosine of so many periods a turn of the table plus a phase, as the mean over what each row turned."""
+        turns = 0.0 if self.row_s is None else self.rate_dps * self.row_s / 360.0
+        angle_rad = DEG_TO_RAD * self.need("angle_deg")
+        return np.asarray(np.sinc(harmonic * turns) * np.cos(harmonic * angle_rad + phase_rad))
 
 
 #: What an effect remembers between blocks of samples (low-passed temperature, play positions, ...).

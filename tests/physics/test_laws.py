@@ -245,6 +245,17 @@ def test_a_row_in_which_the_bias_jumps_has_its_share_of_the_jump() -> None:
     np.testing.assert_allclose(1e3 * jump, [0.0, 0.25, 0.75, 1.0])
 
 
+@pytest.mark.parametrize("name", ["earth_rate_tilt", "table_eccentricity"])
+def test_a_row_in_which_the_table_turns_has_the_mean_over_its_turn(name: str) -> None:
+    effect, shape = find_effect(name), {"phase_rad": 0.7}
+    rates_dps, row_s = np.array([-40.0, 5.0, 100.0]), np.array([0.5, 4.0, 0.2])
+    t = np.linspace(-0.5, 0.5, 20_001)[:, None] * row_s
+    fine = replace(at(np.tile(rates_dps, len(t))), angle_deg=(30.0 + t * rates_dps).ravel())
+    rows = replace(at(rates_dps), angle_deg=np.full(3, 30.0), row_s=row_s)
+    expected = effect.unit_dps(fine, shape, None).reshape(t.shape).mean(axis=0)
+    np.testing.assert_allclose(effect.unit_dps(rows, shape, None), expected, rtol=1e-6)
+
+
 def test_a_soft_knee_becomes_the_hard_one_away_from_it() -> None:
     rates = [-100.0, -80.0, 0.0, 80.0, 100.0]
     hard = error("saturation", at(rates), amplitude=0.01, knee_dps=80.0)
