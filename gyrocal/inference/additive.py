@@ -276,7 +276,8 @@ class _Likelihood:
         size = np.exp(logs)
         a = (size[self.dense] @ self.halves).reshape(self.left.size, self.left.size)
         a.ravel()[:: len(a) + 1] *= 2.0
-        scaled = self.columns * np.sqrt(size[self.owner])
+        # BLAS takes no matrix without columns: the record is one of no variance.
+        scaled = self.stacked * np.append(np.sqrt(size[self.owner]), 0.0)
         lower = linalg.blas.dsyrk(1.0, scaled.T, 1.0, a.T, trans=1, lower=1, overwrite_c=1)
         lower[np.diag_indices_from(lower)] += _JITTER * np.trace(lower) / len(lower)
         factor, info = linalg.lapack.dpotrf(lower, lower=1, clean=0, overwrite_a=1)

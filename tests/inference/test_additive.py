@@ -199,3 +199,10 @@ def test_processes_have_the_variances_that_they_are_named_for() -> None:
     assert ornstein_uhlenbeck(t, np.full(3, 2e5), 200.0)[0, 0] == pytest.approx(2.0 * 200.0 / 2e5, rel=0.01)
     assert wiener(t)[2, 2] == pytest.approx(1.0, abs=1e-5)
     assert wiener(t)[1, 2] == pytest.approx(0.25, abs=1e-5)
+
+
+def test_a_model_of_noise_alone_is_fitted_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
+    y, flat, (_, white) = one_way(10, 8, np.random.default_rng(4))
+    found = Contrasts(y, flat).fit([white])
+    assert found.variance["white"] == pytest.approx(float(np.var(y, ddof=1)), rel=0.05)
+    assert capfd.readouterr() == ("", "")
