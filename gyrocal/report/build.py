@@ -85,7 +85,7 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
         files |= {f"figures/{drawing.name}.png": png, f"figures/{drawing.name}.svg": render(drawn, "svg")}
         pictures.append(Picture(*about, png))
     page = _page(material, pictures)
-    files |= {f"tables/{table.name}.csv": table.csv for table in page.tables}
+    files |= {f"tables/{table.name}.csv": table.csv for table in [*page.lead, *page.tables]}
     files["report.html"] = render_page(page)
     write_directory(config.out, files)
     progress(1.0, "")
@@ -99,20 +99,23 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
         marked=int(data.marked.sum()),
         figures=tuple(p.name for p in pictures if p.png),
         missing=tuple((p.name, p.missing) for p in pictures if not p.png),
-        remarks=tuple(page.remarks),
+        remarks=(*page.remarks, *(f"Note: {note}" for note in page.quality)),
     )
 
 
 def _page(m: Material, pictures: list[Picture]) -> Page:
     before, after = m.before_dps * DPS_TO_DPH, m.after_dps * DPS_TO_DPH
-    sensor = " ".join(str(m.coefficients.sensor.get(key, "")) for key in ("model", "serial")).strip()
+    known = [str(m.coefficients.sensor.get(key) or "") for key in ("model", "serial")]
+    sensor = " ".join(word for word in known if word not in ("", "unknown"))
     return Page(
-        title=f"Calibration report: {sensor or 'unknown gyro'}",
+        title=f"Calibration report: {sensor or m.recording.source.name}",
         verdict=_verdict(m, before, after),
         key_figures=_key_figures(m, before, after),
         remarks=_remarks(m),
         pictures=pictures,
         tables=_tables(m),
+        lead=[tables.merit_table(m.coefficients)],
+        quality=[f"{note.rstrip('.')}." for note in m.notes],
         provenance=_provenance(m),
     )
 
@@ -160,7 +163,7 @@ def _remarks(m: Material) -> list[str]:
         f"Segment {e.segment} ({e.rate_dps:+.4g} deg/s) gives no data set: {e.reason}."
         for e in m.recording.excluded
     ]
-    return said + [f"Note: {note.rstrip('.')}." for note in m.notes]
+    return said
 
 
 def _structure(m: Material) -> list[str]:
@@ -182,7 +185,6 @@ def _tables(m: Material) -> list[Table]:
     data = m.data
     found = [
         tables.coefficient_table(m.coefficients),
-        tables.merit_table(m.coefficients),
         tables.noise_table(m.coefficients.noise),
         tables.marked_table(data, m.reasons),
         tables.level_table(data, data.sets.temp_c, "error_by_temperature", "Temperature, °C", "temp_c"),

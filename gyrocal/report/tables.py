@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.fusion.coefficients import Coefficients, Noise
@@ -91,7 +92,7 @@ def noise_table(noise: Noise) -> Table:
         if interval is None:
             continue
         value, low, high = interval
-        rows.append((name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit))
+        rows.append((name, number(value), interval_said(low, high), unit))
         names.append(key)
         units.append(unit)
         values.append(interval)
@@ -131,8 +132,8 @@ def _stated(figure: Mapping[str, Any]) -> str:
     """Value and interval, a bound, or why there is neither."""
     if figure["value"] is not None:
         low, high = figure["interval_95"]
-        return f"{figure['value']:.4g} ({low:.4g} to {high:.4g})"
-    return f"< {figure['at_most']:.3g}" if figure["at_most"] is not None else f"none: {figure['reason']}"
+        return f"{number(figure['value'])} ({interval_said(low, high)})"
+    return f"< {number(figure['at_most'])}" if figure["at_most"] is not None else f"none: {figure['reason']}"
 
 
 def data_set_table(source: Path, data: Examined) -> Table:
