@@ -20,7 +20,7 @@ import numpy as np
 
 # isort: off
 from gyrocal.fusion.filter import (
-    BIAS, BIAS_WALK, BLIND, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
+    BIAS, BIAS_WALK, BLIND, DRIFT, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
     NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
     MEMORY_SIZE as PAPER_SIZE, part, rate_of, usable, whole,
 )  # fmt: skip
@@ -280,6 +280,7 @@ def _report(nav: Any, p: Any, figures: Any, out: Any, k: int) -> None:
     out[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
     out[k, 6], out[k, 7] = nav[PHI] * RAD_TO_DEG, figures[FILE_SCALE] - nav[SCALE]
     out[k, 8] = -(nav[BIAS] + nav[G1] + nav[G2] + nav[G3]) * RAD_TO_DEG
+    out[k, DRIFT] = math.sqrt(max(p[X, X] + p[Y, Y], 0.0))
     for c in range(9):
         variance = p[PLACE[c], PLACE[c]]
         if c == 2:

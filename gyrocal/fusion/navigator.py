@@ -65,6 +65,7 @@ class Trajectory:
     std: Any
     innovation_deg: Any  # psi - phi before the update; NaN where nothing was measured
     innovation_sigma_deg: Any  # what the filter expects of it
+    drift_m: Any  # deviation of position but for the scales' part, which no filter lessens; NaN in the paper's filter
     flags: Any  # `Coefficients.flags`; zeros without a calibration
     counts: Counts  # since the navigator was made, at the last row
 
@@ -249,7 +250,8 @@ class Navigator:
         self.t_s = float(t[-1]) if t.size else self.t_s
         states, std = out[:, : len(STATES)], out[:, len(STATES) : 2 * len(STATES)]
         x, y, heading = (states[:, k] for k in (0, 1, self._heading))
-        return Trajectory(t, x, y, heading, states, std, out[:, -2], out[:, -1], flags, self.counts)
+        innovation, sigma, drift = out[:, 2 * len(STATES) :].T
+        return Trajectory(t, x, y, heading, states, std, innovation, sigma, drift, flags, self.counts)
 
     def _compensate(
         self, t: Floats, gyro: Floats, temp_c: ArrayLike | None

@@ -108,7 +108,9 @@ class GyroFigures(_Figures):
     bias_slope_dps_per_c: float = figure(0.0, -10.0, 10.0)
     bias_slope_dps_per_c_std: float = figure(0.0, 0.0, 10.0)
     temp_c: float = figure(25.0, -100.0, 200.0)  # where `bias_dps` holds
-    repeatability_dps: float = figure(0.0, 0.0, 100.0)  # standard deviation of the bias at the next switch-on
+    repeatability_dps: float = figure(
+        0.0, 0.0, 100.0
+    )  # of the bias, at the next switch-on; but for its flicker
     scale: float = figure(0.0, -0.9, 9.0)
     scale_std: float = figure(0.0, 0.0, 1.0)
     delay_s: float = figure(0.0, -10.0, 10.0)

@@ -56,6 +56,9 @@ class Track:
     nis, nis_rows, lag1 : float, int, float
         Mean of the squared normalised innovations over all rows (1 when consistent), how many there were, and the
         correlation of neighbours (0 when white).
+    drift_m : float
+        Deviation of position that the model promises but for the scales' part, which is the same with the filter and
+        without: root mean square over all rows; NaN for the paper's filter.
     robot : RobotParameters
         What the filter was told, noise estimated on this log included.
     alignment, errors : None where there is no truth
@@ -74,6 +77,7 @@ class Track:
     nis: float
     nis_rows: int
     lag1: float
+    drift_m: float
     bias: StaticBias | None
     robot: RobotParameters
     alignment: Alignment | None = None
@@ -87,6 +91,7 @@ class Recorder:
         self._parts: list[list[Floats]] = []
         self._nis_sum, self._nis_rows = 0.0, 0
         self._pair_sum, self._last = 0.0, 0.0
+        self._drift_sum, self._rows = 0.0, 0
 
     def add(self, t: Trajectory, keep: NDArray[np.bool_]) -> None:
         """Take the rows that are kept, and the innovations of all."""
@@ -100,6 +105,8 @@ class Recorder:
             t.innovation_sigma_deg,
         )
         self._parts.append([a[keep] for a in arrays])
+        self._drift_sum += float(t.drift_m @ t.drift_m)
+        self._rows += t.drift_m.size
         normalised = t.innovation_deg / t.innovation_sigma_deg
         normalised = normalised[np.isfinite(normalised)]
         if normalised.size:
@@ -128,6 +135,7 @@ class Recorder:
             nis,
             self._nis_rows,
             self._pair_sum / self._nis_sum if self._nis_sum else math.nan,
+            math.sqrt(self._drift_sum / self._rows) if self._rows else math.nan,
             rest.bias if rest else None,
             navigator.robot,
         )

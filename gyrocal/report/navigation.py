@@ -375,8 +375,10 @@ def filter_sentence(replays: Sequence[LogReplay]) -> str:
     said = []
     for name, what in (("rms_m", "rms"), ("end_m", "end")):
         gyro, filtered = (float(np.mean([getattr(pair[k], name) for pair in errors])) for k in (0, 1))
-        verb = "beats" if filtered < gyro else "loses to"
-        said.append(f"{verb} the gyro alone by {what} ({_length(filtered)} against {_length(gyro)})")
+        lengths = _length(filtered), _length(gyro)
+        # What the figures printed do not tell apart is no win.
+        verb = "equals" if lengths[0] == lengths[1] else "beats" if filtered < gyro else "loses to"
+        said.append(f"{verb} the gyro alone by {what} ({lengths[0]} against {lengths[1]})")
     return f"{text}{part}; it {' and '.join(said)}."
 
 

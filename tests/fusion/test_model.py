@@ -143,6 +143,14 @@ def test_deviations_hold_what_the_scales_are_unsure_by(filtering: bool) -> None:
     assert np.all((stats.chi2.ppf(1e-3, drives) < squares) & (squares < stats.chi2.ppf(1 - 1e-3, drives)))
 
 
+def test_what_no_filter_lessens_is_no_part_of_the_drift() -> None:
+    drive = draw(np.random.default_rng(1), robot=UNSURE)
+    sure = replace(UNSURE, gyro=replace(UNSURE.gyro, scale_std=1e-6))
+    (_, wide), (_, narrow) = run(drive, UNSURE, filtering=False), run(drive, sure, filtering=False)
+    assert wide.std[-1, 0] > narrow.std[-1, 0]
+    np.testing.assert_array_equal(wide.drift_m, narrow.drift_m)
+
+
 def test_innovations_are_white_and_of_the_size_that_the_filter_expects() -> None:
     z = []
     for seed in range(20):

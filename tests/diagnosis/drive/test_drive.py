@@ -45,6 +45,23 @@ def found(hidden: Hidden, robot: Robot, seed: int) -> DriveDiagnosis:
     return diagnose_drive("drive.csv", simulate(hidden, seed), robot)
 
 
+def test_what_prudence_takes_off_a_bias_is_in_the_asymmetry_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        "wheel_separation_m = 0.5\nstatic_s = 0.0\n[initial_std]\nleft_scale = 0.01\nright_scale = 0.01\n"
+    )
+    # At one speed, without a rest, a drive tells a sum of bias and asymmetry: both are too large or both too small.
+    log = drive(Plan(shape="eights", minutes=4, rest_s=0.0, bias_dps=0.1, tick_m=4e-4), 4)
+    told = diagnose_drive("drive.csv", log, read_robot(path))
+    estimate = {e.name: e.value for e in told.estimates}
+    assert estimate["gyro_bias"] > 0.2
+    assert estimate["wheel_asymmetry"] > 0.1
+    assert told.robot is not None
+    assert told.robot.parameters.gyro.bias_dps == pytest.approx(0.1, abs=0.02)
+    wheels = told.robot.parameters.encoders
+    assert abs(wheels.right_scale - wheels.left_scale) < 0.06e-2
+
+
 def names(result: DriveDiagnosis) -> list[str]:
     return [e.effect for e in result.diagnosis.effects]
 
