@@ -49,11 +49,9 @@ class Aligner:
         held = [getattr(self._kept, f.name) for f in fields(Rows)]
         self._kept = Rows(*[np.concatenate([a, b]) for a, b in zip(held, new, strict=True)])
         ahead_s = max(self.gyro_late_s, self.encoders_late_s) + self.half_s
-        until = (
-            int(np.searchsorted(self._kept.t_s, self._kept.t_s[-1] - ahead_s, side="right"))
-            if new[0].size
-            else 0
-        )
+        if not new[0].size:
+            return self._give(self._done)
+        until = int(np.searchsorted(self._kept.t_s, self._kept.t_s[-1] - ahead_s, side="right"))
         return self._give(max(until, self._done))
 
     def flush(self) -> Rows:

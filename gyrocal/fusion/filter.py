@@ -37,8 +37,7 @@ FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(11, 15)
 #: A wheel that goes further in a row moves, m: above the rounding of a log in metres, below any tick.
 MOVED_M = 1e-6
 
-# Columns of what is reported: nine states, their standard deviations from here on, innovation and its deviation, and in
-# the model the deviation of position but for what the scales make of it.
+# Columns of what is reported: nine states, their standard deviations, innovation and its deviation, the model's drift.
 STD, NU, DRIFT, COLUMNS = 9, 18, 20, 21
 
 # What is counted.

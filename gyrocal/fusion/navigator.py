@@ -250,8 +250,8 @@ class Navigator:
         self.t_s = float(t[-1]) if t.size else self.t_s
         states, std = out[:, : len(STATES)], out[:, len(STATES) : 2 * len(STATES)]
         x, y, heading = (states[:, k] for k in (0, 1, self._heading))
-        innovation, sigma, drift = out[:, 2 * len(STATES) :].T
-        return Trajectory(t, x, y, heading, states, std, innovation, sigma, drift, flags, self.counts)
+        z, sigma, drift = out[:, 2 * len(STATES) :].T
+        return Trajectory(t, x, y, heading, states, std, z, sigma, drift, flags, self.counts)
 
     def _compensate(
         self, t: Floats, gyro: Floats, temp_c: ArrayLike | None

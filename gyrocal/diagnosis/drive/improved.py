@@ -14,6 +14,8 @@ from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
+from gyrocal.errors import ProfileError
+from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
@@ -217,12 +219,7 @@ def improved_robot(
         keys["encoders.window_s"] = yaw.window_s
     if "gyro_scale" in parts:
         keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
-    slip = next((n for n in yaw.named if n.startswith("slip_")), None)
-    if slip is not None:
-        shape = yaw.laws[slip].shape
-        keys["slip.law"] = SLIP_LAWS[int(shape["law"])]
-        keys["slip.amplitude"], keys["slip.amplitude_std"] = yaw.estimate(slip)
-        keys["slip.shape"] = shape["shape"]
+    keys |= _slip_keys(yaw)
     earned = bool(keys) or bool(parts) or "asymmetry" in yaw.named
     if not earned:
         return None
@@ -252,6 +249,22 @@ def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict
         ),
     }
     return keys | ({"gyro.temp_c": temp_c} if np.isfinite(temp_c) else {})
+
+
+def _slip_keys(yaw: YawAnswer) -> dict[str, Any]:
+    """The law of slip; none where it would turn the robot backwards, which no robot file holds."""
+    slip = next((n for n in yaw.named if n.startswith("slip_")), None)
+    if slip is None:
+        return {}
+    shape, (amplitude, std) = yaw.laws[slip].shape, yaw.estimate(slip)
+    law = SLIP_LAWS[int(shape["law"])]
+    try:
+        SlipFigures(law, amplitude, std, shape["shape"])
+    except ProfileError:
+        return {}
+    return {
+        "slip.law": law, "slip.amplitude": amplitude, "slip.amplitude_std": std, "slip.shape": shape["shape"],
+    }  # fmt: skip
 
 
 def _untold_wheels(series: DriveSeries, truth: TruthAnswer | None) -> Scale:
