@@ -68,9 +68,8 @@ class Aligner:
         gyro = kept.gyro_dps[rows]
         if self.gyro_late_s > 0.0:
             turned = angle.at(t + self.gyro_late_s) - angle.at(before + self.gyro_late_s)
-            gyro = np.divide(
-                turned, dt, out=np.interp(t + self.gyro_late_s, kept.t_s, kept.gyro_dps), where=dt > 0
-            )
+            held = np.interp(t + self.gyro_late_s, kept.t_s, kept.gyro_dps)
+            gyro = np.divide(turned, dt, out=held, where=dt > 0)
         left, right = kept.left_m[rows], kept.right_m[rows]
         if self.encoders_late_s > 0.0:
             left, right = (
@@ -79,10 +78,10 @@ class Aligner:
             )
         smooth = np.zeros(t.size)
         if self.half_s > 0.0:
-            mean = angle.mean(t + self.gyro_late_s, self.half_s) - angle.mean(
-                before + self.gyro_late_s, self.half_s
+            now, then = (angle.mean(at + self.gyro_late_s, self.half_s) for at in (t, before))
+            smooth = np.divide(now - then, dt, out=np.zeros(t.size), where=dt > 0) - np.where(
+                dt > 0, gyro, 0.0
             )
-            smooth = np.divide(mean, dt, out=np.zeros(t.size), where=dt > 0) - np.where(dt > 0, gyro, 0.0)
         given = Rows(t, left, right, gyro, kept.temp_c[rows], smooth)
         # What the window and the shift of the next row look back on stays.
         first = int(np.searchsorted(kept.t_s, (t[-1] if t.size else -np.inf) - self.half_s)) - 2
