@@ -48,8 +48,7 @@ AHEAD = PAPER_SIZE
 E, G1, G2, G3, STRAY, SINCE, TRAVEL, ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(
     AHEAD, AHEAD + 14
 )
-# What heading and position change by for a gyro scale that is wrong by one; how far the temperature was from where the
-# bias holds.
+# What heading and position change by for a gyro scale wrong by one; how far the temperature was from `TEMP`.
 HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C = range(AHEAD + 14, AHEAD + 18)
 MEMORY_SIZE = AHEAD + 18
 
