@@ -122,7 +122,7 @@ class Model:
         own = components.get(part.name)
         if own is not None and own.columns is not None:
             shift = moved[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
-            components[part.name] = Component(part.name, own.columns + shift)
+            components[part.name] = replace(own, columns=own.columns + shift)
         return replace(self, design=self.design + moved, components=components)
 
     def bend_of(self, solution: Solution) -> Floats:
@@ -177,7 +177,9 @@ class Model:
 
     def alive(self, fit: Fit) -> Model:
         """The same less what has died."""
-        dead = [n for n in self.components if n != "white" and fit.log_variance.get(n, 0.0) < _DEAD]
+        # The surface's own terms may come back when what took their place is gone.
+        kept = {"white", *(p.name for p in self.parts if p.block == "surface")}
+        dead = [n for n in self.components if n not in kept and fit.log_variance.get(n, 0.0) < _DEAD]
         return self.without(dead)
 
 

@@ -177,7 +177,7 @@ class Basis:
             own = self.surface()[:, [SURFACE.index(c) for c in part.columns]]
         else:
             own = self.at(part.columns) - self.surface() @ polynomials(part.columns, self.frame)
-        return Component(part.name, own * np.array(part.weights))
+        return Component(part.name, own * np.array(part.weights), expected=part.block == "surface")
 
 
 def design_at(rate_dps: Floats, temp_c: Floats, frame: Frame) -> Floats:

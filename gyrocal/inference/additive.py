@@ -60,12 +60,15 @@ class Component:
     covariance : ndarray, shape (n, n)
     held : float, optional
         Its variance, in the unit of the record squared, where that is not to be estimated.
+    expected : bool
+        Whether it is believed however large it is: what every record of the kind has.
     """
 
     name: str
     columns: Floats | None = None
     covariance: Floats | None = None
     held: float | None = None
+    expected: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,7 @@ class _Part:
     factor: Floats | None
     matrix: Floats | None
     scale: float
+    expected: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,11 +158,12 @@ class Contrasts:
         if component.columns is not None:
             factor = self._contrasts_of(component.columns)
             scale = float(np.sum(factor**2)) / factor.shape[0]
-            return _Part(component.name, factor / np.sqrt(scale or 1.0), None, scale or 1.0)
+            factor = factor / np.sqrt(scale or 1.0)
+            return _Part(component.name, factor, None, scale or 1.0, component.expected)
         first = self.flat.shape[1]
         matrix = self._turned(self._turned(self._seen(component), "T").T, "T")[first:, first:]
         scale = float(np.trace(matrix)) / matrix.shape[0]
-        return _Part(component.name, None, matrix / (scale or 1.0), scale or 1.0)
+        return _Part(component.name, None, matrix / (scale or 1.0), scale or 1.0, component.expected)
 
     def _seen(self, component: Component) -> Floats:
         """A covariance of the rows in the directions that are looked in."""
@@ -197,7 +202,8 @@ class Contrasts:
         """Variances of the largest posterior, from `start` (logarithms) where it knows a component."""
         likelihood = _Likelihood([self.part(c) for c in components], self._left)
         known = start or {}
-        first = np.array([max(known.get(c.name, START), START + _REVIVED) for c in components])
+        lowest = [START if c.expected else START + _REVIVED for c in components]
+        first = np.array([max(known.get(c.name, START), low) for c, low in zip(components, lowest, strict=True)])
         bounds = np.tile([_LOW, _HIGH], (len(components), 1))
         for k, c in enumerate(components):
             if c.held is not None:
@@ -259,6 +265,7 @@ class _Likelihood:
 
     def __init__(self, parts: Sequence[_Part], left: Floats) -> None:
         self.left = left
+        self.rate = np.array([0.0 if p.expected else _PRIOR_RATE for p in parts])
         self.with_columns = [k for k, p in enumerate(parts) if p.factor is not None]
         self.dense = [k for k, p in enumerate(parts) if p.matrix is not None]
         factors = [p.factor for p in parts if p.factor is not None]
@@ -293,9 +300,8 @@ class _Likelihood:
     def __call__(self, logs: Floats) -> tuple[float, Floats]:
         """Value and gradient."""
         value, size, trace, square = self.terms(logs)
-        sd = np.sqrt(size)
-        value += _PRIOR_RATE * float(np.sum(sd))
-        return value, 0.5 * (size * (trace - square) + _PRIOR_RATE * sd)
+        doubt = self.rate * np.sqrt(size)
+        return value + float(np.sum(doubt)), 0.5 * (size * (trace - square) + doubt)
 
     def terms(self, logs: Floats) -> tuple[float, Floats, Floats, Floats]:
         """Value, variances, and for each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``."""
