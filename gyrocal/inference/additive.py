@@ -203,7 +203,9 @@ class Contrasts:
         likelihood = _Likelihood([self.part(c) for c in components], self._left)
         known = start or {}
         lowest = [START if c.expected else START + _REVIVED for c in components]
-        first = np.array([max(known.get(c.name, START), low) for c, low in zip(components, lowest, strict=True)])
+        first = np.array(
+            [max(known.get(c.name, START), low) for c, low in zip(components, lowest, strict=True)]
+        )
         bounds = np.tile([_LOW, _HIGH], (len(components), 1))
         for k, c in enumerate(components):
             if c.held is not None:

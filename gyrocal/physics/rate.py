@@ -33,6 +33,9 @@ _SAME_TIME_S = 1e-6
 #: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
 ROUNDS = 10
 
+#: What a dead zone swallows: what stands at the input at rest, every small input, or of larger ones too (lock-in).
+_AT_REST, _SMALL, _LOCKED = 0.0, 1.0, 2.0
+
 _SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
 
@@ -41,7 +44,15 @@ def _asymmetry(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 
 def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(-MDPS * p["amplitude"] * (np.abs(c.rate_dps) < p["width_dps"]))
+    x = c.rate_dps / p["width_dps"]
+    inside = np.abs(x) < 1.0
+    if p["form"] == _AT_REST:
+        swallowed = inside.astype(np.float64)
+    elif p["form"] == _SMALL:
+        swallowed = np.where(inside, x, 0.0)
+    else:
+        swallowed = x - np.sign(x) * np.sqrt(np.maximum(x**2 - 1.0, 0.0))
+    return np.asarray(-MDPS * p["amplitude"] * swallowed)
 
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -120,7 +131,9 @@ def _dead_widths(offer: Offer) -> list[dict[str, float]]:
         return []
     widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
     last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
-    return [{"width_dps": float(x)} for x in (*widths, last)]
+    # Of inputs within the zone two at least, or one and the rest are all the same to any form.
+    forms = [_AT_REST, _SMALL, _LOCKED] if np.count_nonzero(small > 0) > 2 else [_AT_REST]
+    return [{"width_dps": float(x), "form": form} for form in forms for x in (*widths, last)]
 
 
 def _rate_or_output(offer: Offer) -> list[dict[str, float]]:
@@ -251,11 +264,13 @@ SCALE_ASYMMETRY = Effect(
 DEAD_ZONE = Effect(
     id="dead_zone",
     family="rate shape",
-    equation="output 0 while |w| < w_d: e = -k there, k what stood at the input at rest",
+    equation="output 0 while |w| < w_d: e = -k there, k what stood at the input at rest; or of any input, "
+    "e = -k w/w_d there, and with lock-in e = -k (w - sign(w) sqrt(w^2 - w_d^2))/w_d beyond",
     statement="The output stays at zero for small inputs (dead zone, lock-in), so that the Earth's rate is lost at rest.",
     parameters=(
-        amplitude("mdeg/s", 1000.0, 2.0, "input that is lost at rest"),
+        amplitude("mdeg/s", 1000.0, 2.0, "input that is lost, the largest"),
         shape("width_dps", "deg/s", 1e-6, 10.0, 0.01, "half width w_d"),
+        choice("form", "1", _AT_REST, _LOCKED, _AT_REST, "0: lost at rest, 1: any small input, 2: lock-in"),
     ),
     needs=("rate_dps",),
     seen_in="rate",

@@ -1,4 +1,4 @@
-"""Gyros of a strongly bent front end: the sine of an open loop, 18 % short at full rate."""
+"""Front ends far from a straight line: the sine of an open loop, 18 % short at full rate; lock-in at small rates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gyrocal.diagnosis.laws import Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.physics.rate import SAGNAC_SINE
+from gyrocal.physics.rate import DEAD_ZONE, SAGNAC_SINE
 from gyrocal.records.datasets import DataSetTable
 
 _K = 0.0107
@@ -55,3 +55,23 @@ def test_a_surface_that_does_not_settle_is_one_of_the_input(
     found = blocks.around_itself(fitted.refit(fitted.model.directed("output", bend), 20))
     assert found.model.direction == "input"
     assert np.std(found.solve().left) == pytest.approx(3e-4, rel=0.1)
+
+
+def test_lock_in_is_a_dead_zone() -> None:
+    """Nothing comes out below 0.05 deg/s, and a hyperbola above."""
+    rng = np.random.default_rng(3)
+    small = np.array([0.01, 0.02, 0.04, 0.07, 0.1, 0.2, 0.5])
+    rates = np.concatenate([np.linspace(-100.0, 100.0, 13), small, -small])
+    rate, temp = (x.ravel() for x in np.meshgrid(rates, np.linspace(-10.0, 50.0, 5)))
+    gyro = np.sign(rate) * np.sqrt(np.maximum(rate**2 - 0.05**2, 0.0))
+    gyro = gyro + 1e-3 * rate + 4e-3 * rng.standard_normal(rate.size)
+    means = means_of(series_of_table(DataSetTable(Path("lock.csv"), rate, gyro, temp)))
+    fitted = present(fit_model(full_model(means, memory=False)))[0]
+    laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
+    worth, without = evidence(fitted, "odd rate")
+    trials = [t for e in effects_of("odd rate") for t in laws.trials(e)]
+    best = best_law(fitted, without, "odd rate", trials, laws)
+    assert best is not None
+    assert best.effect is DEAD_ZONE
+    assert best.fitted.model.laws[-1].shape["form"] == 2.0
+    assert without.nll - best.fitted.nll > worth - 2.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -45,6 +47,19 @@ def test_a_part_that_is_not_there_gets_no_variance() -> None:
     )
     assert found.variance["nothing"] < 0.05
     assert found.variance["white"] == pytest.approx(1.0, rel=0.35)
+
+
+def test_what_is_expected_comes_back_and_is_not_doubted_for_its_size() -> None:
+    """One that had died where another stood for it: the balanced layout has its variance to rounding."""
+    groups, each = 30, 8
+    y, flat, (member, white) = one_way(groups, each, np.random.default_rng(1))
+    cell = y.reshape(groups, each)
+    within = float(np.sum((cell - cell.mean(axis=1, keepdims=True)) ** 2) / (groups * (each - 1)))
+    between = float(each * np.sum((cell.mean(axis=1) - y.mean()) ** 2) / (groups - 1))
+    parts = [replace(c, expected=True) for c in (member, white)]
+    found = Contrasts(y, flat).fit(parts, {"group": -30.0, "white": 0.0}, iterations=200).variance
+    assert found["white"] == pytest.approx(within, rel=2e-3)
+    assert found["group"] == pytest.approx((between - within) / each, rel=5e-3)
 
 
 @pytest.mark.parametrize("slope", [False, True])

@@ -121,6 +121,13 @@ def test_laws_by_hand() -> None:
     rates = [-100.0, 0.0, 0.005, 100.0]
     np.testing.assert_allclose(error("scale_asymmetry", at(rates), amplitude=200.0), [0, 0, 1e-6, 0.02])
     np.testing.assert_allclose(error("dead_zone", at(rates), amplitude=2.8), [0, -2.8e-3, -2.8e-3, 0])
+    np.testing.assert_allclose(
+        error("dead_zone", at([-0.005, 0.0, 0.02]), amplitude=10.0, form=1.0), [5e-3, 0, 0], atol=1e-12
+    )
+    # Of an input a quarter above the zone, lock-in leaves 0.75 of its half width.
+    np.testing.assert_allclose(
+        error("dead_zone", at([0.005, 0.0125, -0.0125]), amplitude=10.0, form=2.0), [-5e-3, -5e-3, 5e-3]
+    )
     np.testing.assert_allclose(error("truncation", at(rates), amplitude=1.5), [1.5e-3, 0, -1.5e-3, -1.5e-3])
     np.testing.assert_allclose(
         error("saturation", at(rates), amplitude=0.01, knee_dps=80.0), [0.2, 0, 0, -0.2]
