@@ -1,4 +1,4 @@
-"""Tables of sweeps: at which temperature the coil was, and what time did, found jointly.
+"""Tables of sweeps: at which temperature the coil was, what time did, and what the bias remembers, found jointly.
 
 While a sweep of rates drifts in temperature, a lag of the coil, a drift and a step of the scale factor look alike;
 whichever is taken first takes the others' share. So they start together, from every combination, and a beam goes on.
@@ -8,23 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import Coil, since_on
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
+from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.thermal import SHUPE_GRADIENT, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
 Shape = TypeVar("Shape", bound=float)
 
-#: A law of time: effect, and the row from which on a step holds, or the time constant of a warm-up, s; otherwise 0.
-Change = tuple[str, int]
+#: A law of time or of the temperature's history: effect, and its one shape; of a step the row from which on it holds.
+Change = tuple[str, float]
 
 #: Time constants that a coil may have, s; of a logarithm that is normal, these are 95 %.
 LAG_BOUNDS_S = (30.0, 1500.0)
@@ -36,8 +40,10 @@ _FIRST_SHARES, _FIRST_LAGS_S = _SHARES[1::2] + _SHARES[-1:], _LAGS_S[3:16:3]
 _AT_COIL = ("surface", "temperature")
 _STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 _DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
+#: Laws of the temperature's history that act on the bias alone, and their shape.
+_HISTORY = {SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
 #: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
-_WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().astype(int).tolist())
+_WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 _OUTLASTED = 1.5
 #: A step has data sets on either side.
 _FEWEST_SETS = 4
@@ -64,7 +70,7 @@ class Candidate:
 
     @property
     def effects(self) -> set[str]:
-        """Its laws of time."""
+        """Its laws beside the coil's lag."""
         return {effect for effect, _ in self.changes}
 
     @property
@@ -82,14 +88,28 @@ class TableSearch:
     _at_coil: dict[Coil, Model] = field(default_factory=dict)
     _at_hand: tuple[Candidate, tuple[Floats, Floats]] | None = None
 
+    @cached_property
+    def _remembering(self) -> dict[str, dict[float, Law]]:
+        """Laws of the temperature's history by effect and shape; none acts through the surface."""
+        frame = self.base.basis.frame
+        blank = Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
+        laws = laws_of(self.base.means, blank)
+        found: dict[str, dict[float, Law]] = {}
+        for effect, name in _HISTORY.items():
+            tried = [trial.shape[name] for trial in laws.trials(CATALOGUE[effect])]
+            # A search over models refines no shape: its grid is as fine as that of a warm-up.
+            grid = np.geomspace(min(tried), max(tried), len(_WARM_UPS_S)).tolist() if tried else []
+            shapes = [{name: float(at)} for at in grid]
+            found[effect] = {s[name]: Law(effect, s, laws.at(CATALOGUE[effect], s)) for s in shapes}
+        return found
+
     def run(self) -> list[Candidate]:
         """All models that were fitted, the best first."""
         first = self.fit(None, (), None)
         coils: list[Coil] = [None]
         if np.ptp(self.base.means.series.history.temp_c) > 1.0:
             coils += [(a, tau) for tau in _FIRST_LAGS_S for a in _FIRST_SHARES]
-        warm_up = self.best_warm_up(first)
-        beam = [self.fit(None, (change,), first) for change in warm_up]
+        beam = [self.fit(None, (change,), first) for change in self.best_lasting(first)]
         for coil in coils:
             alone = self.fit(coil, (), first)
             beam += [alone, self.fit(coil, ((_DRIFTS[0], 0),), first)]
@@ -145,17 +165,20 @@ class TableSearch:
         return replace(self._at_coil[coil], laws=tuple(self.law(change) for change in changes))
 
     def law(self, change: Change) -> Law:
-        """A law of time as a law of the model: a warm-up comes again with the next switch-on.
+        """A change as a law of the model: what remembers stays, and a warm-up comes again with the next switch-on.
 
         The others are zero at the end of the record, whose state the surface is to have.
         """
-        m, (effect, row) = self.base.means, change
+        m, (effect, at) = self.base.means, change
+        if effect in _HISTORY:
+            return self._remembering[effect][at]
         if effect in _STEPS:
+            row = int(at)
             shape = {"at_s": float(0.5 * (m.t_s[row - 1] + m.t_s[row]))}
             columns = -1.0 * (np.arange(len(m)) < row)
         elif effect == WARM_UP.id:
-            shape = {"tau_s": float(row)}
-            columns = np.exp(-since_on(m) / row)
+            shape = {"tau_s": at}
+            columns = np.exp(-since_on(m) / at)
         else:
             shape = {}
             columns = (m.t_s - m.t_s[-1]) / S_PER_H
@@ -168,11 +191,15 @@ class TableSearch:
         rows = range(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
         return self._best_of(candidate, [(effect, row) for row in rows])
 
-    def best_warm_up(self, candidate: Candidate) -> list[Change]:
-        """The warm-up that gains most, as one since the record began; none where it is too short for one."""
+    def best_lasting(self, candidate: Candidate) -> list[Change]:
+        """Of each kind that stays and that the record may show, the one that gains most.
+
+        A warm-up is one since the record began.
+        """
         span_s = float(np.ptp(self.base.means.t_s))
-        tried = [(WARM_UP.id, tau) for tau in _WARM_UPS_S if _OUTLASTED * tau < span_s]
-        return [self._best_of(candidate, tried)] if tried else []
+        kinds = [[(WARM_UP.id, tau) for tau in _WARM_UPS_S if _OUTLASTED * tau < span_s]]
+        kinds += [[(effect, at) for at in laws] for effect, laws in self._remembering.items()]
+        return [self._best_of(candidate, tried) for tried in kinds if tried]
 
     def _best_of(self, candidate: Candidate, tried: Sequence[Change]) -> Change:
         score, p = self._precision(candidate)
@@ -200,8 +227,8 @@ class TableSearch:
                 yield coil, tuple(sorted({*changes, self.best_step(candidate, effect)}))
             for effect in _DRIFTS:
                 yield coil, tuple(sorted({*changes, (effect, 0)}))
-            if not candidate.warms_up:
-                for change in self.best_warm_up(candidate):
+            for change in self.best_lasting(candidate):
+                if change[0] not in candidate.effects:
                     yield coil, tuple(sorted({*changes, change}))
 
     def reshaped(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
@@ -213,15 +240,21 @@ class TableSearch:
             yield from (((share, near), changes) for near in _neighbours(_LAGS_S, tau_s))
         rows = range(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
         for k, (effect, at) in enumerate(changes):
-            grid: Sequence[int] = rows if effect in _STEPS else _WARM_UPS_S if effect == WARM_UP.id else ()
+            grid = rows if effect in _STEPS else self._shapes(effect)
             others = changes[:k] + changes[k + 1 :]
             yield from ((coil, tuple(sorted({*others, (effect, near)}))) for near in _neighbours(grid, at))
+
+    def _shapes(self, effect: str) -> Sequence[float]:
+        """The shapes that a law which is no step may have."""
+        return _WARM_UPS_S if effect == WARM_UP.id else tuple(self._remembering.get(effect, ()))
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         """What the laws of a model pay, nats: a coil's time constant its prior too, a normal one of its logarithm."""
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
-        tried = dict.fromkeys(_STEPS, float(len(self.base.means))) | {WARM_UP.id: float(len(_WARM_UPS_S))}
-        shapes += [tried.get(effect, 1.0) for effect, _ in changes]
+        steps = float(len(self.base.means))
+        shapes += [
+            steps if effect in _STEPS else float(max(len(self._shapes(effect)), 1)) for effect, _ in changes
+        ]
         paid = float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
