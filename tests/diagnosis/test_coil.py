@@ -28,7 +28,7 @@ def _soaks(what: str) -> DataSetTable:
     rates = np.tile([0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0], 8)
     target_c = np.repeat([20.0, 35.0, 50.0, 20.0, 5.0, 35.0, 50.0, 20.0], 7)
     seconds = np.arange(40)
-    at_s = 40.0 * np.arange(rates.size)
+    at_s = 40.0 * np.arange(rates.size, dtype=np.float64)
     temp, inside, play = 20.0, 20.0, 20.0
     outside_c, behind_c = np.empty(rates.size), np.empty(rates.size)
     for k, goal in enumerate(target_c):
