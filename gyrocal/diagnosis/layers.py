@@ -10,11 +10,23 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import FLAT, PASSING, SURFACE, Basis, Part, design_at, frame_of, passing, staying
+from gyrocal.diagnosis.parts import (
+    FLAT,
+    PASSING,
+    SURFACE,
+    Basis,
+    Part,
+    design_at,
+    frame_of,
+    passing,
+    slope_by_temperature,
+    staying,
+)
 from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
 from gyrocal.physics.rate import ROUNDS
+from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
@@ -27,6 +39,8 @@ WANDERING_SCALE = ("scale line", "scale walk")
 _STEPS = 60
 #: Name of the component that bends a surface of the input to one of the output.
 DIRECTION = "direction"
+#: Name of the component of what is not known of the temperature.
+THERMOMETER = "thermometer"
 #: Prior variance of a law for the scan of shapes, in that of what the surface leaves: strong laws hide in it.
 _WIDE = 25.0
 
@@ -242,10 +256,26 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     # Where laws of time are searched for, a scale factor that wanders would take their place.
     later = () if memory else WANDERING_SCALE
     components |= {c.name: c for c in passing(means, basis.frame) if c.name not in later}
-    left = means.error_dps - design @ np.linalg.lstsq(design, means.error_dps, rcond=None)[0]
+    rough: Floats = np.asarray(np.linalg.lstsq(design, means.error_dps, rcond=None)[0], dtype=np.float64)
+    left = means.error_dps - design @ rough
+    components |= {c.name: c for c in of_thermometer(means, basis.frame, rough)}
     flat = tuple(k for k in FLAT if k in carried)
     wide = _WIDE * float(np.mean(left**2))
     return Model(means, basis, design, parts, components, law_variance=wide, flat=flat)
+
+
+def of_thermometer(means: Means, frame: Frame, surface: Floats) -> list[Component]:
+    """What is not known of the temperature, through the slope of the surface: known noise; none where it is known.
+
+    Parameters
+    ----------
+    surface : its coefficients, of Legendre products, shape (12,)
+    """
+    unknown = means.series.history.covariance_at(means.t_s)
+    if unknown is None:
+        return []
+    slope = slope_by_temperature(means.rate_dps, means.temp_c, frame, surface)
+    return [Component(THERMOMETER, covariance=slope[:, None] * unknown * slope, held=1.0)]
 
 
 def beyond_input(rows: Basis, bend: Floats) -> Floats:

@@ -39,6 +39,8 @@ _LAGS_S = 40.0 * 2.0 ** np.arange(6)
 _WARM_UPS_S = 150.0 * 2.0 ** np.arange(6)
 #: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
+#: A warming that tells the slope of a surface, degC.
+_WARMER_C = 0.01
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC.
 _LEAST_SPAN_C = 0.5
@@ -184,6 +186,17 @@ def design_at(rate_dps: Floats, temp_c: Floats, frame: Frame) -> Floats:
     """The twelve terms of the surface at rates and temperatures, shape (n, 12)."""
     one = {Factor(): np.ones(rate_dps.size)}
     return design(rate_dps, temp_c, frame, SURFACE, one)
+
+
+def slope_by_temperature(rate_dps: Floats, temp_c: Floats, frame: Frame, surface: Floats) -> Floats:
+    """How fast a surface changes with temperature, shape (n,), deg/s for each degC.
+
+    Parameters
+    ----------
+    surface : its coefficients, of Legendre products, shape (12,)
+    """
+    warmer = design_at(rate_dps, temp_c + _WARMER_C, frame) - design_at(rate_dps, temp_c, frame)
+    return np.asarray(warmer @ surface / _WARMER_C)
 
 
 def since_on(means: Means) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import reduce_segment, reference_rate
-from gyrocal.diagnosis.history import TemperatureHistory, fill_gaps, temperature_history
+from gyrocal.diagnosis.history import TemperatureHistory, temperature_history
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.physics.lacking import Lack, Reason, Why
@@ -312,8 +312,8 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
             raise DataError(f"{run.path}: no temperature was logged, so no surface can be evaluated.")
         logged = c["chamber_c"]
         notes.append(Remark(Said.CHAMBER_FOR_GYRO))
-    temp_raw = fill_gaps(c["t_s"], logged)
-    history = temperature_history(c["t_s"], temp_raw)
+    sampled_c = np.concatenate([raw["temp"] for raw in raws])
+    history = temperature_history(c["t_s"], logged, c["count"], lattice(sampled_c[np.isfinite(sampled_c)]))
     angle = channel("angle_deg", "table_angle", Why.ANGLE_NOT_LOGGED)
     supply = channel("supply_v", "supply", Why.SUPPLY_NOT_LOGGED)
     chamber = c["chamber_c"] if np.isfinite(c["chamber_c"]).all() else None

@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import (
     BIN_LONG_S,
+    OUTLIER_SIGMAS,
     SURROGATE_PERIOD_S,
     Raw,
     Series,
@@ -18,6 +20,7 @@ from gyrocal.diagnosis.series import (
 )
 from gyrocal.errors import DataError
 from gyrocal.physics.lacking import Lack, Reason, Why
+from gyrocal.physics.smooth import Frame
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]
@@ -29,6 +32,10 @@ FEWEST_ROWS = 30
 #: Longer static logs are binned.
 _LONG_LOG = 1000
 _LEAST_STD_DPS = 1e-7
+#: Directions of a surface weaker than this are not carried.
+_CARRIED = 1e-9
+#: Evidence that a thermometer's scatter is real, nats: where the gyro cannot tell it is noise, as it mostly is.
+_REAL_NATS = 3.0
 
 
 def series_of_table(table: DataSetTable) -> Series:
@@ -61,14 +68,17 @@ def series_of_table(table: DataSetTable) -> Series:
 
     white, notes = _white(table)
     times = mean(t_s)
-    history = temperature_history(times, mean(table.temp_c), smooth=one_rate)
+    rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
+    history = temperature_history(times, read, count[filled], lattice(table.temp_c))
+    if _scatter_is_real(rate, gyro, read, history.temp_at(times)):
+        history = history.as_read(times, read)
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
         t_s=times,
-        gyro_dps=mean(table.gyro_dps),
-        rate_dps=mean(table.rate_dps),
-        temp_c=history.temp_at(times) if one_rate else mean(table.temp_c),
+        gyro_dps=gyro,
+        rate_dps=rate,
+        temp_c=history.temp_at(times),
         white_std_dps=np.sqrt(mean(white**2) / count[filled]),
         averaging_s=np.zeros(times.size),
         set_index=np.flatnonzero(filled) if groups[-1] + 1 == n else np.arange(times.size),
@@ -81,6 +91,25 @@ def series_of_table(table: DataSetTable) -> Series:
         has_time=table.t_s is not None,
         is_table=True,
     )
+
+
+def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats) -> bool:
+    """Whether the gyro follows a thermometer where it scatters about its smooth course.
+
+    Then the scatter is the temperature's; what is the thermometer's own the gyro knows nothing of.
+    """
+    low, high = float(course_c.min()), float(course_c.max())
+    frame = Frame(float(np.abs(rate_dps).max()) or 1.0, 0.5 * (low + high), max(0.5 * (high - low), 0.5))
+    columns, error = design_at(rate_dps, course_c, frame), gyro_dps - rate_dps
+    surface: Floats = np.asarray(np.linalg.lstsq(columns, error, rcond=_CARRIED)[0], dtype=np.float64)
+    left = np.abs(error - columns @ surface)
+    sound = left <= OUTLIER_SIGMAS * 1.4826 * np.median(left)
+    along = (read_c - course_c) * slope_by_temperature(rate_dps, course_c, frame, surface)
+    free = np.column_stack([along, error])[sound]
+    free = free - columns[sound] @ np.linalg.lstsq(columns[sound], free, rcond=_CARRIED)[0]
+    x, y = free.T
+    without, within = float(y @ y), float((y - x) @ (y - x))
+    return within > 0.0 and 0.5 * x.size * float(np.log(without / within)) > _REAL_NATS
 
 
 def _groups(t_s: Floats, binned: bool) -> Ints:

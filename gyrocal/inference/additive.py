@@ -209,7 +209,8 @@ class Contrasts:
         bounds = np.tile([_LOW, _HIGH], (len(components), 1))
         for k, c in enumerate(components):
             if c.held is not None:
-                bounds[k] = np.log(c.held * self.part(c).scale) - 2.0 * np.log(self.unit)
+                share = c.held * self.part(c).scale / self.unit**2
+                bounds[k] = np.log(max(share, np.exp(_LOW)))
         found = minimize(
             likelihood,
             _climb(likelihood, first, bounds),

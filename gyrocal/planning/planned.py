@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.history import TemperatureHistory
 from gyrocal.diagnosis.series import Raw, Series
 from gyrocal.units import S_PER_H, S_PER_MIN
 
@@ -317,7 +317,7 @@ def planned_series(design: Design, reach: Reach, walk_dps_rt_s: float) -> Series
     averaging = np.concatenate([a for _, a in parts])
     number = np.repeat(np.arange(len(pieces)), [t.size for t, _ in parts])
     rate = np.array([p.rate_dps for p in pieces])
-    history = temperature_history(grid, case)
+    history = TemperatureHistory(grid, case, S_PER_MIN * np.gradient(case, grid))
     starts = np.array([p.start_s for p in pieces])
     moved = np.concatenate([[0.0], np.cumsum(rate * np.array([p.length_s + _SETTLE_S for p in pieces]))[:-1]])
     empty = np.empty(0)

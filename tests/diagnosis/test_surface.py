@@ -42,4 +42,5 @@ def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path) -> None:
     chosen = fit_chosen(load_recording(path).sets).fit.surface
     surface = surface_alone(found).surface
     assert surface.direction == chosen.direction == "input"
-    np.testing.assert_allclose(surface.coefficients_dps, chosen.coefficients_dps, rtol=1e-6, atol=1e-9)
+    # The temperatures are those behind the readings.
+    np.testing.assert_allclose(surface.coefficients_dps, chosen.coefficients_dps, rtol=1e-6, atol=2e-5)
