@@ -30,7 +30,8 @@ _FLICKER_DPH_PER_ARW = 25.0
 #: Walk of the bias, in standard deviations of the 1/f noise over its longest memory.
 _WALK_PER_FLICKER = 0.3
 #: Standard deviations of the levels' logarithms beforehand.
-_SPREAD = {"slip": 1.5, "turn": 1.5, "tick": 1.5, "flicker": 0.7, "wander": 1.5, "jitter": 1.5}
+_SPREAD = {"slip": 1.5, "turn": 1.5, "tick": 1.5, "flicker": 0.7, "wander": 1.5, "jitter": 1.5, "white": 1.5}
+_WALK = "angle_random_walk_deg_per_rt_h"
 _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
 _LEAST_TICK_M, _STILL = 1e-6, 1e-5
@@ -81,7 +82,7 @@ def usual_noise(series: DriveSeries) -> YawNoise:
     given = series.robot.noise
     arw = _white_at_rest(series)
     if arw is None:
-        arw = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * given["angle_random_walk_deg_per_rt_h"]
+        arw = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * given[_WALK]
     tick = float(np.hypot(*series.tick_m)) / np.sqrt(12.0)
     return YawNoise(
         max(arw, 1e-6),
@@ -92,6 +93,12 @@ def usual_noise(series: DriveSeries) -> YawNoise:
         _USUAL_WANDER,
         _USUAL_JITTER_S,
     )
+
+
+def _white_is_open(series: DriveSeries) -> bool:
+    """Whether neither a rest nor the robot file tells the gyro's white noise, and the drive itself has to."""
+    told = f"noise.{_WALK}" in series.robot.given
+    return series.differential and not told and _white_at_rest(series) is None
 
 
 def _white_at_rest(series: DriveSeries, spacing_s: float = 0.1) -> float | None:
@@ -197,12 +204,18 @@ def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64))
     outliers = _outliers(model, columns)
     if not outliers.size:
-        return model
+        return _with_usual_flicker(model)
     near = np.clip(outliers[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0, y.size - 1)
     left_out[near.ravel()] = _LEFT_OUT
     # From the start again: with the outliers the fit may have gone astray for good.
     noise = _levels(frame, y, columns, usual, left_out)
-    return YawModel(frame, y, noise, usual, left_out, outliers)
+    return _with_usual_flicker(YawModel(frame, y, noise, usual, left_out, outliers))
+
+
+def _with_usual_flicker(model: YawModel) -> YawModel:
+    """The model with what is usual for the white noise that was found."""
+    flicker_dps = usual_flicker_dps(model.noise.arw_dps_per_rt_hz)
+    return replace(model, usual=replace(model.usual, flicker_dps=flicker_dps))
 
 
 def _independent(columns: Floats) -> Floats:
@@ -229,9 +242,14 @@ def _levels(frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out:
     }
     if not frame.series.differential:
         names = {"flicker": "flicker_dps"}
+    if _white_is_open(frame.series):
+        names["white"] = "arw_dps_per_rt_hz"
 
     def noise_of(logs: Floats) -> YawNoise:
-        return replace(usual, **{n: float(np.exp(x)) for n, x in zip(names.values(), logs, strict=True)})
+        found = replace(usual, **{n: float(np.exp(x)) for n, x in zip(names.values(), logs, strict=True)})
+        # 1/f noise is usual for a white noise, so that one level is their ratio.
+        times = found.arw_dps_per_rt_hz / usual.arw_dps_per_rt_hz
+        return replace(found, flicker_dps=times * found.flicker_dps)
 
     prior = np.log([getattr(usual, n) for n in names.values()])
     spread = np.array([_SPREAD[n] for n in names])

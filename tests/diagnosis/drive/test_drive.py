@@ -62,6 +62,14 @@ def test_what_prudence_takes_off_a_bias_is_in_the_asymmetry_beside_it(tmp_path: 
     assert abs(wheels.right_scale - wheels.left_scale) < 0.06e-2
 
 
+def test_a_drive_without_a_rest_may_tell_the_white_noise_of_its_gyro(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 0.0\n")
+    plan = Plan(minutes=4, rest_s=0.0, arw_dps_rt_s=0.03, tick_m=4e-4, wheel_noise=5e-4)
+    noise = examine_yaw(drive_series("drive.csv", drive(plan, 3), read_robot(path), None)).model.noise
+    assert noise.arw_dps_per_rt_hz == pytest.approx(0.03, rel=0.3)
+
+
 def names(result: DriveDiagnosis) -> list[str]:
     return [e.effect for e in result.diagnosis.effects]
 
