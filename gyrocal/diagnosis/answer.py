@@ -30,8 +30,6 @@ from gyrocal.physics.thermal import THERMAL_LAG
 CLASS_NATS = 3.0
 #: What is left of this after what a table's laws have paid.
 _NAMED_BEYOND_TOLL = 2.5
-#: Models of a table, the best first, in which rivals of a law of time are looked for.
-_RIVALS = 20
 _EACH_RATE = "each rate"
 
 
@@ -114,7 +112,7 @@ def _input_share(found: Examination) -> Estimate:
     fitted = found.naming.fitted
     if DIRECTION not in fitted.model.components:
         free = fitted.model.directed("free", fitted.model.bend_of(fitted.solve()))
-        fitted = fitted.refit(free, 20)
+        fitted = fitted.refit(free)
     solution = fitted.solve()
     place = solution.starts[DIRECTION]
     std = float(np.sqrt(solution.covariance[place, place]))
@@ -131,7 +129,7 @@ def _of_the_input(found: Examination) -> bool:
 class _Searched:
     """What the search of a table put in: the lag of the coil, or a law of time.
 
-    `nats`: how much worse the models without it are; `rivals`: other laws in those, to the same.
+    `nats`: how much worse the models without it are; `rivals`: laws that only those have, to the same.
     """
 
     effect: str
@@ -149,10 +147,10 @@ def _searched(found: Examination) -> list[_Searched]:
         nats = min(c.score for c in found.ranked if c.coil is None) - best.score
         searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
     for law in best.fitted.model.laws:
-        nats = min(c.score for c in found.ranked if law.effect not in c.effects) - best.score
-        others = [c for c in found.ranked[:_RIVALS] if law.effect not in c.effects]
-        rivals = {e: c.score - best.score for c in others for e in c.effects}
-        searched.append(_Searched(law.effect, nats, law, rivals))
+        without = [c for c in found.ranked if law.effect not in c.effects]
+        # The best model with each comes last and stays.
+        rivals = {e: c.score - best.score for c in reversed(without) for e in c.effects - best.effects}
+        searched.append(_Searched(law.effect, without[0].score - best.score, law, rivals))
     return searched
 
 

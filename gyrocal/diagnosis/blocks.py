@@ -31,10 +31,10 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
     if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
         return fitted, 0.0
     bend = model.bend_of(fitted.solve())
-    free = fitted.refit(model.directed("free", bend), 40)
+    free = fitted.refit(model.directed("free", bend))
     bend = free.model.bend_of(free.solve())
-    free = free.refit(model.directed("free", bend), 20)
-    ways = {d: free.refit(free.model.directed(d, bend), 40) for d in ("output", "input")}
+    free = free.refit(model.directed("free", bend))
+    ways = {d: free.refit(free.model.directed(d, bend)) for d in ("output", "input")}
     gain = ways["output"].nll - ways["input"].nll
     best = ways["input"] if gain > 0.0 else ways["output"]
     # What is between the two is neither: it takes evidence to be believed.
@@ -53,8 +53,8 @@ def around_itself(fitted: Fitted) -> Fitted:
         bend = fitted.model.bend_of(fitted.solve())
         if fitted.model.bend is not None and np.abs(bend - fitted.model.bend).max() < _SETTLED_DPS:
             return fitted
-        fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend), 20)
-    return fitted.refit(fitted.model.directed("input", bend), 40)
+        fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend))
+    return fitted.refit(fitted.model.directed("input", bend))
 
 
 def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
@@ -67,7 +67,7 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
         return fitted
     without = fitted.model.without(odd)
     other = replace(without, components={**without.components, draws.name: draws})
-    found = fitted.refit(other, 40)
+    found = fitted.refit(other)
     return found if found.nll <= fitted.nll + REPLACED else fitted
 
 
@@ -78,7 +78,7 @@ def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[floa
     ways = [model]
     if block in BENT and bend is not None:
         ways = [model.directed(d, bend) for d in ("input", "output")]
-    without = min((fitted.refit(way, 30) for way in ways), key=lambda f: f.nll)
+    without = min((fitted.refit(way) for way in ways), key=lambda f: f.nll)
     if laws is not None and without.model.laws:
         without = min(without, tied_anew(without, laws)[0], key=lambda f: f.nll)
     return without.nll - fitted.nll, without

@@ -18,8 +18,6 @@ Floats = NDArray[np.float64]
 
 #: So many effects are fitted, each at its best shape; the others are far behind by a gain under fixed variances.
 _REFITTED = 3
-#: Iterations of the variances of a model with one law more.
-_ITERATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fi
     law = Law(trial.effect.id, trial.shape, trial.columns)
     model = replace(fitted.model, laws=(*fitted.model.laws, law))
     starts = (fitted.fit.log_variance, beside_block)
-    return min((fitted.refit(model, _ITERATIONS, start) for start in starts), key=lambda f: f.nll)
+    return min((fitted.refit(model, start=start) for start in starts), key=lambda f: f.nll)
 
 
 def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Trial:

@@ -96,10 +96,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     again = found.comes_again
     items, total = _items([(f.model, s) for _, f, s in solved], again)
     each = [(w, _estimate(f.model, s, items, total, again)) for w, f, s in solved]
-    mean = np.asarray(sum((w * e.values for w, e in each), np.zeros(total)))
-    covariance = np.zeros((total, total))
-    for w, e in each:
-        covariance += w * (e.covariance + np.outer(e.values - mean, e.values - mean))
+    mean, covariance = mixed([(w, e.values, e.covariance) for w, e in each])
     first = models[0][1]
     # What the variances add is much the same in models so near to each other.
     widened = _estimate(first.model, first.solve(widened=True), items, total, again)
@@ -123,9 +120,16 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     )
 
 
+def mixed(each: Sequence[tuple[float, Floats, Floats]]) -> tuple[Floats, Floats]:
+    """Mean and covariance of a mixture of laws, each with its weight, mean and covariance."""
+    mean = np.sum([weight * values for weight, values, _ in each], axis=0)
+    covariance = [w * (within + np.outer(values - mean, values - mean)) for w, values, within in each]
+    return mean, np.sum(covariance, axis=0)
+
+
 def _less(fitted: Fitted, blocks: Sequence[str]) -> Fitted:
     names = [n for n, b in fitted.model.blocks.items() if b in blocks]
-    return around_itself(fitted.refit(fitted.model.without(names), 30)) if names else fitted
+    return around_itself(fitted.refit(fitted.model.without(names))) if names else fitted
 
 
 def file_without_surface(fitted: Fitted) -> Coefficients:

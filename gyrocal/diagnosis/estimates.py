@@ -264,7 +264,8 @@ def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:
     nll = [
         fitted.contrasts.nll(fitted.model.all, {**logs, component: logs[component] + float(s)}) for s in steps
     ]
-    inside = steps[np.array(nll) < min(nll) + 0.5 * float(chi2.ppf(0.95, 1))]
+    between = np.linspace(steps[0], steps[-1], 1001)
+    inside = between[np.interp(between, steps, nll) < min(nll) + 0.5 * float(chi2.ppf(0.95, 1))]
     size = float(np.sqrt(fitted.fit.variance[component])) / rate_scale_dps / PPM
     low, high = size * np.exp(0.5 * inside[0]), size * np.exp(0.5 * inside[-1])
     return Estimate(size, float(high - low) / (2.0 * NORMAL_95), "ppm", (float(low), float(high)))

@@ -28,7 +28,6 @@ _SLOW = {BIAS_STEP.id: BIAS_DRIFT, SCALE_STEP.id: SCALE_DRIFT}
 #: Rows on either side of a jump.
 _FEWEST_ROWS = 3
 _MOST = 3
-_ITERATIONS = 40
 #: Instants within the rows beside a boundary, and how often they are taken closer.
 _WITHIN = 9
 _ZOOMS = 3
@@ -53,7 +52,7 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     """
     found: list[Jump] = []
     beside = {c.name: c for c in passes}
-    wide = fitted.refit(replace(fitted.model, components={**fitted.model.components, **beside}), _ITERATIONS)
+    wide = fitted.refit(replace(fitted.model, components={**fitted.model.components, **beside}))
     while len(found) < _MOST:
         tried = [_best(wide, laws, effect) for effect in (BIAS_STEP.id, SCALE_STEP.id)]
         gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
@@ -98,7 +97,7 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
         at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
     law = Law(effect, {"at_s": at_s}, near[best][:, None])
     model = replace(fitted.model, laws=(*fitted.model.laws, law))
-    return fitted.refit(model, _ITERATIONS), int(rows.size)
+    return fitted.refit(model), int(rows.size)
 
 
 def _gains(columns: Floats, score: Floats, p: Floats) -> Floats:
@@ -112,5 +111,5 @@ def _rivals(wide: Fitted, jumped: Fitted, laws: Laws) -> dict[str, float]:
     """How much worse a drift explains the same, nats."""
     drift = _SLOW[jumped.model.laws[-1].effect]
     law = Law(drift.id, {}, laws.at(drift, {}))
-    drifting = wide.refit(replace(wide.model, laws=(*wide.model.laws, law)), _ITERATIONS)
+    drifting = wide.refit(replace(wide.model, laws=(*wide.model.laws, law)))
     return {drift.id: drifting.nll - jumped.nll}

@@ -101,7 +101,7 @@ def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:
         )
         if all(np.allclose(a.columns, b.columns) for a, b in zip(own, fitted.model.laws, strict=True)):
             break
-        fitted, laws = fitted.refit(replace(fitted.model, laws=own), 30), tied
+        fitted, laws = fitted.refit(replace(fitted.model, laws=own)), tied
     return fitted, laws
 
 

@@ -164,7 +164,7 @@ def _instead(
 def _beside(fitted: Fitted, passes: Sequence[Component]) -> Fitted:
     """The model with what passes, that may have died where something else took its place."""
     components = {**fitted.model.components, **{c.name: c for c in passes}}
-    return fitted.refit(replace(fitted.model, components=components), 40)
+    return fitted.refit(replace(fitted.model, components=components))
 
 
 def _as_fitted(named: list[Named], fitted: Fitted) -> list[Named]:
@@ -224,7 +224,7 @@ def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     bend = fitted.model.bend
     if block not in BENT or bend is None:
         return _name_block(fitted, block, laws, fitted.nll)
-    ways = [fitted.refit(fitted.model.directed(d, bend), 30) for d in ("input", "output")]
+    ways = [fitted.refit(fitted.model.directed(d, bend)) for d in ("input", "output")]
     whole_nll = min(way.nll for way in ways)
     found = [_name_block(way, block, laws, whole_nll) for way in ways]
     return min(found, key=lambda a: a.nll + GAIN * max(len(a.named), 1))
@@ -251,7 +251,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     slack = 0.0 if block == "each rate" else REPLACED + len(named)
     if alone.fitted.nll <= whole_nll + slack:
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
-    beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws), 30) if replaces else fitted
+    beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws)) if replaces else fitted
     if BLOCKS[block].lasts:
         # What a law leaves is its misfit.
         return _Answer(beside, named, alone.near, alone.fitted.nll) if share >= _NAMED_SHARE else unnamed
@@ -331,7 +331,7 @@ def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named]]:
         gains = []
         for n in named:
             laws = tuple(law for law in fitted.model.laws if law.name != n.law.name)
-            gains.append((fitted.refit(replace(fitted.model, laws=laws), 30), n))
+            gains.append((fitted.refit(replace(fitted.model, laws=laws)), n))
         gains.sort(key=lambda x: x[0].nll - _least_worth(x[1]))
         without, weakest = gains[0]
         if without.nll - fitted.nll >= _least_worth(weakest):

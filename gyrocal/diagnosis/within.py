@@ -16,13 +16,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER, Profile
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.within_shapes import ShapeWithin
+from gyrocal.inference.multiple import hotelling_p_value
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
 
@@ -262,7 +262,7 @@ def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[
         t2 = float(b[own] @ np.linalg.pinv(v, rcond=1e-10, hermitian=True) @ b[own])
         p = 1.0
         if dof >= _SETS_A_COLUMN * size:
-            p = float(fisher.sf(t2 * dof / ((used - 1.0) * size), size, dof))
+            p = hotelling_p_value(t2, used, size)
         found.append(
             Pattern(candidate.effect, candidate.shape, candidate.columns, b[own], v, p, max(dof, 1.0))
         )

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, averaged
+from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, Change, TableSearch, averaged
 from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.effect import Conditions
 from gyrocal.records.datasets import DataSetTable
 
 
@@ -55,3 +59,24 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.coil is None
     assert best.effects == {effect}
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "shape"),
+    [(("bias_step", 7), {"at_s": 390.0}), (("scale_step", 7), {"at_s": 390.0}), (("bias_drift", 0), {}), (("scale_drift", 0), {})],
+)  # fmt: skip
+def test_a_law_of_time_is_that_of_the_catalogue_less_the_state_at_the_end(
+    change: Change, shape: dict[str, float]
+) -> None:
+    t_s, rate_dps = 60.0 * np.arange(40.0), np.linspace(-50.0, 50.0, 40)
+    means = means_of(
+        series_of_table(DataSetTable(Path("sweep.csv"), rate_dps, rate_dps, 20.0 + t_s / 600.0, t_s=t_s))
+    )
+    law = TableSearch(cast(Any, SimpleNamespace(means=means))).law(change)
+    assert dict(law.shape) == shape
+    effect, ones = find_effect(change[0]), np.ones(40)
+    by_rate = "rate_dps" in effect.needs
+    c = Conditions(t_s, rate_dps, 20.0 * ones)
+    expected = effect.unit_dps(c, shape, None)
+    at_end = expected[-1] / (rate_dps[-1] if by_rate else 1.0) * (rate_dps if by_rate else ones)
+    np.testing.assert_allclose(law.columns[:, 0], expected - at_end, atol=1e-12)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from gyrocal.diagnosis.correction import doubtful
+from gyrocal.diagnosis.correction import correction, doubtful, mixed
 from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.layers import fit_model, full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.records.datasets import DataSetTable
 
 
 def _found(nats: float, named: str = "", candidates: tuple[Any, ...] = ()) -> Examination:
@@ -38,3 +45,31 @@ def test_a_weak_part_must_predict_what_was_left_out(
 
 def test_a_weak_part_that_nothing_was_left_out_for_is_not_written() -> None:
     assert doubtful(_found(7.0), {}) == ["memory"]
+
+
+def test_models_that_differ_are_known_no_better_than_they_differ() -> None:
+    rng = np.random.default_rng(5)
+    laws = [
+        (0.3, np.array([1.0, 2.0]), np.diag([0.1, 0.2])),
+        (0.7, np.array([3.0, -1.0]), np.diag([0.3, 0.1])),
+    ]
+    mean, covariance = mixed(laws)
+    draws = np.concatenate(
+        [rng.multivariate_normal(at, within, round(100_000 * w)) for w, at, within in laws]
+    )
+    np.testing.assert_allclose(mean, draws.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(covariance, np.cov(draws.T), atol=0.03)
+
+
+def test_the_file_corrects_what_the_model_explains() -> None:
+    """A bump in temperature at rest: the surface gives back what the smooth part was freed of."""
+    t_s = 60.0 * np.arange(150.0)
+    temp_c = 25.0 + 20.0 * np.sin(t_s / 1500.0)
+    bias = 0.01 + 4e-4 * temp_c + 0.02 * np.exp(-(((temp_c - 30.0) / 5.0) ** 2))
+    noise = 2e-4 * np.random.default_rng(6).standard_normal(t_s.size)
+    table = DataSetTable(Path("rest.csv"), np.zeros(t_s.size), bias + noise, temp_c, t_s=t_s)
+    fitted = fit_model(full_model(means_of(series_of_table(table))))
+    found = SimpleNamespace(candidates=(), naming=SimpleNamespace(fitted=fitted), comes_again=1.0)
+    file = correction(cast(Examination, found))
+    left = Compensator(file).correct(t_s, bias, temp_c, t_s - t_s[0], None)
+    assert np.sqrt(np.mean(left**2)) < 0.1 * np.std(bias)

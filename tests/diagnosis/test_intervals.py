@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
+from gyrocal.diagnosis.estimates import of_draws
 from gyrocal.diagnosis.intervals import Point, along_axis, amplitude_interval, profile_interval
+from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.locate import block_p_value
 
 Floats = NDArray[np.float64]
 
@@ -56,3 +63,24 @@ def test_the_instant_of_a_jump_has_an_interval_of_its_own_law() -> None:
 
         found = profile_interval(loss, 10.0, 1.0, (0.0, 20.0), instants)
         assert found.interval == (10.0 - last - 0.5, 10.0 + last + 0.5)
+
+
+def test_the_size_of_draws_is_within_its_likelihood() -> None:
+    """A likelihood that is normal in the logarithm of the variance, of a standard deviation of 0.5."""
+
+    def nll(components: object, logs: dict[str, float]) -> float:
+        return float(0.5 * ((logs["each rate"] - np.log(4e-8)) / 0.5) ** 2)
+
+    fit = SimpleNamespace(log_variance={"each rate": np.log(4e-8)}, variance={"each rate": 4e-8})
+    fitted = SimpleNamespace(fit=fit, contrasts=SimpleNamespace(nll=nll), model=SimpleNamespace(all=[]))
+    found = of_draws(cast(Fitted, fitted), "each rate", 100.0)
+    assert found.value == pytest.approx(2.0)
+    assert found.interval_95 == pytest.approx((2.0 * np.exp(-0.49), 2.0 * np.exp(0.49)), rel=0.02)
+
+
+def test_a_variance_that_may_be_zero_is_tested_at_the_edge_of_its_range() -> None:
+    """Half of the law is at zero: half of the tail of chi-square, for each of the blocks."""
+    nats = 0.5 * float(chi2.isf(0.002, 1))
+    assert block_p_value(nats, 1) == pytest.approx(0.001)
+    assert block_p_value(nats, 9) == pytest.approx(0.009)
+    assert block_p_value(-1.0, 9) == 1.0
