@@ -26,7 +26,9 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
     }
     if found.helps:
         title = f"What {found.simulation} lacks against {found.recording}."
-        formula = "\n".join(["Terms beside the surface, with 95 % intervals:", *_formula(found)])
+        formula = "\n".join(
+            ["Terms beside the surface, with 95 % intervals:", *_formula(found), "", *_valid(found)]
+        )
         files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula)
     return files
 
@@ -87,15 +89,26 @@ def _gain(c: Comparison) -> str:
     return f"{what} That is no sure gain, so no {LAW_PYTHON} is written."
 
 
+def _valid(found: Versus) -> list[str]:
+    d = found.match.difference
+    lines = [
+        f"Known from {d.rate_dps.min():.4g} to {d.rate_dps.max():.4g} deg/s and from {d.temp_c.min():.4g} to "
+        f"{d.temp_c.max():.4g} degC."
+    ]
+    if d.has_time and d.since_power_on_s is None:
+        lines.append(f"since_power_on_s, where a law needs it, counts from t_s = {d.t_s[0]:g} s.")
+    return lines
+
+
 def _formula(found: Versus) -> list[str]:
     estimates = {effect.effect: effect.parameters for effect in found.diagnosis.effects}
-    lines = []
+    lines: dict[str, str] = {}
     for term in found.law.terms:
         if isinstance(term, SmoothTerm):
-            lines.append(f"- {term.family}, no name: {term.label}, {len(term.columns)} columns")
+            lines[term.label] = f"- {term.family}, no name: {term.label}, {len(term.columns)} columns"
             continue
         effect = find_effect(term.effect)
         known = estimates.get(effect.id, {})
         values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
-        lines.append(f"- {effect.id}: {effect.equation}; {listed(values)}")
-    return lines or ["- none: the surfaces differ, and nothing else"]
+        lines[effect.id] = f"- {effect.id}: {effect.equation}; {listed(values)}"
+    return list(lines.values()) or ["- none: the surfaces differ, and nothing else"]

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.base import raised
+from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.versus.match import Match, match
@@ -24,12 +25,15 @@ from gyrocal.physics.terms import Term
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 SCHEMA = "gyrocal-law/1"
 
 #: Neighbouring data sets are left out together, in so many blocks, every second of which is held out at a time.
 _BLOCKS = 10
 _DRAWS = 2000
+#: Coefficients of the surface, row-major over the orders of rate and temperature.
+_BIAS_AND_SCALE = np.array([0, SHAPE[1]])
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,7 @@ class Versus:
                 "says": "output = simulated output + S - S_simulated + sum of the terms, S and S_simulated in deg/s",
                 "surface": _surface_json(self.law),
                 "simulated_surface": self.match.surface.to_json(),
+                "valid": _valid_json(self.match.difference),
                 "terms": _terms_json(self.law, self.diagnosis),
             },
             "left_out": None if self.comparison is None else self.comparison.to_json(),
@@ -110,8 +115,10 @@ def versus(real: Series, simulated: Series, options: Options) -> Versus:
     Raises
     ------
     DataError
-        The two hardly overlap, or what they share is too little to be examined.
+        The two hardly overlap, what they share is too little to be examined, or one of them is no gyro's output.
     """
+    for series in (real, simulated):
+        check_inputs(series, None)
     matched = match(real, simulated)
     found = diagnose(matched.difference, None, options)
     comparison = compare(matched, options) if options.heldout else None
@@ -122,29 +129,49 @@ def law_of(found: Diagnosis, difference: Series) -> Coefficients:
     """The model of the difference, bench and all: surface, terms, and what was named that no robot sees.
 
     A coefficient file keeps of a drift or a jump only where it left the gyro. Here the laws themselves stand, and the
-    surface gives back what it held of them: bias and scale factor are fitted again beside them.
+    surface gives back what it held of them: bias and scale factor are fitted again beside them. A name that smooth
+    parts of the file stand for takes their place, where it leaves no more than they do.
     """
     law = found.improved or found.surface
     if law is None:
         raise DataError(f"{found.recording}: the difference has no surface. Give recordings of a bench.")
     known = {term.name for term in law.terms}
-    bench = tuple(
-        Term(
-            e.effect,
-            {name: {"value": p.value, "std": p.std, "unit": p.unit} for name, p in e.parameters.items()},
-            False,
-        )
-        for e in found.effects
-        if e.effect not in known and difference.has_time and _is_function(e.effect)
-    )
-    law = replace(law, terms=(*law.terms, *bench))
-    if all(term.runtime for term in law.terms):
-        return law
-    rows = np.flatnonzero(difference.is_set | ~difference.is_set.any())
+    square = _square_of(law, difference)
+    for e in found.effects:
+        if e.effect in known or not difference.has_time or not _is_function(e.effect):
+            continue
+        parameters = {n: {"value": p.value, "std": p.std, "unit": p.unit} for n, p in e.parameters.items()}
+        term = Term(e.effect, parameters, False)
+        beside = _refitted(replace(law, terms=(*law.terms, term)), difference, _BIAS_AND_SCALE)
+        if (less := _square_of(beside, difference)) < square:
+            law, square = beside, less
+            continue
+        others = [t for t in law.terms if not (isinstance(t, SmoothTerm) and t.family == e.family)]
+        instead = _refitted(replace(law, terms=(*others, term)), difference, carried_terms(difference))
+        fewer = sum(len(t.columns) for t in law.terms if isinstance(t, SmoothTerm) and t not in others)
+        # What so many columns more take of noise alone (Akaike).
+        if (less := _square_of(instead, difference)) < square * (1.0 + 2.0 * fewer / len(difference)):
+            law, square = instead, less
+    return law
+
+
+def _square_of(law: Coefficients, difference: Series) -> float:
+    """Weighted sum of squares of what a law leaves of the data sets."""
+    rows = difference.is_set | ~difference.is_set.any()
+    left = left_by(law, difference)[rows] / difference.white_std_dps[rows]
+    return float(left @ left)
+
+
+def _refitted(law: Coefficients, difference: Series, terms: Ints) -> Coefficients:
+    """A law with these terms of its surface fitted again beside the others."""
+    rows = difference.is_set | ~difference.is_set.any()
     weight = 1.0 / difference.white_std_dps[rows]
-    X = np.column_stack([np.ones(rows.size), difference.rate_dps[rows]]) * weight[:, None]
-    constant, share = np.linalg.lstsq(X, left_by(law, difference)[rows] * weight, rcond=None)[0]
-    return replace(law, surface=raised(law.surface, float(constant), float(share)))
+    X = law.surface.output_design(difference.rate_dps[rows], difference.temp_c[rows])[:, terms]
+    left = left_by(law, difference)[rows]
+    more = np.zeros(law.surface.coefficients_dps.size)
+    more[terms] = np.linalg.lstsq(X * weight[:, None], left * weight, rcond=1e-10)[0]
+    c = law.surface.coefficients_dps + more.reshape(SHAPE)
+    return replace(law, surface=replace(law.surface, coefficients_dps=c))
 
 
 def _is_function(effect_id: str) -> bool:
@@ -153,9 +180,12 @@ def _is_function(effect_id: str) -> bool:
     return effect.family != "sampling" and all(p.name != "seed" for p in effect.parameters)
 
 
-def left_by(law: Coefficients, difference: Series) -> Floats:
-    """What a law leaves of a difference, row by row, deg/s."""
+def left_by(law: Coefficients, difference: Series, part: Series | None = None) -> Floats:
+    """What a law leaves of a difference, row by row, deg/s; `part`: the rows that it was fitted to, if not all."""
     c = conditions_of(difference)
+    if part is not None and difference.since_power_on_s is None:
+        # A law since power-on counts from the first row that it was fitted to.
+        c = replace(c, since_power_on_s=difference.t_s - part.t_s[0])
     added = sum(term.error_dps(c, law.surface) for term in law.terms)
     return np.asarray(
         difference.gyro_dps - law.surface.output_dps(difference.rate_dps, difference.temp_c) - added
@@ -177,7 +207,7 @@ def compare(matched: Match, options: Options) -> Comparison | None:
             law = law_of(diagnose(part, None, replace(options, heldout=False)), part)
         except DataError:
             return None
-        after[held] = set_means(difference, left_by(law, difference))[1][held]
+        after[held] = set_means(difference, left_by(law, difference, part))[1][held]
     rng = np.random.default_rng(options.seed)
     squares = np.array([[np.sum(x[block == k] ** 2) for k in range(_BLOCKS)] for x in (plain, after)])
     sizes = np.bincount(block, minlength=_BLOCKS)
@@ -186,6 +216,17 @@ def compare(matched: Match, options: Options) -> Comparison | None:
     low, high = np.quantile(rms[0] - rms[1], [0.025, 0.975])
     before, left = (float(np.sqrt(np.mean(x**2))) for x in (plain, after))
     return Comparison(before, left, (float(low), float(high)), int(numbers.size))
+
+
+def _valid_json(difference: Series) -> dict[str, Any]:
+    """Where the law is known: what the recording and the simulation have in common."""
+    rate, temp, t = difference.rate_dps, difference.temp_c, difference.t_s
+    since_on = None if difference.since_power_on_s is not None or not difference.has_time else float(t[0])
+    return {
+        "rate_dps": [float(rate.min()), float(rate.max())],
+        "temp_c": [float(temp.min()), float(temp.max())],
+        "since_power_on_counts_from_t_s": since_on,
+    }
 
 
 def _surface_json(law: Coefficients) -> dict[str, Any]:
@@ -202,6 +243,8 @@ def _surface_json(law: Coefficients) -> dict[str, Any]:
 def _terms_json(law: Coefficients, found: Diagnosis) -> list[dict[str, Any]]:
     estimates = {effect.effect: effect.parameters for effect in found.effects}
     entries = []
+    laws = [term for term in law.terms if not isinstance(term, SmoothTerm)]
+    several = {term.effect: [t for t in laws if t.effect == term.effect] for term in laws}
     for term in law.terms:
         if isinstance(term, SmoothTerm):
             entries.append(
@@ -209,14 +252,20 @@ def _terms_json(law: Coefficients, found: Diagnosis) -> list[dict[str, Any]]:
             )
             continue
         effect = find_effect(term.effect)
+        if term is not several[effect.id][0]:
+            continue
+        shapes = several[effect.id]
+        # A law that is averaged over its shapes is the sum of some; its estimate is that of the whole.
+        sum_of = [{name: float(p["value"]) for name, p in t.parameters.items()} for t in shapes]
         entries.append(
-            {
+            ({} if len(shapes) == 1 else {"sum_of": sum_of})
+            | {
                 "effect": effect.id,
                 "family": effect.family,
                 "equation": effect.equation,
                 "statement": effect.statement,
                 "parameters": {
-                    name: _parameter_json(entry, estimates.get(effect.id, {}).get(name))
+                    name: _parameter_json(entry, estimates.get(effect.id, {}).get(name), len(shapes) > 1)
                     for name, entry in term.parameters.items()
                 },
             }
@@ -224,9 +273,9 @@ def _terms_json(law: Coefficients, found: Diagnosis) -> list[dict[str, Any]]:
     return entries
 
 
-def _parameter_json(entry: Mapping[str, Any], estimate: Estimate | None) -> dict[str, Any]:
+def _parameter_json(entry: Mapping[str, Any], estimate: Estimate | None, one_of: bool) -> dict[str, Any]:
     if estimate is not None:
-        return estimate.to_json() | {"value": float(entry["value"])}
+        return estimate.to_json() | ({} if one_of else {"value": float(entry["value"])})
     value, std = float(entry["value"]), float(entry.get("std") or 0.0)
     interval = [value - NORMAL_95 * std, value + NORMAL_95 * std]
     return {"value": value, "std": std, "unit": entry.get("unit", ""), "interval_95": interval}

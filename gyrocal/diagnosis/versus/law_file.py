@@ -63,6 +63,10 @@ class Conditions:
         """Which samples come after an instant."""
         return (self.need("t_s") >= at_s).astype(float)
 
+    def turned(self, harmonic, phase_rad):
+        """Cosine of so many periods a turn of the table, plus a phase."""
+        return np.cos(harmonic * np.radians(self.need("angle_deg")) + phase_rad)
+
 
 class Surface:
     """Error polynomial ``sum c[i][j] u^i v^j`` in deg/s, of the gyro's output or of its input."""

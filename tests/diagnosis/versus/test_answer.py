@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import left_by, versus
 from gyrocal.diagnosis.versus.law_file import python_file
+from gyrocal.errors import DataError
 from tests.diagnosis.versus.tables import SURFACE, plan, table
 from tests.diagnosis.versus.test_law_file import function_of
 
@@ -35,3 +37,30 @@ def test_a_drift_of_the_bias_is_added_as_the_law_that_it_is() -> None:
     assert entry["effect"] == "bias_drift"
     low, high = entry["parameters"]["amplitude"]["interval_95"]
     assert low < 20.0 < high
+
+
+def test_a_name_takes_the_place_of_the_smooth_parts_that_stand_for_it() -> None:
+    """With a law of time in a table its coefficient file holds the asymmetry as smooth parts: not twice, and by name."""
+    t, rate, temp = plan(12)
+    asymmetry = 900e-6 * np.maximum(rate, 0.0)
+    warming = 20e-3 * np.exp(-t / 1500.0)
+    noise = np.random.default_rng(2).normal(0, NOISE_DPS, t.size)
+    simulated = SURFACE.output_dps(rate, temp)
+    lacking = asymmetry + warming
+    real = series_of_table(table("real.csv", t, rate, simulated + lacking + noise, temp))
+    answer = versus(real, series_of_table(table("sim.csv", t, rate, simulated, temp)), Options(heldout=False))
+    terms = {e.get("effect"): e for e in answer.to_json()["law"]["terms"]}
+    assert {"scale_asymmetry", "warm_up"} <= terms.keys()
+    low, high = terms["scale_asymmetry"]["parameters"]["amplitude"]["interval_95"]
+    assert low < 900.0 < high
+    added = function_of(python_file(answer.law, answer.match.surface, "T.", "- f"))
+    np.testing.assert_allclose(added(rate, temp, t_s=t, since_power_on_s=t), lacking, atol=5 * NOISE_DPS)
+
+
+def test_what_is_no_output_of_a_gyro_is_named_whichever_side_it_is_on() -> None:
+    t, rate, temp = plan(4)
+    right = series_of_table(table("right.csv", t, rate, SURFACE.output_dps(rate, temp), temp))
+    wrong = series_of_table(table("wrong.csv", t, rate, -SURFACE.output_dps(rate, temp), temp))
+    for pair in ((right, wrong), (wrong, right)):
+        with pytest.raises(DataError, match=r"wrong\.csv: .*sign of the output"):
+            versus(*pair, Options(heldout=False))
