@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
@@ -32,6 +32,9 @@ SMOOTH_S = 0.15
 _LEAST_S, _LEAST_M = 60.0, 1.0
 #: A gyro's sample this far from the median of its neighbours, in robust standard deviations and in deg/s, is a spike.
 _SPIKE_STDS, _SPIKE_DPS = 12.0, 2.0
+#: No robot turns for less than this, s. Where fewer rows than the median needs are longer, a turn looks like a spike, unless
+#: the wheels, a row either side, turn by less than this share of it.
+_SHORTEST_TURN_S, _SHARED = 0.3, 0.2
 #: Multiples of a tick from which its size is told, and how far off they may lie.
 _MULTIPLES, _OFF = (3, 10, 40, 200, 1000), 0.1
 #: Steps below this are the file's rounding, m.
@@ -128,7 +131,7 @@ def drive_series(
         notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS}))
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
-    gyro, said = _gyro(source, log, coefficients)
+    gyro, said = _gyro(source, log, robot, coefficients)
     for name, values in {"left": log.left_m, "right": log.right_m}.items():
         empty = int(np.count_nonzero(~np.isfinite(values)))
         if empty:
@@ -146,7 +149,9 @@ def drive_series(
     )  # fmt: skip
 
 
-def _gyro(source: str, log: DriveBlock, coefficients: Coefficients | None) -> tuple[Floats, list[Remark]]:
+def _gyro(
+    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None
+) -> tuple[Floats, list[Remark]]:
     """The gyro, calibrated where there are coefficients, empty rows and spikes bridged by their neighbours."""
     gyro_dps, notes = log.gyro_dps, []
     if coefficients is not None:
@@ -160,12 +165,26 @@ def _gyro(source: str, log: DriveBlock, coefficients: Coefficients | None) -> tu
     notes += bridged
     off = gyro_dps - median_filter(gyro_dps, 5, mode="nearest")
     limit = max(_SPIKE_STDS * 1.4826 * float(np.median(np.abs(off))), _SPIKE_DPS)
-    spikes = np.abs(off) > limit
+    spikes = (np.abs(off) > limit) & ~_turns(log, robot, off)
     if spikes.any():
         largest = float(np.abs(off).max())
         notes.append(Remark(Said.GYRO_SPIKES, {"count": int(spikes.sum()), "largest_dps": largest}))
         gyro_dps = np.where(spikes, gyro_dps - off, gyro_dps)
     return gyro_dps, notes
+
+
+def _turns(log: DriveBlock, robot: Robot, off_dps: Floats) -> Bools:
+    """Where a short excursion of the gyro may be a turn of the robot."""
+    dt_s = np.diff(log.t_s, prepend=log.t_s[0])
+    step_s = float(np.median(dt_s[1:]))
+    if 2.0 * step_s < _SHORTEST_TURN_S:
+        return np.zeros(log.t_s.size, dtype=np.bool_)
+    if log.speed_only:
+        return np.ones(log.t_s.size, dtype=np.bool_)
+    apart_m = np.nan_to_num(log.right_m) - np.nan_to_num(log.left_m)
+    turn_dps = apart_m / robot.wheel_separation_m / np.where(dt_s > 0, dt_s, step_s) / DEG_TO_RAD
+    spread_dps = maximum_filter(turn_dps, 3, mode="nearest") - minimum_filter(turn_dps, 3, mode="nearest")
+    return np.asarray(spread_dps > _SHARED * np.abs(off_dps))
 
 
 def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[Remark]]:

@@ -380,3 +380,20 @@ def test_false_names_and_strangers_over_many_drives(robot: Robot) -> None:
         low, high = result.diagnosis.effects[0].parameters["amplitude"].interval_95
         covered += low <= 6.0 <= high
     assert covered >= stats.binom.ppf(1e-3, len(inside), 0.92)
+
+
+def test_a_turn_of_one_row_is_no_spike_of_the_gyro_unless_the_wheels_go_straight(robot: Robot) -> None:
+    t_s = np.arange(120.0)
+    rate_dps = np.where(np.arange(120) % 20 == 10, 30.0, 0.0)
+    apart_m = np.radians(rate_dps) * SEPARATION_M
+    gyro_dps = rate_dps + 0.01 * np.random.default_rng(3).standard_normal(120)
+    gyro_dps[45] += 30.0
+    nothing = np.full(120, np.nan)
+    log = DriveBlock(
+        2, t_s, 0.5 - apart_m / 2, 0.5 + apart_m / 2, gyro_dps, nothing, nothing, nothing, nothing
+    )
+    series = drive_series("drive.csv", log, robot, None)
+    assert [n.facts for n in series.notes if isinstance(n, Remark) and n.said is Said.GYRO_SPIKES] == [
+        {"count": 1, "largest_dps": pytest.approx(30.0, abs=0.1)}
+    ]
+    np.testing.assert_allclose(series.gyro_dps, rate_dps, atol=0.1)
