@@ -40,6 +40,9 @@ Floats = NDArray[np.float64]
 #: A slope over temperature needs as many degrees.
 _LEAST_SPAN_C = 3.0
 _LEAST_MEANS = 16
+#: A log over as many degrees is a thermal ramp: what they do to the output is taken off before its noise is told. Over
+#: fewer a drift of the temperature is as good as one of time, and the noise would lose what is slow in it.
+_LEAST_RAMP_C, _TEMPERATURE_ORDER = 10.0, 3
 #: No gyro at rest is so far off its own median for so much of the time, nor has it such a bias: it turns.
 _TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
 _PPM = 1e6
@@ -184,8 +187,16 @@ def examine_static(
     if run is None:
         _refuse_turns(config.path, course)
         spans = jumps_of(course, reading.step_dps)
+    bias = _over_temperature(course) if run is None and not spans else None
     if spans:
         reading = _read(_without(_log_blocks(config, []), spans))
+    elif bias is not None:
+        reading = _read(_less(_log_blocks(config, []), bias))
+        low_c, high_c = np.nanmin(course.temp_c), np.nanmax(course.temp_c)
+        notes.append(
+            f"what temperature does to the output, a polynomial of order {_TEMPERATURE_ORDER} over {low_c:.1f} to {high_c:.1f} °C, is taken "
+            "off before noise is told"
+        )
     tell(0.8, "figures")
     noise = figures_of(_curves(reading)) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
@@ -233,6 +244,22 @@ def _without(blocks: Iterator[_Block], spans: Sequence[tuple[float, float]]) -> 
         for start, end in spans:
             inside |= (block.t_s >= start) & (block.t_s <= end)
         yield replace(block, gyro_dps=np.where(inside, np.nan, block.gyro_dps))
+
+
+def _over_temperature(course: Course) -> np.polynomial.Polynomial | None:
+    """The output of a log over its temperatures; None where they are unknown or vary too little to say."""
+    known = bool(np.isfinite(course.temp_c).all()) and course.t_s.size >= _LEAST_MEANS
+    if not known or not np.ptp(course.temp_c) > _LEAST_RAMP_C:
+        return None
+    return np.polynomial.Polynomial.fit(
+        course.temp_c, course.gyro_dps, _TEMPERATURE_ORDER, w=np.sqrt(course.n)
+    )
+
+
+def _less(blocks: Iterator[_Block], bias: np.polynomial.Polynomial) -> Iterator[_Block]:
+    """The blocks less what temperature does to the output; a sample without a temperature is missing."""
+    for block in blocks:
+        yield replace(block, gyro_dps=block.gyro_dps - bias(block.temp_c))
 
 
 def _run_blocks(run: Run) -> Iterator[_Block]:

@@ -269,6 +269,8 @@ class _Data:
                     if excess(0.0) <= 0.0:
                         return 0.0
                     outer = 0.0
+                if outer > _MOST * unit:
+                    return float(np.inf)
                 if excess(outer) > 0.0:
                     return float(
                         optimize.brentq(excess, inner, outer, xtol=1e-4 * max(abs(value), 1e-6 * unit))

@@ -123,6 +123,23 @@ def test_drift_and_temperature_are_told_apart(tmp_path: Path) -> None:
     assert warm.interval is None or warm.interval[1] < 3.0 < warm.interval[2]
 
 
+def test_noise_of_a_log_through_a_thermal_cycle(tmp_path: Path) -> None:
+    """What temperature does is a thousand times what the noise leaves after averaging."""
+    rng = np.random.default_rng(31)
+    t_s = 0.5 * np.arange(8000)
+    temp_c = 28.0 - 45.0 * np.cos(2.0 * np.pi * t_s / 3600.0)
+    bend = 0.02 * (temp_c - 20.0) + 3e-4 * (temp_c - 20.0) ** 2
+    gyro = rng.normal(0.0, 0.0184, t_s.size) + bend
+    found = examine_static(StaticConfig(write_log(tmp_path / "cycle.csv", t_s, gyro, temp_c)))
+    walk = found.noise.angle_random_walk_deg_per_rt_h
+    assert walk is not None
+    _, low, high = walk
+    assert low < 60.0 * 0.0184 * np.sqrt(0.5) < high
+    assert high < 1.2 * low
+    assert any("is taken off before noise is told" in note for note in found.notes)
+    assert found.noise.figures["bias_instability"].value is None
+
+
 def test_a_run_s_long_record(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     values = white(rng, 8000) + 0.001
