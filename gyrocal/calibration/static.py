@@ -187,16 +187,7 @@ def examine_static(
     if run is None:
         _refuse_turns(config.path, course)
         spans = jumps_of(course, reading.step_dps)
-    bias = _over_temperature(course) if run is None and not spans else None
-    if spans:
-        reading = _read(_without(_log_blocks(config, []), spans))
-    elif bias is not None:
-        reading = _read(_less(_log_blocks(config, []), bias))
-        low_c, high_c = np.nanmin(course.temp_c), np.nanmax(course.temp_c)
-        notes.append(
-            f"what temperature does to the output, a polynomial of order {_TEMPERATURE_ORDER} over {low_c:.1f} to {high_c:.1f} °C, is taken "
-            "off before noise is told"
-        )
+        reading = _read_again(config, reading, spans, notes)
     tell(0.8, "figures")
     noise = figures_of(_curves(reading)) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
@@ -216,6 +207,24 @@ def examine_static(
         _jumps_said(spans) if spans else "",
         tuple(notes),
     )
+
+
+def _read_again(
+    config: StaticConfig, reading: _Reading, spans: list[tuple[float, float]], notes: list[str]
+) -> _Reading:
+    """A log without its jumps, or less what temperature does to it; as it was read where there is neither."""
+    if spans:
+        return _read(_without(_log_blocks(config, []), spans))
+    course = reading.course.course()
+    bias = _over_temperature(course)
+    if bias is None:
+        return reading
+    low_c, high_c = np.min(course.temp_c), np.max(course.temp_c)
+    notes.append(
+        f"what temperature does to the output, a polynomial of order {_TEMPERATURE_ORDER} over {low_c:.1f} to {high_c:.1f} °C, is "
+        "taken off before noise is told"
+    )
+    return _read(_less(_log_blocks(config, []), bias))
 
 
 def _refuse_turns(path: Path, course: Course) -> None:

@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 #: Length of the means in which rest is looked for, s, and how long a rest must last at the least.
 WINDOW_S = 0.5
 LEAST_REST_S = 2.0
+#: Levels that are tried: at rest, and some slow turns at a constant rate.
+_LEVELS = 4
 #: Left out on either side of a rest, s: the hand is not yet off, or already on.
 _MARGIN_S = 0.3
 #: A rest departs from the level at rest by no more than this many standard deviations of a mean, nor by this much, deg/s.
@@ -116,14 +118,29 @@ def calibrate_turns(t_s: Floats, gyro_dps: Floats, mark_deg: float = 360.0) -> T
     turns = _turns(t_s, gyro_dps, dt_s, rests, mark_deg)
     used = [turn.used for turn in turns]
     if sum(used) < 3:
-        msg = f"{len(rests)} rests of {LEAST_REST_S:g} s or more and {sum(used)} turns by a multiple of {mark_deg:g} deg are found, and three turns are wanted: stand still between the turns, and give the angle of the mark."
-        raise DataError(msg)
+        raise DataError(_too_few(rests, turns, mark_deg))
     scale, asymmetry, stop_std_deg = _fit(turns)
     return TurnCalibration(scale, asymmetry, _bias(rests), stop_std_deg, tuple(rests), tuple(turns))
 
 
+def _too_few(rests: list[Rest], turns: list[Turn], mark_deg: float) -> str:
+    count = sum(turn.used for turn in turns)
+    said = (
+        f"{len(rests)} {'rest' if len(rests) == 1 else 'rests'} of {LEAST_REST_S:g} s or more and {count} "
+        f"{'turn' if count == 1 else 'turns'} by a multiple of {mark_deg:g} deg {'is' if len(rests) == 1 else 'are'} found, and three "
+        "turns are wanted: stand still between the turns, and give the angle of the mark"
+    )
+    others = [f"{turn.angle_deg:.0f}" for turn in turns if not turn.used]
+    shown = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")
+    return f"{said}. By the gyro it turned by {shown} deg." if others else f"{said}."
+
+
 def find_rests(t_s: Floats, gyro_dps: Floats) -> list[Rest]:
-    """Times at rest: where means over `WINDOW_S` stay at the level that most of the quiet ones share."""
+    """Times at rest: where means over `WINDOW_S` stay at one level.
+
+    The level is that which most of the quiet ones share, or one nearer to zero that comes again as often: a slow turn may
+    last longer than all rests together.
+    """
     window = ((t_s - t_s[0]) / WINDOW_S).astype(np.int64)
     n = np.bincount(window)
     sums = np.bincount(window, weights=gyro_dps)
@@ -132,8 +149,22 @@ def find_rests(t_s: Floats, gyro_dps: Floats) -> list[Rest]:
     # Turning changes the output too; at rest, what is left between neighbours is the noise: the lower half of them.
     noise_dps = float(np.percentile(np.abs(np.diff(gyro_dps)), 25)) / (_QUARTER * math.sqrt(2.0))
     std_error = noise_dps / math.sqrt(float(np.median(n[full])))
-    level = _densest(means[full])
-    quiet = full & (np.abs(means - level) < max(_REST_SIGMA * std_error, _REST_DPS))
+    near = max(_REST_SIGMA * std_error, _REST_DPS)
+    left, found, level = full.copy(), list[Rest](), np.inf
+    for _ in range(_LEVELS):
+        if not left.any():
+            break
+        other = _densest(means[left])
+        quiet = full & (np.abs(means - other) < near)
+        rests = _rests_where(quiet, t_s, gyro_dps)
+        if abs(other) < abs(level) and len(rests) >= max(len(found) - 1, min(len(found), 2)):
+            found, level = rests, other
+        left &= ~quiet
+    return found
+
+
+def _rests_where(quiet: NDArray[np.bool_], t_s: Floats, gyro_dps: Floats) -> list[Rest]:
+    """Stretches of quiet windows that are long enough."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
     rests = []
     for first, last in edges.reshape(-1, 2):

@@ -25,7 +25,7 @@ class Gyro:
 
 
 def turned(
-    rng: np.random.Generator, gyro: Gyro, stop_std_deg: float, turns: list[int]
+    rng: np.random.Generator, gyro: Gyro, stop_std_deg: float, turns: list[float]
 ) -> tuple[Floats, Floats]:
     """A log of rests and turns by whole revolutions."""
     rates, off = [np.zeros(int(5 * SAMPLE_HZ))], 0.0
@@ -89,5 +89,28 @@ def test_a_turn_that_is_off_every_mark_is_said_and_left_out() -> None:
 
 def test_a_log_without_turns_is_refused() -> None:
     rng = np.random.default_rng(2)
-    with pytest.raises(DataError, match="three turns are wanted: stand still between the turns"):
+    with pytest.raises(
+        DataError, match=r"1 rest of 2 s or more and 0 turns .* three turns are wanted: stand"
+    ):
         calibrate_turns(np.arange(2000) / 50.0, 0.05 * rng.normal(size=2000))
+
+
+def test_a_slow_turn_that_lasts_longer_than_all_rests_is_a_turn() -> None:
+    """At a constant rate by a motor: most of the log lies at its level, but only the rests come again."""
+    rng = np.random.default_rng(5)
+    still = np.zeros(int(5 * SAMPLE_HZ))
+    rates = [still]
+    for rate in (60.0, -60.0, 3.0, 60.0, -60.0):
+        n = int(360.0 / abs(rate) * SAMPLE_HZ)
+        rates += [np.full(n, np.sign(rate) * 360.0 / n * SAMPLE_HZ), still]
+    output = np.concatenate(rates) * 1.002 + 0.05
+    found = calibrate_turns(np.arange(output.size) / SAMPLE_HZ, output + 0.05 * rng.normal(size=output.size))
+    assert [round(t.true_deg) for t in found.turns] == [360, -360, 360, 360, -360]
+    assert found.bias.value == pytest.approx(0.05, abs=0.01)
+
+
+def test_turns_off_every_mark_are_said() -> None:
+    log = turned(np.random.default_rng(6), Gyro(0.06, 0.0, 0.0), 0.02, [0.25, -0.25, 0.25])
+    with pytest.raises(DataError, match=r"0 turns by a multiple of 360 deg .* it turned by 95, -95, 95 deg"):
+        calibrate_turns(*log)
+    calibrate_turns(*log, mark_deg=90.0)
