@@ -198,6 +198,19 @@ def test_the_interval_of_the_mean_covers(tmp_path: Path) -> None:
     assert hits >= stats.binom.ppf(FALSE_ALARM, runs, 0.92)
 
 
+def test_the_mean_of_a_walk_is_as_unsure_as_the_walk_went(tmp_path: Path) -> None:
+    """The mean of a walk of K over T is off its beginning by K sqrt(T / 3)."""
+    samples, step_dps = 4000, 1e-4
+    ratios = []
+    for seed in range(2):
+        rng = np.random.default_rng([9, seed])
+        gyro = np.cumsum(step_dps * rng.standard_normal(samples)) + 1e-3 * rng.standard_normal(samples)
+        log = write_log(tmp_path / "walk.csv", np.arange(float(samples)), gyro)
+        low, high = interval(examine_static(StaticConfig(log)), "mean_bias")[1:]
+        ratios.append(0.5 * (high - low) / 1.96 / (3600.0 * step_dps * np.sqrt(samples / 3.0)))
+    np.testing.assert_allclose(ratios, 1.0, atol=0.15)
+
+
 def test_the_command_prints_and_writes(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     log = write_log(

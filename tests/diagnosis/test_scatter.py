@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, set_aside, step_findings
+from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, set_aside, step_findings, variance_places
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.untimed import between_sets, by_data_set, by_time
+from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.records.datasets import DataSetTable
 
 NOISE_DPS = 0.01
@@ -140,3 +143,17 @@ def test_zeros_that_are_no_dead_zone(what: str) -> None:
         table.gyro_dps[[0, 12, 30]] = 0.0
     series = series_of_table(table)
     assert dead_sets(series, series.gyro_dps)[0].size == 0
+
+
+def test_heavy_tails_alone_are_no_place_of_more_scatter() -> None:
+    """Of Student's law of 5 degrees of freedom at a level of 5 %: 17 of 200 recordings, where 49 would be without the
+    kurtosis."""
+    n = 1200
+    rate_dps = np.tile([-20.0, -10.0, 0.0, 10.0, 20.0], n // 5)
+    t_s = np.arange(float(n))
+    table = DataSetTable(Path("table.csv"), rate_dps, rate_dps, 20.0 + np.sin(t_s / 99.0), t_s=t_s)
+    series = series_of_table(table)
+    white = cast(NoiseModel, SimpleNamespace(whiten=lambda levels, columns: (columns,)))
+    levels = cast(NoiseLevels, None)
+    draws = [np.random.default_rng([4, seed]).standard_t(5, len(series)) for seed in range(200)]
+    assert sum(bool(variance_places(series, white, levels, y, 0.05)) for y in draws) <= 20
