@@ -14,8 +14,6 @@ from gyrocal.physics.kernels import normal, uniform
 from gyrocal.physics.slip import SLIP_LAWS, slip_shape
 from gyrocal.units import DEG_TO_RAD
 
-DRIVE_FAMILIES = ("wheel slip", "wheel geometry", "gyro", "timing", "encoding")
-
 _PERCENT = 1e-2
 _SAME_TIME_S = 1e-6
 #: Memories of the gyro's 1/f noise on the robot, equally strong, and of the track's wandering, s: the state space of
