@@ -129,7 +129,7 @@ def distributions(fleet: Fleet) -> Figure:
         out = np.array([(spread.figure, u.source) in strange for u in units], dtype=bool)
         axes.plot(x[~out], np.full(int((~out).sum()), k), "|", color=style.BLUE, markersize=7)
         axes.plot(x[out], np.full(int(out.sum()), k), "o", color=style.ORANGE, fillstyle="none")
-    axes.set_yticks(range(len(shown)), [f"{s.figure}" for s in shown], fontsize=6)
+    axes.set_yticks(range(len(shown)), [s.figure.replace("_", " ") for s in shown], fontsize=6)
     axes.invert_yaxis()
     axes.set_xlabel("departure from the median, in standard deviations between units (ringed: out of line)")
     return figure
