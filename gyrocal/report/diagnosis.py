@@ -31,6 +31,7 @@ from gyrocal.report.sentences import (
     counted,
     in_the_noise,
     logloss_gain,
+    not_testable_sentences,
     plain_sentences,
     scale_of,
     traded_sentence,
@@ -134,7 +135,9 @@ def diagnosis_page(
     more: Sequence[Table] = (),
 ) -> str:
     """HTML of the diagnosis, self-contained; `more`: tables that stand first."""
-    remarks = [s for s in plain_sentences(diagnosis) if s != verdict_sentence(diagnosis)]
+    # The verdict stands above them, and what cannot be tested has its table at the end.
+    elsewhere = {verdict_sentence(diagnosis), *not_testable_sentences(diagnosis)}
+    remarks = [s for s in plain_sentences(diagnosis) if s not in elsewhere]
     page = Page(
         title=f"Diagnosis of {diagnosis.recording}",
         verdict=verdict_sentence(diagnosis),
