@@ -8,6 +8,7 @@ import numpy as np
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
 from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.inference.additive import Component
 
 #: Blocks whose removal costs less, nats, are not there.
@@ -35,6 +36,9 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
     bend = free.model.bend_of(free.solve())
     free = free.refit(model.directed("free", bend))
     ways = {d: free.refit(free.model.directed(d, bend)) for d in ("output", "input")}
+    if model.direction == "output":
+        # Beside a law of the rate what is between may have led its bend astray.
+        ways["output"] = min(fitted, ways["output"], key=lambda f: f.nll)
     gain = ways["output"].nll - ways["input"].nll
     best = ways["input"] if gain > 0.0 else ways["output"]
     # What is between the two is neither: it takes evidence to be believed.
@@ -49,10 +53,17 @@ def around_itself(fitted: Fitted) -> Fitted:
     """
     if fitted.model.direction == "input":
         return fitted
+    before, step = np.zeros(len(SURFACE)), 1.0
     for _ in range(_BENDS):
         bend = fitted.model.bend_of(fitted.solve())
-        if fitted.model.bend is not None and np.abs(bend - fitted.model.bend).max() < _SETTLED_DPS:
-            return fitted
+        if fitted.model.bend is not None:
+            change = bend - fitted.model.bend
+            if np.abs(change).max() < _SETTLED_DPS:
+                return fitted
+            # Where a law takes up what the surface gives, a whole step overshoots: the last two tell by how much.
+            left = float(change @ before) / max(float(before @ before), _SETTLED_DPS**2)
+            step = 1.0 / (1.0 - float(np.clip(1.0 - (1.0 - left) / step, -1.0, 0.0)))
+            bend, before = fitted.model.bend + step * change, change
         fitted = fitted.refit(fitted.model.directed(fitted.model.direction, bend))
     return fitted.refit(fitted.model.directed("input", bend))
 

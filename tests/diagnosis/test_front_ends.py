@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,11 @@ from gyrocal.diagnosis import blocks
 from gyrocal.diagnosis.blocks import evidence, present
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.laws import Laws, effects_of, laws_of
-from gyrocal.diagnosis.layers import Fitted, fit_model, full_model, surface_of
+from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.rate import DEAD_ZONE, SAGNAC_SINE
+from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
 
 _K = 0.0107
@@ -75,3 +77,24 @@ def test_lock_in_is_a_dead_zone() -> None:
     assert best.effect is DEAD_ZONE
     assert best.fitted.model.laws[-1].shape["form"] == 2.0
     assert without.nll - best.fitted.nll > worth - 2.0
+
+
+def test_a_direction_that_was_found_is_not_given_up_for_one_that_fits_worse() -> None:
+    """Of a weak sine beside a surface of the output the cubic can stand for most."""
+    rng = np.random.default_rng(4)
+    rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 15), np.linspace(-10.0, 50.0, 7)))
+    v, k = (temp - 20.0) / 30.0, 0.0067
+    c = np.zeros(SHAPE)
+    c[1], c[3] = (0.5, 0.3, 0.05), (-1.0, 0.05, 0.0)
+    gyro = Surface(c, 0.0, 100.0, 20.0, 30.0).output_dps(rate, temp) + 0.01 * v
+    gyro = gyro + 0.17 * (np.sin(k * rate) / k - rate) + 1e-3 * rng.standard_normal(rate.size)
+    means = means_of(series_of_table(DataSetTable(Path("weak.csv"), rate, gyro, temp)))
+    fitted = fit_model(full_model(means, memory=False))
+    laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
+    law = Law(SAGNAC_SINE.id, {"phase_rad_per_dps": k}, laws.at(SAGNAC_SINE, {"phase_rad_per_dps": k}))
+    odd = [n for n, b in fitted.model.blocks.items() if b == "odd rate"]
+    beside = fitted.refit(replace(fitted.model.without(odd), laws=(law,)), 30)
+    bend = beside.model.bend_of(beside.solve())
+    found = blocks.around_itself(beside.refit(beside.model.directed("output", bend), 20))
+    assert found.model.direction == "output"
+    assert blocks.settle_direction(found)[0].nll <= found.nll
