@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.stats import chi2, kstest
 
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.series import Raw, Series
+from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.inference import whitening
 from gyrocal.inference.whitening import (
     TAUS_S,
@@ -20,6 +22,7 @@ from gyrocal.inference.whitening import (
     look_for_walk,
     walk_p_value,
 )
+from gyrocal.records.datasets import DataSetTable
 
 LEVELS = NoiseLevels(1.0, 7e-4, 2e-5)
 WALKING = replace(LEVELS, walk=4e-4)
@@ -141,3 +144,16 @@ def test_a_walk_from_nothing_is_at_the_edge_of_what_a_variance_can_be() -> None:
         gain = 0.5 * float(chi2.isf(2.0 * p, 1))
         assert walk_p_value(Likelihood(WALKING, 100.0 + gain, 0.0), without) == pytest.approx(p)
     assert walk_p_value(Likelihood(WALKING, 99.0, 0.0), without) == 0.5
+
+
+def test_a_jitter_that_the_record_hardly_tells_from_none_is_not_taken_for_none() -> None:
+    n = 120
+    rate_dps = np.tile([-60.0, -20.0, 0.0, 20.0, 60.0], n // 5)
+    t_s = 30.0 * np.arange(float(n))
+    for seed in range(4):
+        gyro = rate_dps + 1e-3 * np.random.default_rng([6, seed]).standard_normal(n)
+        table = DataSetTable(Path("sweep.csv"), rate_dps, gyro, 20.0 + np.sin(t_s / 999.0), t_s=t_s)
+        model = NoiseModel(series_of_table(table))
+        found = estimate_levels(model, gyro - rate_dps, np.column_stack([np.ones(n), rate_dps]))
+        # Noise of a row over the largest rate is 17 ppm; the likelihood of two of the four is highest at none.
+        assert 8e-6 < found.levels.jitter < 17e-6
