@@ -300,8 +300,10 @@ SAME_WORD = {
 #: The model of a drive is made of the laws on the robot, and its words name them.
 MODEL_OF_A_DRIVE = (
     "gyrocal.diagnosis.drive.",
+    "gyrocal.diagnosis.versus.drive",
     "gyrocal.report.diagnosis_drive",
     "gyrocal.report.drive_words",
+    "gyrocal.report.versus_drive",
 )
 #: The blind trial writes its laws itself, so as to share no formula with the finder, and says which names are right.
 OWN_LAWS = {"gyrocal.trial.laws": set(CATALOGUE) - {"quantisation", "time_base"}}

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option(
     "--simulation",
     type=click.Path(path_type=Path),
-    help="What your own simulator wrote of the same plan (a run, a table), or another recording to compare with.",
+    help="What your own simulator wrote of the same plan (a run, a table; with --robot a drive log), or another recording.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the results.")
 @click.option(
@@ -75,7 +75,8 @@ def command(
     would settle a doubt, and of a drive improved_robot.toml where it tells the robot something.
 
     With --simulation the difference of the two is examined instead, and law.json and law.py say what to add to
-    that simulation; law.py is written where it helps on data left out.
+    that simulation; law.py is written where it helps on data left out. Of drives law.json holds the figures of
+    gyro and wheels that differ.
 
     \b
     Examples:

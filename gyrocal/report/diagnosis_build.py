@@ -19,6 +19,7 @@ from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.diagnosis.versus.between import between
+from gyrocal.diagnosis.versus.drive import drive_versus
 from gyrocal.errors import InputError, LimitError, ProfileError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.planning.next_experiment import propose, to_toml
@@ -34,7 +35,8 @@ from gyrocal.report.drive_words import drive_sentences
 from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Picture, Table
 from gyrocal.report.sentences import document
-from gyrocal.report.versus import law_files, told
+from gyrocal.report.versus import LAW_JSON, law_files, told
+from gyrocal.report.versus_drive import drive_law_file, drive_told
 
 #: Share done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]
@@ -82,10 +84,6 @@ def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResul
     """
     check_output(config.out)
     progress(0.02, "read")
-    if config.robot is not None and config.simulation is not None:
-        raise InputError(
-            f"{config.simulation}: a drive log is not compared with a simulation yet. Leave --simulation out, or --robot."
-        )
     if config.robot is not None:
         return _write_drive(config, config.robot, progress)
     if config.others and config.simulation is None:
@@ -144,23 +142,37 @@ def _with_source(found: Diagnosis, config: DiagnoseConfig) -> Diagnosis:
 def _write_drive(config: DiagnoseConfig, robot_file: Path, progress: Progress) -> DiagnoseResult:
     if config.counts_per_dps is not None:
         raise InputError(f"{config.recording}: --counts-per-dps is for tables of data sets. Leave it out.")
+    if config.coefficients is not None and config.simulation is not None:
+        raise InputError(
+            f"{config.coefficients}: a drive is compared with its simulation as both were logged. Leave --coefficients out."
+        )
     robot = read_robot(robot_file)
     log = read_drive(config.recording, robot, config.reading)
     coefficients = None if config.coefficients is None else load_coefficients(config.coefficients)
     progress(0.1, "examine")
     others = [(path.name, read_drive(path, robot, config.reading)) for path in config.others]
     found = diagnose_drive(config.recording.name, log, robot, coefficients, others)
-    diagnosis = replace(found.diagnosis, sentences=drive_sentences(found))
+    said: tuple[str, ...] = ()
+    extra: dict[str, bytes | str] = {}
+    if config.simulation is not None:
+        simulated = read_drive(config.simulation, robot, config.reading)
+        compared = drive_versus(found, diagnose_drive(config.simulation.name, simulated, robot))
+        said, extra = drive_told(compared), {LAW_JSON: drive_law_file(compared)}
+    diagnosis = replace(
+        found.diagnosis, sentences=drive_sentences(found), notes=(*said, *found.diagnosis.notes)
+    )
     drawn = drive_figures(found)
     provenance = _provenance(config) | {"robot": robot_file.name}
     if coefficients is None:
         provenance["coefficients"] = "none: the gyro as logged"
-    files = diagnosis_files(diagnosis, drawn, provenance, progress)
+    if config.simulation is not None:
+        provenance["simulation"] = config.simulation.name
+    files = extra | diagnosis_files(diagnosis, drawn, provenance, progress)
     if found.robot is not None:
         files["improved_robot.toml"] = format_robot(found.robot)
     write_directory(config.out, files)
     progress(1.0, "")
-    return DiagnoseResult(diagnosis, config.out, tuple(files))
+    return DiagnoseResult(diagnosis, config.out, tuple(files), said)
 
 
 def _write_versus(

@@ -76,7 +76,10 @@ def test_options_that_do_not_go_together_are_refused(tmp_path: Path, answered: t
     real, sim = answered[0].parent / "real.csv", answered[0].parent / "sim.csv"
     for more, says in (
         (("--coefficients", "c.json"), "Leave --coefficients out"),
-        (("--robot", "r.toml"), "a drive log is not compared with a simulation yet"),
+        (
+            ("--robot", "r.toml", "--coefficients", "c.json"),
+            "compared with its simulation as both were logged",
+        ),
     ):
         failed = diagnose(real, sim, tmp_path / "out", *more).exception
         assert isinstance(failed, GyrocalError)
