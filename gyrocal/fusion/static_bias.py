@@ -13,7 +13,7 @@ from gyrocal.errors import DataError
 LEAST_STATIC_S = 5.0  # the paper stands still for 5 to 10 s
 MOVED_M = 0.002  # a robot whose wheels go further in all does not rest,
 TURNED_DPS = 0.5  # nor one whose gyro departs further for a second
-_HUBER = 2.5  # samples further out than this many robust standard deviations lose weight
+_HUBER, _FEWEST = 2.5, 6  # samples beyond so many deviations weigh less; of 6, 95 % cover 91 %, of 8 95 %
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def static_bias(
     rest = t - t[:1] <= static_s
     good = rest & np.isfinite(rate)
     n = int(np.count_nonzero(good))
-    if n < 10 or t[good][-1] - t[0] < 0.8 * static_s:
+    if n < _FEWEST or t[good][-1] - t[0] < 0.8 * static_s:
         msg = f"the log has only {n} finite gyro samples in its first {static_s:g} s, too few for a static bias: stand longer."
         raise DataError(msg)
     moved = max(float(np.nansum(np.abs(distance[rest]))) for distance in (left, right))

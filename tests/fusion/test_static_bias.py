@@ -114,3 +114,11 @@ def test_vibration_is_no_motion() -> None:
     rng = np.random.default_rng(4)
     shaken = 0.3 + rng.normal(0.0, 2.0, T.size)
     assert bias(shaken).bias_dps == pytest.approx(0.3, abs=1.0)
+
+
+def test_a_sample_a_second_is_enough_and_its_standard_error_holds() -> None:
+    rng = np.random.default_rng(1)
+    t_s, still = np.arange(8.0), np.zeros(8)
+    found = [static_bias(t_s, still, still, 0.02 + 0.01 * rng.standard_normal(8), 7.0) for _ in range(400)]
+    inside = [abs(b.bias_dps - 0.02) < 1.96 * b.std_error_dps for b in found]
+    assert 0.90 < np.mean(inside) < 0.98
