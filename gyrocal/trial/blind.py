@@ -174,9 +174,12 @@ def draw_secret(stage: Rehearsal, rng: np.random.Generator) -> Secret:
             unit = stage.d_prime(stage.error_dps(effect, {**parameters, "amplitude": 1.0}))
             if unit <= 0:
                 continue
-            strengths[effect] = float(rng.choice(_D_PRIMES))
+            wanted = float(rng.choice(_D_PRIMES)) / unit
             sign = 1.0 if hidden.positive else float(rng.choice([-1.0, 1.0]))
-            parameters["amplitude"] = sign * strengths[effect] / unit
+            bounds = hidden.parameter("amplitude")
+            # What is hardly seen in this record would be larger than any gyro has it.
+            parameters["amplitude"] = float(np.clip(sign * wanted, bounds.low, bounds.high))
+            strengths[effect] = abs(parameters["amplitude"]) * unit
         effects[effect] = parameters
     seeds = rng.integers(1, 2**31, size=2)
     return Secret(effects, strengths, int(seeds[0]), int(seeds[1]), rng.bytes(16).hex())

@@ -106,6 +106,20 @@ def test_drawn_strength_is_the_strength_in_the_record(tmp_path: Path) -> None:
             assert stage.d_prime(error) == pytest.approx(d_prime, rel=1e-6)
 
 
+def test_no_effect_is_drawn_larger_than_any_gyro_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(make_recording([], 3, "even"), tmp_path / "run")
+    stage = rehearse(tmp_path / "run")
+    monkeypatch.setattr("gyrocal.trial.blind._D_PRIMES", (1e9,))
+    drawn = [draw_secret(stage, np.random.default_rng(k)) for k in range(12)]
+    sizes = [
+        (CATALOGUE[e].parameter("amplitude"), p["amplitude"]) for s in drawn for e, p in s.effects.items()
+    ]
+    assert len(sizes) > 3
+    assert all(known.low <= size <= known.high for known, size in sizes)
+
+
 QUIET_GYRO = """
 [virtual.gyro]
 lsb_deg = 0.0
