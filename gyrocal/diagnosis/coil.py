@@ -53,6 +53,8 @@ _ROUNDS = 6
 _ITERATIONS = 20
 #: What a further law pays, nats; with the logarithm of the root of the number of its shapes.
 _TOLL_NATS = 3.0
+#: And the first one this: beside none, what else has a name goes into the file by its law and not as smooth parts.
+_FIRST_NATS = 1.0
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
@@ -255,7 +257,7 @@ class TableSearch:
         shapes += [
             steps if effect in _STEPS else float(max(len(self._shapes(effect)), 1)) for effect, _ in changes
         ]
-        paid = float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+        paid = _FIRST_NATS + float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
         low, high = np.log(LAG_BOUNDS_S)

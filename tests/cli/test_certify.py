@@ -54,7 +54,7 @@ def test_it_fits_the_screen(certificate: Path, width_px: int, tmp_path: Path) ->
 def test_it_prints_whole(certificate: Path, tmp_path: Path) -> None:
     words, outside = printed_words(certificate / "certificate.html", tmp_path)
     assert outside == 0
-    assert {"figure", "before", "after", "unit", "limit", "definition,", "sample"} <= set(words)
+    assert {"figure", "before", "after", "unit", "limit", "definition", "sample"} <= set(words)
 
 
 def test_a_unit_beyond_its_limits_has_an_exit_code_of_its_own(

@@ -33,10 +33,11 @@ def test_the_same_plan_on_another_clock() -> None:
     m = match(real(), series_of_table(table("sim.csv", *(x[kept] for x in (there, rate, gyro, temp + 0.4)))))
     assert (m.sets, m.simulated_sets, m.matched_sets, m.in_order) == (t.size, kept.sum(), kept.sum(), True)
     np.testing.assert_array_equal(m.difference.t_s, t[kept])
-    assert m.temp_apart_c == pytest.approx(0.4)
-    # What is left between simulation and recording is the asymmetry, and the bridge of 0.4 degC is exact.
+    assert m.temp_apart_c == pytest.approx(0.4, abs=1e-3)
+    # What is left between simulation and recording is the asymmetry: the bridge of 0.4 degC is as exact as the course of
+    # the temperature, whose times jitter.
     lacking = m.difference.gyro_dps - m.surface.output_dps(m.difference.rate_dps, m.difference.temp_c)
-    np.testing.assert_allclose(lacking, 3e-4 * np.maximum(rate[kept], 0.0), atol=1e-7)
+    np.testing.assert_allclose(lacking, 3e-4 * np.maximum(rate[kept], 0.0), atol=5e-5)
     assert m.clock is not None
     assert abs(m.clock.offset_s - 1000.0) < 4 * m.clock.offset_std_s
     assert abs(m.clock.drift_ppm - 80.0) < 4 * m.clock.drift_std_ppm
@@ -72,7 +73,7 @@ def test_another_order_is_matched_by_rate_and_temperature() -> None:
     assert m.clock is None
     assert m.matched_sets == m.sets
     lacking = m.difference.gyro_dps - m.surface.output_dps(m.difference.rate_dps, m.difference.temp_c)
-    np.testing.assert_allclose(lacking, 3e-4 * np.maximum(m.difference.rate_dps, 0.0), atol=1e-7)
+    np.testing.assert_allclose(lacking, 3e-4 * np.maximum(m.difference.rate_dps, 0.0), atol=1e-6)
 
 
 def test_noise_of_both_counts() -> None:
