@@ -328,6 +328,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
     if supply is not None and np.ptp(supply) < LEAST_SUPPLY_V:
         untestable["supply"] = Lack(Why.STEADY_SUPPLY)
     averaging = c["count"] * c["sample_s"]
+    raw = _raw_facts(run, raws)
     return Series(
         name=run.path.name,
         sensor_model=run.sensor.model,
@@ -335,13 +336,13 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         gyro_dps=c["gyro_dps"],
         rate_dps=c["rate_dps"],
         temp_c=history.temp_at(c["t_s"]),
-        white_std_dps=_white_std(c, raws),
+        white_std_dps=_white_std(c, raws, (raw.lattice_dps or 0.0) / np.sqrt(12.0)),
         averaging_s=averaging,
         set_index=c["set_index"].astype(np.int64),
         is_set=c["is_set"] > 0,
         temp_rate_c_per_min=history.rate_at(c["t_s"]),
         history=history,
-        raw=_raw_facts(run, raws),
+        raw=raw,
         chamber_c=chamber,
         angle_deg=angle,
         supply_v=supply,
@@ -361,17 +362,20 @@ def _since_power_on(run: Run, t_s: Floats) -> Floats:
     return np.asarray(t_s - on[np.maximum(np.searchsorted(on, t_s, side="right") - 1, 0)])
 
 
-def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]]) -> Floats:
-    """Relative white noise of each row: from the averaging times where they agree with the samples' scatter."""
+def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]], rounding_dps: float) -> Floats:
+    """Relative white noise of each row: from the averaging times where they agree with the samples' scatter.
+
+    A data set that stands at one step of the output is off by its rounding, however long it is.
+    """
     times = np.array([r["averaging_s"] for r in raws])
     scatter = np.array([r["difference_std"] for r in raws])
     counts = np.array([r["n"] for r in raws], dtype=np.float64)
+    least = max(rounding_dps, 1e-9)
     level = {}
     for averaging in np.unique(times):
         chosen = times == averaging
-        level[averaging] = float(
-            np.median(np.repeat(scatter[chosen], np.maximum(counts[chosen] // 10, 1).astype(int)))
-        )
+        middle = np.median(np.repeat(scatter[chosen], np.maximum(counts[chosen] // 10, 1).astype(int)))
+        level[averaging] = float(middle) or least
     walk = np.array([level[a] * np.sqrt(a) for a in level])
     reference = float(np.median(walk))
     std = np.empty(c["count"].size)
@@ -380,7 +384,8 @@ def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]]) -> Floats:
         stated = reference / np.sqrt(averaging)
         # Logged samples may be points rather than means (aliasing): then the scatter itself is right.
         std[rows] = (stated if abs(sigma / stated - 1.0) < _ONE_WHITE else sigma) / np.sqrt(c["count"][rows])
-    return np.asarray(np.maximum(std, 1e-9))
+    at_one_step = scatter[c["set_index"].astype(np.int64)] == 0.0
+    return np.asarray(np.maximum(std, np.where(at_one_step, least, 1e-9)))
 
 
 def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:

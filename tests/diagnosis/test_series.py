@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gyrocal.calibration.datasets import load_recording
-from gyrocal.diagnosis.series import series_of_run
+from gyrocal.diagnosis.series import _white_std, series_of_run
 from gyrocal.records.run import read_run
 from gyrocal.report.remarks import remark_words
 from tests.calibration.runs import Part, bench_row, gyro_row, write_run
@@ -38,3 +39,18 @@ def test_diagnose_and_fit_take_the_same_reference(tmp_path: Path) -> None:
     assert rates[:2] == pytest.approx([50.0005, -20.01], abs=1e-4)
     assert list(sets.reference) == ["angle", "angle", "table"]
     assert sum("is the angle wrapped?" in remark_words(note) for note in series.notes) == 1
+
+
+def test_a_data_set_at_one_step_of_the_output_is_off_by_its_rounding() -> None:
+    rows = {
+        "count": np.array([100.0, 100.0, 100.0]),
+        "sample_s": np.full(3, 0.1),
+        "set_index": np.array([0.0, 1.0, 2.0]),
+    }
+    raws: list[dict[str, Any]] = [
+        {"averaging_s": 0.1, "difference_std": std, "n": 100} for std in (0.0, 0.0, 0.02)
+    ]
+    rounding_dps = 0.05 / np.sqrt(12.0)
+    stated = _white_std(rows, raws, rounding_dps)
+    np.testing.assert_allclose(stated, [rounding_dps, rounding_dps, rounding_dps / 10.0])
+    assert np.all(_white_std(rows, raws[:2] * 2, 0.0) > 0.0)
