@@ -145,20 +145,30 @@ def _name_blocks(
 def _instead(
     fitted: Fitted, worth: dict[str, float], named: list[Named], passes: Sequence[Component], laws: Laws
 ) -> tuple[Fitted, dict[str, float], list[Named]]:
-    """The model with laws of other blocks, or jumps, in place of a block without a name, where they explain as much.
+    """The model with laws of other blocks, or jumps, in place of what has no name, where they explain as much.
+
+    That is a block without a name, or what the law of one leaves of it.
 
     A plan goes through temperatures in turn: what is smooth in temperature can follow what happens in time.
     """
     for block in sorted(worth, key=lambda b: -worth[b]):
-        if not BLOCKS[block].stays or block in {n.block for n in named}:
+        if not BLOCKS[block].stays:
             continue
-        other = _beside(evidence(fitted, block, laws)[1], passes)
+        # A law that no robot can evaluate has its block in the model for it.
+        own = tuple(n.law for n in named if n.block == block and n.law not in fitted.model.laws)
+        other = _beside(_with_laws(evidence(fitted, block, laws)[1], own), passes)
         other, _, more, _ = _name_blocks(*present(other, laws), named, laws)
         other, jumps = with_jumps(other, passes, laws)
         more += [_jumped(jump) for jump in jumps]
         if more and other.nll <= fitted.nll + REPLACED + len(more):
-            return *present(other, laws), more
+            found = _with_laws(fitted, tuple(n.law for n in more)) if own else other
+            return *present(found, laws), more
     return fitted, worth, []
+
+
+def _with_laws(fitted: Fitted, more: tuple[Law, ...]) -> Fitted:
+    """The model with further laws."""
+    return fitted.refit(replace(fitted.model, laws=(*fitted.model.laws, *more))) if more else fitted
 
 
 def _beside(fitted: Fitted, passes: Sequence[Component]) -> Fitted:
