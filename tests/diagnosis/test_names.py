@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.names import Naming
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.trial.made_up import make_up
 
 _SETS = 200
 _T_S: NDArray[np.float64] = 60.0 * np.arange(_SETS, dtype=np.float64)
@@ -35,3 +37,11 @@ def test_a_shape_is_found_between_the_points_of_its_grid(seed: int) -> None:
     assert law.law.shape["tau_s"] == pytest.approx(420.0, rel=0.05)
     assert law.share == pytest.approx(1.0, abs=0.05)
     assert not found.unnamed
+
+
+@pytest.mark.slow
+def test_a_step_that_shapes_in_temperature_follow_beside_a_law_is_found(tmp_path: Path) -> None:
+    """A plan that goes through its temperatures once: a step of the scale factor is a shape in temperature, too."""
+    made = make_up("layers", 106, 7)
+    found = diagnose(made.write(tmp_path), options=Options(heldout=False))
+    assert {"temperature_order", "scale_step"} <= {e.effect for e in found.effects}
