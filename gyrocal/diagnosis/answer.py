@@ -116,7 +116,7 @@ def _input_share(found: Examination) -> Estimate:
     solution = fitted.solve()
     place = solution.starts[DIRECTION]
     std = float(np.sqrt(solution.covariance[place, place]))
-    return estimates.normal(1.0 - float(solution.amplitudes[DIRECTION][0]), std, "1")
+    return Estimate.normal(1.0 - float(solution.amplitudes[DIRECTION][0]), std, "1")
 
 
 def _of_the_input(found: Examination) -> bool:

@@ -194,14 +194,18 @@ class TableSearch:
         return self._best_of(candidate, [(effect, row) for row in rows])
 
     def best_lasting(self, candidate: Candidate) -> list[Change]:
-        """Of each kind that stays and that the record may show, the one that gains most.
+        """Of each kind that stays, that the record may show and that the candidate lacks, the one that gains most.
 
         A warm-up is one since the record began.
         """
         span_s = float(np.ptp(self.base.means.t_s))
-        kinds = [[(WARM_UP.id, tau) for tau in _WARM_UPS_S if _OUTLASTED * tau < span_s]]
-        kinds += [[(effect, at) for at in laws] for effect, laws in self._remembering.items()]
-        return [self._best_of(candidate, tried) for tried in kinds if tried]
+        kinds = {WARM_UP.id: [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < span_s]}
+        kinds |= {effect: list(laws) for effect, laws in self._remembering.items()}
+        return [
+            self._best_of(candidate, [(effect, at) for at in shapes])
+            for effect, shapes in kinds.items()
+            if shapes and effect not in candidate.effects
+        ]
 
     def _best_of(self, candidate: Candidate, tried: Sequence[Change]) -> Change:
         score, p = self._precision(candidate)
@@ -230,8 +234,7 @@ class TableSearch:
             for effect in _DRIFTS:
                 yield coil, tuple(sorted({*changes, (effect, 0)}))
             for change in self.best_lasting(candidate):
-                if change[0] not in candidate.effects:
-                    yield coil, tuple(sorted({*changes, change}))
+                yield coil, tuple(sorted({*changes, change}))
 
     def reshaped(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
         """The same laws, one of them in a neighbouring shape."""

@@ -82,7 +82,7 @@ def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fi
     What lacks the block may have noise grown so far in its place that a law which explains all of it cannot shrink it.
     """
     law = Law(trial.effect.id, trial.shape, trial.columns)
-    model = replace(fitted.model, laws=(*fitted.model.laws, law))
+    model = fitted.model.with_laws(law)
     starts = (fitted.fit.log_variance, beside_block)
     return min((fitted.refit(model, start=start) for start in starts), key=lambda f: f.nll)
 

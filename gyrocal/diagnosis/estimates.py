@@ -44,11 +44,6 @@ _WIDER = 3.0
 _ROWS_NEAR = 2
 
 
-def normal(value: float, std: float, unit: str) -> Estimate:
-    """A normal estimate."""
-    return Estimate(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
-
-
 @dataclass(frozen=True)
 class _Beside:
     """A law beside everything else in a model: how well it does at any shape.
@@ -244,13 +239,15 @@ def of_pattern(pattern: Pattern) -> dict[str, Estimate]:
     b, v = pattern.amplitudes, pattern.covariance * (student.ppf(0.975, pattern.dof) / NORMAL_95) ** 2
     unit = effect.parameter("amplitude").unit
     if b.size == 1:
-        found = {"amplitude": normal(float(b[0]), float(np.sqrt(v[0, 0])), unit)}
+        found = {"amplitude": Estimate.normal(float(b[0]), float(np.sqrt(v[0, 0])), unit)}
     else:
         size = float(np.hypot(*b))
         along, across = b / size, np.array([-b[1], b[0]]) / size**2
         found = {
-            "amplitude": normal(size, float(np.sqrt(along @ v @ along)), unit),
-            "phase_rad": normal(float(np.arctan2(-b[1], b[0])), float(np.sqrt(across @ v @ across)), "rad"),
+            "amplitude": Estimate.normal(size, float(np.sqrt(along @ v @ along)), unit),
+            "phase_rad": Estimate.normal(
+                float(np.arctan2(-b[1], b[0])), float(np.sqrt(across @ v @ across)), "rad"
+            ),
         }
     if pattern.size is not None:
         found["amplitude"] = Estimate(found["amplitude"].value, pattern.size.std, unit, pattern.size.interval)

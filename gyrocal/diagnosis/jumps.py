@@ -96,8 +96,7 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
         best = int(np.argmax(_gains(np.column_stack(near), score, p)))
         at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
     law = Law(effect, {"at_s": at_s}, near[best][:, None])
-    model = replace(fitted.model, laws=(*fitted.model.laws, law))
-    return fitted.refit(model), int(rows.size)
+    return fitted.refit(fitted.model.with_laws(law)), int(rows.size)
 
 
 def _gains(columns: Floats, score: Floats, p: Floats) -> Floats:
@@ -111,5 +110,5 @@ def _rivals(wide: Fitted, jumped: Fitted, laws: Laws) -> dict[str, float]:
     """How much worse a drift explains the same, nats."""
     drift = _SLOW[jumped.model.laws[-1].effect]
     law = Law(drift.id, {}, laws.at(drift, {}))
-    drifting = wide.refit(replace(wide.model, laws=(*wide.model.laws, law)))
+    drifting = wide.refit(wide.model.with_laws(law))
     return {drift.id: drifting.nll - jumped.nll}

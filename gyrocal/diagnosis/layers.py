@@ -188,6 +188,10 @@ class Model:
         """The same less some components."""
         return replace(self, components={n: c for n, c in self.components.items() if n not in names})
 
+    def with_laws(self, *more: Law) -> Model:
+        """The same with further laws."""
+        return replace(self, laws=(*self.laws, *more))
+
     def without_laws(self, names: Sequence[str]) -> Model:
         """The same less some laws."""
         return replace(self, laws=tuple(law for law in self.laws if law.name not in names))

@@ -155,20 +155,20 @@ def _instead(
         if not BLOCKS[block].stays:
             continue
         # A law that no robot can evaluate has its block in the model for it.
-        own = tuple(n.law for n in named if n.block == block and n.law not in fitted.model.laws)
+        own = [n.law for n in named if n.block == block and n.law not in fitted.model.laws]
         other = _beside(_with_laws(evidence(fitted, block, laws)[1], own), passes)
         other, _, more, _ = _name_blocks(*present(other, laws), named, laws)
         other, jumps = with_jumps(other, passes, laws)
         more += [_jumped(jump) for jump in jumps]
         if more and other.nll <= fitted.nll + REPLACED + len(more):
-            found = _with_laws(fitted, tuple(n.law for n in more)) if own else other
+            found = _with_laws(fitted, [n.law for n in more]) if own else other
             return *present(found, laws), more
     return fitted, worth, []
 
 
-def _with_laws(fitted: Fitted, more: tuple[Law, ...]) -> Fitted:
-    """The model with further laws."""
-    return fitted.refit(replace(fitted.model, laws=(*fitted.model.laws, *more))) if more else fitted
+def _with_laws(fitted: Fitted, more: Sequence[Law]) -> Fitted:
+    """The model with further laws, where there are any."""
+    return fitted.refit(fitted.model.with_laws(*more)) if more else fitted
 
 
 def _beside(fitted: Fitted, passes: Sequence[Component]) -> Fitted:

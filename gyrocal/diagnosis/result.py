@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from gyrocal.diagnosis.remarks import Note, Remark
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.lacking import Reason
 from gyrocal.records.files import finite
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -84,6 +85,11 @@ class Estimate:
     std: float
     unit: str
     interval_95: tuple[float, float]
+
+    @classmethod
+    def normal(cls, value: float, std: float, unit: str) -> Self:
+        """A normal estimate."""
+        return cls(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``parameters``."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from gyrocal.diagnosis.base import fit_surface
-from gyrocal.diagnosis.estimates import normal
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.series import FEWEST_OUTLIERS, OUTLIER_SIGMAS, Series, set_means
@@ -160,7 +159,7 @@ def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats, spread_dps:
         Finding(
             BURSTS.id,
             Remark(Said.STRANGE_SETS, {"sets": sets}),
-            {"amplitude": normal(size, 1e3 * spread_dps, "mdeg/s")},
+            {"amplitude": Estimate.normal(size, 1e3 * spread_dps, "mdeg/s")},
             _CERTAIN,
             place,
         )
@@ -195,7 +194,7 @@ def outlier_findings(series: Series) -> list[Finding]:
             BURSTS.id,
             seen,
             {
-                "amplitude": normal(size, spread, "mdeg/s"),
+                "amplitude": Estimate.normal(size, spread, "mdeg/s"),
                 "share": Estimate(share, share / np.sqrt(count), "1", (low, high)),
             },
             p,
@@ -216,7 +215,7 @@ def step_findings(series: Series) -> list[Finding]:
         Finding(
             QUANTISATION.id,
             seen,
-            {"amplitude": normal(size, _STEP_KNOWN * size, "mdeg/s")},
+            {"amplitude": Estimate.normal(size, _STEP_KNOWN * size, "mdeg/s")},
             _CERTAIN,
             place,
         )
@@ -234,7 +233,7 @@ def clock_findings(series: Series) -> list[Finding]:
     p = float(2.0 * norm.sf(abs(ppm) / std_ppm))
     seen = Remark(Said.SAMPLE_CLOCK, {"ppm": ppm})
     place = Located("rate", "mean", p, 0.0, target="sample times", finding=TIME_BASE.id)
-    return [Finding(TIME_BASE.id, seen, {"amplitude": normal(ppm, std_ppm, "ppm")}, p, place)]
+    return [Finding(TIME_BASE.id, seen, {"amplitude": Estimate.normal(ppm, std_ppm, "ppm")}, p, place)]
 
 
 def variance_places(

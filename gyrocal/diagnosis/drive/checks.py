@@ -11,7 +11,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries, Floats
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.navigation.sanity import UNITS, in_radians, truth_unit_m
-from gyrocal.units import NORMAL_95, RAD_TO_DEG
+from gyrocal.units import RAD_TO_DEG
 
 _NONE = (float("nan"), float("nan"))
 #: A factor this near to a wrong unit (on a log scale: a factor of 3) is one; nothing physical comes near.
@@ -53,7 +53,7 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     if right_way or not 1 / _UNIT_FACTOR < abs(ratio) * factor < _UNIT_FACTOR:
         return series, None
     std = abs(ratio) * float(np.sqrt(max(1.0 - seg**2 / (see * sgg), 0.0) / max(e.size - 2, 1)))
-    amplitude = Estimate(ratio, std, "1", (ratio - NORMAL_95 * std, ratio + NORMAL_95 * std))
+    amplitude = Estimate.normal(ratio, std, "1")
     seen = Remark(Said.GYRO_COLUMN, {"unit": unit, "inverted": ratio < 0})
     right = replace(series, gyro_dps=series.gyro_dps * factor * float(np.sign(ratio)))
     return right, Found("unit_or_sign", amplitude, seen)

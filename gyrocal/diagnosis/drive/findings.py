@@ -17,7 +17,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import DRIVE_CATALOGUE
 from gyrocal.physics.lacking import Lack, Reason, Why
-from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95
+from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH
 
 #: Evidence against a rival beyond which it is no rival.
 _OUT = 20.0
@@ -50,8 +50,7 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
     """Amplitude of an effect in the catalogue's unit, from SI."""
     unit = DRIVE_CATALOGUE[effect].parameters[0].unit
     per = PER_SI[unit]
-    half = NORMAL_95 * std
-    return Estimate(per * value, per * std, unit, (per * (value - half), per * (value + half)))
+    return Estimate.normal(per * value, per * std, unit)
 
 
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:

@@ -19,7 +19,6 @@ from gyrocal.inference.spread import Spread, spread_between
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -124,7 +123,7 @@ def _surface_terms(answers: Sequence[Versus]) -> dict[str, list[Estimate | None]
         for term, value, std in zip(terms, values.tolist(), stds.tolist(), strict=True):
             i, j = divmod(term, SHAPE[1])
             scale, unit = (1e6 / top, "ppm") if i == 1 else (1e3, "mdeg/s")
-            estimate = _normal(scale * value, scale * std, unit)
+            estimate = Estimate.normal(scale * value, scale * std, unit)
             found.setdefault(_term_name(i, j, frame), []).append(estimate)
     return found
 
@@ -180,8 +179,4 @@ def _amplitude_of(answer: Versus, effect_id: str, shape: Mapping[str, float]) ->
     value = float(beyond @ left) / square
     rest = left - surface @ np.linalg.lstsq(surface, left, rcond=1e-10)[0] - value * beyond
     std = float(np.sqrt(rest @ rest / free / square))
-    return _normal(value, std, effect.parameter("amplitude").unit)
-
-
-def _normal(value: float, std: float, unit: str) -> Estimate:
-    return Estimate(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
+    return Estimate.normal(value, std, effect.parameter("amplitude").unit)

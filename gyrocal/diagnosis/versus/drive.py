@@ -19,7 +19,6 @@ from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.versus.answer import SCHEMA
 from gyrocal.inference.multiple import holm
 from gyrocal.physics.drive import DRIVE_CATALOGUE
-from gyrocal.units import NORMAL_95
 
 #: Rate at which any figure is said to differ where none does.
 _LEVEL = 0.01
@@ -98,8 +97,8 @@ def drive_versus(real: DriveDiagnosis, simulated: DriveDiagnosis) -> DriveVersus
         own, other = _with_track(own), _with_track(other)
     compared = []
     for name in (n for n in own if n in other):
-        ours, theirs = (_normal(e[name].value, e[name].std, e[name].unit) for e in (own, other))
-        lacking = _normal(ours.value - theirs.value, float(np.hypot(ours.std, theirs.std)), ours.unit)
+        ours, theirs = (Estimate.normal(e[name].value, e[name].std, e[name].unit) for e in (own, other))
+        lacking = Estimate.normal(ours.value - theirs.value, float(np.hypot(ours.std, theirs.std)), ours.unit)
         p = float(2.0 * stats.norm.sf(abs(lacking.value) / lacking.std))
         compared.append((name, ours, theirs, lacking, p))
     together = holm(np.array([row[-1] for row in compared]))
@@ -129,7 +128,3 @@ def _with_track(figures: Mapping[str, DriveEstimate]) -> dict[str, DriveEstimate
 def _known(e: DriveEstimate) -> bool:
     """Whether an estimate is one of the robot, and not of how its truth was measured, with a known deviation."""
     return e.path != "truth" and 0.0 < e.std < np.inf
-
-
-def _normal(value: float, std: float, unit: str) -> Estimate:
-    return Estimate(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
