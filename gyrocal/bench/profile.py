@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from gyrocal.bench.schema import choice, number, raise_all, read_table, refusal,
 from gyrocal.errors import ProfileError
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.files import parse_toml, read_text
+from gyrocal.records.instruments import expired
 
 _DAY_S = 86400.0
 _POLICIES = ("unsettled", "fail")
@@ -258,10 +259,11 @@ class Profile:
         text = json.dumps(self.raw, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self, today: date) -> tuple[str, ...]:
         """What is allowed, and may still not be what was meant."""
-        notes = []
+        notes = [
+            f"{text}: what is measured now is not traceable" for text in expired(asdict(self.identity), today)
+        ]
         if not self.plan.rates_dps:
             notes.append(
                 "plan.rates_dps is empty, so that no data set is at rate; such a run carries a bias and its noise, and no "

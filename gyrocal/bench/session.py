@@ -142,7 +142,7 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
             attend=requests.attend,
         )
         plan = plan_of(profile, bench)
-        for note in profile.notes:
+        for note in profile.notes(datetime.now(UTC).date()):
             watch.say(f"Note: {note}.")
         with create_run(config.out, _head(profile, bench)) as writer, _capturing(capture, config.out, watch):
             runner = Runner(bench, clock, profile, plan, writer, requests, watch)

@@ -18,6 +18,7 @@ from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.noise import noise_figures
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.records.files import reading
+from gyrocal.records.instruments import day_of, expired
 from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
 #: ``open``: the interval reaches over the limit, so that the measurement cannot tell.
@@ -81,6 +82,8 @@ class Dossier:
         Figures without a number and why, and what this bench never tests.
     quality : tuple of str
         What the runs lack.
+    expired : tuple of str
+        Certificates of instruments that were not valid any more when a run was measured.
     """
 
     identity: Mapping[str, str]
@@ -89,6 +92,7 @@ class Dossier:
     rows: tuple[Row, ...]
     not_tested: tuple[str, ...]
     quality: tuple[str, ...]
+    expired: tuple[str, ...]
 
     @property
     def failed(self) -> tuple[Row, ...]:
@@ -182,7 +186,18 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         judged,
         (*missing, *_NEVER_TESTED),
         tuple(quality),
+        _expired(runs),
     )
+
+
+def _expired(runs: Sequence[UnitRun]) -> tuple[str, ...]:
+    """Each certificate once, with the runs that it came too late for."""
+    late: dict[str, list[str]] = {}
+    for run in runs:
+        if (day := day_of(run.head.get("created_utc"))) is not None:
+            for text in expired(run.head.get("identity", {}), day):
+                late.setdefault(text, []).append(f"{run.path.name} ({day.isoformat()})")
+    return tuple(f"{text}, before the measurement of {', '.join(names)}" for text, names in late.items())
 
 
 def _refuse_twice(runs: Sequence[UnitRun]) -> None:

@@ -70,7 +70,7 @@ class NoiseFigures:
     statement : str
         What the record says about bias instability, in words.
     fit_statement : str
-        How well the model fits, and which averaging times it rests on.
+        How well the model fits, and which averaging times it rests on; empty where none fits.
     """
 
     figures: Mapping[str, Figure]
@@ -218,12 +218,12 @@ def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
     longest_s = max(float(c.tau_s[-1]) for c in curves)
     if model is None:
         said = f"not to be had from {record_s:.3g} s at rest: record an hour or more (static_allan profile)"
-        return NoiseFigures(_refused(said) | _floor(points), said, said, points, None, record_s)
+        return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
     used_s = np.concatenate([p.tau_s for p in points])[model.used]
     span = f"averaging times from {used_s.min():.3g} to {used_s.max():.3g} s"
     if not model.fits:
         said = f"not to be had: no stretch of averaging times follows the model (best {span}, p = {model.p_value:.1g})"
-        return NoiseFigures(_refused(said) | _floor(points), said, said, points, None, record_s)
+        return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
     figures = {
         name: _figure(name, unit, definition, factor, part, span)
         for (name, unit, definition, factor), part in zip(_PARTS, model.parts, strict=True)
@@ -271,11 +271,12 @@ def _floor(points: Sequence[AllanPoints]) -> dict[str, Figure]:
         for v in zip(*((p.tau_s, p.adev_dps, p.low_dps, p.high_dps) for p in points), strict=True)
     )
     k = int(np.argmin(adev))
+    last = ", the longest that the record carries: it may fall further" if tau[k] == tau.max() else ""
     return {
         "allan_floor": Figure(
             name="allan_floor",
             unit="deg/h",
-            definition=f"lowest Allan deviation, at {tau[k]:.3g} s",
+            definition=f"lowest Allan deviation, at {tau[k]:.3g} s{last}",
             method="overlapping Allan deviation",
             sample=f"averaging times from {tau.min():.3g} to {tau.max():.3g} s",
             value=float(adev[k]) * DPS_TO_DPH,

@@ -384,7 +384,8 @@ def _at(course: Course) -> str:
     """Temperatures that a mean is over: it is of these."""
     if not np.isfinite(course.temp_c).any():
         return ""
-    return f" at {np.nanmin(course.temp_c):.1f} to {np.nanmax(course.temp_c):.1f} °C"
+    low, high = (f"{t:.1f}" for t in (np.nanmin(course.temp_c), np.nanmax(course.temp_c)))
+    return f" at {low} °C" if low == high else f" at {low} to {high} °C"
 
 
 def earth_rate_dph(latitude_deg: float, elevation_deg: float, azimuth_deg: float) -> float:
@@ -408,7 +409,8 @@ def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Fi
         reason = "the record is too short, or its noise has no model"
         return [replace(ramp, reason=reason), replace(warm, reason=reason)]
     columns = [np.ones(course.t_s.size), course.t_s - course.t_s.mean()]
-    varied = bool(np.isfinite(course.temp_c).all()) and float(np.ptp(course.temp_c)) > _LEAST_SPAN_C
+    known = bool(np.isfinite(course.temp_c).all())
+    varied = known and float(np.ptp(course.temp_c)) > _LEAST_SPAN_C
     if varied:
         columns.append(course.temp_c - course.temp_c.mean())
     design = np.stack(columns, axis=1)
@@ -417,7 +419,11 @@ def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Fi
     values = gain @ course.gyro_dps
     ramp = _or_bound(_with_interval(ramp, float(values[1]), float(half[1]), DPS_TO_DPH * S_PER_H))
     if not varied:
-        reason = f"the temperature is unknown or varies by less than {_LEAST_SPAN_C:g} °C"
+        reason = (
+            f"the temperature varies by less than {_LEAST_SPAN_C:g} °C"
+            if known
+            else "the temperature is not known"
+        )
         return [ramp, replace(warm, reason=reason)]
     return [ramp, _with_interval(warm, float(values[2]), float(half[2]), DPS_TO_DPH)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +47,7 @@ def show_plan(profile: Profile, plan: Plan, as_json: bool) -> None:
         f"latest.\nTurns of the table: {ccw:.1f} counter-clockwise, {cw:.1f} clockwise, at most {plan.winding_turns:.1f} "
         "from where it began. Nothing has moved."
     )
-    for note in profile.notes:
+    for note in profile.notes(datetime.now(UTC).date()):
         click.echo(f"Note: {note}.")
 
 

@@ -94,7 +94,7 @@ def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]
             _numbers(data.get("temperature", nothing)),
             axis,
         )
-        yield from _noted(blocks, notes)
+        yield from _noted(blocks, (f"read: {topic} {instance}, axis {axis}", *notes))
         return
     known = ", ".join(f"{name} {number}" for name, number in sorted(found)) or "none"
     raise InputError(f"{path}: holds no gyro {instance} (found: {known}). Choose another instance.")
@@ -103,20 +103,27 @@ def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]
 def _iterate_bag(path: Path, axis: str, topic: str | None) -> Iterator[StaticBlock]:
     """ROS 1 and 2, streamed; the temperature has no clock of its own there and is left out."""
     clock: list[Timeline] = []
+    notes: tuple[str, ...] = (f"read: {topic or 'the only IMU of the bag'}, axis {axis}",)
     messages = iterate_rates(path, topic)
     while rows := list(islice(messages, _CHUNK_ROWS)):
         t_s, rate_rps = (np.array(column, dtype=np.float64) for column in zip(*rows, strict=True))
         nothing = np.full(t_s.shape, np.nan)
-        yield from _blocks(path, t_s, rate_rps[:, "xyz".index(axis[-1])], nothing, axis, clock)
+        blocks = _blocks(path, t_s, rate_rps[:, "xyz".index(axis[-1])], nothing, axis, clock)
+        yield from _noted(blocks, notes)
+        notes = ()
 
 
 def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]:
-    """ArduPilot: messages ``IMU``, streamed."""
+    """ArduPilot, streamed: each sample of the sensor (``GYR``) where the log has them, else what filters left (``IMU``)."""
+    with _parsing(path, "pymavlink", "ardupilot"):
+        raw = any(int(m.I) == instance for m in _dataflash_messages(path, {"GYR"}))
+    kind, stamp = ("GYR", "SampleUS") if raw else ("IMU", "TimeUS")
     rows: list[tuple[float, float, float]] = []
     seen: set[int] = set()
     clock: list[Timeline] = []
-    notes: tuple[str, ...] = ()
-    messages = _dataflash_messages(path)
+    notes: tuple[str, ...] = (f"read: {kind} messages of gyro {instance}, axis {axis}",)
+    temp_c = np.nan
+    messages = _dataflash_messages(path, {kind, "IMU"})
     while True:
         with _parsing(path, "pymavlink", "ardupilot") as said:
             message = next(messages, None)
@@ -124,12 +131,14 @@ def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticB
                 number = int(getattr(message, "I", 0))
                 seen.add(number)
                 if number == instance:
-                    rate = float(getattr(message, _ARDUPILOT[axis[-1]]))
-                    rows.append((message.TimeUS / _US_PER_S, rate, float(getattr(message, "T", np.nan))))
-        notes = _DAMAGED if said.getvalue() else notes
+                    temp_c = float(getattr(message, "T", temp_c))
+                    if message.get_type() == kind:
+                        rate = float(getattr(message, _ARDUPILOT[axis[-1]]))
+                        rows.append((getattr(message, stamp) / _US_PER_S, rate, temp_c))
+        notes = (*notes, *_DAMAGED) if said.getvalue() and not set(_DAMAGED) <= set(notes) else notes
         if rows and (message is None or len(rows) == _CHUNK_ROWS):
-            t_s, rate_rps, temp_c = np.array(rows, dtype=np.float64).T
-            yield from _noted(_blocks(path, t_s, rate_rps, temp_c, axis, clock), notes)
+            t_s, rate_rps, temps_c = np.array(rows, dtype=np.float64).T
+            yield from _noted(_blocks(path, t_s, rate_rps, temps_c, axis, clock), notes)
             rows, notes = [], ()
         if message is None:
             break
@@ -138,13 +147,14 @@ def _iterate_dataflash(path: Path, axis: str, instance: int) -> Iterator[StaticB
         raise InputError(f"{path}: holds no gyro {instance} (found: {known}). Choose another instance.")
 
 
-def _dataflash_messages(path: Path) -> Iterator[Any]:
+def _dataflash_messages(path: Path, kinds: set[str]) -> Iterator[Any]:
     from pymavlink.DFReader import DFReader_binary
 
     with _compiled_code_silenced():
         log = DFReader_binary(str(path))
     try:
-        while (message := log.recv_match(type="IMU")) is not None:
+        # A kind that the log does not declare is looked for message by message, to its end.
+        while not kinds.isdisjoint(log.name_to_id) and (message := log.recv_match(type=kinds)) is not None:
             yield message
     finally:
         log.close()

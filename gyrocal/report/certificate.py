@@ -85,7 +85,14 @@ def _pictures(dossier: Dossier) -> list[Picture]:
 
 
 def certificate_sentence(dossier: Dossier) -> tuple[str, Tone]:
-    """The verdict, and how it is meant."""
+    """The verdict, and how it is meant; what was measured by expired instruments does not look good."""
+    sentence, tone = _verdict(dossier)
+    if not dossier.expired:
+        return sentence, tone
+    return f"{sentence} NOT TRACEABLE: {'; '.join(dossier.expired)}.", "bad" if tone == "bad" else "warning"
+
+
+def _verdict(dossier: Dossier) -> tuple[str, Tone]:
     limited = [row for row in dossier.rows if row.judgement is not None]
     fit = f"Newest run: {verdict(dossier.runs[-1].calibration)}."
     if dossier.failed:
@@ -165,6 +172,7 @@ def to_json(dossier: Dossier) -> dict[str, Any]:
     return {
         "schema": "gyrocal-certificate/1",
         "verdict": sentence,
+        "expired": list(dossier.expired),
         "simulated": dossier.simulated,
         "identity": dict(dossier.identity),
         "figures": {

@@ -49,7 +49,7 @@ def examine_noise(
 def noise_rows(found: StaticFigures) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Columns, rows and title of the table of figures."""
     rows = tuple((f.title, said(f), f.unit) for f in _figures(found))
-    title = f"{found.source.name}: {found.samples} samples, {found.noise.record_s:.4g} s at rest"
+    title = f"{found.source.name}: {found.samples:,} samples at rest; noise figures from {found.noise.record_s:,.0f} s"
     return ("figure", "value (95 %)", "unit"), rows, title
 
 
@@ -60,7 +60,7 @@ def _figures(found: StaticFigures) -> tuple[Figure, ...]:
 def noise_sentences(found: StaticFigures) -> list[str]:
     """Whether it jumps; how well the model fits; what each figure is, or why there is none; what is missing, and notes."""
     told = [found.warning] if found.warning else []
-    told.append(found.noise.fit_statement or f"noise figures: {found.noise.statement}")
+    told += [found.noise.fit_statement] if found.noise.fit_statement else []
     by_reason: dict[str, list[str]] = {}
     for f in _figures(found):
         by_reason.setdefault(f.reason or f.definition, []).append(f.title)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,19 @@ def test_a_due_date_is_a_date(tmp_path: Path) -> None:
         match=r'bench.toml: identity.table_due is "31.3.2027", and allowed is a date as 2027-03-31',
     ):
         with_identity(load_profile("quick"), None, None, bench)
+
+
+def test_a_certificate_that_has_expired_is_told_before_anything_moves(tmp_path: Path) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text(BENCH.replace("2027-03-31", "2026-03-31"))
+    words = ["acquire", "quick", "--dry-run", "--bench-file", str(bench)]
+    said = CliRunner().invoke(gyrocal_command, words).output
+    assert (
+        "the table's certificate K-2211 expired on 2026-03-31: what is measured now is not traceable" in said
+    )
+    profile = with_identity(load_profile("quick"), None, None, bench)
+    assert profile.notes(date(2026, 3, 31)) == ()
+    assert len(profile.notes(date(2026, 4, 1))) == 1
 
 
 def test_a_due_date_may_be_one_of_toml(tmp_path: Path) -> None:

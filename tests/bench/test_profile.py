@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ from gyrocal.bench.plan import temperature_visits
 from gyrocal.bench.profile import load_profile, parse_profile, profile_from_dict, shipped_profiles
 from gyrocal.errors import InputError, ProfileError
 from tests.bench.tiny import tiny, tiny_profile
+
+
+TODAY = date(2026, 1, 1)
 
 
 def refusal(**changes: Any) -> str:
@@ -160,8 +164,8 @@ def test_effects_get_their_usual_sizes_for_what_is_not_said() -> None:
 
 
 def test_a_plan_without_rates_is_noted() -> None:
-    assert profile_from_dict(tiny(), "p.toml").notes == ()
-    (note,) = profile_from_dict(tiny(plan__rates_dps=[]), "p.toml").notes
+    assert profile_from_dict(tiny(), "p.toml").notes(TODAY) == ()
+    (note,) = profile_from_dict(tiny(plan__rates_dps=[]), "p.toml").notes(TODAY)
     assert note.startswith("p.toml: plan.rates_dps is empty, so that no data set is at rate")
 
 

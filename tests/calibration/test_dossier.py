@@ -13,6 +13,7 @@ from gyrocal.calibration.compare import compare_runs
 from gyrocal.calibration.dossier import Limit, Row, _judged, compile_dossier, pooled, read_limits, unit_run
 from gyrocal.calibration.figure import Figure
 from gyrocal.errors import DataError, ProfileError
+from gyrocal.report.certificate import certificate_sentence
 from tests.calibration.test_fleet import write_table
 
 
@@ -67,6 +68,25 @@ def test_limits_are_read_strictly(tmp_path: Path) -> None:
     path.write_text("bias = { less = 3.0 }\n")
     with pytest.raises(ProfileError, match=r"limits.toml: bias is \{'less': 3.0\}; wanted is"):
         read_limits(path)
+
+
+def test_instruments_whose_certificates_had_expired_are_told(tmp_path: Path) -> None:
+    """By the day of the measurement, not by today's."""
+    about = {"table_certificate": "K-2211", "table_due": "2026-03-31", "thermometer_due": "soon"}
+    tables = [unit_run(write_table(tmp_path / f"run{k}.csv", k), FitConfig()) for k in (1, 2)]
+    days = ("2026-03-31T23:00:00Z", "2026-04-01T00:00:00Z")
+    runs = [
+        replace(run, head={"identity": about, "created_utc": day})
+        for run, day in zip(tables, days, strict=True)
+    ]
+    assert compile_dossier(runs[:1], {}, "limits.toml").expired == ()
+    dossier = compile_dossier(runs, {}, "limits.toml")
+    assert dossier.expired == (
+        "the table's certificate K-2211 expired on 2026-03-31, before the measurement of run2.csv (2026-04-01)",
+    )
+    sentence, tone = certificate_sentence(dossier)
+    assert tone == "warning"
+    assert "NOT TRACEABLE: the table's certificate K-2211 expired on 2026-03-31" in sentence
 
 
 def test_runs_become_one_dossier(tmp_path: Path) -> None:

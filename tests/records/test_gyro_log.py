@@ -42,8 +42,8 @@ def ulog(path: Path, topic: str = "sensor_gyro") -> Path:
     return path
 
 
-def dataflash(path: Path) -> Path:
-    """ArduPilot's DataFlash: FMT messages that describe the others, then IMU of two gyros in turn."""
+def dataflash(path: Path, raw: bool = False) -> Path:
+    """ArduPilot's DataFlash: FMT messages that describe the others, then IMU of two gyros in turn; `raw`: each fourth, and GYR."""
     head = b"\xa3\x95"
 
     def described(kind: int, length: int, name: bytes, form: bytes, columns: bytes) -> bytes:
@@ -51,8 +51,14 @@ def dataflash(path: Path) -> Path:
 
     data = described(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
     data += described(130, 3 + 8 + 1 + 16, b"IMU", b"QBffff", b"TimeUS,I,GyrX,GyrY,GyrZ,T")
-    for t, rate, temp in zip(T_S, RATES, TEMP_C, strict=True):
+    data += described(131, 3 + 8 + 1 + 8 + 12, b"GYR", b"QBQfff", b"TimeUS,I,SampleUS,GyrX,GyrY,GyrZ")
+    for k, (t, rate, temp) in enumerate(zip(T_S, RATES, TEMP_C, strict=True)):
         for instance, sign in ((0, 1.0), (1, -1.0)):
+            if raw and instance == 0:
+                us = round(1e6 * t)
+                data += head + bytes([131]) + struct.pack("<QBQfff", us + 7000, instance, us, *rate)
+            if raw and k % 4:
+                continue
             row = struct.pack("<QBffff", round(1e6 * t) + 1000, instance, *(sign * rate), temp)
             data += head + bytes([130]) + row
     path.write_bytes(data)
@@ -86,7 +92,8 @@ def test_damage_that_the_parser_passes_over_is_said_once(
     path.write_bytes(sound[:20_000] + bytes(40) + sound[20_040:])
     blocks = list(iterate_gyro_log(path))
     assert sum(map(len, blocks)) < T_S.size
-    assert blocks[0].notes == ("parts of the file are damaged and left out",)
+    assert blocks[0].notes[0].startswith("read: ")
+    assert blocks[0].notes[1:] == ("parts of the file are damaged and left out",)
     assert capfd.readouterr() == ("", "")
 
 
@@ -98,6 +105,20 @@ def test_a_log_of_ardupilot(tmp_path: Path, instance: int) -> None:
     np.testing.assert_allclose(block.t_s, T_S + 1e-3, atol=1e-9)
     np.testing.assert_allclose(block.gyro_dps, sign * np.degrees(RATES[:, 0]), rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(block.temp_c, TEMP_C, rtol=1e-6)
+
+
+def test_raw_samples_of_ardupilot_are_taken_before_filtered_ones(tmp_path: Path) -> None:
+    """With the sensor's own times, and the temperature that the filtered ones have."""
+    pytest.importorskip("pymavlink")
+    path = dataflash(tmp_path / "a.bin", raw=True)
+    (block,) = iterate_gyro_log(path, "x")
+    assert block.notes == ("read: GYR messages of gyro 0, axis x",)
+    np.testing.assert_allclose(block.t_s, T_S, atol=1e-9)
+    np.testing.assert_allclose(block.gyro_dps, np.degrees(RATES[:, 0]), rtol=1e-6, atol=1e-7)
+    assert np.nanmax(np.abs(block.temp_c - TEMP_C)) < 0.02
+    (other,) = iterate_gyro_log(path, "x", 1)
+    assert other.notes == ("read: IMU messages of gyro 1, axis x",)
+    assert len(other) == T_S.size // 4
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -145,7 +145,10 @@ def test_a_bench_without_a_thermometer_is_confirmed_and_told() -> None:
         gyro={"device": "kvh-dsp3000:/dev/x"}, chamber={"device": "manual"}, safe__no_thermometer=True
     )
     assert connect(p, simulate=False)[0].describe == "gyro kvh-dsp3000, table zaber, chamber manual"
-    assert any("safe.no_thermometer is true" in note and "has to watch it" in note for note in p.notes)
+    assert any(
+        "safe.no_thermometer is true" in note and "has to watch it" in note
+        for note in p.notes(date(2026, 1, 1))
+    )
     # a thermometer of its own needs no such word
     ecore = {"lsb_dps": 0.00183, "temperature_byte": 1}
     with_one = {"device": "kvh-ecore2000:/dev/x", "options": ecore}
