@@ -173,8 +173,17 @@ def _mid(values: Floats) -> Floats:
 
 
 def _largest_share(c: Curves) -> Floats:
-    fast = np.abs(c.rate_dps) >= _LEAST_RATE * c.full_dps
-    return np.asarray(np.max(np.abs(c.off_line()[fast] / c.rate_dps[fast, None]), axis=0))
+    """Of rates from the least that counts, which itself is seldom on the grid: between its neighbours."""
+    off, least = c.off_line(), _LEAST_RATE * c.full_dps
+    fast = np.abs(c.rate_dps) > least
+    shares = [np.abs(off[fast] / c.rate_dps[fast, None])]
+    for edge in (-least, least):
+        if c.rate_dps[0] <= edge <= c.rate_dps[-1]:
+            above = max(int(np.searchsorted(c.rate_dps, edge)), 1)
+            low, high = c.rate_dps[above - 1 : above + 1]
+            part = (edge - low) / (high - low)
+            shares.append(np.abs((1.0 - part) * off[above - 1] + part * off[above])[None] / least)
+    return np.asarray(np.max(np.concatenate(shares), axis=0))
 
 
 @dataclass(frozen=True)

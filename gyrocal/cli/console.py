@@ -60,15 +60,16 @@ def emit_json(data: Mapping[str, Any]) -> None:
 
 
 def emit_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table of ready-made cells: ruled on a terminal, aligned plain text when piped; cells that are too wide fold."""
-    if sys.stdout.isatty():
+    """Print a table of ready-made cells: ruled on a terminal, plain text when piped or too wide; cells fold."""
+    ruled = folded(columns, rows, window_width() - _RULES * len(columns) - 1) if sys.stdout.isatty() else None
+    if ruled is not None:
         from rich.console import Console
         from rich.table import Table
 
         table = Table(title=title or None, title_justify="left")
         for index, name in enumerate(columns):
             table.add_column(name, justify="left" if index == 0 or is_prose(rows, index) else "right")
-        for row in folded(columns, rows, window_width() - _RULES * len(columns) - 1)[1:]:
+        for row in ruled[1:]:
             table.add_row(*("\n".join(cell) for cell in row))
         Console(width=window_width()).print(table)
         return

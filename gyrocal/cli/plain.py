@@ -1,4 +1,4 @@
-"""Tables and sentences that fit the window: aligned, and folded where they would be too wide."""
+"""Tables that fit the window: aligned, folded where they would be too wide, and set out row by row where that breaks numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ _NO_WINDOW = 100
 #: A number with its interval is so many words; a cell of more is a sentence.
 _WORDS_OF_A_NUMBER = 4
 #: What a line should not break within: an interval, a bound.
-_WHOLE = re.compile(r"\(\S+ to \S+\)|\S+ \.\. \S+|< \S+")
+_WHOLE = re.compile(r"\(\S+ to \S+\)|[-+]?\d\S* to [-+]?\d\S*|\S+ \.\. \S+|< \S+")
+#: How far the further lines of a row's title stand in, and what belongs to a row that is set out.
+_INDENT = "  "
 _HARD_SPACE = "\N{NO-BREAK SPACE}"
 
 Cells = Sequence[Sequence[str]]
@@ -35,6 +37,9 @@ def plain_lines(columns: Sequence[str], rows: Cells) -> Iterator[str]:
     """Lines of a table; cells that are too wide fold."""
     flush = [i == 0 or is_prose(rows, i) for i in range(len(columns))]
     table = folded(columns, rows, window_width() - 2 * (len(columns) - 1))
+    if table is None:
+        yield from rows_set_out(columns, rows)
+        return
     widths = [max(len(line) for cell in column for line in cell) for column in zip(*table, strict=True)]
     for row in table:
         for line in zip_longest(*row, fillvalue=""):
@@ -44,21 +49,39 @@ def plain_lines(columns: Sequence[str], rows: Cells) -> Iterator[str]:
             yield "  ".join(cells).rstrip()
 
 
+def rows_set_out(columns: Sequence[str], rows: Cells) -> Iterator[str]:
+    """Each row as a paragraph: its title, and under it a line for each column that has something to say."""
+    width = window_width()
+    longest = max(map(len, columns[1:]), default=0)
+    for title, *cells in rows:
+        yield from textwrap.wrap(title, width, subsequent_indent=_INDENT)
+        for name, cell in zip(columns[1:], cells, strict=True):
+            if cell:
+                begin = f"{_INDENT}{name.ljust(longest)}{_INDENT}"
+                line = _WHOLE.sub(_hold, cell)
+                hang = " " * min(len(begin), width // 2)
+                lines = textwrap.wrap(line, width, initial_indent=begin, subsequent_indent=hang)
+                yield from (part.replace(_HARD_SPACE, " ") for part in lines)
+
+
 def is_prose(rows: Cells, index: int) -> bool:
     """Whether a column holds sentences, which begin at the left."""
     return any(len(row[index].split()) > _WORDS_OF_A_NUMBER for row in rows)
 
 
-def folded(columns: Sequence[str], rows: Cells, width: int) -> list[list[list[str]]]:
-    """Head and rows of a table, each cell as its lines, all columns together `width` wide if words allow it."""
+def folded(columns: Sequence[str], rows: Cells, width: int) -> list[list[list[str]]] | None:
+    """Head and rows of a table, each cell as its lines, all columns together `width` wide; None where that breaks numbers."""
     whole = [[_WHOLE.sub(_hold, cell) for cell in row] for row in (columns, *rows)]
-    if sum(_least(whole)) > width:
-        whole = [list(row) for row in (columns, *rows)]
+    if rows and sum(_least(whole)) > width:
+        return None
     widths = _widths(whole, width)
     return [
         [
-            [line.replace(_HARD_SPACE, " ") for line in textwrap.wrap(c, max(w, 1)) or [""]]
-            for c, w in zip(row, widths, strict=True)
+            [
+                line.replace(_HARD_SPACE, " ")
+                for line in textwrap.wrap(c, max(w, 1), subsequent_indent=hang) or [""]
+            ]
+            for c, w, hang in zip(row, widths, (_INDENT, *[""] * len(widths)), strict=False)
         ]
         for row in whole
     ]
@@ -69,11 +92,14 @@ def _hold(match: re.Match[str]) -> str:
 
 
 def _least(table: Cells) -> list[int]:
-    """Longest word of each column."""
-    # Not `split()`: that breaks at hard spaces.
-    return [
-        max(len(word) for cell in column for word in cell.split(" ")) for column in zip(*table, strict=True)
-    ]
+    """Longest word of each column; those of a title but the first stand in."""
+    least = []
+    for number, column in enumerate(zip(*table, strict=True)):
+        # Not `split()`: that breaks at hard spaces.
+        words = [cell.split(" ") for cell in column]
+        hang = 0 if number else len(_INDENT)
+        least.append(max(len(word) + (hang if k else 0) for cell in words for k, word in enumerate(cell)))
+    return least
 
 
 def _widths(table: Cells, width: int) -> list[int]:

@@ -137,7 +137,7 @@ def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:
 def figure_rows(dossier: Dossier) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Columns and rows of the table of figures."""
     limited = any(row.judgement for row in dossier.rows)
-    columns = ("figure", "before", "after", "unit", *(("limit", "") if limited else ()))
+    columns = ("figure", "before", "after", "unit", *(("limit", "verdict") if limited else ()))
     return columns, [_cells(row, limited) for row in dossier.rows]
 
 

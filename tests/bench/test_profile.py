@@ -16,7 +16,6 @@ from gyrocal.bench.profile import load_profile, parse_profile, profile_from_dict
 from gyrocal.errors import InputError, ProfileError
 from tests.bench.tiny import tiny, tiny_profile
 
-
 TODAY = date(2026, 1, 1)
 
 

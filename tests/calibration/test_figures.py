@@ -39,6 +39,17 @@ def figures(sets: DataSets) -> tuple[SurfaceFit, dict[str, BeforeAfter]]:
     return fit, merit_figures(fit, next(v.error_dps for v in cross_validate(fit) if v.left_out == "time"))
 
 
+@pytest.mark.parametrize("full_dps", [99.96, 100.0, 100.04])
+def test_the_nonlinearity_of_the_rate_does_not_hang_on_where_the_grid_begins(full_dps: float) -> None:
+    """A cubic k u^3 less its line 3/5 k u is, over u, largest at the least rate that counts, 10 %: k (3/5 - 0.01)."""
+    sets = data_sets(1, 1e-6, np.linspace(-full_dps, full_dps, 11))
+    w = sets.rate_dps
+    noise = np.random.default_rng(2).normal(0, 1e-6, w.size)
+    found = figures(with_error(sets, 0.2 * (w / 100) ** 3 + noise))[1]["scale_factor_nonlinearity_of_rate"]
+    # The grid's own line is a little steeper than 3/5.
+    assert found.before.value == pytest.approx(1e6 * 0.2 / 100 * 0.59 * (full_dps / 100) ** 2, rel=0.025)
+
+
 def test_closed_forms() -> None:
     """e = 0.01 + 2e-4 (T - 20) + (1e-3 + 1e-5 (T - 20)) w + 5e-4 |w|-free cubic: every figure by hand."""
     sets = data_sets(1, 1e-6)

@@ -77,3 +77,37 @@ def test_quiet_progress_says_nothing(capsys: pytest.CaptureFixture[str]) -> None
         report(1.0, "x")
     captured = capsys.readouterr()
     assert captured.out + captured.err == ""
+
+
+def test_a_table_whose_numbers_would_break_is_set_out_row_by_row(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    columns = ("figure", "run1", "last less first", "")
+    row = ("scale factor error", "1,815 (1,808 to 1,822)", "3.061 (-6.600 to 12.72)", "")
+    emit_table(columns, [row, ("bias", "1", "7 (6 to 8)", "changed")])
+    assert capsys.readouterr().out.splitlines() == [
+        "scale factor error",
+        "  run1             1,815",
+        "                   (1,808 to 1,822)",
+        "  last less first  3.061",
+        "                   (-6.600 to 12.72)",
+        "bias",
+        "  run1             1",
+        "  last less first  7 (6 to 8)",
+        "                   changed",
+    ]
+
+
+def test_what_goes_on_of_a_title_stands_in(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "26")
+    emit_table(("figure", "value"), [("scale factor error", "1,815 (1,808 to 1,822)"), ("bias", "3")])
+    assert capsys.readouterr().out.splitlines() == [
+        "figure               value",
+        "scale                1,815",
+        "  factor  (1,808 to 1,822)",
+        "  error",
+        "bias                     3",
+    ]
