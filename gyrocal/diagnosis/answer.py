@@ -174,7 +174,7 @@ def layers_of(found: Examination) -> list[Step]:
         less = partial(Model.directed, direction="output", bend=bend)
         steps.append(Step(FIT_DIRECTION.id, found.naming.input_gain, less))
     for effect in dict.fromkeys(n.law.effect for n in found.naming.named):
-        own = [n for n in found.naming.named if n.law.effect == effect and n.law in model.laws]
+        own = [n for n in found.naming.named if n.law.effect == effect and model.holds(n.law)]
         if own:
             less = partial(Model.without_laws, names=[n.law.name for n in own])
             steps.append(Step(effect, max(n.gain for n in own), less))

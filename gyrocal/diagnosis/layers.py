@@ -48,7 +48,7 @@ THERMOMETER = "thermometer"
 _WIDE = 25.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Law:
     """A law of the catalogue at some shape, as columns of the model.
 
@@ -187,6 +187,10 @@ class Model:
     def without(self, names: Sequence[str]) -> Model:
         """The same less some components."""
         return replace(self, components={n: c for n, c in self.components.items() if n not in names})
+
+    def holds(self, law: Law) -> bool:
+        """Whether it has the law, at that shape."""
+        return any(own.name == law.name for own in self.laws)
 
     def with_laws(self, *more: Law) -> Model:
         """The same with further laws."""

@@ -155,7 +155,7 @@ def _instead(
         if not BLOCKS[block].stays:
             continue
         # A law that no robot can evaluate has its block in the model for it.
-        own = [n.law for n in named if n.block == block and n.law not in fitted.model.laws]
+        own = [n.law for n in named if n.block == block and not fitted.model.holds(n.law)]
         other = _beside(_with_laws(evidence(fitted, block, laws)[1], own), passes)
         other, _, more, _ = _name_blocks(*present(other, laws), named, laws)
         other, jumps = with_jumps(other, passes, laws)

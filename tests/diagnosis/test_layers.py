@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.blocks import around_itself, settle_direction
 from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import fit_twice
-from gyrocal.diagnosis.layers import beyond_input, fit_model, full_model
+from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import SURFACE, polynomials, staying
 from gyrocal.diagnosis.powers import legendre_to_powers
@@ -204,3 +204,12 @@ def test_a_transient_of_two_time_constants_is_a_warm_up_and_no_drift() -> None:
         np.array([0.0, 9000.0]), gyro, np.full(2, 25.0), np.array([0.0, 9000.0])
     )
     np.testing.assert_allclose(left_dps.rate_dps, 0.0, atol=1.2e-3)
+
+
+def test_a_model_tells_its_laws_apart_by_their_shapes() -> None:
+    """Columns cannot be compared: two laws of one effect are enough to ask."""
+    means = means_of(series_of_table(sweeps(1)[0]))
+    fast, slow = (Law("warm_up", {"tau_s": tau}, np.exp(-means.t_s / tau)[:, None]) for tau in (60.0, 600.0))
+    model = full_model(means).with_laws(fast, slow)
+    assert model.holds(replace(slow))
+    assert not model.without_laws([fast.name]).holds(fast)
