@@ -6,29 +6,20 @@ whichever is taken first takes the others' share. So they start together, from e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
-from gyrocal.diagnosis.parts import Coil, since_on
-from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM
-from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.thermal import SHUPE_GRADIENT, THERMAL_HYSTERESIS
-from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
-from gyrocal.units import NORMAL_95, S_PER_H
+from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
+from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
+from gyrocal.diagnosis.parts import Coil
+from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
-Shape = TypeVar("Shape", bound=float)
-
-#: A law of time or of the temperature's history: effect, and its one shape; of a step the row from which on it holds.
-Change = tuple[str, float]
 
 #: Time constants that a coil may have, s; of a logarithm that is normal, these are 95 %.
 LAG_BOUNDS_S = (30.0, 1500.0)
@@ -38,15 +29,6 @@ _LAGS_S = tuple(np.geomspace(*LAG_BOUNDS_S, 18).round(1).tolist())
 _FIRST_SHARES, _FIRST_LAGS_S = _SHARES[1::2] + _SHARES[-1:], _LAGS_S[3:16:3]
 #: What is the surface's, or is freed of it.
 _AT_COIL = ("surface", "temperature")
-_STEPS = (SCALE_STEP.id, BIAS_STEP.id)
-_DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
-#: Laws of the temperature's history that act on the bias alone, and their shape.
-_HISTORY = {SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
-#: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
-_WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
-_OUTLASTED = 1.5
-#: A step has data sets on either side.
-_FEWEST_SETS = 4
 _MOST_CHANGES = 3
 _BEAM = 3
 _ROUNDS = 6
@@ -73,7 +55,7 @@ class Candidate:
     @property
     def effects(self) -> set[str]:
         """Its laws beside the coil's lag."""
-        return {effect for effect, _ in self.changes}
+        return {change.effect for change in self.changes}
 
     @property
     def warms_up(self) -> bool:
@@ -91,19 +73,9 @@ class TableSearch:
     _at_hand: tuple[Candidate, tuple[Floats, Floats]] | None = None
 
     @cached_property
-    def _remembering(self) -> dict[str, dict[float, Law]]:
-        """Laws of the temperature's history by effect and shape; none acts through the surface."""
-        frame = self.base.basis.frame
-        blank = Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
-        laws = laws_of(self.base.means, blank)
-        found: dict[str, dict[float, Law]] = {}
-        for effect, name in _HISTORY.items():
-            tried = [trial.shape[name] for trial in laws.trials(CATALOGUE[effect])]
-            # A search over models refines no shape: its grid is as fine as that of a warm-up.
-            grid = np.geomspace(min(tried), max(tried), len(_WARM_UPS_S)).tolist() if tried else []
-            shapes = [{name: float(at)} for at in grid]
-            found[effect] = {s[name]: Law(effect, s, laws.at(CATALOGUE[effect], s)) for s in shapes}
-        return found
+    def changes(self) -> Changes:
+        """Laws beside the coil's lag."""
+        return Changes(self.base.means, self.base.basis.frame)
 
     def run(self) -> list[Candidate]:
         """All models that were fitted, the best first."""
@@ -114,8 +86,9 @@ class TableSearch:
         beam = [self.fit(None, (change,), first) for change in self.best_lasting(first)]
         for coil in coils:
             alone = self.fit(coil, (), first)
-            beam += [alone, self.fit(coil, ((_DRIFTS[0], 0),), first)]
-            beam.append(self.fit(coil, (self.best_step(alone, _STEPS[0]),), first))
+            beam.append(alone)
+            for effect in (SCALE_DRIFT.id, SCALE_STEP.id):
+                beam += [self.fit(coil, (change,), first) for change in self.best(alone, effect)]
         beam = _best(beam)
         for _ in range(_ROUNDS):
             wider = [self.fit(*move, c) for c in beam for move in self.moves(c)]
@@ -164,54 +137,25 @@ class TableSearch:
             self._at_coil[coil] = replace(
                 self.base, basis=basis, design=basis.surface(), components={**self.base.components, **moved}
             )
-        return replace(self._at_coil[coil], laws=tuple(self.law(change) for change in changes))
+        return replace(self._at_coil[coil], laws=tuple(self.changes.law(change) for change in changes))
 
-    def law(self, change: Change) -> Law:
-        """A change as a law of the model: what remembers stays, and a warm-up comes again with the next switch-on.
-
-        The others are zero at the end of the record, whose state the surface is to have.
-        """
-        m, (effect, at) = self.base.means, change
-        if effect in _HISTORY:
-            return self._remembering[effect][at]
-        if effect in _STEPS:
-            row = int(at)
-            shape = {"at_s": float(0.5 * (m.t_s[row - 1] + m.t_s[row]))}
-            columns = -1.0 * (np.arange(len(m)) < row)
-        elif effect == WARM_UP.id:
-            shape = {"tau_s": at}
-            columns = np.exp(-since_on(m) / at)
-        else:
-            shape = {}
-            columns = (m.t_s - m.t_s[-1]) / S_PER_H
-        of_scale = "rate_dps" in CATALOGUE[effect].needs
-        scale = PPM * m.rate_dps if of_scale else np.full(len(m), MDPS)
-        return Law(effect, shape, (columns * scale)[:, None], from_end=effect != WARM_UP.id)
-
-    def best_step(self, candidate: Candidate, effect: str) -> Change:
-        """The boundary between data sets at which a step gains most."""
-        rows = range(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
-        return self._best_of(candidate, [(effect, row) for row in rows])
+    def best(self, candidate: Candidate, effect: str) -> list[Change]:
+        """The shape of an effect that gains most beside a candidate; none where the record cannot show any."""
+        tried = self.changes.shapes(effect)
+        if not tried:
+            return []
+        score, p = self._precision(candidate)
+        x = self.changes.columns(effect)
+        gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
+        return [tried[int(np.argmax(gain))]]
 
     def best_lasting(self, candidate: Candidate) -> list[Change]:
         """Of each kind that stays, that the record may show and that the candidate lacks, the one that gains most.
 
         A warm-up is one since the record began.
         """
-        span_s = float(np.ptp(self.base.means.t_s))
-        kinds = {WARM_UP.id: [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < span_s]}
-        kinds |= {effect: list(laws) for effect, laws in self._remembering.items()}
-        return [
-            self._best_of(candidate, [(effect, at) for at in shapes])
-            for effect, shapes in kinds.items()
-            if shapes and effect not in candidate.effects
-        ]
-
-    def _best_of(self, candidate: Candidate, tried: Sequence[Change]) -> Change:
-        score, p = self._precision(candidate)
-        x = np.column_stack([self.law(change).columns[:, 0] for change in tried])
-        gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
-        return tried[int(np.argmax(gain))]
+        kinds = [e for e in (WARM_UP.id, *HISTORY) if e not in candidate.effects]
+        return [change for effect in kinds for change in self.best(candidate, effect)]
 
     def _precision(self, candidate: Candidate) -> tuple[Floats, Floats]:
         """Of the candidate at hand, for which every kind of step and the warm-up are tried in turn."""
@@ -229,10 +173,9 @@ class TableSearch:
             yield coil, changes[:k] + changes[k + 1 :]
         yield from self.reshaped(candidate)
         if len(changes) < _MOST_CHANGES:
-            for effect in _STEPS:
-                yield coil, tuple(sorted({*changes, self.best_step(candidate, effect)}))
-            for effect in _DRIFTS:
-                yield coil, tuple(sorted({*changes, (effect, 0)}))
+            for effect in (*STEPS, *DRIFTS):
+                for change in self.best(candidate, effect):
+                    yield coil, tuple(sorted({*changes, change}))
             for change in self.best_lasting(candidate):
                 yield coil, tuple(sorted({*changes, change}))
 
@@ -241,39 +184,23 @@ class TableSearch:
         coil, changes = candidate.coil, candidate.changes
         if coil is not None:
             share, tau_s = coil
-            yield from (((near, tau_s), changes) for near in _neighbours(_SHARES, share))
-            yield from (((share, near), changes) for near in _neighbours(_LAGS_S, tau_s))
-        rows = range(_FEWEST_SETS, len(self.base.means) - _FEWEST_SETS)
-        for k, (effect, at) in enumerate(changes):
-            grid = rows if effect in _STEPS else self._shapes(effect)
+            yield from (((near, tau_s), changes) for near in neighbours(_SHARES, share))
+            yield from (((share, near), changes) for near in neighbours(_LAGS_S, tau_s))
+        for k, change in enumerate(changes):
             others = changes[:k] + changes[k + 1 :]
-            yield from ((coil, tuple(sorted({*others, (effect, near)}))) for near in _neighbours(grid, at))
-
-    def _shapes(self, effect: str) -> Sequence[float]:
-        """The shapes that a law which is no step may have."""
-        return _WARM_UPS_S if effect == WARM_UP.id else tuple(self._remembering.get(effect, ()))
+            for near in self.changes.neighbours(change):
+                yield coil, tuple(sorted({*others, near}))
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         """What the laws of a model pay, nats: a coil's time constant its prior too, a normal one of its logarithm."""
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
-        steps = float(len(self.base.means))
-        shapes += [
-            steps if effect in _STEPS else float(max(len(self._shapes(effect)), 1)) for effect, _ in changes
-        ]
+        shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
         paid = _FIRST_NATS + float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
         low, high = np.log(LAG_BOUNDS_S)
         off = (np.log(coil[1]) - 0.5 * (low + high)) / ((high - low) / (2.0 * NORMAL_95))
         return paid + 0.5 * float(off**2)
-
-
-def _neighbours(grid: Sequence[Shape], value: Shape) -> list[Shape]:
-    """The values before and after one of a grid."""
-    if value not in grid:
-        return []
-    at = grid.index(value)
-    return [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
 
 
 def _best(candidates: list[Candidate]) -> list[Candidate]:

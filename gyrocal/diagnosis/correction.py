@@ -168,24 +168,37 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
     known: set[str] = set()
     for model, solution in models:
         least = _NEGLIGIBLE * float(np.std(solution.left))
-        laws = {law.name: law for law in model.laws if CATALOGUE[law.effect].runtime and not law.from_end}
+        laws = _lasting(model)
         parts = {p.name: p for p in model.parts if p.block != "surface"}
         over = set(_since_power_on(model)) if again < _OVER else set()
         for name in solution.order:
-            if (
-                name in over
-                or name in known
-                or (name != DIRECTION and name not in laws and name not in parts)
-            ):
+            if name in over:
                 continue
-            columns = model.components[name].columns if name in parts else None
-            if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
+            new: list[tuple[str, Part | None, Law | None, int]]
+            if name in laws:
+                new = [(member.name, None, member, 1) for member, _ in laws[name]]
+            elif name == DIRECTION or name in parts:
+                columns = model.components[name].columns if name in parts else None
+                if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
+                    continue
+                new = [(name, parts.get(name), None, len(solution.amplitudes[name]))]
+            else:
                 continue
-            known.add(name)
-            size = len(solution.amplitudes[name])
-            found.append(_Item(name, parts.get(name), laws.get(name), place, size))
-            place += size
+            for term, part, law, size in new:
+                if term not in known:
+                    known.add(term)
+                    found.append(_Item(term, part, law, place, size))
+                    place += size
     return found, place
+
+
+def _lasting(model: Model) -> dict[str, list[tuple[Law, float]]]:
+    """Laws of a model that a robot evaluates, by component: each as laws of one shape with their weights."""
+    lasting = [law for law in model.laws if CATALOGUE[law.effect].runtime and not law.from_end]
+    return {
+        law.name: [(Law(law.effect, shape, law.columns), weight) for shape, weight in law.members]
+        for law in lasting
+    }
 
 
 def _estimate(
@@ -208,7 +221,7 @@ def _estimate(
             at = starts[part.name]
             to_file[:_TERMS, at : at + len(own)] = powers[:, own] * np.array(part.weights)
     for item in items:
-        if item.name not in starts:
+        if item.law is not None or item.name not in starts:
             continue
         at = starts[item.name]
         weight = np.ones(item.size) if item.part is None else np.array(item.part.weights)
@@ -217,6 +230,11 @@ def _estimate(
             # The surface gives back what the smooth part was freed of.
             taken = powers @ polynomials(item.part.columns, model.basis.frame)
             to_file[:_TERMS, at : at + item.size] -= taken * weight
+    place = {item.name: item.start for item in items}
+    for name, members in _lasting(model).items():
+        for member, share in members:
+            if member.name in place:
+                to_file[place[member.name], starts[name]] += share
     for name, columns in _since_power_on(model).items():
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] *= again

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
-from gyrocal.diagnosis.layers import Fitted, surface_of
+from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.series import Series
@@ -60,6 +60,11 @@ class Laws:
         own = effect.columns(self.conditions, shape, self.surface)
         return np.column_stack([self.means.spread(x) for x in own.T])
 
+    def columns_of(self, law: Law) -> Floats:
+        """Columns of a law of a model at these rows, shape (n, q)."""
+        effect = CATALOGUE[law.effect]
+        return np.asarray(np.sum([weight * self.at(effect, shape) for shape, weight in law.members], axis=0))
+
     def trials(self, effect: Effect) -> list[Trial]:
         """All shapes of an effect that this record may show."""
         if not wanted(effect) or effect.why_not(self.offer) is not None:
@@ -96,7 +101,7 @@ def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:
     for _ in range(_TIES):
         tied = replace(laws, surface=surface_of(fitted.model, fitted.solve()))
         own = tuple(
-            law if law.from_end else replace(law, columns=tied.at(CATALOGUE[law.effect], law.shape))
+            law if law.from_end else replace(law, columns=tied.columns_of(law))
             for law in fitted.model.laws
         )
         if all(np.allclose(a.columns, b.columns) for a, b in zip(own, fitted.model.laws, strict=True)):

@@ -58,17 +58,31 @@ class Law:
         At unit amplitude, at the rows of the means.
     from_end : bool
         Whether a law of time counts from the end of the record, where it is zero, instead of its beginning.
+    spread : float
+        By which its one shape scatters, or how long a step takes, s.
+    mixture : tuple of (float, float)
+        Values of its one shape and their weights, where it scatters.
     """
 
     effect: str
     shape: Mapping[str, float]
     columns: Floats = field(repr=False)
     from_end: bool = False
+    spread: float = 0.0
+    mixture: tuple[tuple[float, float], ...] = ()
 
     @property
     def name(self) -> str:
         """Name of its component."""
-        return f"{self.effect} {sorted(self.shape.items())}"
+        return f"{self.effect} {sorted(self.shape.items())}" + (f" +- {self.spread}" if self.spread else "")
+
+    @property
+    def members(self) -> list[tuple[Mapping[str, float], float]]:
+        """Shapes that it is a sum of, with their weights."""
+        if not self.mixture:
+            return [(self.shape, 1.0)]
+        (name,) = self.shape
+        return [({name: value}, weight) for value, weight in self.mixture]
 
 
 @dataclass(frozen=True)

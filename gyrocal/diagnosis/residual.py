@@ -16,7 +16,6 @@ from gyrocal.diagnosis.means import rows_of
 from gyrocal.diagnosis.parts import BLOCKS, Basis
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.physics.catalogue import CATALOGUE
 
 Floats = NDArray[np.float64]
 
@@ -62,8 +61,7 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
     c = conditions_of(series)
     laws = Laws(rows.means, c, found.laws.offer, found.laws.surface)
     for law in model.laws:
-        effect = CATALOGUE[law.effect]
-        columns = law.columns if law.from_end else laws.at(effect, law.shape)
+        columns = law.columns if law.from_end else laws.columns_of(law)
         own = columns @ solution.amplitudes[law.name]
         total += own
         effects[law.effect] = effects.get(law.effect, np.zeros(len(series))) + own

@@ -1,0 +1,169 @@
+"""Laws of time and of the temperature's history that a table's search tries, as columns at its rows.
+
+Few gyros do what they do with one time constant, or at an instant. A law of one shape that misses its course leaves to a
+wandering bias what it misses, and then nothing is told apart; so each has a spread too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import Law
+from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.parts import since_on
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import MDPS, PPM
+from gyrocal.physics.smooth import Frame
+from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.thermal import SHUPE_GRADIENT, THERMAL_HYSTERESIS
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
+from gyrocal.units import S_PER_H
+
+Floats = NDArray[np.float64]
+Value = TypeVar("Value", bound=float)
+
+STEPS = (SCALE_STEP.id, BIAS_STEP.id)
+DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
+#: Laws of the temperature's history that act on the bias alone, and their shape.
+HISTORY = {SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
+#: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
+_WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
+_OUTLASTED = 1.5
+#: A step has data sets on either side.
+_FEWEST_SETS = 4
+#: How long a step takes, in distances of data sets: the time constant of a logistic curve.
+_RISES = (0.0, 0.5, 1.0, 2.0, 4.0)
+#: Standard deviation of the logarithm of a time constant; 0.8 and 1.6 are near to stretched exponentials of 0.85 and 0.6.
+_SPREADS = (0.0, 0.8, 1.6)
+#: Of the time constants of a grid one of so many has a part in a spread, and none less than this.
+_THINNED, _LEAST_WEIGHT = 3, 0.01
+#: Powers of the time: a drift is straight, or slows down.
+_POWERS = (1.0, 0.7, 0.5, 0.35)
+
+
+class Change(NamedTuple):
+    """A law at its shape: of a step the row from which on it holds, of a drift its power, else a width or time constant."""
+
+    effect: str
+    at: float
+    spread: float = 0.0
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Laws at the rows of a table, each effect at all its shapes."""
+
+    means: Means
+    frame: Frame
+
+    def grids(self, effect: str) -> tuple[Sequence[float], Sequence[float]]:
+        """Values and spreads that an effect may have here; none where the record cannot show it."""
+        m = self.means
+        if effect in STEPS:
+            rise_s = float(np.median(np.diff(m.t_s))) * np.array(_RISES)
+            return range(_FEWEST_SETS, len(m) - _FEWEST_SETS), rise_s.tolist()
+        if effect in DRIFTS:
+            return _POWERS, (0.0,)
+        if effect == WARM_UP.id:
+            return [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < np.ptp(m.t_s)], _SPREADS
+        return list(self._history[effect]), _SPREADS if effect == SHUPE_GRADIENT.id else (0.0,)
+
+    def shapes(self, effect: str) -> list[Change]:
+        """All shapes of an effect."""
+        values, spreads = self.grids(effect)
+        return [Change(effect, float(at), float(spread)) for at in values for spread in spreads]
+
+    def neighbours(self, change: Change) -> list[Change]:
+        """The shapes next to one."""
+        values, spreads = self.grids(change.effect)
+        near = [change._replace(at=float(at)) for at in neighbours(list(values), change.at)]
+        return near + [change._replace(spread=float(x)) for x in neighbours(list(spreads), change.spread)]
+
+    def law(self, change: Change) -> Law:
+        """A change as a law of the model: what remembers stays, and a warm-up comes again with the next switch-on.
+
+        The others are zero at the end of the record, whose state the surface is to have.
+        """
+        m, (effect, at, spread) = self.means, change
+        if effect in STEPS or effect in DRIFTS:
+            scale = PPM * m.rate_dps if "rate_dps" in CATALOGUE[effect].needs else np.full(len(m), MDPS)
+            shape = {"power": at}
+            if effect in STEPS:
+                shape = {"at_s": float(0.5 * (m.t_s[int(at) - 1] + m.t_s[int(at)]))}
+            ahead = self._risen(int(at), spread) if effect in STEPS else _grown(m.t_s, at)
+            return Law(effect, shape, (ahead * scale)[:, None], from_end=True, spread=spread)
+        known = self._warm_ups if effect == WARM_UP.id else self._history[effect]
+        name = HISTORY.get(effect, "tau_s")
+        if not spread:
+            return Law(effect, {name: at}, known[at][:, None])
+        mixture = _spread_over(list(known)[::_THINNED], at, spread)
+        columns = np.sum([weight * known[x] for x, weight in mixture.items()], axis=0)[:, None]
+        return Law(effect, {name: at}, columns, spread=spread, mixture=tuple(mixture.items()))
+
+    def columns(self, effect: str) -> Floats:
+        """Columns of all shapes of an effect, shape (n, shapes)."""
+        if effect not in self._columns:
+            self._columns[effect] = np.column_stack([self.law(c).columns[:, 0] for c in self.shapes(effect)])
+        return self._columns[effect]
+
+    @cached_property
+    def _columns(self) -> dict[str, Floats]:
+        return {}
+
+    @cached_property
+    def _warm_ups(self) -> dict[float, Floats]:
+        return {tau: MDPS * np.exp(-since_on(self.means) / tau) for tau in _WARM_UPS_S}
+
+    @cached_property
+    def _history(self) -> dict[str, dict[float, Floats]]:
+        """Columns of laws of the temperature's history by effect and shape; none acts through the surface."""
+        frame = self.frame
+        blank = Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
+        laws = laws_of(self.means, blank)
+        found: dict[str, dict[float, Floats]] = {}
+        for effect, name in HISTORY.items():
+            tried = [trial.shape[name] for trial in laws.trials(CATALOGUE[effect])]
+            # A search over models refines no shape: its grid is as fine as that of a warm-up.
+            grid = np.geomspace(min(tried), max(tried), len(_WARM_UPS_S)).tolist() if tried else []
+            found[effect] = {at: laws.at(CATALOGUE[effect], {name: at})[:, 0] for at in grid}
+        return found
+
+    def _risen(self, row: int, rise_s: float) -> Floats:
+        """A step up to zero before a row, shape (n,)."""
+        if not rise_s:
+            return np.asarray(-1.0 * (np.arange(len(self.means)) < row))
+        t_s = self.means.t_s
+        away = (t_s - 0.5 * (t_s[row - 1] + t_s[row])) / rise_s
+        risen = 1.0 / (1.0 + np.exp(-np.clip(away, -50.0, 50.0)))
+        return np.asarray(risen - risen[-1])
+
+
+def _grown(t_s: Floats, power: float) -> Floats:
+    """Growth with a power of the hours, zero at the end."""
+    hours = t_s / S_PER_H
+    grown = np.sign(hours) * np.abs(hours) ** power
+    return np.asarray(grown - grown[-1])
+
+
+def _spread_over(values: Sequence[float], at: float, spread: float) -> dict[float, float]:
+    """Weights of values whose logarithms scatter about one: normal, and none that hardly counts."""
+    weight = np.exp(-0.5 * (np.log(np.array(values) / at) / spread) ** 2)
+    weight /= weight.sum()
+    kept = {x: float(w) for x, w in zip(values, weight, strict=True) if w > _LEAST_WEIGHT}
+    whole = sum(kept.values())
+    return {x: w / whole for x, w in kept.items()}
+
+
+def neighbours(grid: Sequence[Value], value: Value) -> list[Value]:
+    """The values before and after one of a grid."""
+    if value not in grid:
+        return []
+    at = grid.index(value)
+    return [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]
