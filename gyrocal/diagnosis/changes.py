@@ -55,6 +55,11 @@ class Change(NamedTuple):
     at: float
     spread: float = 0.0
 
+    @property
+    def plain(self) -> bool:
+        """Whether it is of one time constant, sudden or straight."""
+        return not self.spread and (self.effect not in DRIFTS or self.at == 1.0)
+
 
 @dataclass(frozen=True)
 class Changes:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
 from gyrocal.diagnosis.parts import Coil
+from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import NORMAL_95
 
@@ -35,6 +36,10 @@ _ROUNDS = 6
 _ITERATIONS = 20
 #: What a further law pays, nats; with the logarithm of the root of the number of its shapes.
 _TOLL_NATS = 3.0
+#: One that is not of one time constant, sudden or straight pays this beside: of two that explain as much the plain one.
+_ODD_NATS = 1.5
+#: What laws pay by which each other and the surface cancel, for each time that they add up to what the record shows.
+_CANCELLED_NATS = 2.0
 #: And the first one this: beside none, what else has a name goes into the file by its law and not as smooth parts.
 _FIRST_NATS = 1.0
 #: Models within this of the best one are averaged.
@@ -124,10 +129,31 @@ class TableSearch:
                 contrasts = contrasts_of(model, near.fitted.contrasts)
             start = None if near is None else near.fitted.fit.log_variance
             fit = contrasts.fit(model.all, start, _ITERATIONS if near else 60)
-            self.known[key] = Candidate(
-                coil, changes, Fitted(model, fit, contrasts), fit.nll + self._toll(coil, changes)
-            )
+            fitted = Fitted(model, fit, contrasts)
+            paid = self._toll(coil, changes) + _CANCELLED_NATS * self._cancelled(fitted)
+            self.known[key] = Candidate(coil, changes, fitted, fit.nll + paid)
         return self.known[key]
+
+    @cached_property
+    def _by_rate(self) -> Floats:
+        """What is the same at all times and temperatures, as an orthonormal basis, shape (n, p)."""
+        return np.linalg.qr(self.base.design[:, [k for k in self.base.flat if k % SHAPE[1] == 0]])[0]
+
+    def _beyond_rate(self, columns: Floats) -> float:
+        """Root mean square of what is not the same at all times and temperatures."""
+        return float(np.sqrt(np.mean((columns - self._by_rate @ (self._by_rate.T @ columns)) ** 2)))
+
+    def _cancelled(self, fitted: Fitted) -> float:
+        """How far the laws of a model go together beyond what the record shows, as a share of that: each hides the others.
+
+        The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
+        """
+        if not fitted.model.laws:
+            return 0.0
+        amplitudes = fitted.solve().amplitudes
+        sizes = [self._beyond_rate(law.columns @ amplitudes[law.name]) for law in fitted.model.laws]
+        shown = self._beyond_rate(self.base.error_dps)
+        return max(0.0, sum(sizes) / shown - 1.0) if shown else 0.0
 
     def model(self, coil: Coil, changes: tuple[Change, ...]) -> Model:
         """The base with the surface at the coil, and laws of time."""
@@ -173,7 +199,8 @@ class TableSearch:
             yield coil, changes[:k] + changes[k + 1 :]
         yield from self.reshaped(candidate)
         if len(changes) < _MOST_CHANGES:
-            for effect in (*STEPS, *DRIFTS):
+            # Steps may be several.
+            for effect in (*STEPS, *(e for e in DRIFTS if e not in candidate.effects)):
                 for change in self.best(candidate, effect):
                     yield coil, tuple(sorted({*changes, change}))
             for change in self.best_lasting(candidate):
@@ -195,7 +222,8 @@ class TableSearch:
         """What the laws of a model pay, nats: a coil's time constant its prior too, a normal one of its logarithm."""
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
-        paid = _FIRST_NATS + float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+        paid = _ODD_NATS * sum(not change.plain for change in changes)
+        paid += _FIRST_NATS + float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
         low, high = np.log(LAG_BOUNDS_S)

@@ -101,8 +101,7 @@ def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:
     for _ in range(_TIES):
         tied = replace(laws, surface=surface_of(fitted.model, fitted.solve()))
         own = tuple(
-            law if law.from_end else replace(law, columns=tied.columns_of(law))
-            for law in fitted.model.laws
+            law if law.from_end else replace(law, columns=tied.columns_of(law)) for law in fitted.model.laws
         )
         if all(np.allclose(a.columns, b.columns) for a, b in zip(own, fitted.model.laws, strict=True)):
             break

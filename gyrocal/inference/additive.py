@@ -158,6 +158,10 @@ class Contrasts:
         if component.columns is not None:
             factor = self._contrasts_of(component.columns)
             scale = float(np.sum(factor**2)) / factor.shape[0]
+            whole = float(np.sum(component.columns**2)) / factor.shape[0]
+            if scale < _SAME_DIRECTION**2 * whole:
+                # The flat columns have all of it: what is left is rounding, and tells of no variance.
+                factor, scale = np.zeros_like(factor), whole
             factor = factor / np.sqrt(scale or 1.0)
             return _Part(component.name, factor, None, scale or 1.0, component.expected)
         first = self.flat.shape[1]

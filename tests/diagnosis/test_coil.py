@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,12 +10,19 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, Change, TableSearch, averaged
+from gyrocal.diagnosis.changes import Change, Changes
+from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, TableSearch, averaged
+from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.parts import frame_of
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.effect import Conditions
+from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
 
 
@@ -61,22 +69,83 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
 
 
+def _sweep() -> Changes:
+    t_s, rate_dps = 60.0 * np.arange(40.0), np.linspace(-50.0, 50.0, 40)
+    means = means_of(
+        series_of_table(DataSetTable(Path("sweep.csv"), rate_dps, rate_dps, 20.0 + t_s / 60.0, t_s=t_s))
+    )
+    return Changes(means, frame_of(means))
+
+
 @pytest.mark.parametrize(
     ("change", "shape"),
-    [(("bias_step", 7), {"at_s": 390.0}), (("scale_step", 7), {"at_s": 390.0}), (("bias_drift", 0), {}), (("scale_drift", 0), {})],
-)  # fmt: skip
+    [
+        (Change("bias_step", 7), {"at_s": 390.0}),
+        (Change("scale_step", 7), {"at_s": 390.0}),
+        (Change("bias_drift", 1.0), {"power": 1.0}),
+        (Change("scale_drift", 0.5), {"power": 0.5}),
+    ],
+)
 def test_a_law_of_time_is_that_of_the_catalogue_less_the_state_at_the_end(
     change: Change, shape: dict[str, float]
 ) -> None:
-    t_s, rate_dps = 60.0 * np.arange(40.0), np.linspace(-50.0, 50.0, 40)
-    means = means_of(
-        series_of_table(DataSetTable(Path("sweep.csv"), rate_dps, rate_dps, 20.0 + t_s / 600.0, t_s=t_s))
-    )
-    law = TableSearch(cast(Any, SimpleNamespace(means=means))).law(change)
+    changes = _sweep()
+    t_s, rate_dps = changes.means.t_s, changes.means.rate_dps
+    law = changes.law(change)
     assert dict(law.shape) == shape
-    effect, ones = find_effect(change[0]), np.ones(40)
+    effect, ones = find_effect(change.effect), np.ones(40)
     by_rate = "rate_dps" in effect.needs
     c = Conditions(t_s, rate_dps, 20.0 * ones)
     expected = effect.unit_dps(c, shape, None)
     at_end = expected[-1] / (rate_dps[-1] if by_rate else 1.0) * (rate_dps if by_rate else ones)
     np.testing.assert_allclose(law.columns[:, 0], expected - at_end, atol=1e-12)
+
+
+def test_a_step_that_takes_its_time_is_half_done_at_its_instant() -> None:
+    changes = _sweep()
+    slow = changes.law(Change("bias_step", 7, 120.0))
+    at_s, columns = slow.shape["at_s"], 1e3 * slow.columns[:, 0]
+    at_instant = np.interp(at_s, changes.means.t_s, columns)
+    assert at_instant - columns[0] == pytest.approx(0.5, abs=0.05)
+    assert columns[-1] == 0.0
+    assert slow.name != changes.law(Change("bias_step", 7)).name
+
+
+@pytest.mark.parametrize("effect", ["warm_up", "shupe_gradient"])
+def test_a_law_of_many_time_constants_is_a_sum_of_laws_of_one(effect: str) -> None:
+    """What the file has is what was fitted: one term for each."""
+    changes = _sweep()
+    at = changes.grids(effect)[0][5]
+    law = changes.law(Change(effect, at, 0.8))
+    assert sum(weight for _, weight in law.members) == pytest.approx(1.0)
+    laws = laws_of(changes.means, Surface(np.zeros((4, 3)), 0.0, 50.0, 40.0, 20.0))
+    np.testing.assert_allclose(law.columns, laws.columns_of(law), atol=1e-12)
+    assert len(law.members) > 2
+
+
+def test_a_file_has_each_time_constant_with_its_share_of_the_amplitude() -> None:
+    """A warm-up that is no exponential, at five rates, whose cubic has all of any odd law of the rate."""
+    rng = np.random.default_rng(3)
+    t_s = 30.0 * np.arange(100.0)
+    rate_dps = np.tile([0.0, 30.0, -30.0, 60.0, -60.0], 20)
+    temp_c = 25.0 + 5.0 * np.sin(t_s / 200.0)
+    settling = 0.05 * np.mean([np.exp(-t_s / tau) for tau in (80.0, 250.0, 800.0)], axis=0)
+    gyro = rate_dps + 0.002 * (temp_c - 25.0) + settling + 2e-4 * rng.standard_normal(t_s.size)
+    found = examine(series_of_table(DataSetTable(Path("warm.csv"), rate_dps, gyro, temp_c, t_s=t_s)), 1e-3)
+    (change,) = found.ranked[0].changes
+    assert change.effect == "warm_up"
+    assert change.spread > 0.0
+    corrected = Compensator(correction(found)).correct(t_s, gyro, temp_c, t_s)
+    assert np.sqrt(np.mean((corrected - rate_dps) ** 2)) < 4e-4
+
+
+def test_what_the_surface_can_take_back_is_not_believed_beyond_what_the_record_shows() -> None:
+    means = _sweep().means
+    wavy = replace(means, gyro_dps=means.rate_dps + 5e-4 * np.sin(np.arange(40.0)))
+    search = TableSearch(full_model(wavy, memory=False))
+    law = search.changes.law(Change("bias_drift", 1.0))
+    solved = SimpleNamespace(amplitudes={law.name: np.array([1.0])})
+    fitted = cast(Any, SimpleNamespace(model=SimpleNamespace(laws=(law,)), solve=lambda: solved))
+    shown = search._beyond_rate(search.base.error_dps)
+    own = search._beyond_rate(law.columns[:, 0])
+    assert search._cancelled(fitted) == pytest.approx(max(0.0, own / shown - 1.0))

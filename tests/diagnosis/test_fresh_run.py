@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.changes import Change
 from gyrocal.diagnosis.coil import TableSearch
 from gyrocal.diagnosis.fresh_run import chance_of_gain
 from gyrocal.diagnosis.layers import full_model
@@ -43,7 +44,7 @@ def test_the_chance_of_gain_is_that_of_the_stated_uncertainty(means: Means) -> N
 
 def test_a_warm_up_comes_again_and_a_drift_ends_where_it_is(means: Means) -> None:
     search = TableSearch(full_model(means, memory=False))
-    warm, drift = search.law(("warm_up", 478)), search.law(("bias_drift", 0))
+    warm, drift = (search.changes.law(c) for c in (Change("warm_up", 478.0), Change("bias_drift", 1.0)))
     assert (warm.from_end, drift.from_end) == (False, True)
     np.testing.assert_allclose(warm.columns[:, 0], 1e-3 * np.exp(-means.t_s / 478.0), rtol=1e-12)
     assert drift.columns[-1, 0] == 0.0
@@ -51,13 +52,15 @@ def test_a_warm_up_comes_again_and_a_drift_ends_where_it_is(means: Means) -> Non
 
 def test_neighbouring_shapes_lie_on_the_lattice(means: Means) -> None:
     search = TableSearch(full_model(means, memory=False))
-    start: Any = replace(search.fit(None, (), None), coil=(1.0, 30.0), changes=(("scale_step", 10),))
-    found = set(search.reshaped(start))
-    assert found == {
-        ((0.85, 30.0), (("scale_step", 10),)),
-        ((1.0, 37.8), (("scale_step", 10),)),
-        ((1.0, 30.0), (("scale_step", 9),)),
-        ((1.0, 30.0), (("scale_step", 11),)),
+    step = Change("scale_step", 10.0)
+    start: Any = replace(search.fit(None, (), None), coil=(1.0, 30.0), changes=(step,))
+    rises = search.changes.grids("scale_step")[1]
+    assert set(search.reshaped(start)) == {
+        ((0.85, 30.0), (step,)),
+        ((1.0, 37.8), (step,)),
+        ((1.0, 30.0), (step._replace(at=9.0),)),
+        ((1.0, 30.0), (step._replace(at=11.0),)),
+        ((1.0, 30.0), (step._replace(spread=rises[1]),)),
     }
 
 
