@@ -94,7 +94,8 @@ class Changes:
     def law(self, change: Change) -> Law:
         """A change as a law of the model: what remembers stays, and a warm-up comes again with the next switch-on.
 
-        The others are zero at the end of the record, whose state the surface is to have.
+        A step is zero at the end of the record, whose state the surface is to have; a drift is in the mean. Whether it
+        lasts nobody knows, and one that is none, but something else's misfit, then moves no level.
         """
         m, (effect, at, spread) = self.means, change
         if effect in STEPS or effect in DRIFTS:
@@ -151,10 +152,10 @@ class Changes:
 
 
 def _grown(t_s: Floats, power: float) -> Floats:
-    """Growth with a power of the hours, zero at the end."""
+    """Growth with a power of the hours, zero in the mean."""
     hours = t_s / S_PER_H
     grown = np.sign(hours) * np.abs(hours) ** power
-    return np.asarray(grown - grown[-1])
+    return np.asarray(grown - grown.mean())
 
 
 def _spread_over(values: Sequence[float], at: float, spread: float) -> dict[float, float]:

@@ -57,7 +57,7 @@ class Law:
     columns : ndarray, shape (n, q)
         At unit amplitude, at the rows of the means.
     from_end : bool
-        Whether a law of time counts from the end of the record, where it is zero, instead of its beginning.
+        Whether a law of time counts from a state of the record that the surface has, instead of its beginning.
     spread : float
         By which its one shape scatters, or how long a step takes, s.
     mixture : tuple of (float, float)

@@ -86,7 +86,7 @@ def _sweep() -> Changes:
         (Change("scale_drift", 0.5), {"power": 0.5}),
     ],
 )
-def test_a_law_of_time_is_that_of_the_catalogue_less_the_state_at_the_end(
+def test_a_law_of_time_is_that_of_the_catalogue_less_a_state_of_the_record(
     change: Change, shape: dict[str, float]
 ) -> None:
     changes = _sweep()
@@ -96,9 +96,11 @@ def test_a_law_of_time_is_that_of_the_catalogue_less_the_state_at_the_end(
     effect, ones = find_effect(change.effect), np.ones(40)
     by_rate = "rate_dps" in effect.needs
     c = Conditions(t_s, rate_dps, 20.0 * ones)
-    expected = effect.unit_dps(c, shape, None)
-    at_end = expected[-1] / (rate_dps[-1] if by_rate else 1.0) * (rate_dps if by_rate else ones)
-    np.testing.assert_allclose(law.columns[:, 0], expected - at_end, atol=1e-12)
+    unit = rate_dps if by_rate else ones
+    grown = effect.unit_dps(c, shape, None) / unit
+    # After a step the gyro is what it is; of a drift nobody knows whether it lasts.
+    state = grown[-1] if "step" in change.effect else grown.mean()
+    np.testing.assert_allclose(law.columns[:, 0], (grown - state) * unit, atol=1e-12)
 
 
 def test_a_step_that_takes_its_time_is_half_done_at_its_instant() -> None:
