@@ -263,8 +263,9 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
     beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws)) if replaces else fitted
     if BLOCKS[block].lasts:
-        # What a law leaves is its misfit.
-        return _Answer(beside, named, alone.near, alone.fitted.nll) if share >= _NAMED_SHARE else unnamed
+        # What a law leaves is its misfit; the only law of a family stands for all that is like it.
+        earned = share >= _NAMED_SHARE or len(effects_of(block)) == 1
+        return _Answer(beside, named, alone.near, alone.fitted.nll) if earned else unnamed
     # A walk follows a line without being one: each law must say more than the walk does.
     says_more = fitted.nll - beside.nll > GAIN * len(named)
     return _Answer(beside, named, alone.near, beside.nll) if says_more else unnamed

@@ -39,6 +39,16 @@ def test_a_shape_is_found_between_the_points_of_its_grid(seed: int) -> None:
     assert not found.unnamed
 
 
+def test_the_only_law_of_a_family_names_what_it_only_resembles() -> None:
+    """A glass transition is no power of the temperature, and a shape of it all the same."""
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+    found = naming_of(5e-3 * np.tanh((temp - 28.0) / 1.5), 0)
+    (law,) = found.named
+    assert law.law.effect == "temperature_order"
+    assert law.share < 0.6
+    assert "temperature" in found.unnamed, "what the law leaves stays in the model"
+
+
 @pytest.mark.slow
 def test_a_step_that_shapes_in_temperature_follow_beside_a_law_is_found(tmp_path: Path) -> None:
     """A plan that goes through its temperatures once: a step of the scale factor is a shape in temperature, too."""
