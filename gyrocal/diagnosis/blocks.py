@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
-from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.inference.additive import Component
 
@@ -17,6 +17,8 @@ _ABSENT = 2.5
 REPLACED = 2.0
 #: Blocks that a wrong direction of the surface looks like.
 BENT = ("odd rate", "even rate", "each rate")
+#: Where the variance of the surface's own terms starts a second time (logarithm of the share of the record's).
+_AWAKE = 0.0
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
 _BENDS = 12
 #: What the coefficients of a bend may change by at its end, deg/s.
@@ -82,6 +84,15 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
     return found if found.nll <= fitted.nll + REPLACED else fitted
 
 
+def _either_surface(fitted: Fitted, model: Model) -> list[Fitted]:
+    """The model fitted again from the variances that it has, and from a surface whose terms are all awake.
+
+    Where smooth parts took the surface's place its own terms lie still: alone they do not come back.
+    """
+    awake = {**fitted.fit.log_variance, **{p.name: _AWAKE for p in model.parts if p.block == "surface"}}
+    return [fitted.refit(model), fitted.refit(model, start=awake)]
+
+
 def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:
     """What a block is worth, nats, and the model without it, in which laws act through the surface that it leaves."""
     names = [n for n, b in fitted.model.blocks.items() if b == block]
@@ -89,7 +100,7 @@ def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[floa
     ways = [model]
     if block in BENT and bend is not None:
         ways = [model.directed(d, bend) for d in ("input", "output")]
-    without = min((fitted.refit(way) for way in ways), key=lambda f: f.nll)
+    without = min((refit for way in ways for refit in _either_surface(fitted, way)), key=lambda f: f.nll)
     if laws is not None and without.model.laws:
         without = min(without, tied_anew(without, laws)[0], key=lambda f: f.nll)
     return without.nll - fitted.nll, without

@@ -148,11 +148,11 @@ def _written(
 ) -> tuple[Coefficients | None, float]:
     """The correction, where it has more than the surface and makes another run better, and how probable that is.
 
-    The sweeps of a table may leave much of the surface to what time did.
+    The sweeps of a table may leave much of the surface to what time did, an error of each rate the orders of a run's.
     """
     if not (more or found.candidates):
         return None, 1.0
-    better = chance_of_gain(improved, surface, found.model.means) if found.ranked else 1.0
+    better = chance_of_gain(improved, surface, found.model.means)
     return improved if better > _SURELY_BETTER else None, better
 
 

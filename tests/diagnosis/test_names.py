@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.names import Naming
 from gyrocal.diagnosis.table_series import series_of_table
@@ -55,3 +55,21 @@ def test_a_step_that_shapes_in_temperature_follow_beside_a_law_is_found(tmp_path
     made = make_up("layers", 106, 7)
     found = diagnose(made.write(tmp_path), options=Options(heldout=False))
     assert {"temperature_order", "scale_step"} <= {e.effect for e in found.effects}
+
+
+@pytest.mark.slow
+def test_smooth_parts_do_not_stand_in_for_the_surface(tmp_path: Path) -> None:
+    """Five temperatures, and a scale factor that is quadratic in temperature: its own term may have died beside bumps."""
+    made = make_up("sensors", 172, 1)
+    found = examine(series_of(made.write(tmp_path)), 0.01)
+    assert [n.law.effect for n in found.naming.named] == ["supply_voltage"]
+    assert sum(found.naming.unnamed.values()) < 5.0
+
+
+@pytest.mark.slow
+def test_a_correction_that_is_better_only_by_chance_is_withheld(tmp_path: Path) -> None:
+    """Errors of each rate, which are the table's, leave the orders of the surface open: they are no gain of the gyro's."""
+    made = make_up("sensors", 106, 1)
+    found = diagnose(made.write(tmp_path), options=Options(heldout=False))
+    assert [e.effect for e in found.effects] == ["reference_rate_error"]
+    assert found.improved is None
