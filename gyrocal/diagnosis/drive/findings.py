@@ -228,13 +228,14 @@ def _of_scale(
 
 
 def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedEffect] | None:
-    """A constant bias, where no rest takes it off, beyond what the robot file grants."""
+    """A constant bias, where no rest takes it off, that is off from the robot file's by more than it grants."""
     if series.robot.static_s > 0:
         return None
     value, std = yaw.estimate("bias")
     expected = series.robot.initial_std["gyro_bias_dps"]
-    gain = (value / std) ** 2
-    if gain < GAIN or abs(value) < BELIEVED * float(np.hypot(expected, std)):
+    away = value - series.robot.parameters.gyro.bias_dps
+    gain = (away / std) ** 2
+    if gain < GAIN or abs(away) < BELIEVED * float(np.hypot(expected, std)):
         return None
     parameters = {"amplitude": estimate("gyro_bias", value, std)}
     others = (Alternative("earth_rate", 1.0),) if abs(value) < EARTH_RATE_DPH * DPH_TO_DPS else ()

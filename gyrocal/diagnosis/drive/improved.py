@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.findings import Scale
 from gyrocal.diagnosis.drive.laws import reference_temp_c
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import YawAnswer
+from gyrocal.diagnosis.drive.search import YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.errors import ProfileError
@@ -101,13 +101,22 @@ def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
 def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     """The bias to expect on the next drive, deg/s.
 
-    Less of an estimate is taken the nearer it comes to its own error (the empirical Bayes mean about zero): one that
-    is no larger than its error would make half of all drives worse.
+    Where the robot file does not say how well it knows the bias, its own figure is taken to be off by what the drive
+    makes likeliest, and by no more than is granted (empirical Bayes): an estimate that is off from it by no more than its
+    own error would make half of all drives worse.
     """
     bias, std = bias_of(yaw, truth)
-    if abs(bias) <= std:
-        return 0.0
-    return bias * (1.0 - (std / bias) ** 2)
+    series = yaw.model.frame.series
+    given, granted = known_before(series).get("bias", (series.robot.parameters.gyro.bias_dps, np.inf))
+    if "initial_std.gyro_bias_dps" in series.robot.given:
+        return bias
+    # What the drive says by itself, without what was granted.
+    own = std**-2 - granted**-2
+    if own <= 0.0:
+        return given
+    away = (bias - given) / (own * std**2)
+    likeliest = min(max(away**2 - 1.0 / own, 0.0), granted**2)
+    return float(given + away * likeliest * own / (likeliest * own + 1.0))
 
 
 def estimates_of(

@@ -142,7 +142,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     blocks = strangers(frame)
     columns = {name: x.column for name, x in everything.items()}
     columns |= {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
-    known = known_std(series)
+    known = known_before(series)
     free = tuple(gram_of(model, columns, flicker_floor=floor) for floor in (False, True))
     grams = tuple(gram.knowing(known) for gram in free)
     chosen = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
@@ -175,13 +175,17 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     )
 
 
-def known_std(series: DriveSeries) -> dict[str, float]:
-    """What the robot file grants of track and asymmetry, as standard deviations about zero."""
+def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
+    """What the robot file knows of bias, track and asymmetry: mean and standard deviation of each."""
     std = series.robot.initial_std
-    return {
-        "track": max(std["wheel_separation_m"] / series.robot.wheel_separation_m, 1e-6),
-        "asymmetry": max(float(np.hypot(std["left_scale"], std["right_scale"])), 1e-6),
+    known = {
+        "track": (0.0, max(std["wheel_separation_m"] / series.robot.wheel_separation_m, 1e-6)),
+        "asymmetry": (0.0, max(float(np.hypot(std["left_scale"], std["right_scale"])), 1e-6)),
     }
+    # A rest that the file promises takes the bias off whatever the file says of it.
+    if series.robot.static_s == 0:
+        known["bias"] = (series.robot.parameters.gyro.bias_dps, max(std["gyro_bias_dps"], 1e-9))
+    return known
 
 
 def _rough_bias_dps(series: DriveSeries) -> float:
@@ -275,7 +279,11 @@ def _uneven(
 
 
 def _wheels(
-    frame: Frame, model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], known: Mapping[str, float]
+    frame: Frame,
+    model: YawModel,
+    laws: Mapping[str, Law],
+    chosen: Sequence[str],
+    known: Mapping[str, tuple[float, float]],
 ) -> dict[str, Law]:
     """The wheel out of true that fits best, if it clears its limit; its law as cosine and sine."""
     if not frame.series.differential:

@@ -283,17 +283,17 @@ class Gram:
     matrix : ndarray, shape (p, p)
         ``X' V^-1 X``, plus the inverse variances of what is known beforehand.
     right : ndarray, shape (p,)
-        ``X' V^-1 y``.
+        ``X' V^-1 y``, plus the means of what is known over their variances.
     """
 
     names: tuple[str, ...]
     matrix: Floats = field(repr=False)
     right: Floats = field(repr=False)
 
-    def knowing(self, known_std: Mapping[str, float]) -> Gram:
-        """The same with what is known of coefficients beforehand, about zero, as standard deviations."""
-        more = [1.0 / known_std[n] ** 2 if n in known_std else 0.0 for n in self.names]
-        return replace(self, matrix=self.matrix + np.diag(more))
+    def knowing(self, known: Mapping[str, tuple[float, float]]) -> Gram:
+        """The same with what is known of coefficients beforehand, as mean and standard deviation."""
+        means, stds = np.array([known.get(n, (0.0, np.inf)) for n in self.names]).T
+        return replace(self, matrix=self.matrix + np.diag(stds**-2), right=self.right + means * stds**-2)
 
     def solve(self, chosen: Sequence[str]) -> tuple[Floats, Floats]:
         """Coefficients of some columns, and their covariance."""

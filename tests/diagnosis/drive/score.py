@@ -26,7 +26,7 @@ from gyrocal.diagnosis.drive.findings import named_effects, places, verdict
 from gyrocal.diagnosis.drive.improved import estimates_of, improved_robot
 from gyrocal.diagnosis.drive.laws import candidate_laws, constant_laws, frame_of, wheel_laws
 from gyrocal.diagnosis.drive.reckoning import laid_on
-from gyrocal.diagnosis.drive.search import known_std
+from gyrocal.diagnosis.drive.search import known_before
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.yaw import YawModel, YawNoise, gram_of, usual_noise
 from gyrocal.diagnosis.result import NamedEffect
@@ -108,7 +108,7 @@ def _sigma(effect: str, plan: Plan, seed: int) -> float:
         if law not in (laws | candidates):
             return math.inf
         laws[law] = (laws | candidates)[law]
-    gram = gram_of(model, {n: x.column for n, x in laws.items()}).knowing(known_std(series))
+    gram = gram_of(model, {n: x.column for n, x in laws.items()}).knowing(known_before(series))
     names = list(laws)
     return float(np.sqrt(gram.solve(names)[1][names.index(law), names.index(law)]))
 
