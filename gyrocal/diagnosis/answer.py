@@ -14,17 +14,18 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import DIRECTION, Law, Model
-from gyrocal.diagnosis.locate import block_p_value
+from gyrocal.diagnosis.locate import block_p_value, coordinate_here
 from gyrocal.diagnosis.names import Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect
+from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect, UnnamedPart
 from gyrocal.diagnosis.staircase import Step
 from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
 from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
 from gyrocal.physics.thermal import THERMAL_LAG
+from gyrocal.physics.timewise import WARM_UP
 
 #: Evidence (nats) within which two laws explain the data alike: 20 to 1.
 CLASS_NATS = 3.0
@@ -165,6 +166,27 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     return _effect(found, searched.effect, known.parameters, p, searched.rivals, adds=known.adds)
 
 
+def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
+    """What a table's search put in and other models near the best explain otherwise: it is modelled, and has no name."""
+    if not found.ranked:
+        return ()
+    fitted = found.ranked[0].fitted
+    parts = []
+    for s in _searched(found):
+        if s.law is None or s.nats > _NAMED_BEYOND_TOLL:
+            continue
+        nats = fitted.refit(fitted.model.without_laws([s.law.name])).nll - fitted.nll
+        if block_p_value(nats, len(BLOCKS)) > level:
+            continue
+        adds = estimates.of_law(fitted, s.law, found.laws, []).adds
+        effect = CATALOGUE[s.effect]
+        taken = effect.runtime and (s.effect != WARM_UP.id or found.comes_again > 0.5)
+        near = {s.effect: 0.0, **{e: max(left, 0.0) for e, left in s.rivals.items()}}
+        where = coordinate_here(effect.seen_in, found.series)
+        parts.append(UnnamedPart(where, effect.family, nats, 1e-3 * adds.value, None, None, "", near, taken))
+    return tuple(parts)
+
+
 def layers_of(found: Examination) -> list[Step]:
     """Steps of the staircase, the strongest first: laws, the lag of a coil, blocks without a name, errors of each rate."""
     model = found.naming.fitted.model
@@ -177,10 +199,11 @@ def layers_of(found: Examination) -> list[Step]:
         own = [n for n in found.naming.named if n.law.effect == effect and model.holds(n.law)]
         if own:
             less = partial(Model.without_laws, names=[n.law.name for n in own])
-            steps.append(Step(effect, max(n.gain for n in own), less))
+            beside = tuple(n for n, b in model.blocks.items() if b in {law.block for law in own})
+            steps.append(Step(effect, max(n.gain for n in own), less, beside))
     for block, nats in found.naming.unnamed.items():
         names = [n for n, b in model.blocks.items() if b == block]
-        owners = [n.law.effect for n in found.naming.named if n.block == block]
+        owners = [n.law.effect for n in found.naming.named if n.block == block and not model.holds(n.law)]
         title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == _EACH_RATE else block
         if names and (BLOCKS[block].stays or block == _EACH_RATE):
             steps.append(Step(title, nats, partial(Model.without, names=names)))

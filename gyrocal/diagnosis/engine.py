@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.answer import layers_of, named_effects
+from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
@@ -108,7 +108,7 @@ def diagnose(
     stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found, stairs.each)
     surface, improved = surface_alone(found), correction(found, withheld)
-    parts, layered = unnamed(found, level, withheld), named_effects(found)
+    parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), named_effects(found)
     written, better = _written(found, improved, surface, bool(layered or any(p.corrected for p in parts)))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)
     names = [*layered, *map(_found, findings)]

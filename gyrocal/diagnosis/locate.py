@@ -16,6 +16,7 @@ from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.physics.catalogue import CATALOGUE
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: Units of the coordinates; a data set is counted from 1.
 _UNITS = {
@@ -28,6 +29,8 @@ _UNITS = {
     "supply": "V",
 }
 _QUANTILES = 25
+#: Values nearer than this share of their range are one.
+_SAME = 1e-6
 #: The bias in time beyond its laws.
 WANDERING = "bias in time"
 
@@ -41,8 +44,12 @@ def block_p_value(nats: float, blocks: int) -> float:
 
 
 def coordinate_of(block: str, series: Series) -> str:
-    """Coordinate of a block; without times, the number of the data set stands for time."""
-    coordinate = BLOCKS[block].coordinate
+    """Coordinate of a block."""
+    return coordinate_here(BLOCKS[block].coordinate, series)
+
+
+def coordinate_here(coordinate: str, series: Series) -> str:
+    """A coordinate as a record has it; without times, the number of the data set stands for time."""
     if coordinate == "time_since_power_on" and series.since_power_on_s is None:
         coordinate = "time"
     return series.time_coordinate if coordinate == "time" else coordinate
@@ -127,12 +134,10 @@ def stretch(found: Examination, block: str, curve: Floats) -> dict[str, Any]:
         "supply": means.supply_v,
     }[coordinate]
     rms = {"rms_dps": float(np.sqrt(np.mean(curve**2))), "unit": _UNITS[coordinate]}
-    edges = np.empty(0) if values is None else np.unique(np.quantile(values, np.linspace(0, 1, _QUANTILES)))
-    if values is None or edges.size < 3:
+    if values is None or np.ptp(values) == 0:
         return rms
-    bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
-    count = np.bincount(bins, minlength=edges.size - 1)
-    power = np.bincount(bins, curve**2, minlength=edges.size - 1) / np.maximum(count, 1)
+    bins, lows, highs = binned(values)
+    power = np.bincount(bins, curve**2) / np.bincount(bins)
     first = last = int(np.argmax(power))
     while first > 0 and power[first - 1] > 0.5 * power.max():
         first -= 1
@@ -140,7 +145,20 @@ def stretch(found: Examination, block: str, curve: Floats) -> dict[str, Any]:
         last += 1
     if first == 0 and last == power.size - 1:
         return rms
-    return {**rms, "low": float(edges[first]), "high": float(edges[last + 1])}
+    return {**rms, "low": float(lows[first]), "high": float(highs[last])}
+
+
+def binned(values: Floats) -> tuple[Ints, Floats, Floats]:
+    """Bin of each value, and the least and largest value in each: levels by themselves where there are few of them."""
+    order = np.argsort(values, kind="stable")
+    new = np.diff(values[order], prepend=-np.inf) > _SAME * np.ptp(values)
+    level = np.cumsum(new) - 1
+    ranked = values[order][new][level]
+    bins = level if level[-1] < _QUANTILES else np.arange(values.size) * _QUANTILES // values.size
+    first, last = (np.searchsorted(bins, np.arange(bins[-1] + 1), side) for side in ("left", "right"))
+    where = np.empty(values.size, dtype=np.int64)
+    where[order] = bins
+    return where, ranked[first], ranked[last - 1]
 
 
 def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[UnnamedPart, ...]:

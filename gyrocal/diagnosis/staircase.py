@@ -100,11 +100,14 @@ class Step:
         Effect or block.
     nats : float
         What it is worth.
+    instead : tuple of str
+        Smooth parts that stand beside a law and would take its place: by itself it is judged without them.
     """
 
     name: str
     nats: float
     less: Callable[[Model], Model]
+    instead: tuple[str, ...] = ()
 
 
 def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
@@ -132,9 +135,20 @@ def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
     layers = [_layer(n, f, sure) for n, f in zip(names, reversed(on_the_way), strict=True)]
     each = {}
     for step in steps:
-        without = leave_out(fitted, step.less(fitted.model), folds)
-        each[step.name] = improvement(without, whole, sure, rng)
+        judged, by_itself = fitted, whole
+        if step.instead:
+            judged = _without(fitted, step.instead)
+            by_itself = leave_out(judged, judged.model, folds)
+        without = leave_out(judged, step.less(judged.model), folds)
+        each[step.name] = improvement(without, by_itself, sure, rng)
     return Staircase(tuple(layers), improvement(on_the_way[-1], whole, sure, rng), each)
+
+
+def _without(fitted: Fitted, names: Sequence[str]) -> Fitted:
+    """The model less some components; laws that had died beside them come back."""
+    laws = {law.name for law in fitted.model.laws}
+    start = {n: v for n, v in fitted.fit.log_variance.items() if n not in laws}
+    return fitted.refit(fitted.model.without(names), start=start)
 
 
 def _layer(name: str, found: LeftOut, sure: NDArray[np.bool_]) -> Layer:

@@ -22,7 +22,7 @@ from gyrocal.report.diagnosis_figures import (
     residual_over_time,
     turning,
 )
-from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, staircase_figure
+from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, nameless, staircase_figure
 from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.reasons import reason_words
@@ -306,7 +306,8 @@ def _improvement_table(diagnosis: Diagnosis) -> Table:
         others = [other for other in measured if other != name]
         rows.append((name, listed([bare, *others]), *_improvement_cells(i)))
     if diagnosis.improvement is not None and len(measured) > 1:
-        rows.append(("all named physics", bare, *_improvement_cells(diagnosis.improvement)))
+        whole = "all that was found" if nameless(diagnosis) else "all named physics"
+        rows.append((whole, bare, *_improvement_cells(diagnosis.improvement)))
     columns = (
         "Added",
         "to",

@@ -13,6 +13,8 @@ _LARGE_DPS = 0.3
 #: Above the highest step there is room for its number.
 _HEADROOM = 1.15
 _MOST_LAWS = 3
+#: A share so near to nothing or to all is told as that.
+_NEARLY = 0.01
 
 STAIRCASE_CAPTION = (
     "The rms of means of data sets that were left out, with the surface alone and with one layer more at each step, the strongest "
@@ -71,8 +73,21 @@ def _unnamed(part: UnnamedPart) -> str:
     said = f"Without a name: {where}, worth {part.evidence_nats:.3g} nats"
     near = sorted(part.nearest.items(), key=lambda item: item[1])[:_MOST_LAWS]
     if near:
-        said += f"; nearest are {listed([f'{effect} (leaves {nats:.2g} of them)' for effect, nats in near])}"
+        took = [f"{effect} (takes {_taken(1.0 - nats / part.evidence_nats)})" for effect, nats in near]
+        said += f"; nearest {'is' if len(near) == 1 else 'are'} {listed(took)}"
     return f"{said}. {'The improved coefficients take it away' if part.corrected else 'It is not corrected'}."
+
+
+def _taken(share: float) -> str:
+    """How much of the evidence a law takes; beside the rest of a model it can be more than all, or do harm."""
+    if share < _NEARLY:
+        return "none of them"
+    return "all of them" if share > 1.0 - _NEARLY else f"{100 * share:.0f} % of them"
+
+
+def nameless(d: Diagnosis) -> bool:
+    """Whether a step of the staircase has no name."""
+    return any(layer_words(d, layer) not in ("surface alone", layer.name) for layer in d.layers)
 
 
 @style.styled

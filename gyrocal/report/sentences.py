@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Improvement, Located, NamedEffect
 from gyrocal.physics.catalogue import described
-from gyrocal.report.diagnosis_layers import staircase_sentence, unnamed_sentences
+from gyrocal.report.diagnosis_layers import nameless, staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
 from gyrocal.report.reasons import reason_words
 from gyrocal.report.remarks import remark_words, statement
@@ -113,9 +113,8 @@ def _sentences(d: Diagnosis) -> list[str]:
     said += [*unnamed_sentences(d), *filter(None, [staircase_sentence(d)])]
     measured = [e for e in d.effects if e.improvement is not None]
     if d.improvement is not None and len(measured) > 1:
-        said.append(
-            "All named physics together, against the surface alone: " + _gain(d.improvement, counted(d))
-        )
+        whole = "All that was found, also without a name" if nameless(d) else "All named physics together"
+        said.append(f"{whole}, against the surface alone: " + _gain(d.improvement, counted(d)))
     return said
 
 
@@ -171,7 +170,8 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     if traded:
         said.append(traded)
     if effect.alternatives:
-        said.append("The same data could be " + "; ".join(_other(a) for a in effect.alternatives) + ".")
+        rivals = "; ".join(_other(a, a.effect in d.not_testable) for a in effect.alternatives)
+        said.append(f"The same data could be {rivals}.")
     if effect.improvement is not None:
         others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
         beside = f", beside {listed(others)}" if others else ""
@@ -183,7 +183,9 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     return said
 
 
-def _other(a: Alternative) -> str:
+def _other(a: Alternative, untestable: bool) -> str:
+    if untestable:
+        return f"{a.effect} (which this record cannot test)"
     odds = "equally well" if a.evidence_ratio < 1.05 else f"{a.evidence_ratio:.2g} to 1 against it"
     return f"{a.effect} ({odds})"
 
@@ -241,11 +243,10 @@ def _folded(folded: Fold) -> str:
     places = decimals(noise)
     label = folded.coordinate.label.rsplit(",", 1)[0]
     label = label[0].lower() + label[1:] if label[1:2].islower() else label
-    moves = "falls" if after < before else "rises"
-    return (
-        f"folded on {label} the rms of the residual {moves} from {fixed(before, places)} to {fixed(after, places)} "
-        f"{folded.coordinate.unit}."
-    )
+    here = f"{fixed(before, places)} to {fixed(after, places)} {folded.coordinate.unit}"
+    if after < before:
+        return f"folded on {label} the rms of the residual falls from {here}."
+    return f"folded on {label} it cannot be seen by itself, for other layers live there too: the rms goes from {here}."
 
 
 def _rms(i: Improvement, c: Counted) -> str:
@@ -266,5 +267,8 @@ def _rms(i: Improvement, c: Counted) -> str:
     drop = range_text(low, high, scale)
     sure = "" if low > 0 else ", no sure gain"
     reached = i.heldout_rms_after_dps <= i.noise_floor_dps
+    moves = "falls" if i.heldout_rms_after_dps < i.heldout_rms_before_dps else "rises"
     noise = f"which is the noise ({floor})" if reached else f"where noise alone would leave {floor}"
-    return f"the rms of {c.means} falls from {before} to {after} {unit} (drop {drop} at 95 %{sure}), {noise}"
+    return (
+        f"the rms of {c.means} {moves} from {before} to {after} {unit} (drop {drop} at 95 %{sure}), {noise}"
+    )

@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.layers import Fitted, Model
+from gyrocal.diagnosis.locate import binned
 from gyrocal.diagnosis.result import Diagnosis, Layer, UnnamedPart
 from gyrocal.diagnosis.staircase import leave_out
 from gyrocal.diagnosis.table_series import series_of_table
@@ -83,8 +84,31 @@ def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     )
     found = Diagnosis(**{**vars(stepped), "unnamed": (part,)})
     assert unnamed_sentences(found) == [
-        "Without a name: rate 93.6 to 100.8 deg/s (12 mdeg/s rms), worth 35.2 nats; nearest are saturation "
-        "(leaves 12 of them). The improved coefficients take it away."
+        "Without a name: rate 93.6 to 100.8 deg/s (12 mdeg/s rms), worth 35.2 nats; nearest is saturation "
+        "(takes 66 % of them). The improved coefficients take it away."
     ]
     unknown = Layer("odd rate", 1e-3, 1e-3, 0.0)
     assert layer_rows(Diagnosis(**{**vars(stepped), "layers": (unknown,)}))[0][0] == "odd rate, no name"
+
+
+def test_a_nearest_law_takes_none_all_or_a_share(stepped: Diagnosis) -> None:
+    """Beside the rest of a model it can leave more than there was, or less than nothing."""
+    near = {"scale_step": -1.8, "rate_order": 4.0, "scale_drift": 240.0}
+    part = UnnamedPart("time", "time", 8.0, 1e-3, None, None, "s", near, corrected=False)
+    said = unnamed_sentences(Diagnosis(**{**vars(stepped), "unnamed": (part,)}))[0]
+    assert (
+        "scale_step (takes all of them), rate_order (takes 50 % of them) and scale_drift (takes none of them)"
+        in said
+    )
+
+
+def test_a_level_of_the_rate_is_a_place_by_itself() -> None:
+    """Means of one commanded rate differ in the last digit."""
+    rates = np.repeat(np.linspace(-60.0, 60.0, 7), 5) * (1.0 + 1e-15 * np.arange(35))
+    which, low, high = binned(rates)
+    assert np.array_equal(which, np.repeat(np.arange(7), 5))
+    np.testing.assert_array_equal(low, high)
+    many = np.random.default_rng(1).normal(size=1000)
+    which, low, high = binned(many)
+    assert np.all(low < high) and np.all(np.diff(low) > 0)
+    assert np.all((low[which] <= many) & (many <= high[which]))
