@@ -110,5 +110,6 @@ def test_a_level_of_the_rate_is_a_place_by_itself() -> None:
     np.testing.assert_array_equal(low, high)
     many = np.random.default_rng(1).normal(size=1000)
     which, low, high = binned(many)
-    assert np.all(low < high) and np.all(np.diff(low) > 0)
+    assert np.all(low < high)
+    assert np.all(np.diff(low) > 0)
     assert np.all((low[which] <= many) & (many <= high[which]))
