@@ -162,7 +162,11 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
         coils = [(weight, c) for weight, c in found.candidates if c.coil is not None]
         return _effect(found, searched.effect, lag_estimates(coils), p, {})
     p = float(chi2.sf(2.0 * searched.nats, 1))
-    known = estimates.of_law(found.ranked[0].fitted, searched.law, found.laws, [])
+    # The search goes from one shape of its grid to the next.
+    fitted = found.ranked[0].fitted
+    shaped = estimates.reshaped(fitted, found.laws)
+    law = shaped.model.laws[fitted.model.laws.index(searched.law)]
+    known = estimates.of_law(shaped, law, found.laws, [])
     return _effect(found, searched.effect, known.parameters, p, searched.rivals, adds=known.adds)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,10 +26,17 @@ _BENDS = 12
 _SETTLED_DPS = 1e-4
 
 
-def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
+def settle_direction(
+    fitted: Fitted, shaped: Callable[[Fitted], Fitted] = lambda fitted: fitted
+) -> tuple[Fitted, float]:
     """The model with a surface of the output or of the input, where either does as well as what is between.
 
     Also how much better the input is, nats. Around itself: what bends is the surface that stands beside all else.
+
+    Parameters
+    ----------
+    shaped : fits the shapes of the laws to the surface beside them
+        A law of the rate that was shaped beside one of the two fits better beside that one.
     """
     model = fitted.model
     if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
@@ -36,8 +44,8 @@ def settle_direction(fitted: Fitted) -> tuple[Fitted, float]:
     bend = model.bend_of(fitted.solve())
     free = fitted.refit(model.directed("free", bend))
     bend = free.model.bend_of(free.solve())
-    free = free.refit(model.directed("free", bend))
-    ways = {d: free.refit(free.model.directed(d, bend)) for d in ("output", "input")}
+    free = shaped(free.refit(model.directed("free", bend)))
+    ways = {d: shaped(free.refit(free.model.directed(d, bend))) for d in ("output", "input")}
     if model.direction == "output":
         # Beside a law of the rate what is between may have led its bend astray.
         ways["output"] = min(fitted, ways["output"], key=lambda f: f.nll)

@@ -20,7 +20,7 @@ from gyrocal.diagnosis.intervals import (
     descend,
     holding,
     profile_interval,
-    shapes_around,
+    shapes_within,
 )
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
@@ -112,16 +112,9 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     without : components that the law takes the place of
     """
     effect = CATALOGUE[law.effect]
-    model = fitted.model.without(without)
-    # One law that was found in two blocks is one; plays and jumps may be several.
-    several = effect.search.adds_up or "at_s" in law.shape
-    same = [x.name for x in model.laws if x.name == law.name or (x.effect == law.effect and not several)]
-    others = [c for c in model.all if c.name not in same]
-    surface, _ = np.linalg.qr(model.design[:, model.flat])
-    score, p = fitted.contrasts.precision(others, fitted.fit.log_variance)
-    beside = _Beside(effect, laws, surface, score, p)
+    beside = _beside(fitted, law, laws, without)
     here = beside.of(law.columns)
-    free = [n for n in effect.search.refined if law.shape.get(n, 0.0) > 0.0 and law.columns.shape[1] == 1]
+    free = _free(law)
     profiles, along = _profiles(beside, law.shape, free)
     points = [here, *along]
     unit = effect.parameter("amplitude").unit
@@ -133,6 +126,44 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
         found | _shapes(effect, law.shape, profiles),
         Estimate(size, _MDPS * adds.std, "mdeg/s", (_MDPS * adds.interval[0], _MDPS * adds.interval[1])),
     )
+
+
+def reshaped(fitted: Fitted, laws: Laws, last: int | None = None) -> Fitted:
+    """The model with each law at the shape that does best beside everything else that is in it by now.
+
+    A shape was found beside less, under a noise that had grown in the law's place. Instants stay where they are, and
+    laws that spread have no one shape.
+
+    Parameters
+    ----------
+    last : so many laws at the end of the model, if not all
+    """
+    for law in fitted.model.laws[-last if last else 0 :]:
+        free = _free(law)
+        if not free or "at_s" in free or law.from_end or law.spread or law.mixture:
+            continue
+        shape = _best_shape(_beside(fitted, law, laws, []), law.shape, free)
+        moved = replace(law, shape=shape, columns=laws.at(CATALOGUE[law.effect], shape))
+        own = tuple(moved if x.name == law.name else x for x in fitted.model.laws)
+        fitted = min(fitted, fitted.refit(replace(fitted.model, laws=own)), key=lambda f: f.nll)
+    return fitted
+
+
+def _free(law: Law) -> list[str]:
+    """Parameters of the shape of a law of one amplitude that are not chosen from a few."""
+    refined = CATALOGUE[law.effect].search.refined
+    return [n for n in refined if law.shape.get(n, 0.0) > 0.0 and law.columns.shape[1] == 1]
+
+
+def _beside(fitted: Fitted, law: Law, laws: Laws, without: Sequence[str]) -> _Beside:
+    effect, model = CATALOGUE[law.effect], fitted.model.without(without)
+    # One law that was found in two blocks is one; plays and jumps may be several.
+    several = effect.search.adds_up or "at_s" in law.shape
+    same = [x.name for x in model.laws if x.name == law.name or (x.effect == law.effect and not several)]
+    others = [c for c in model.all if c.name not in same]
+    surface, _ = np.linalg.qr(model.design[:, model.flat])
+    score, p = fitted.contrasts.precision(others, fitted.fit.log_variance)
+    return _Beside(effect, laws, surface, score, p)
 
 
 def _sized(point: Point) -> Point:
@@ -172,7 +203,7 @@ def _profiles(
         alone[name] = holding(own, shape[name])
     if len(free) > 1:
         return _jointly(beside, shape, best_shape, alone)
-    values = {n: shapes_around(own.interval, _limits(beside, n)) for n, own in alone.items()}
+    values = {n: shapes_within(own.interval) for n, own in alone.items()}
     return alone, [beside.at({**shape, n: float(x)}) for n, tried in values.items() for x in tried]
 
 

@@ -23,9 +23,9 @@ REFINED_OVER = (1.5, 1.12)
 REFINED_AT = 7
 #: Losses that differ by less are the same to the last digits.
 _TIE = 1e-3
-#: Shapes at which an amplitude's likelihood is evaluated, and how far beyond the interval of the shape.
+#: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.
 _SHAPES = 15
-_WIDER = 1.4
+_NEAR_END = 0.005
 _RATIO_95 = 2.0 * NORMAL_95
 
 
@@ -116,10 +116,11 @@ class Point:
     unit_dps: float = float("nan")
 
 
-def shapes_around(interval: tuple[float, float], limits: tuple[float, float]) -> Floats:
-    """Values of a positive shape over and beyond its interval."""
-    low, high = max(interval[0] / _WIDER, limits[0]), min(interval[1] * _WIDER, limits[1])
-    return np.asarray(np.geomspace(low, high, _SHAPES))
+def shapes_within(interval: tuple[float, float]) -> Floats:
+    """Values of a positive shape all over its interval: beyond it no amplitude makes up for what the shape loses."""
+    low, high = interval
+    inside = (high / low) ** _NEAR_END
+    return np.asarray(np.geomspace(low * inside, high / inside, _SHAPES))
 
 
 def amplitude_interval(points: Sequence[Point]) -> Profile:

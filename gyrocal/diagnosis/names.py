@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from gyrocal.diagnosis.blocks import BENT, REPLACED, around_itself, evidence, present, settle_direction
 from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
@@ -109,7 +111,8 @@ def name(
         # A walk that smooth parts had taken the place of: laws that it can follow are none.
         fitted = _beside(fitted, passes)
     fitted, named = _backward(fitted, named)
-    fitted, input_gain = settle_direction(fitted)
+    settled, input_gain = settle_direction(fitted, partial(reshaped, laws=laws))
+    fitted, named = settled, _as_fitted(named, fitted, settled)
     # What a law's first surface or shape had left to smooth parts may be gone.
     fitted, left = present(around_itself(fitted), laws)
     if passes:
@@ -119,8 +122,9 @@ def name(
         fitted, left, instead = _instead(fitted, left, named, passes, laws)
         named += instead
     fitted, laws = tied_anew(fitted, laws)
-    fitted = around_itself(fitted)
-    return Naming(fitted, tuple(_mechanisms(_as_fitted(named, fitted))), left, nearest, input_gain), laws
+    shaped = reshaped(around_itself(fitted), laws)
+    named = _as_fitted(named, fitted, shaped)
+    return Naming(around_itself(shaped), tuple(_mechanisms(named)), left, nearest, input_gain), laws
 
 
 def _name_blocks(
@@ -177,9 +181,9 @@ def _beside(fitted: Fitted, passes: Sequence[Component]) -> Fitted:
     return fitted.refit(replace(fitted.model, components=components))
 
 
-def _as_fitted(named: list[Named], fitted: Fitted) -> list[Named]:
-    """With the columns that the laws have in the model."""
-    own = {law.name: law for law in fitted.model.laws}
+def _as_fitted(named: list[Named], before: Fitted, fitted: Fitted) -> list[Named]:
+    """With the shapes and columns that the laws have in the model, which came from one `before` law by law."""
+    own = {old.name: law for old, law in zip(before.model.laws, fitted.model.laws, strict=True)}
     return [replace(n, law=own.get(n.law.name, n.law)) for n in named]
 
 
@@ -302,6 +306,8 @@ def _alone(
         best = best_law(fitted, found.fitted, block, [t for t in trials if t.effect.id not in taken], laws)
         if best is None:
             break
+        placed, shaped = best.fitted, reshaped(best.fitted, laws, last=len(found.named) + 1)
+        best = replace(best, fitted=shaped)
         gain = found.fitted.nll - best.fitted.nll
         if not found.named:
             behind = {best.effect.id: 0.0, **best.rivals}
@@ -316,7 +322,7 @@ def _alone(
             # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
             break
         law = Named(best.fitted.model.laws[-1], block, gain, 0.0, best.rivals, best.shapes)
-        found = _Alone(best.fitted, [*found.named, law], found.near)
+        found = _Alone(shaped, [*_as_fitted(found.named, placed, shaped), law], found.near)
     return found
 
 

@@ -15,7 +15,7 @@ from gyrocal.diagnosis.intervals import (
     Profile,
     amplitude_interval,
     profile_interval,
-    shapes_around,
+    shapes_within,
 )
 from gyrocal.physics.effect import Effect
 from gyrocal.units import NORMAL_95
@@ -75,7 +75,7 @@ class ShapeWithin:
             limits = (known.low or shape[name] / _REACH, known.high)
             own = profile_interval(partial(beside._loss, shape, name), shape[name], _REACH, limits)
             profiles[name] = own
-            points += [beside.at({**shape, name: float(x)}) for x in shapes_around(own.interval, limits)]
+            points += [beside.at({**shape, name: float(x)}) for x in shapes_within(own.interval)]
         return profiles, amplitude_interval(points)
 
     def free(self, shape: Mapping[str, float]) -> list[str]:

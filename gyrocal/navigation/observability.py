@@ -85,7 +85,10 @@ class Observability:
         if stayed:
             said.append(f"At their prior: {', '.join(stayed)}.")
         said += [f"Not told apart: {a} and {b}." for a, b in self.confused]
-        said += [f"Not seen: {d.text()}." for d in self.directions if d.ratio > STAYED]
+        # A constant by itself that is not seen is at its prior, and that is said.
+        unseen = [t for d in self.directions if d.ratio > STAYED and (t := d.text()) not in stayed]
+        if unseen:
+            said.append(f"Not seen: {'; '.join(unseen)}.")
         sides = {"left": self.turned_left_deg, "right": self.turned_right_deg}
         lacking = [side for side, turned in sides.items() if turned < _TURNED_DEG]
         if lacking:

@@ -196,9 +196,11 @@ def _remarks(
         if not replay.survey.speed_only:
             yaw = compare_yaw(replay.survey, robot.wheel_separation_m)
             found.append(f"{replay.name}: {yaw.sentence(-robot.parameters.gyro.delay_s)}.")
+        labels: dict[str, list[str]] = {}
         for condition, seen in replay.observability.items():
             label = next(c.label for c in CONDITIONS if c.id == condition)
-            found.append(f"{replay.name}, {label}: {' '.join(seen.sentences())}")
+            labels.setdefault(" ".join(seen.sentences()), []).append(label)
+        found += [f"{replay.name}, {'; '.join(names)}: {text}" for text, names in labels.items()]
     said: dict[str, list[str]] = {}
     for replay in replays:
         for note in replay.notes:

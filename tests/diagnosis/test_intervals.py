@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gyrocal.diagnosis.estimates import of_draws
-from gyrocal.diagnosis.intervals import Point, along_axis, amplitude_interval, profile_interval
+from gyrocal.diagnosis.intervals import (
+    Point,
+    along_axis,
+    amplitude_interval,
+    profile_interval,
+    shapes_within,
+)
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.locate import block_p_value
 
@@ -35,6 +41,15 @@ def test_an_interval_reaches_over_all_shapes_that_fit_as_well() -> None:
     low, high = amplitude_interval(points).interval
     assert low == pytest.approx(3.0 / 2.0**4, abs=0.03)
     assert high == pytest.approx(3.0 / 0.5**4, abs=0.03)
+
+
+def test_an_amplitude_follows_a_shape_that_is_known_to_a_percent() -> None:
+    """Shapes are tried within the interval of the shape, however narrow it is."""
+    shapes = shapes_within((1.0 - 1.96 * 0.005, 1.0 + 1.96 * 0.005))
+    points = [Point(((x - 1.0) / 0.005) ** 2, 5.0 - 4.0 * (x - 1.0) / 0.005, 0.1) for x in shapes]
+    low, high = amplitude_interval([Point(0.0, 5.0, 0.1), *points]).interval
+    # An ellipse of two that go together: 1.96 of the root of the sum of squares.
+    assert (low, high) == pytest.approx((5.0 - 1.96 * 4.0, 5.0 + 1.96 * 4.0), abs=0.2)
 
 
 def test_a_profile_on_a_grid_is_read_between_its_points() -> None:

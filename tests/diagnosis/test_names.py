@@ -49,6 +49,22 @@ def test_the_only_law_of_a_family_names_what_it_only_resembles() -> None:
     assert "temperature" in found.unnamed, "what the law leaves stays in the model"
 
 
+def test_laws_that_are_shaped_beside_each_other_keep_their_names() -> None:
+    """Two plays: the first is shaped again beside the second, and is the same law."""
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+
+    def play(half_width: float) -> NDArray[np.float64]:
+        out = temp.copy()
+        for k in range(1, out.size):
+            out[k] = max(temp[k] - half_width, min(temp[k] + half_width, out[k - 1]))
+        return out - temp
+
+    found = naming_of(2e-3 * play(2.2) + 4e-3 * play(6.3), 3)
+    plays = [n.law for n in found.named if n.law.effect == "thermal_hysteresis"]
+    assert sorted(law.shape["width_c"] for law in plays) == pytest.approx([2.2, 6.3], rel=0.1)
+    assert {law.name for law in plays} <= {law.name for law in found.fitted.model.laws}
+
+
 @pytest.mark.slow
 def test_a_step_that_shapes_in_temperature_follow_beside_a_law_is_found(tmp_path: Path) -> None:
     """A plan that goes through its temperatures once: a step of the scale factor is a shape in temperature, too."""

@@ -57,7 +57,7 @@ def test_files_and_summary(replays: list[LogReplay], monkeypatch: pytest.MonkeyP
     page = result.files["replay.html"].decode()
     assert any(r.startswith("Calibration of KVH") for r in result.remarks)
     assert "Table II of these runs" in page
-    assert "cw1, calibration, filter: The log sees" in page
+    assert "calibration, filter: The log sees" in page
 
 
 def test_the_verdict_says_sizes_and_factors(replays: list[LogReplay]) -> None:
