@@ -54,7 +54,7 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
 
 
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
-    """Scales of gyro and wheels that the truth shows, and the track that is left of the heading difference by them.
+    """What the truth shows, scales of gyro and wheels and a slope of the bias (deg/s per degC), and the track that is left.
 
     Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro), so that only the truth tells the three apart.
     What it does not show goes to whichever of the three it speaks least against.
@@ -64,6 +64,8 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         for name in ("gyro_scale", "wheel_scale"):
             if truth.believed(name):
                 found[name] = Scale(truth.values[name], truth.stds[name])
+        if truth.told("bias_slope") ** 2 >= GAIN:
+            found["bias_slope"] = Scale(truth.values["bias_slope"], truth.stds["bias_slope"])
     if "track" not in yaw.chosen:
         return found
     c, std = yaw.estimate("track")
@@ -200,7 +202,7 @@ def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
 def _of_scale(
     name: str, scale: Scale, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> NamedEffect:
-    effect = "skid_slip" if name == "track" else name
+    effect = {"track": "skid_slip", "bias_slope": "bias_temperature"}.get(name, name)
     seen = beside = None
     parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     others: dict[str, float] = {}
@@ -211,7 +213,7 @@ def _of_scale(
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others["unit_or_sign"] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)
-    if truth is None or name == "track" or not truth.believed(name):
+    if name == "track" or (name in INTERESTS and (truth is None or not truth.believed(name))):
         against = _against(*yaw.estimate("track"), truth)
         for other, chi2 in against.items():
             ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))

@@ -82,7 +82,7 @@ def figures_of(
         bias_dps=bias_of(yaw, truth)[0],
         temp_c=reference_temp_c(series),
         bias_motion_dps=value("step"),
-        bias_slope_dps_per_c=value("slope"),
+        bias_slope_dps_per_c=value("slope") + scale("bias_slope"),
         gyro_scale=scale("gyro_scale"),
         left_scale=(1 + scale("wheel_scale")) * (1 - half) - 1,
         right_scale=(1 + scale("wheel_scale")) * (1 + half) - 1,
@@ -156,7 +156,9 @@ def _of_gyro(
         ("slope", "bias_temperature", "bias_slope_dps_per_c", "deg/s per degC"),
         ("delay", "gyro_delay", "delay_s", "s"),
     ):
-        if law in yaw.laws:
+        if law == "slope" and "bias_slope" in parts:
+            rows.append((name, field, parts["bias_slope"].value, parts["bias_slope"].std, unit, True))
+        elif law in yaw.laws:
             rows.append((name, field, *_estimate(yaw, law), unit, law in yaw.named))
     found = [
         DriveEstimate(name, value, std, unit, cost_m(series, figures, field, value), "gyro", named)
@@ -222,7 +224,10 @@ def improved_robot(
     for law, key in (("step", "bias_motion_dps"), ("slope", "bias_slope_dps_per_c"), ("delay", "delay_s")):
         if law in yaw.named:
             keys[f"gyro.{key}"], keys[f"gyro.{key}_std"] = yaw.estimate(law)
-    if "slope" in yaw.named:
+    if "bias_slope" in parts:
+        slope = parts["bias_slope"]
+        keys["gyro.bias_slope_dps_per_c"], keys["gyro.bias_slope_dps_per_c_std"] = slope.value, slope.std
+    if "slope" in yaw.named or "bias_slope" in parts:
         keys["gyro.temp_c"] = figures.temp_c
     if yaw.window_s > 0:
         keys["encoders.window_s"] = yaw.window_s

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
+from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, laid_on, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
@@ -34,8 +35,8 @@ _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 _CELLS = 300
 #: Memory of what wanders in the truth, s.
 _WANDER_S = 60.0
-#: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), bias where nothing tells (deg/s).
-_SCALE, _CLOCK_S, _LEVER_M = 0.2, 0.3, 1.0
+#: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), slope of the bias (deg/s per degC).
+_SCALE, _CLOCK_S, _LEVER_M, _SLOPE = 0.2, 0.3, 1.0, 0.02
 #: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
 _HORIZONS = (0.06, 0.12, 0.25, 0.5, 1.0)
 #: Levels' logarithms beforehand: the truth's are free, those of dead reckoning are known from the heading difference.
@@ -43,6 +44,8 @@ _FREE, _WAY_FREE = 4.0, 1.0
 _ODD_M = 0.03
 _MIRRORED_BY, _MIRRORED_BETTER = 60.0, 3.0
 INTERESTS = ("gyro_bias", "gyro_scale", "wheel_scale")
+#: What the path is laid anew for until it moves no more.
+_MOVING = (*INTERESTS, "bias_slope")
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,8 @@ class TruthAnswer:
     ----------
     values, stds : mapping
         ``gyro_bias`` (deg/s, beyond what was taken out), ``gyro_scale``, ``wheel_scale`` (relative), ``lever_ahead``,
-        ``lever_left`` (m), ``clock`` (s, the truth is late), ``mounting`` (rad, where there are headings).
+        ``lever_left`` (m), ``clock`` (s, the truth is late), ``mounting`` (rad, where there are headings), ``bias_slope``
+        (deg/s per degC, where nothing but the truth could tell it).
     covariance : ndarray, shape (3, 3)
         Of `INTERESTS`.
     before_m, after_m : float
@@ -80,15 +84,21 @@ class TruthAnswer:
     nearer: tuple[str, ...] = ()
     mirrored: bool = False
 
+    def told(self, name: str) -> float:
+        """A figure in its standard deviations; 0 where the truth is mirrored or says nothing of it."""
+        return self.values[name] / self.stds[name] if name in self.values and not self.mirrored else 0.0
+
     def believed(self, name: str) -> bool:
         """Whether a scale is sure: far from zero for the noise, and, where not by far, no worse for the path as a whole."""
-        away = abs(self.values[name]) / self.stds[name]
-        return not self.mirrored and away > (BELIEVED if name in self.nearer else _BEYOND_DOUBT)
+        return abs(self.told(name)) > (BELIEVED if name in self.nearer else _BEYOND_DOUBT)
 
 
 @dataclass(frozen=True)
 class _Knots:
-    """Truth averaged over equal times, shape (k,); `seen` are the positions of its `rows`."""
+    """Truth averaged over equal times, shape (k,); `seen` are the positions of its `rows`.
+
+    `warmer_c` is the gyro's temperature above that of its bias, row by row, where nothing but the truth could tell its law.
+    """
 
     rows: Ints
     seen: Complexes
@@ -97,6 +107,7 @@ class _Knots:
     t_s: Floats
     position: Complexes
     heading: Floats | None
+    warmer_c: Floats | None
 
     def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
         """Mean of a row-wise channel over each knot."""
@@ -115,7 +126,9 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> _Knots | None:
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = _Knots(rows, position[rows], at, count, series.t_s, position, None)
+    temp = None if series.differential else temperature_c(series)
+    warmer_c = None if temp is None else temp - reference_temp_c(series)
+    knots = _Knots(rows, position[rows], at, count, series.t_s, position, None, warmer_c)
     heading = None
     if np.all(np.isfinite(series.truth_heading_deg[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -133,10 +146,12 @@ class _State:
     turn: float
 
 
-def _reckoned(base: Reckoned, state: _State) -> Reckoned:
+def _reckoned(knots: _Knots, base: Reckoned, state: _State) -> Reckoned:
     v = state.values
-    since = base.t_s - base.t_s[0]
-    heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * v["gyro_bias"] * since + state.turn
+    turned = v["gyro_bias"] * (base.t_s - base.t_s[0])
+    if knots.warmer_c is not None:
+        turned = turned + v["bias_slope"] * np.cumsum(knots.warmer_c * base.dt_s)
+    heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
     middle = 0.5 * (heading + np.concatenate([heading[:1], heading[:-1]]))
     way = base.way_m / (1.0 + v["wheel_scale"])
     return Reckoned(base.t_s, base.dt_s, heading, way, way * np.exp(1j * middle))
@@ -171,6 +186,8 @@ def _columns(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
     }
+    if knots.warmer_c is not None:
+        columns["bias_slope"] = by(-DEG_TO_RAD * np.cumsum(knots.warmer_c * path.dt_s), nothing)
     if knots.heading is not None:
         columns["mounting"] = _stack(knots, np.zeros(k, dtype=np.complex128), np.ones(k))
     return columns
@@ -312,7 +329,7 @@ class _Problem:
 
 
 def _problem(knots: _Knots, base: Reckoned, state: _State, bias_std_dps: float, noise: YawNoise) -> _Problem:
-    path = _reckoned(base, state)
+    path = _reckoned(knots, base, state)
     apart = knots.position - knots.mean(path.at_m)
     headings = np.zeros(knots.count.size)
     if knots.heading is not None:
@@ -326,6 +343,7 @@ def _problem(knots: _Knots, base: Reckoned, state: _State, bias_std_dps: float, 
         "clock": (0.0, _CLOCK_S),
         "lever_ahead": (0.0, _LEVER_M),
         "lever_left": (0.0, _LEVER_M),
+        "bias_slope": (-v["bias_slope"], _SLOPE),
     }
     return _Problem(_stack(knots, apart, headings), _columns(knots, path), known, _noise(knots, path, noise))
 
@@ -361,7 +379,7 @@ def _laid(
 ) -> tuple[_State, _Problem, Floats, float]:
     """Gauss and Newton over growing parts of the drive, then levels and path in turn."""
     logs = _first_levels(knots)
-    state = _State(dict.fromkeys(INTERESTS, 0.0), 0.0)
+    state = _State(dict.fromkeys(_MOVING, 0.0), 0.0)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
     loss = np.inf
@@ -379,7 +397,7 @@ def _laid(
                 logs = _levels(part, logs if round_ else _first_levels(knots))
             values, _, loss = part.solve(logs)
             step = dict(zip(part.columns, values, strict=True))
-            moved = {n: float(np.clip(state.values[n] + step[n], -0.5, 0.5)) for n in INTERESTS}
+            moved = {n: float(np.clip(v + step.get(n, 0.0), -0.5, 0.5)) for n, v in state.values.items()}
             state = _State(moved, state.turn + step["turn"])
     return state, _problem(knots, base, state, bias_std_dps, noise), logs, loss
 
@@ -423,7 +441,7 @@ def _miss(knots: _Knots, problem: _Problem, logs: Floats) -> float:
 def _answer(knots: _Knots, base: Reckoned, state: _State, problem: _Problem, logs: Floats) -> TruthAnswer:
     odd: dict[str, float] = {}
     beside: dict[str, Floats] = {}
-    for coordinate, block in _strangers(knots, _reckoned(base, state)).items():
+    for coordinate, block in _strangers(knots, _reckoned(knots, base, state)).items():
         more = {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
         odd[coordinate] = float(stats.chi2.sf(_gain(problem, more, logs), len(more)))
         beside |= more if odd[coordinate] < STRANGER_P else {}
@@ -437,9 +455,11 @@ def _answer(knots: _Knots, base: Reckoned, state: _State, problem: _Problem, log
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
     at = [names.index(n) for n in INTERESTS]
     # A wrong bias would let any scale look like a gain: it is taken out of both paths.
-    steady = {**dict.fromkeys(INTERESTS, 0.0), "gyro_bias": found["gyro_bias"]}
-    apart = {n: _apart(knots, _reckoned(base, _State({**steady, n: found[n]}, 0.0))) for n in INTERESTS}
-    seen = ("lever_ahead", "lever_left", "clock", "mounting")
+    steady = dict.fromkeys(INTERESTS, 0.0) | {n: found.get(n, 0.0) for n in ("gyro_bias", "bias_slope")}
+    apart = {
+        n: _apart(knots, _reckoned(knots, base, _State({**steady, n: found[n]}, 0.0))) for n in INTERESTS
+    }
+    seen = ("lever_ahead", "lever_left", "clock", "mounting", "bias_slope")
     return TruthAnswer(
         {n: found[n] for n in (*INTERESTS, *seen) if n in found},
         {n: stds[n] for n in (*INTERESTS, *seen) if n in stds},

@@ -231,6 +231,18 @@ def test_same_log_same_answer(robot: Robot) -> None:
     assert one == two
 
 
+def test_positions_tell_the_slope_of_a_bias_where_no_wheel_turns_against_another(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text("wheel_separation_m = 1.6\nstatic_s = 0.0\n")
+    plan = Plan("random", 6.0, 10.0, rest_s=0.0, truth_m=0.05, effects={"bias_temperature": 20.0})
+    told = diagnose_drive("car.csv", _speed_only(drive(plan, 4)), read_robot(path))
+    assert names(told) == ["bias_temperature"]
+    amplitude = told.diagnosis.effects[0].parameters["amplitude"]
+    assert abs(amplitude.value - 20.0) < 4 * amplitude.std
+    assert told.robot is not None
+    assert told.robot.parameters.gyro.bias_slope_dps_per_c == pytest.approx(amplitude.value / 1e3)
+
+
 def _speed_only(log: DriveBlock) -> DriveBlock:
     speed = 0.5 * (log.left_m + log.right_m)
     return replace(log, left_m=speed, right_m=speed)
