@@ -164,9 +164,15 @@ def _instead(
         other, _, more, _ = _name_blocks(*present(other, laws), named, laws)
         other, jumps = with_jumps(other, passes, laws)
         more += [_jumped(jump) for jump in jumps]
-        if more and other.nll <= fitted.nll + REPLACED + len(more):
-            found = _with_laws(fitted, [n.law for n in more]) if own else other
-            return *present(found, laws), more
+        if not more:
+            continue
+        both = _with_laws(fitted, [n.law for n in more])
+        if other.nll <= fitted.nll + REPLACED + len(more):
+            return *present(both if own else other, laws), more
+        # A block that has followed them may be like a law of its own beside them.
+        both, _, mine, _ = _name_blocks(*present(both, laws), [*named, *more], laws)
+        if mine and both.nll <= fitted.nll + REPLACED + len(more) + len(mine):
+            return *present(both, laws), [*more, *mine]
     return fitted, worth, []
 
 
