@@ -70,7 +70,9 @@ def iterate_static_log(path: Path, chunk_rows: int = _CHUNK_ROWS) -> Iterator[St
             continue
         _refuse_infinite(path, first_line, columns)
         if timeline is None:
-            timeline = Timeline(path, usual_step(path, columns["t_s"][:_HEAD_ROWS]), closes=False)
+            timeline = Timeline(
+                path, usual_step(path, columns["t_s"][:_HEAD_ROWS], mapped=False), closes=False
+            )
         yield from cut_at_steps(timeline, first_line, columns)
     if timeline is None:
         raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")

@@ -79,8 +79,12 @@ class Timeline:
         return f"{found}; the clock is taken to have stepped and the rows go on as another segment (if the logger paused, cut the file there)"
 
 
-def usual_step(path: Path, t_s: Floats) -> float:
+def usual_step(path: Path, t_s: Floats, *, mapped: bool = True) -> float:
     """Usual time step of a log, s, from the times `t_s` of its first rows; 0 where all are equal.
+
+    Parameters
+    ----------
+    mapped : whether the command that reads it takes a mapping of its columns
 
     Raises
     ------
@@ -92,7 +96,7 @@ def usual_step(path: Path, t_s: Floats) -> float:
         return 0.0
     for border, unit in _EPOCH_UNITS:
         if abs(float(finite[-1])) > border:
-            _refuse(path, f"its times ({finite[-1]:.6g}) are {_NAMES[unit]} since 1970", unit)
+            _refuse(path, f"its times ({finite[-1]:.6g}) are {_NAMES[unit]} since 1970", unit, mapped)
     steps = np.diff(finite)
     steps = steps[steps > 0]
     usual_s = float(np.median(steps)) if steps.size else 0.0
@@ -100,10 +104,12 @@ def usual_step(path: Path, t_s: Floats) -> float:
         return min(usual_s, _LONGEST_USUAL_STEP_S)
     if usual_s > _LONGEST_USUAL_STEP_S:
         unit = "ms" if usual_s < 5e3 else "us" if usual_s < 5e6 else "ns"
-        _refuse(path, f"its rows would come every {usual_s:.6g} s; they look like {_NAMES[unit]}", unit)
+        _refuse(
+            path, f"its rows would come every {usual_s:.6g} s; they look like {_NAMES[unit]}", unit, mapped
+        )
     return usual_s
 
 
-def _refuse(path: Path, what: str, unit: str) -> None:
-    msg = f'{path}: t_s is in seconds, and {what}. Divide the column, or say its unit in a mapping with --columns: [columns.t_s] with unit = "{unit}".'
-    raise InputError(msg)
+def _refuse(path: Path, what: str, unit: str, mapped: bool) -> None:
+    mapping = f', or say its unit in a mapping with --columns: [columns.t_s] with unit = "{unit}"'
+    raise InputError(f"{path}: t_s is in seconds, and {what}. Divide the column{mapping if mapped else ''}.")
