@@ -21,6 +21,7 @@ from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.residual import Residuals, residuals
 from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows, UnnamedPart, Verdict
+from gyrocal.diagnosis.rounding import beyond_rounding
 from gyrocal.diagnosis.scatter import (
     Finding,
     clock_findings,
@@ -104,7 +105,7 @@ def diagnose(
     notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
     series, findings = set_aside(whole, recorded.gyro_dps)
-    found = examine(series, level)
+    found, lost = beyond_rounding(examine(series, level))
     stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found, stairs.each)
     surface, improved = surface_alone(found), correction(found, withheld)
@@ -137,7 +138,7 @@ def diagnose(
         surface=coefficients or surface,
         improved=written,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *temperature_alone(found), *_of_file(found, withheld, parts, better)),
+        notes=(*notes, *series.notes, *lost, *_of_file(found, withheld, parts, better)),
         layers=stairs.layers,
         unnamed=parts,
     )
@@ -159,17 +160,18 @@ def _written(
 def _of_file(
     found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...], better: float
 ) -> list[Remark]:
-    """What was found and is not in the correction, and whether it is open that a change since power-on comes again.
+    """Whether temperature alone does it, what was found and is not in the correction, and whether it is open that a change since power-on comes again.
 
     Parameters
     ----------
     better : probability that the correction makes another run better
     """
+    remarks = [*temperature_alone(found)]
     if better <= _SURELY_BETTER:
-        return [Remark(Said.NO_SURE_GAIN, {"chance": better})]
+        return [*remarks, Remark(Said.NO_SURE_GAIN, {"chance": better})]
     seen = {p.coordinate for p in parts}
     coordinates = dict.fromkeys(coordinate_of(b, found.series) for b in withheld)
-    remarks = [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
+    remarks += [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
     again = found.comes_again
     warming = WARM_UP.seen_in in seen or WARM_UP.id in {n.law.effect for n in found.naming.named}
     if warming and _SURE < again < 1.0 - _SURE:

@@ -32,6 +32,7 @@ class Said(Enum):
     STRANGE_SETS = auto()
     BURST_SAMPLES = auto()
     OUTPUT_STEPS = auto()
+    LOST_IN_STEPS = auto()
     SAMPLE_CLOCK = auto()
     BETWEEN_SETS = auto()
     SEVERAL_LAWS = auto()

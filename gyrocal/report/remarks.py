@@ -85,6 +85,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "(bursts, slip ring).",
     Said.OUTPUT_STEPS: "The output comes in steps of {step_mdps:.4g} mdeg/s, which adds {noise_mdps:.3g} mdeg/s of noise "
     "to a sample.",
+    Said.LOST_IN_STEPS: "The steps of the output hide its noise: a data set may be off by {hidden_mdps:.3g} mdeg/s, and what "
+    "was found that is smaller is not told from rounding: it is neither named nor corrected. Log finer samples.",
     Said.SAMPLE_CLOCK: _clock,
     Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
