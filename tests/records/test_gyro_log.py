@@ -29,7 +29,7 @@ def ulog(path: Path, topic: str = "sensor_gyro") -> Path:
         "sensor_gyro": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float temperature;",
         "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;",
     }[topic]
-    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    data = bytearray(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
     data += message(b"B", bytes(40)) + message(b"F", f"{topic}:{fields}".encode())
     data += message(b"A", struct.pack("<BH", 0, 7) + topic.encode())
     for t, rate, temp in zip(T_S, RATES, TEMP_C, strict=True):
@@ -49,7 +49,7 @@ def dataflash(path: Path, raw: bool = False) -> Path:
     def described(kind: int, length: int, name: bytes, form: bytes, columns: bytes) -> bytes:
         return head + struct.pack("<BBB4s16s64s", 128, kind, length, name, form, columns)
 
-    data = described(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+    data = bytearray(described(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
     data += described(130, 3 + 8 + 1 + 16, b"IMU", b"QBffff", b"TimeUS,I,GyrX,GyrY,GyrZ,T")
     data += described(131, 3 + 8 + 1 + 8 + 12, b"GYR", b"QBQfff", b"TimeUS,I,SampleUS,GyrX,GyrY,GyrZ")
     for k, (t, rate, temp) in enumerate(zip(T_S, RATES, TEMP_C, strict=True)):
