@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
-from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, laid_on, reckon
+from gyrocal.diagnosis.drive.path_noise import Knots, PathNoise, cell_edges_s, path_noise, stacked
+from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, laid_on, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
-from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD
-
-Ints = NDArray[np.int64]
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
 BELIEVED = 3.8
@@ -32,9 +30,6 @@ _MODEL_STD = 1e-4
 #: Chance at which structure is located where there is nothing.
 STRANGER_P = 1e-5
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
-_CELLS = 300
-#: Memory of what wanders in the truth, s.
-_WANDER_S = 60.0
 #: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), slope of the bias (deg/s per degC).
 _SCALE, _CLOCK_S, _LEVER_M, _SLOPE = 0.2, 0.3, 1.0, 0.02
 #: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
@@ -93,31 +88,7 @@ class TruthAnswer:
         return abs(self.told(name)) > (BELIEVED if name in self.nearer else _BEYOND_DOUBT)
 
 
-@dataclass(frozen=True)
-class _Knots:
-    """Truth averaged over equal times, shape (k,); `seen` are the positions of its `rows`.
-
-    `warmer_c` is the gyro's temperature above that of its bias, row by row, where nothing but the truth could tell its law.
-    """
-
-    rows: Ints
-    seen: Complexes
-    at: Ints
-    count: Floats
-    t_s: Floats
-    position: Complexes
-    heading: Floats | None
-    warmer_c: Floats | None
-
-    def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
-        """Mean of a row-wise channel over each knot."""
-        seen = rows[self.rows]
-        if np.iscomplexobj(seen):
-            return np.asarray(self.mean(rows.real) + 1j * self.mean(rows.imag))
-        return np.asarray(np.bincount(self.at, seen) / self.count)
-
-
-def _knots(series: DriveSeries, reckoned: Reckoned) -> _Knots | None:
+def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     position = series.truth_x_m + 1j * series.truth_y_m
     rows = np.flatnonzero(np.isfinite(position))
     if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < 0.2 * series.duration_s:
@@ -128,7 +99,7 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> _Knots | None:
     count = np.bincount(at).astype(np.float64)
     temp = None if series.differential else temperature_c(series)
     warmer_c = None if temp is None else temp - reference_temp_c(series)
-    knots = _Knots(rows, position[rows], at, count, series.t_s, position, None, warmer_c)
+    knots = Knots(rows, position[rows], at, count, series.t_s, position, None, warmer_c)
     heading = None
     if np.all(np.isfinite(series.truth_heading_deg[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -140,29 +111,31 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> _Knots | None:
 
 @dataclass(frozen=True)
 class _State:
-    """Where the linearisation stands: parameters, direction of the frame, and whether headings are used."""
+    """Where the linearisation stands: parameters, direction of the frame, and turns that the gyro's noise has made.
+
+    Without the latter every path of a noisy gyro would be too long: a heading that strays by 2 deg shortens by 0.06 %.
+    """
 
     values: Mapping[str, float]
     turn: float
+    strayed: Floats | None = None
 
 
-def _reckoned(knots: _Knots, base: Reckoned, state: _State) -> Reckoned:
+def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     v = state.values
     turned = v["gyro_bias"] * (base.t_s - base.t_s[0])
     if knots.warmer_c is not None:
         turned = turned + v["bias_slope"] * np.cumsum(knots.warmer_c * base.dt_s)
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
+    if state.strayed is not None:
+        whole = np.concatenate([[0.0], np.cumsum(state.strayed)])
+        heading = heading + np.interp(base.t_s, cell_edges_s(knots, base), whole)
     middle = 0.5 * (heading + np.concatenate([heading[:1], heading[:-1]]))
     way = base.way_m / (1.0 + v["wheel_scale"])
     return Reckoned(base.t_s, base.dt_s, heading, way, way * np.exp(1j * middle))
 
 
-def _stack(knots: _Knots, positions: Complexes, headings: Floats) -> Floats:
-    parts = [positions.real, positions.imag]
-    return np.concatenate([*parts, headings] if knots.heading is not None else parts)
-
-
-def _columns(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
+def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     """What each parameter does to positions and headings, ``name -> (rows,)``."""
     at, heading = path.at_m, path.heading_rad
     flat, k = np.zeros(knots.count.size), knots.count.size
@@ -172,16 +145,16 @@ def _columns(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
     one = np.ones(k, dtype=np.complex128)
 
     def by(heading_rad: Floats, way_m: Floats) -> Floats:
-        return _stack(knots, knots.mean(path.moved_by(heading_rad, way_m)), knots.mean(heading_rad))
+        return stacked(knots, knots.mean(path.moved_by(heading_rad, way_m)), knots.mean(heading_rad))
 
     nothing = np.zeros(at.size)
     columns = {
-        "east": _stack(knots, one, flat),
-        "north": _stack(knots, 1j * one, flat),
+        "east": stacked(knots, one, flat),
+        "north": stacked(knots, 1j * one, flat),
         "turn": by(np.ones(at.size), nothing),
-        "clock": _stack(knots, -knots.mean(speed), -knots.mean(rate)),
-        "lever_ahead": _stack(knots, knots.mean(ahead), flat),
-        "lever_left": _stack(knots, knots.mean(1j * ahead), flat),
+        "clock": stacked(knots, -knots.mean(speed), -knots.mean(rate)),
+        "lever_ahead": stacked(knots, knots.mean(ahead), flat),
+        "lever_left": stacked(knots, knots.mean(1j * ahead), flat),
         "gyro_bias": by(-DEG_TO_RAD * (path.t_s - path.t_s[0]), nothing),
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
@@ -189,11 +162,11 @@ def _columns(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
     if knots.warmer_c is not None:
         columns["bias_slope"] = by(-DEG_TO_RAD * np.cumsum(knots.warmer_c * path.dt_s), nothing)
     if knots.heading is not None:
-        columns["mounting"] = _stack(knots, np.zeros(k, dtype=np.complex128), np.ones(k))
+        columns["mounting"] = stacked(knots, np.zeros(k, dtype=np.complex128), np.ones(k))
     return columns
 
 
-def _strangers(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
+def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     """Columns of no name; coordinate -> (rows, m)."""
     turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
     share = (path.t_s - path.t_s[0]) / float(np.ptp(path.t_s)) - 0.5
@@ -209,7 +182,7 @@ def _strangers(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
     return {
         name: np.stack(
             [
-                _stack(knots, knots.mean(path.moved_by(np.cumsum(turn), way)), knots.mean(np.cumsum(turn)))
+                stacked(knots, knots.mean(path.moved_by(np.cumsum(turn), way)), knots.mean(np.cumsum(turn)))
                 for turn, way in parts
             ],
             axis=1,
@@ -219,79 +192,13 @@ def _strangers(knots: _Knots, path: Reckoned) -> dict[str, Floats]:
 
 
 @dataclass(frozen=True)
-class _Noise:
-    """Parts of the covariance of positions and headings."""
-
-    gyro: Floats
-    way: Floats
-    white: Floats
-    wander: Floats
-    heading: Floats | None
-
-    def whole(self, logs: Floats) -> Floats:
-        """Covariance at logarithms of the levels (way, white, wander, heading)."""
-        found = (
-            self.gyro
-            + np.exp(logs[0]) * self.way
-            + np.exp(logs[1]) * self.white
-            + np.exp(logs[2]) * self.wander
-        )
-        return np.asarray(found if self.heading is None else found + np.exp(logs[3]) * self.heading)
-
-    def cut(self, keep: NDArray[np.bool_]) -> _Noise:
-        """For some of the rows."""
-        at = np.ix_(keep, keep)
-        heading = None if self.heading is None else self.heading[at]
-        return _Noise(self.gyro[at], self.way[at], self.white[at], self.wander[at], heading)
-
-
-def _noise(knots: _Knots, path: Reckoned, noise: YawNoise) -> _Noise:
-    begin, end = path.t_s[0], path.t_s[-1]
-    edges = np.linspace(begin, end, min(_CELLS, 2 * knots.count.size) + 1)
-    width = float(edges[1] - edges[0])
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    at_row = path.at_m
-    at_cell = np.interp(middle, path.t_s, at_row.real) + 1j * np.interp(middle, path.t_s, at_row.imag)
-    at_knot = knots.mean(at_row)
-    after = np.clip((knots.t_s[:, None] - edges[None, :-1]) / width, 0.0, 1.0)
-    # The part of a turn within a cell acts from that turn on.
-    turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
-    turn = _blocks(knots, turned, after)
-    lag = np.abs(middle[:, None] - middle[None, :])
-    since = middle - begin
-    rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
-    rate = rate + (DEG_TO_RAD * noise.walk_dps_per_rt_s) ** 2 * np.minimum(since[:, None], since[None, :])
-    kernel = rate * width**2 + np.eye(middle.size) * (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * width
-    way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
-    ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
-    along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
-    k = knots.count.size
-    one = 1.0 / knots.count
-    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / _WANDER_S)
-    zero = np.zeros((k, k))
-    parts = 3 if knots.heading is not None else 2
-    return _Noise(
-        turn @ kernel @ turn.T + 1e-12 * np.eye(parts * k),
-        noise.slip_m_per_rt_m**2 * (along @ along.T),
-        linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2)),
-        linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2)),
-        linalg.block_diag(zero, zero, np.diag(one) + 0.1 * fade) if parts == 3 else None,
-    )
-
-
-def _blocks(knots: _Knots, positions: Complexes, headings: Floats) -> Floats:
-    parts = [positions.real, positions.imag]
-    return np.vstack([*parts, headings] if knots.heading is not None else parts)
-
-
-@dataclass(frozen=True)
 class _Problem:
     """Rows of one linearisation: residual, columns, what is known of each coefficient, noise."""
 
     residual: Floats
     columns: Mapping[str, Floats]
     known: Mapping[str, tuple[float, float]]
-    noise: _Noise
+    noise: PathNoise
 
     def cut(self, keep: NDArray[np.bool_]) -> _Problem:
         """For some of the rows."""
@@ -328,7 +235,7 @@ class _Problem:
         return values / size, covariance / np.outer(size, size), loss
 
 
-def _problem(knots: _Knots, base: Reckoned, state: _State, bias_std_dps: float, noise: YawNoise) -> _Problem:
+def _problem(knots: Knots, base: Reckoned, state: _State, bias_std_dps: float, noise: YawNoise) -> _Problem:
     path = _reckoned(knots, base, state)
     apart = knots.position - knots.mean(path.at_m)
     headings = np.zeros(knots.count.size)
@@ -345,7 +252,12 @@ def _problem(knots: _Knots, base: Reckoned, state: _State, bias_std_dps: float, 
         "lever_left": (0.0, _LEVER_M),
         "bias_slope": (-v["bias_slope"], _SLOPE),
     }
-    return _Problem(_stack(knots, apart, headings), _columns(knots, path), known, _noise(knots, path, noise))
+    spread = path_noise(knots, path, noise)
+    residual = stacked(knots, apart, headings)
+    if state.strayed is not None:
+        # As noise about zero again.
+        residual = residual + spread.turned @ state.strayed
+    return _Problem(residual, _columns(knots, path), known, spread)
 
 
 def _levels(problem: _Problem, first: Floats) -> Floats:
@@ -362,7 +274,7 @@ def _levels(problem: _Problem, first: Floats) -> Floats:
     return np.asarray(found.x)
 
 
-def _first_levels(knots: _Knots) -> Floats:
+def _first_levels(knots: Knots) -> Floats:
     """Levels from neighbouring knots: a path is smooth, noise is not."""
     if knots.count.size > 4:
         second = knots.position[2:] - 2 * knots.position[1:-1] + knots.position[:-2]
@@ -375,7 +287,7 @@ def _first_levels(knots: _Knots) -> Floats:
 
 
 def _laid(
-    knots: _Knots, base: Reckoned, bias_std_dps: float, noise: YawNoise
+    knots: Knots, base: Reckoned, bias_std_dps: float, noise: YawNoise
 ) -> tuple[_State, _Problem, Floats, float]:
     """Gauss and Newton over growing parts of the drive, then levels and path in turn."""
     logs = _first_levels(knots)
@@ -399,6 +311,9 @@ def _laid(
             step = dict(zip(part.columns, values, strict=True))
             moved = {n: float(np.clip(v + step.get(n, 0.0), -0.5, 0.5)) for n, v in state.values.items()}
             state = _State(moved, state.turn + step["turn"])
+            if last:
+                left = part.residual - np.column_stack([*part.columns.values()]) @ values
+                state = replace(state, strayed=part.noise.strayed(left, logs))
     return state, _problem(knots, base, state, bias_std_dps, noise), logs, loss
 
 
@@ -430,7 +345,7 @@ def ask_truth(
     return replace(_answer(knots, base, state, problem, logs), mirrored=mirrored)
 
 
-def _miss(knots: _Knots, problem: _Problem, logs: Floats) -> float:
+def _miss(knots: Knots, problem: _Problem, logs: Floats) -> float:
     """Rms distance that is left between path and truth, m."""
     values, _, _ = problem.solve(logs)
     left = problem.residual - np.column_stack([*problem.columns.values()]) @ values
@@ -438,7 +353,7 @@ def _miss(knots: _Knots, problem: _Problem, logs: Floats) -> float:
     return float(np.sqrt(np.mean(left[:k] ** 2 + left[k : 2 * k] ** 2)))
 
 
-def _answer(knots: _Knots, base: Reckoned, state: _State, problem: _Problem, logs: Floats) -> TruthAnswer:
+def _answer(knots: Knots, base: Reckoned, state: _State, problem: _Problem, logs: Floats) -> TruthAnswer:
     odd: dict[str, float] = {}
     beside: dict[str, Floats] = {}
     for coordinate, block in _strangers(knots, _reckoned(knots, base, state)).items():
@@ -474,7 +389,7 @@ def _answer(knots: _Knots, base: Reckoned, state: _State, problem: _Problem, log
     )
 
 
-def _apart(knots: _Knots, path: Reckoned) -> float:
+def _apart(knots: Knots, path: Reckoned) -> float:
     """Rms distance of a path from all positions of the truth, turned and shifted onto them, m."""
     return laid_on(path.at_m[knots.rows], knots.seen)[1]
 

@@ -1,0 +1,141 @@
+"""What the noise of gyro, wheels and truth makes of the positions and headings of a reckoned path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from gyrocal.diagnosis.drive.reckoning import Complexes, Floats, Reckoned
+from gyrocal.diagnosis.drive.yaw import YawNoise
+from gyrocal.physics.drive import FLICKER_TAUS_S
+from gyrocal.units import DEG_TO_RAD
+
+Ints = NDArray[np.int64]
+
+_CELLS = 300
+#: Memory of what wanders in the truth, s.
+_WANDER_S = 60.0
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Truth averaged over equal times, shape (k,); `seen` are the positions of its `rows`.
+
+    `warmer_c` is the gyro's temperature above that of its bias, row by row, where nothing but the truth could tell its law.
+    """
+
+    rows: Ints
+    seen: Complexes
+    at: Ints
+    count: Floats
+    t_s: Floats
+    position: Complexes
+    heading: Floats | None
+    warmer_c: Floats | None
+
+    def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
+        """Mean of a row-wise channel over each knot."""
+        seen = rows[self.rows]
+        if np.iscomplexobj(seen):
+            return np.asarray(self.mean(rows.real) + 1j * self.mean(rows.imag))
+        return np.asarray(np.bincount(self.at, seen) / self.count)
+
+
+def stacked(knots: Knots, positions: Complexes, headings: Floats) -> Floats:
+    """Positions and, where the truth has them, headings one below the other."""
+    parts = [positions.real, positions.imag]
+    return np.concatenate([*parts, headings] if knots.heading is not None else parts)
+
+
+@dataclass(frozen=True)
+class PathNoise:
+    """Parts of the covariance of positions and headings.
+
+    `turned` is what a turn within each cell between `edges_s` does to them, `kernel` the covariance of these turns.
+    """
+
+    turned: Floats
+    kernel: Floats
+
+    gyro: Floats
+    way: Floats
+    white: Floats
+    wander: Floats
+    heading: Floats | None
+
+    def whole(self, logs: Floats) -> Floats:
+        """Covariance at logarithms of the levels (way, white, wander, heading)."""
+        found = (
+            self.gyro
+            + np.exp(logs[0]) * self.way
+            + np.exp(logs[1]) * self.white
+            + np.exp(logs[2]) * self.wander
+        )
+        return np.asarray(found if self.heading is None else found + np.exp(logs[3]) * self.heading)
+
+    def strayed(self, left: Floats, logs: Floats) -> Floats:
+        """Turns of the cells that the gyro's noise is likeliest to have made, from what is left of positions and headings."""
+        return np.asarray(self.kernel @ self.turned.T @ np.linalg.solve(self.whole(logs), left))
+
+    def cut(self, keep: NDArray[np.bool_]) -> PathNoise:
+        """For some of the rows."""
+        at = np.ix_(keep, keep)
+        heading = None if self.heading is None else self.heading[at]
+        return PathNoise(
+            self.turned[keep],
+            self.kernel,
+            self.gyro[at],
+            self.way[at],
+            self.white[at],
+            self.wander[at],
+            heading,
+        )
+
+
+def cell_edges_s(knots: Knots, path: Reckoned) -> Floats:
+    """Times between which the gyro's noise is one turn each."""
+    return np.linspace(path.t_s[0], path.t_s[-1], min(_CELLS, 2 * knots.count.size) + 1)
+
+
+def path_noise(knots: Knots, path: Reckoned, noise: YawNoise) -> PathNoise:
+    """Covariance of positions and headings by its parts, for a path and the levels of its noise."""
+    begin, edges = path.t_s[0], cell_edges_s(knots, path)
+    width = float(edges[1] - edges[0])
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    at_row = path.at_m
+    at_cell = np.interp(middle, path.t_s, at_row.real) + 1j * np.interp(middle, path.t_s, at_row.imag)
+    at_knot = knots.mean(at_row)
+    after = np.clip((knots.t_s[:, None] - edges[None, :-1]) / width, 0.0, 1.0)
+    # The part of a turn within a cell acts from that turn on.
+    turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
+    turn = _blocks(knots, turned, after)
+    lag = np.abs(middle[:, None] - middle[None, :])
+    since = middle - begin
+    rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
+    rate = rate + (DEG_TO_RAD * noise.walk_dps_per_rt_s) ** 2 * np.minimum(since[:, None], since[None, :])
+    kernel = rate * width**2 + np.eye(middle.size) * (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * width
+    way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
+    ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
+    along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
+    k = knots.count.size
+    one = 1.0 / knots.count
+    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / _WANDER_S)
+    zero = np.zeros((k, k))
+    parts = 3 if knots.heading is not None else 2
+    return PathNoise(
+        turn,
+        kernel,
+        turn @ kernel @ turn.T + 1e-12 * np.eye(parts * k),
+        noise.slip_m_per_rt_m**2 * (along @ along.T),
+        linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2)),
+        linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2)),
+        linalg.block_diag(zero, zero, np.diag(one) + 0.1 * fade) if parts == 3 else None,
+    )
+
+
+def _blocks(knots: Knots, positions: Complexes, headings: Floats) -> Floats:
+    parts = [positions.real, positions.imag]
+    return np.vstack([*parts, headings] if knots.heading is not None else parts)
