@@ -38,7 +38,7 @@ def _beyond_temperature(left_mdps: float, branches_mdps: float | None) -> str:
 def _not_written(coordinate: str) -> str:
     return (
         f"What follows {coordinate.replace('_', ' ')} without a name is not in the improved coefficients: its evidence "
-        "is weak, and it does not surely predict data left out."
+        "is weak, or a bias or scale factor that wanders explains it nearly as well."
     )
 
 

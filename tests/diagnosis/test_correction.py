@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis import correction as module
 from gyrocal.diagnosis.correction import correction, doubtful, mixed
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination
@@ -26,28 +27,40 @@ def _found(nats: float, named: str = "", candidates: tuple[Any, ...] = ()) -> Ex
     return cast(Examination, SimpleNamespace(candidates=candidates, naming=naming))
 
 
-def _left_out(low: float) -> Any:
-    return {"memory": SimpleNamespace(logloss_interval_95=(low, 0.1))}
-
-
 @pytest.mark.parametrize(
-    ("found", "low", "expected"),
+    ("found", "beside", "expected"),
     [
-        (_found(7.0), -0.01, ["memory"]),
-        (_found(7.0), 0.01, []),
-        (_found(30.0), -0.01, []),
-        (_found(7.0, named="memory"), -0.01, []),
-        (_found(7.0, candidates=((1.0, None),)), -0.01, []),
+        (_found(7.0), 7.0, ["memory"]),
+        (_found(30.0), 30.0, []),
+        (_found(30.0), 2.0, ["memory"]),
+        (_found(7.0, named="memory"), 7.0, []),
+        (_found(7.0, candidates=((1.0, None),)), 7.0, []),
     ],
 )
-def test_a_weak_part_must_predict_what_was_left_out(
-    found: Examination, low: float, expected: list[str]
+def test_a_part_without_a_name_must_be_beyond_doubt_also_where_the_gyro_may_wander(
+    monkeypatch: pytest.MonkeyPatch, found: Examination, beside: float, expected: list[str]
 ) -> None:
-    assert doubtful(found, _left_out(low)) == expected
+    monkeypatch.setattr(module, "_beside_wander", lambda _, blocks: dict.fromkeys(blocks, beside))
+    assert doubtful(found) == expected
 
 
-def test_a_weak_part_that_nothing_was_left_out_for_is_not_written() -> None:
-    assert doubtful(_found(7.0), {}) == ["memory"]
+@pytest.mark.parametrize("wanders", [True, False])
+def test_what_a_walk_explains_as_well_is_not_beyond_doubt(wanders: bool) -> None:
+    """A bias that climbs with the temperature of the one ramp that a record has, and one that follows it down again."""
+    rng = np.random.default_rng(3)
+    n = 160
+    course = np.linspace(0.0, 1.0, n) if wanders else 0.5 - 0.5 * np.cos(np.linspace(0.0, 24.0, n))
+    temp_c, rate_dps = 20.0 + 20.0 * course, np.tile([-50.0, -20.0, 20.0, 50.0], n // 4)
+    bump = 0.02 * np.exp(-(((temp_c - 30.0) / 3.0) ** 2))
+    gyro_dps = rate_dps + bump + 1e-3 * rng.standard_normal(n)
+    t_s = 60.0 * np.arange(n, dtype=np.float64)
+    table = DataSetTable(Path("bump.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)
+    model = full_model(means_of(series_of_table(table)))
+    stays = {p.name for p in model.parts if p.block in ("surface", "temperature")}
+    fitted = fit_model(model.without([n for n in model.components if n not in {*stays, "white"}]))
+    naming = SimpleNamespace(fitted=fitted, named=[], unnamed={"temperature": 30.0})
+    found = cast(Examination, SimpleNamespace(candidates=(), naming=naming, model=fitted.model))
+    assert doubtful(found) == (["temperature"] if wanders else [])
 
 
 def test_models_that_differ_are_known_no_better_than_they_differ() -> None:
