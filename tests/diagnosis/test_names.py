@@ -80,12 +80,3 @@ def test_smooth_parts_do_not_stand_in_for_the_surface(tmp_path: Path) -> None:
     found = examine(series_of(made.write(tmp_path)), 0.01)
     assert [n.law.effect for n in found.naming.named] == ["supply_voltage"]
     assert sum(found.naming.unnamed.values()) < 5.0
-
-
-@pytest.mark.slow
-def test_a_correction_that_is_better_only_by_chance_is_withheld(tmp_path: Path) -> None:
-    """Errors of each rate, which are the table's, leave the orders of the surface open: they are no gain of the gyro's."""
-    made = make_up("sensors", 106, 1)
-    found = diagnose(made.write(tmp_path), options=Options(heldout=False))
-    assert [e.effect for e in found.effects] == ["reference_rate_error"]
-    assert found.improved is None
