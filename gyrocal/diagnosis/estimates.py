@@ -128,17 +128,14 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     )
 
 
-def reshaped(fitted: Fitted, laws: Laws, last: int | None = None) -> Fitted:
+def reshaped(fitted: Fitted, laws: Laws) -> Fitted:
     """The model with each law at the shape that does best beside everything else that is in it by now.
 
     A shape was found beside less, under a noise that had grown in the law's place. Instants stay where they are, and
-    laws that spread have no one shape.
-
-    Parameters
-    ----------
-    last : so many laws at the end of the model, if not all
+    laws that spread have no one shape. Which law is named is decided before: one whose shape is free takes what belongs
+    to another (a slowing drift a warm-up of two time constants).
     """
-    for law in fitted.model.laws[-last if last else 0 :]:
+    for law in fitted.model.laws:
         free = _free(law)
         if not free or "at_s" in free or law.from_end or law.spread or law.mixture:
             continue
@@ -212,7 +209,8 @@ def _best_shape(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]
     best = dict(shape)
     for _ in range(_ROUNDS if len(free) > 1 else 1):
         for name in free:
-            best[name] = descend(partial(_loss, beside, best, name), best[name], _NEAR)
+            found = descend(partial(_loss, beside, best, name), best[name], _NEAR)
+            best[name] = float(np.clip(found, *_limits(beside, name)))
     return best
 
 

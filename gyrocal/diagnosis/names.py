@@ -312,8 +312,6 @@ def _alone(
         best = best_law(fitted, found.fitted, block, [t for t in trials if t.effect.id not in taken], laws)
         if best is None:
             break
-        placed, shaped = best.fitted, reshaped(best.fitted, laws, last=len(found.named) + 1)
-        best = replace(best, fitted=shaped)
         gain = found.fitted.nll - best.fitted.nll
         if not found.named:
             behind = {best.effect.id: 0.0, **best.rivals}
@@ -328,7 +326,7 @@ def _alone(
             # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
             break
         law = Named(best.fitted.model.laws[-1], block, gain, 0.0, best.rivals, best.shapes)
-        found = _Alone(shaped, [*_as_fitted(found.named, placed, shaped), law], found.near)
+        found = _Alone(best.fitted, [*found.named, law], found.near)
     return found
 
 
