@@ -89,8 +89,8 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     """The coefficient file of what was found; of a table of sweeps it is averaged over the models that are near.
 
     The surface has the state at the end of the record: what passes is held where it was last, but for a drift of a
-    table, whose mean it has. Where it is open
-    whether a change since power-on comes again, the file has the mean of both, which errs least.
+    table, whose mean it has. Where it is open whether a change since power-on comes again, the file has the mean of both,
+    which errs least.
 
     Parameters
     ----------

@@ -162,7 +162,7 @@ def _written(
 def _of_file(
     found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...], better: float
 ) -> list[Remark]:
-    """Whether temperature alone does it, what was found and is not in the correction, and whether it is open that a change since power-on comes again.
+    """What is to be known of the correction: what is not in it, and what of it is open.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ from gyrocal.units import DEG_TO_RAD
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
 BELIEVED = 3.8
 #: From here on the path as a whole is not asked: its distance from the truth hangs on its own noise too.
-_BEYOND_DOUBT = 8.0
+_SURE_BY_ITSELF = 8.0
 #: What time stamps and straight steps between rows are worth: no scale is known better, relative.
 _MODEL_STD = 1e-4
 #: Chance at which structure is located where there is nothing.
@@ -85,7 +85,7 @@ class TruthAnswer:
 
     def believed(self, name: str) -> bool:
         """Whether a scale is sure: far from zero for the noise, and, where not by far, no worse for the path as a whole."""
-        return abs(self.told(name)) > (BELIEVED if name in self.nearer else _BEYOND_DOUBT)
+        return abs(self.told(name)) > (BELIEVED if name in self.nearer else _SURE_BY_ITSELF)
 
 
 def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
