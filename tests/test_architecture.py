@@ -282,6 +282,33 @@ def test_habits(path: Path) -> None:
             assert node.type is not None, f"{where}: bare except"
 
 
+def holds_a_number(value: ast.AST) -> bool:
+    """Whether a number stands anywhere in an expression but as an index."""
+    if isinstance(value, ast.Subscript):
+        return False
+    own = isinstance(value, ast.Constant) and type(value.value) in (int, float)
+    return own or any(map(holds_a_number, ast.iter_child_nodes(value)))
+
+
+def constants(path: Path) -> Iterator[ast.Assign]:
+    """Numbers, alone or several, that stand by a name in capitals at the top of a module."""
+    for node in tree_of(path).body:
+        if isinstance(node, ast.Assign) and holds_a_number(node.value):
+            names = {n.id for n in ast.walk(node.targets[0]) if isinstance(n, ast.Name)}
+            if all(name.isupper() for name in names):
+                yield node
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in MODULES if room(module_name(p)) in ("diagnosis", "inference")], ids=ids
+)
+def test_constants_give_their_reason(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for node in constants(path):
+        above = lines[node.lineno - 2]
+        assert above.startswith("#:"), f"{path}:{node.lineno}: say in a line '#: ...' above why this number"
+
+
 @pytest.mark.parametrize("path", MODULES, ids=ids)
 def test_nothing_unfinished(path: Path) -> None:
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):

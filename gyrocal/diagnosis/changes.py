@@ -33,8 +33,9 @@ STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
 #: Laws of the temperature's history that act on the bias alone, and their shape.
 HISTORY = {SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
-#: Time constants of a warm-up, s; one that the record does not outlast by half is a drift.
+#: Time constants of a warm-up, s: of a minute, as a small gyro's, to two hours.
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
+#: A warm-up that the record does not outlast by half is a drift: its end is not seen.
 _OUTLASTED = 1.5
 #: A step has data sets on either side.
 _FEWEST_SETS = 4

@@ -24,15 +24,19 @@ Floats = NDArray[np.float64]
 
 #: Time constants that a coil may have, s; of a logarithm that is normal, these are 95 %.
 LAG_BOUNDS_S = (30.0, 1500.0)
+#: Shares of the whole lag; what lies between them is told by its posterior (`lag_posterior`).
 _SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
+#: Time constants between the bounds, each a quarter longer than the one before.
 _LAGS_S = tuple(np.geomspace(*LAG_BOUNDS_S, 18).round(1).tolist())
 #: Of these, with which a search begins.
 _FIRST_SHARES, _FIRST_LAGS_S = _SHARES[1::2] + _SHARES[-1:], _LAGS_S[3:16:3]
 #: What is the surface's, or is freed of it.
 _AT_COIL = ("surface", "temperature")
+#: Laws of time and memory beside the lag: four and more trade their shares freely on the tables that were made up.
 _MOST_CHANGES = 3
-_BEAM = 3
-_ROUNDS = 6
+#: Models that the search goes on with, and how often: it costs as much as their number.
+_BEAM, _ROUNDS = 3, 6
+#: Steps of a fit from the variances of a model one step away.
 _ITERATIONS = 20
 #: What a further law pays, nats; with the logarithm of the root of the number of its shapes.
 _TOLL_NATS = 3.0

@@ -32,14 +32,15 @@ from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
+#: mdeg/s in one deg/s.
 _MDPS = 1e3
 #: Shapes are profiled within this ratio of the best.
 _REACH = 9.0
 #: The best of two parameters is sought within this ratio, in turn so often.
 _NEAR, _ROUNDS = 2.0, 3
-#: Of two parameters so many values each, to this power of the ratio within which each would be by itself.
-_GRID = 21
-_WIDER = 3.0
+#: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
+#: are traded for one another have intervals up to about that much wider.
+_GRID, _WIDER = 21, 3.0
 #: Rows on either side of a jump in which its instant is looked for more closely than between rows.
 _ROWS_NEAR = 2
 

@@ -9,9 +9,13 @@ from gyrocal.diagnosis.means import Means
 
 Ints = NDArray[np.int64]
 
+#: Every eighth segment is left out at a time: 88 % of the record are left to predict it from.
 _FOLDS = 8
+#: Stretches that stand for segments in a record of few: five to a fold, so that no fold is a single hole.
 _STRETCHES = 40
+#: Data sets from which on whole temperatures are left out too: four at each of three temperatures.
 _FEWEST_SETS = 12
+#: Neighbouring data sets farther apart are at another temperature, degC: more than a sweep drifts by, less than plans step.
 _LEAST_JUMP_C = 3.0
 
 

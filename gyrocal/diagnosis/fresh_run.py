@@ -16,7 +16,9 @@ from gyrocal.physics.terms import joint_covariance, sensitivity, solve_rate
 
 Floats = NDArray[np.float64]
 
+#: Orders of the rates that the probability is a mean over: they change it by a few hundredths.
 _RUNS = 4
+#: Of these orders: the same record gives the same file.
 _SEED = 30
 
 

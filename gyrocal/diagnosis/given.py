@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 
 #: A surface has changed where the evidence is this strong and the change is above the noise of a data set.
 _CHANGED_P = 1e-4
+#: Over less the question is not put, degC: both branches lie in a stretch or two.
 _LEAST_SPAN_C = 10.0
 #: Heating and cooling are compared in so many stretches of temperature, where either has this many rows at the least
 #: and moves faster than a soak does.

@@ -12,6 +12,7 @@ from gyrocal.inference.course import Course, smooth_course
 
 Floats = NDArray[np.float64]
 
+#: Points of the grid, which costs in proportion: a second each over eight hours, then longer ones.
 _MOST_POINTS = 30_000
 
 

@@ -19,13 +19,12 @@ _RISE_95 = 3.841
 #: (B. E. Hansen, Econometrica 68, 2000, p. 575).
 _RISE_INSTANT_95 = 7.352
 #: Shapes are refined over these factors either way, in turn, at so many points each.
-REFINED_OVER = (1.5, 1.12)
-REFINED_AT = 7
+REFINED_OVER, REFINED_AT = (1.5, 1.12), 7
 #: Losses that differ by less are the same to the last digits.
 _TIE = 1e-3
 #: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.
-_SHAPES = 15
-_NEAR_END = 0.005
+_SHAPES, _NEAR_END = 15, 0.005
+#: Width of a 95 % interval in standard deviations of a Gaussian.
 _RATIO_95 = 2.0 * NORMAL_95
 
 

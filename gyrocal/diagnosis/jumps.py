@@ -25,12 +25,12 @@ Ints = NDArray[np.int64]
 
 #: What each kind of jump is compared with, once it is found.
 _SLOW = {BIAS_STEP.id: BIAS_DRIFT, SCALE_STEP.id: SCALE_DRIFT}
-#: Rows on either side of a jump.
+#: Rows on either side of a jump: fewer are a stray data set.
 _FEWEST_ROWS = 3
+#: Jumps in one record: more are no jumps but a bias that moves, for which there are walks.
 _MOST = 3
 #: Instants within the rows beside a boundary, and how often they are taken closer.
-_WITHIN = 9
-_ZOOMS = 3
+_WITHIN, _ZOOMS = 9, 3
 
 
 @dataclass(frozen=True)

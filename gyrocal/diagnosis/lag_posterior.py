@@ -19,8 +19,9 @@ from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
-_SHARES = np.linspace(0.02, 1.0, 50)
-_LAGS_S = np.geomspace(*LAG_BOUNDS_S, 60)
+#: Grid of the posterior: several times closer than that of the search.
+_SHARES, _LAGS_S = np.linspace(0.02, 1.0, 50), np.geomspace(*LAG_BOUNDS_S, 60)
+#: Of a 95 % interval.
 _TAILS = (0.025, 0.975)
 
 

@@ -28,6 +28,7 @@ _UNITS = {
     "time_since_power_on": "s",
     "supply": "V",
 }
+#: Stretches of a coordinate that takes many values; a place is told in no finer ones.
 _QUANTILES = 25
 #: Values nearer than this share of their range are one.
 _SAME = 1e-6

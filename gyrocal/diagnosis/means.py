@@ -17,8 +17,8 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 #: Bins of ramps and soaks, s: short where the temperature moves fast, as long as it takes elsewhere.
-_BIN_FAST_S = 20.0
-_BIN_SLOW_S = 60.0
+_BIN_FAST_S, _BIN_SLOW_S = 20.0, 60.0
+#: Chambers ramp at 0.5 to 5 degC/min; what is slower is the end of one.
 _FAST_C_PER_MIN = 0.5
 #: More bins than this are made longer: the cost of a fit grows with the cube of the rows.
 _MOST_BINS = 150

@@ -37,6 +37,7 @@ _DROPPED = 4.0
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
+#: Laws of one block: a search ends by what they gain, this is its bound.
 _MOST_LAWS = 3
 
 

@@ -34,17 +34,22 @@ _SINCE_ON = next(kind for kind, d in DRIVERS.items() if d.channel == "since_powe
 _STEP = 0.2
 #: Standard deviation of the bumps: in rate as a share of the range, in scaled temperature, in asinh(u/0.001).
 _RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
+#: Powers of temperature beyond the surface's own, of bias and scale factor each; bumps follow what is no power.
 _TEMP_ORDERS = 3
-_LAGS_S = 40.0 * 2.0 ** np.arange(6)
-_WARM_UPS_S = 150.0 * 2.0 ** np.arange(6)
+#: Time constants of what remembers temperature and of what warms up, s: sums of exponentials an octave apart follow
+#: anything between, a stretched one too.
+_LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
 #: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
 _WARMER_C = 0.01
+#: Memories of the processes whose sum is 1/f noise, s: a decade apart it is so to some percent.
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC.
 _LEAST_SPAN_C = 0.5
+#: Rates that differ by less are one: tables repeat theirs closer.
 _SAME_RATE_DPS = 0.01
+#: Of more rates none has data sets enough to tell an error of its own from what is smooth.
 _MOST_RATES = 80
 
 

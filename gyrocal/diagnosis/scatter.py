@@ -29,9 +29,8 @@ _CERTAIN = 0.0
 #: The surface of the others may say this much more of a set that lost its output than the least output that is left:
 #: it is known to some percent there, and a set that lacks far more has lost its gyro, not a small input.
 _DEEPER = 1.5
-#: A data set this many times farther off than 95 % of all others is not of this recording.
-_GROSS = 8.0
-_MOST_BAD_SHARE = 0.03
+#: A data set this many times farther off than 95 % of all others is not of this recording; no more than this share is.
+_GROSS, _MOST_BAD_SHARE = 8.0, 0.03
 #: Fewer data sets show no gross one beside the twelve terms of a surface; the robust fit settles in so many rounds.
 _FEWEST_SETS, _ROUNDS = 30, 30
 #: Fewest data sets of no output that are a dead zone, and the share of them all beyond which the gyro is not read.

@@ -25,11 +25,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+#: A bin of a data set turns the table by this at most, deg: two cycles a turn keep 98 % of their size, four 92 %.
 _BIN_TURN_DEG = 20.0
-_BIN_SET_S = 1.0
-BIN_LONG_S = 8.0
-_BINS_PER_SEGMENT = 1500
-_LONG_SEGMENT_S = 120.0
+#: And lasts this long, s; in segments longer than the next it may last as long as the one after, or as keeps their number.
+_BIN_SET_S, _LONG_SEGMENT_S, BIN_LONG_S, _BINS_PER_SEGMENT = 1.0, 120.0, 8.0, 1500
+#: After a step of the rate samples stay by themselves so long, s: tables and filters ring for less.
 _HEAD_S = 2.5
 #: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
 #: a Gaussian gives one in 5e8.

@@ -20,6 +20,7 @@ from gyrocal.inference.additive import precision
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+#: Draws of the intervals of held-out errors: it puts their ends off by 2 % of the width.
 _BOOTSTRAP = 1000
 #: Noise of a prediction, in units of the usual one, from which on it is an extrapolation.
 _EXTRAPOLATED = 4.0

@@ -31,6 +31,7 @@ Bools = NDArray[np.bool_]
 FEWEST_ROWS = 30
 #: Longer static logs are binned.
 _LONG_LOG = 1000
+#: A mean is not known better, deg/s: files round to that.
 _LEAST_STD_DPS = 1e-7
 #: Directions of a surface weaker than this are not carried.
 _CARRIED = 1e-9

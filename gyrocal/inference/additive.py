@@ -33,6 +33,7 @@ _REVIVED = -7.0
 MOST_DIRECTIONS = 300
 #: Of these, directions beside the span, which tell of the level of the noise.
 _BESIDE = 40
+#: Of these directions: the same record gives the same fit.
 _SEED = 20
 #: Singular values below this share of the largest are rounding.
 _SAME_DIRECTION = 1e-9

@@ -32,6 +32,7 @@ Mask = NDArray[np.bool_]
 FLICKER = 2.0 * np.log(2.0) / np.pi
 #: A model is taken to fit where one so far off would come by chance more often than this.
 LACK_OF_FIT = 0.01
+#: Of all intervals.
 _LEVEL = 0.95
 #: Averaging times beyond the four terms that a test of fit needs.
 _LEAST_SPARE = 2

@@ -31,12 +31,14 @@ _LEAST_NOISE, _LEAST_NOISE_STEPS = 1e-4, 0.05
 _GAP_S, _GAP_STEPS = 60.0, 20.0
 #: What is known of a slope, for each spacing, as a share of what a reading tells of its value.
 _SLOPE_TOLD = 1e-6
-_NEWTON = 30
-_SETTLED = 1e-6
+#: Newton's steps at the most, and what the last may gain, nats.
+_NEWTON, _SETTLED = 30, 1e-6
 #: Starts of the two levels: noise as a share of the scatter of neighbours, and spacings over which readings are weighed
 #: together, with the least and the most of them.
 _SHARES, _REACHES, _LEAST_REACH = (0.03, 0.3, 1.0), (1.0, 4.0, 16.0, 100.0), 0.3
+#: First step of the simplex over the logarithms of the levels, and its steps at the most.
 _FIRST_STEP, _ITERATIONS = 0.5, 80
+#: Of the density of a standard normal.
 _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 

@@ -17,6 +17,7 @@ from scipy import optimize
 
 Floats = NDArray[np.float64]
 
+#: Steps of the search for levels at the most.
 _ITERATIONS = 40
 #: Step of the difference gradients, of logarithms, and what counts as no progress, of -2 log likelihood.
 _STEP, _CONVERGED = 1e-3, 1e-3

@@ -63,9 +63,8 @@ except ImportError:  # the same functions run as plain Python, on blocks of colu
 
 #: Correlation times of the bias noise, s; a record that is longer than the last has more, a decade apart.
 TAUS_S = (2.0, 20.0, 200.0, 2000.0, 20000.0)
-#: Levels below these (flicker and walk in units of the white noise, jitter relative) are none.
-_LOWEST = np.log([1e-5, 1e-8, 1e-7])
-_HIGHEST = np.log([1e4, 1.0, 1e2])
+#: Levels below the first (flicker, jitter and walk in units of the white noise) are none; none is above the second.
+_LOWEST, _HIGHEST = np.log([1e-5, 1e-8, 1e-7]), np.log([1e4, 1.0, 1e2])
 #: A walk whose likeliest guess is so much (nats) worse than none is not looked for any further.
 _HOPELESS = 3.0
 #: A jitter that offsets a set at the largest rate by so many standard errors of its mean is known well enough.

@@ -21,9 +21,11 @@ PER_SI = {"%": 1e2, "ppm": 1e6, "mdeg/s": 1e3, "mdeg/s per degC": 1e3, "s": 1.0}
 _SMALL = 1e-3
 #: Curvatures of half saturation that are tried.
 HALF_CURVATURES = (0.1, 0.3, 1.0)
+#: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
 #: A bias at rest of its own is looked for where the log begins with a rest this long, s.
 _LEAST_REST_S = 5.0
+#: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
 _TEMP_SMOOTH_S = 10.0
 
 

@@ -15,6 +15,7 @@ from gyrocal.units import DEG_TO_RAD
 
 Ints = NDArray[np.int64]
 
+#: Cells of time in each of which the gyro's noise makes one turn: two to a knot of the truth.
 _CELLS = 300
 #: Memory of what wanders in the truth, s.
 _WANDER_S = 60.0

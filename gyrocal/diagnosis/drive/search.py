@@ -32,19 +32,18 @@ GAIN, WHEEL_GAIN, SECOND = 20.0, 38.0, 0.02
 STRANGER_P = 1e-5
 #: Laws of the gyro's bias: one log cannot measure its 1/f noise, so they are judged by no less than what is usual.
 _BY_FLOOR = frozenset({"step", "slope"})
-#: Reach and grid of the search for a delay, s, and the windows of the encoders that are tried.
+#: Reach and grid of the search for a delay, s; the fit finds it closer.
 _REACH_S, _GRID_S = 2.0, 0.05
+#: Windows over which encoders may average, s.
 _WINDOWS_S = (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
 #: What part of the variance a delay or a window must remove before anything else is looked at.
 _CLEARLY = 0.8
-#: A delay beyond this part of a node is taken out, and the rest estimated again.
-_SHIFT = 0.2
-_ROUNDS = 3
+#: A delay beyond this part of a node is taken out, and the rest estimated again, so often at the most.
+_SHIFT, _ROUNDS = 0.2, 3
 #: Radii of wheels, m, and how many peaks of each side's spectrum are looked at.
 _RADII_M, _PEAKS = (0.02, 0.6), 3
 #: Parts of a drive in which a named law must be the same.
 _PARTS = 24
-_MOST = 6
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,7 @@ def _selected(
     `largest` is the gain of what is in `first` already.
     """
     chosen = list(first)
-    for _ in range(_MOST):
+    for _ in candidates:
         groups = {_group(n) for n in chosen}
         gains = {
             n: _gain(grams, chosen, n) for n in candidates if n not in chosen and _group(n) not in groups

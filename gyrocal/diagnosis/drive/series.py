@@ -29,6 +29,7 @@ STILL_MPS = 1e-3
 GAP_STEPS = 5.0
 #: Rates for the laws are means over this time, s: a law must not carry the noise of what it explains.
 SMOOTH_S = 0.15
+#: Shorter drives, s and m, are refused: they tell neither bias nor track better than a robot file does.
 _LEAST_S, _LEAST_M = 60.0, 1.0
 #: A gyro's sample this far from the median of its neighbours, in robust standard deviations and in deg/s, is a spike.
 _SPIKE_STDS, _SPIKE_DPS = 12.0, 2.0

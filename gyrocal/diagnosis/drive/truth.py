@@ -29,6 +29,7 @@ _SURE_BY_ITSELF = 8.0
 _MODEL_STD = 1e-4
 #: Chance at which structure is located where there is nothing.
 STRANGER_P = 1e-5
+#: Knots that the truth is averaged to, as the cost grows with their cube, and how many a path is laid on at the least.
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 #: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), slope of the bias (deg/s per degC).
 _SCALE, _CLOCK_S, _LEVER_M, _SLOPE = 0.2, 0.3, 1.0, 0.02
@@ -36,8 +37,9 @@ _SCALE, _CLOCK_S, _LEVER_M, _SLOPE = 0.2, 0.3, 1.0, 0.02
 _HORIZONS = (0.06, 0.12, 0.25, 0.5, 1.0)
 #: Levels' logarithms beforehand: the truth's are free, those of dead reckoning are known from the heading difference.
 _FREE, _WAY_FREE = 4.0, 1.0
-_ODD_M = 0.03
-_MIRRORED_BY, _MIRRORED_BETTER = 60.0, 3.0
+#: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
+#: takes this gain, twice the log likelihood, and a miss so many times smaller.
+_ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
 INTERESTS = ("gyro_bias", "gyro_scale", "wheel_scale")
 #: What the path is laid anew for until it moves no more.
 _MOVING = (*INTERESTS, "bias_slope")
@@ -336,7 +338,7 @@ def ask_truth(
     state, problem, logs, _ = _laid(knots, base, bias_std_dps, noise)
     mirrored = False
     miss = _miss(knots, problem, logs)
-    if miss > _ODD_M * float(np.std(knots.position)):
+    if miss > _ODD * float(np.std(knots.position)):
         other = replace(knots, seen=np.conj(knots.seen), position=np.conj(knots.position), heading=None)
         turned = _laid(other, base, bias_std_dps, noise)
         plain = _laid(replace(knots, heading=None), base, bias_std_dps, noise)

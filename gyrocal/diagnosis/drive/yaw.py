@@ -32,6 +32,7 @@ _WALK_PER_FLICKER = 0.3
 #: Standard deviations of the levels' logarithms beforehand.
 _SPREAD = {"slip": 1.5, "turn": 1.5, "tick": 1.5, "flicker": 0.7, "wander": 1.5, "jitter": 1.5, "white": 1.5}
 _WALK = "angle_random_walk_deg_per_rt_h"
+#: Where the search for the levels begins: wander of the track, jitter of the clock, and an encoder without ticks.
 _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
 _LEAST_TICK_M, _STILL = 1e-6, 1e-5

@@ -31,6 +31,7 @@ SCHEMA = "gyrocal-law/1"
 
 #: Neighbouring data sets are left out together, in so many blocks, every second of which is held out at a time.
 _BLOCKS = 10
+#: Draws of the blocks for the interval of the gain.
 _DRAWS = 2000
 #: Coefficients of the surface, row-major over the orders of rate and temperature.
 _BIAS_AND_SCALE = np.array([0, SHAPE[1]])

@@ -14,16 +14,16 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from gyrocal.diagnosis.drive.engine import Examined, examine
+from gyrocal.diagnosis.drive.engine import examine
 from gyrocal.diagnosis.drive.findings import named_effects, places, verdict
-from gyrocal.diagnosis.drive.improved import estimates_of, improved_robot
+from gyrocal.diagnosis.drive.improved import DriveEstimate, estimates_of, improved_robot
 from gyrocal.diagnosis.drive.laws import candidate_laws, constant_laws, frame_of, wheel_laws
 from gyrocal.diagnosis.drive.reckoning import laid_on
 from gyrocal.diagnosis.drive.search import known_before
@@ -113,7 +113,7 @@ def _sigma(effect: str, plan: Plan, seed: int) -> float:
     return float(np.sqrt(gram.solve(names)[1][names.index(law), names.index(law)]))
 
 
-def _plans(seed: int, trial: int, effect: str, d_prime: float) -> Iterator[tuple[Plan, int, float]]:
+def plans(seed: int, trial: int, effect: str, d_prime: float) -> Iterator[tuple[Plan, int, float]]:
     """Plans in which the effect can show at all, with the amplitude hidden, in the fleet's unit."""
     for attempt in range(50):
         rng = np.random.default_rng([seed, trial, attempt])
@@ -166,15 +166,32 @@ def _amplitude(effects: list[NamedEffect], effect: str) -> tuple[float, float, f
     return None
 
 
-def _trial(seed: int, trial: int, effect: str, d_prime: float, *, with_filter: bool) -> dict[str, Any]:
-    plan, own, size = next(_plans(seed, trial, effect, d_prime))
-    robot = robot_file(plan)
-    found: Examined = examine("drive.csv", drive(plan, own), robot, None)
+@dataclass(frozen=True)
+class Diagnosed:
+    """Verdict and names of a drive, its estimates, and the robot file that comes of it."""
+
+    verdict: str
+    effects: list[NamedEffect]
+    estimates: tuple[DriveEstimate, ...]
+    better: Robot | None
+
+
+def diagnosed(log: DriveBlock, robot: Robot) -> Diagnosed:
+    """Diagnose one log."""
+    found = examine("drive.csv", log, robot, None)
     effects = named_effects(found.series, found.yaw, found.truth, found.parts, found.checks)
     located = places(found.series, found.yaw, found.truth, effects)
     better = improved_robot(found.series, found.yaw, found.truth, found.parts, found.figures)
     estimates = estimates_of(found.series, found.yaw, found.truth, found.parts, found.figures)
-    bias = next(e for e in estimates if e.name == "gyro_bias")
+    return Diagnosed(verdict(effects, located), effects, estimates, better)
+
+
+def _trial(seed: int, trial: int, effect: str, d_prime: float, *, with_filter: bool) -> dict[str, Any]:
+    plan, own, size = next(plans(seed, trial, effect, d_prime))
+    robot = robot_file(plan)
+    found = diagnosed(drive(plan, own), robot)
+    effects, better = found.effects, found.better
+    bias = next(e for e in found.estimates if e.name == "gyro_bias")
     interval = _amplitude(effects, effect) if effect else None
     hidden = 1e4 * size if effect == "gyro_scale" else size
     if effect == "wheel_eccentricity":
@@ -182,7 +199,7 @@ def _trial(seed: int, trial: int, effect: str, d_prime: float, *, with_filter: b
         hidden = abs(hidden)
     return {
         "trial": trial, "effect": effect, "d_prime": d_prime, "shape": plan.shape, "rest_s": plan.rest_s,
-        "hidden": hidden, "named": [e.effect for e in effects], "verdict": verdict(effects, located),
+        "hidden": hidden, "named": [e.effect for e in effects], "verdict": found.verdict,
         "amplitude": interval, "bias": [plan.bias_dps, bias.value, bias.std],
         "file": None if better is None else sorted(better.given - robot.given),
         "second": _second(plan, seed, trial, robot, better, with_filter),
