@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import graphlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -187,6 +188,19 @@ def test_import_table(path: Path) -> None:
     for line, imported in imports_of(path):
         if imported.split(".")[0] == "gyrocal" and room(imported) not in ("", "__version__"):
             assert room(imported) in allowed, f"{path}:{line}: {here or name} may not import {imported}"
+
+
+def test_no_module_imports_itself_in_a_circle() -> None:
+    known = {module_name(p): p for p in MODULES}
+    graph: dict[str, set[str]] = {}
+    for name, path in known.items():
+        graph[name] = set()
+        for node in ast.walk(tree_of(path)):
+            for _, base in imports(iter([node]), name, path.name == "__init__.py"):
+                names = [a.name for a in node.names] if isinstance(node, ast.ImportFrom) else []
+                parts = {f"{base}.{n}" for n in names} & known.keys()
+                graph[name] |= parts or ({base} & known.keys())
+    graphlib.TopologicalSorter(graph).prepare()
 
 
 @pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) in LIGHT_ROOMS], ids=ids)

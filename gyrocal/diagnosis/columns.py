@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.series import Series
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.offer import Offer
 
 Floats = NDArray[np.float64]

@@ -19,7 +19,7 @@ from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface

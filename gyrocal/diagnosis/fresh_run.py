@@ -11,7 +11,7 @@ from scipy.stats import norm
 from gyrocal.diagnosis.means import Means
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.physics.effect import Conditions, Memory
+from gyrocal.physics.conditions import Conditions, Memory
 from gyrocal.physics.terms import joint_covariance, sensitivity, solve_rate
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,8 @@ from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE, law_of
-from gyrocal.physics.effect import Conditions, Effect
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Effect
 from gyrocal.physics.lacking import Reason
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.rate import FIT_DIRECTION

@@ -16,7 +16,7 @@ from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.series import LEAST_SUPPLY_V
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.shapes import DRIVERS
 from gyrocal.physics.smooth import Column, Factor, Frame, design, histories, rate_factors, temperature_factors
 from gyrocal.physics.surface import SHAPE

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.errors import CoefficientError, InputError
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Surface
 from gyrocal.physics.terms import Part, Term, read_term, sensitivity, solve_rate

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_TERM, Coefficients
-from gyrocal.physics.effect import Conditions, Memory
+from gyrocal.physics.conditions import Conditions, Memory
 from gyrocal.physics.terms import Solution, joint_covariance, sensitivity, solve_rate
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, choice, memoryless
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, memoryless
 from gyrocal.physics.fold import on_turn_with_rate
 from gyrocal.physics.offer import table_turns
 from gyrocal.physics.search import Search, with_phase

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.c_text import ABOVE, CMemory, CText, Number
-from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, choice, memoryless, shape
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, memoryless, shape
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.offer import Offer, steps_of_rate
-from gyrocal.physics.search import Search, Shape, one_column, with_phase
+from gyrocal.physics.search import Search, Shape, Unit, one_column, with_phase
 from gyrocal.physics.surface import Surface
 
 #: The customary step of rate in the amplitude of `step_response`, deg/s.
@@ -59,13 +60,13 @@ def _creep_and_ringing(offer: Offer) -> list[dict[str, float]]:
     return creep + [s for s in ring if 0.15 < s["tau_s"] < 12.0]
 
 
-def _step_columns(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+def _step_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
     # A creep has no phase.
-    return (with_phase if given["frequency_hz"] > 0.0 else one_column)(effect, c, given, surface)
+    return (with_phase if given["frequency_hz"] > 0.0 else one_column)(unit_dps, c, given, surface)
 
 
-def _draw_step(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
-    p = usual_draw(effect, offer, rng)
+def _draw_step(usual: Mapping[str, float], offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    p = usual_draw(usual, offer, rng)
     if rng.random() < 0.5:
         return p | {"frequency_hz": float(rng.uniform(0.2, 0.8))}
     return p | {"frequency_hz": 0.0, "phase_rad": 0.0}

@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from gyrocal.errors import DataError
-from gyrocal.physics.effect import MDPS, PPM, Described, Floats, Memory, Parameter, amplitude, shape
+from gyrocal.physics.conditions import Memory
+from gyrocal.physics.effect import MDPS, PPM, Described, Floats, Parameter, amplitude, shape
 from gyrocal.physics.kernels import normal, uniform
 from gyrocal.physics.slip import SLIP_LAWS, slip_shape
 from gyrocal.units import DEG_TO_RAD

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.physics.conditions import Conditions
 from gyrocal.units import S_PER_H, S_PER_MIN
-
-if TYPE_CHECKING:
-    from gyrocal.physics.effect import Conditions
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +48,7 @@ class FoldAxis:
 
 
 #: The coordinate for rows, from an effect's parameters and from what it adds to them (deg/s, shape (n,)).
-Fold = Callable[["Conditions", Mapping[str, float], Floats], FoldAxis]
+Fold = Callable[[Conditions, Mapping[str, float], Floats], FoldAxis]
 
 
 def plain(label: str, x: Floats, *, within_set: bool = False, of_time: bool = False) -> FoldAxis:

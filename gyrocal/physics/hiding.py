@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from gyrocal.physics.offer import Offer
 
-if TYPE_CHECKING:
-    from gyrocal.physics.effect import Effect
-
 
 class Draw(Protocol):
-    """All parameters of an effect at random for a record; the amplitude is the usual one, its size comes later."""
+    """All parameters of an effect at random for a record, from their usual values; the size of its amplitude comes later."""
 
-    def __call__(self, effect: Effect, offer: Offer, rng: np.random.Generator, /) -> dict[str, float]: ...
+    def __call__(
+        self, usual: Mapping[str, float], offer: Offer, rng: np.random.Generator, /
+    ) -> dict[str, float]: ...
 
 
 #: What a parameter is drawn from by its name: its usual value, what the record offers, random numbers.
@@ -39,11 +38,11 @@ def _between(offer: Offer) -> list[float]:
     return [size for size in offer.sizes_dps.tolist() if 0 < size < offer.sizes_dps[-1]]
 
 
-def usual_draw(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+def usual_draw(usual: Mapping[str, float], offer: Offer, rng: np.random.Generator) -> dict[str, float]:
     """Each parameter by its name; one that says nothing by it has its usual value."""
     return {
-        name: _BY_NAME[name](usual, offer, rng) if name in _BY_NAME else usual
-        for name, usual in effect.typical().items()
+        name: _BY_NAME[name](value, offer, rng) if name in _BY_NAME else value
+        for name, value in usual.items()
     }
 
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.c_text import POWER, CMemory, CText, Number
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import (
     MDPS,
     PPM,
-    Conditions,
     Effect,
     Floats,
     amplitude,
@@ -22,7 +22,7 @@ from gyrocal.physics.effect import (
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
 from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates
-from gyrocal.physics.search import Search, Shape
+from gyrocal.physics.search import Search, Shape, Unit
 from gyrocal.physics.surface import Surface
 
 #: Two commanded rates nearer than this are the same rate, deg/s.
@@ -162,9 +162,9 @@ def _orders(offer: Offer) -> list[dict[str, float]]:
     ]
 
 
-def _order_columns(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+def _order_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
     orders = [given[name] for name in ("order", "order_2") if name in given]
-    return np.column_stack([effect.unit_dps(c, {**given, "order": order}, surface) for order in orders])
+    return np.column_stack([unit_dps(c, {**given, "order": order}, surface) for order in orders])
 
 
 def _resonances(offer: Offer) -> list[dict[str, float]]:
@@ -176,7 +176,7 @@ def _resonances(offer: Offer) -> list[dict[str, float]]:
     ]
 
 
-def _each_rate(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+def _each_rate(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
     """A column for each size of rate, with an error of 1 ppm there."""
     size = np.round(np.abs(c.rate_dps), 3)
     sizes = np.unique(size[size > 0])
@@ -184,8 +184,8 @@ def _each_rate(effect: Effect, c: Conditions, given: Shape, surface: Surface | N
     return np.column_stack(each) if each else np.zeros((len(c), 1))
 
 
-def _draw_order(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
-    p = usual_draw(effect, offer, rng)
+def _draw_order(usual: Mapping[str, float], offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    p = usual_draw(usual, offer, rng)
     return p | {"order": float(rng.integers(4, 6)), "scale_dps": float(offer.sizes_dps[-1])}
 
 

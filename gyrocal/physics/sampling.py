@@ -6,18 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gyrocal.physics.effect import (
-    MDPS,
-    PPM,
-    Conditions,
-    Effect,
-    Floats,
-    Parameter,
-    amplitude,
-    choice,
-    memoryless,
-    shape,
-)
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import MDPS, PPM, Effect, Floats, Parameter, amplitude, choice, memoryless, shape
 from gyrocal.physics.hiding import Hiding
 from gyrocal.physics.kernels import normal, uniform
 from gyrocal.physics.search import Search

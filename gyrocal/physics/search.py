@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.offer import Offer, Requirement
 from gyrocal.physics.surface import Surface
-
-if TYPE_CHECKING:
-    from gyrocal.physics.effect import Conditions, Effect
 
 Floats = NDArray[np.float64]
 
@@ -23,21 +21,25 @@ Shape = Mapping[str, float]
 Grid = Callable[[Offer], Sequence[Shape]]
 
 
+#: An effect at unit amplitude for a shape, through a surface, shape (n,), deg/s.
+Unit = Callable[[Conditions, Shape, Surface | None], Floats]
+
+
 class Columns(Protocol):
     """Columns in which an effect of a given shape is linear, at unit amplitude, shape (n, k), deg/s."""
 
-    def __call__(self, effect: Effect, c: Conditions, shape: Shape, surface: Surface | None, /) -> Floats: ...
+    def __call__(self, unit_dps: Unit, c: Conditions, shape: Shape, surface: Surface | None, /) -> Floats: ...
 
 
-def one_column(effect: Effect, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+def one_column(unit_dps: Unit, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
     """The law itself."""
-    return effect.unit_dps(c, shape, surface)[:, None]
+    return unit_dps(c, shape, surface)[:, None]
 
 
-def with_phase(effect: Effect, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
+def with_phase(unit_dps: Unit, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
     """Cosine and sine of a law with a phase: amplitude and phase become linear."""
     return np.column_stack(
-        [effect.unit_dps(c, {**shape, "phase_rad": phase}, surface) for phase in (0.0, -np.pi / 2)]
+        [unit_dps(c, {**shape, "phase_rad": phase}, surface) for phase in (0.0, -np.pi / 2)]
     )
 
 

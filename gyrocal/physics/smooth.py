@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.physics.c_text import ABOVE, BUMP, LEGENDRE, CMemory, Number
-from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions, Floats
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import ROBOT_CHANNELS, Floats
 from gyrocal.physics.kernels import lag, play
 from gyrocal.physics.shapes import DRIVERS, RATE, TEMPERATURE, Driver, Frame, Shape, Trace
 from gyrocal.physics.surface import Surface

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from gyrocal.errors import CoefficientError, InputError
 from gyrocal.physics.c_text import CMemory, Number
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import ROBOT_CHANNELS, Conditions, Effect, Floats, Memory
+from gyrocal.physics.conditions import Conditions, Memory
+from gyrocal.physics.effect import ROBOT_CHANNELS, Effect, Floats
 from gyrocal.physics.smooth import SmoothTerm, smooth_term
 from gyrocal.physics.surface import Surface
 

@@ -12,23 +12,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.c_text import POWER, CMemory, CText, Number
-from gyrocal.physics.effect import (
-    MDPS,
-    Conditions,
-    Effect,
-    Floats,
-    Memory,
-    amplitude,
-    choice,
-    memoryless,
-    need_surface,
-    shape,
-)
+from gyrocal.physics.conditions import Conditions, Memory
+from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, memoryless, need_surface, shape
 from gyrocal.physics.fold import on_model, on_own
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import lag, play
 from gyrocal.physics.offer import Offer, either, table_turns, temperature_changes
-from gyrocal.physics.search import Search, Shape, scales
+from gyrocal.physics.search import Search, Shape, Unit, scales
 from gyrocal.physics.surface import Surface
 from gyrocal.units import S_PER_MIN
 
@@ -96,16 +86,16 @@ def _powers(offer: Offer) -> list[dict[str, float]]:
     return on_bias + ([{**shape, "rate_scale_dps": full} for shape in on_bias] if full else [])
 
 
-def _order_columns(effect: Effect, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
+def _order_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
     """The law on the bias; with a scale of the rate on the scale factor as well."""
-    bias = effect.unit_dps(c, given, surface)
+    bias = unit_dps(c, given, surface)
     if "rate_scale_dps" not in given:
         return bias[:, None]
     return np.column_stack([bias, bias * c.rate_dps / given["rate_scale_dps"]])
 
 
-def _draw_order(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
-    return usual_draw(effect, offer, rng) | _powers(offer)[0]
+def _draw_order(usual: Mapping[str, float], offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    return usual_draw(usual, offer, rng) | _powers(offer)[0]
 
 
 def _shupe_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:

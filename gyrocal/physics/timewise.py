@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.c_text import CMemory, CText, Number
-from gyrocal.physics.effect import MDPS, PPM, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import MDPS, PPM, Effect, Floats, amplitude, memoryless, shape
 from gyrocal.physics.fold import scale_on_time
 from gyrocal.physics.offer import Offer, begins_warm, table_turns
 from gyrocal.physics.search import Search, scales

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.fold import FoldAxis
 from gyrocal.units import S_PER_MIN
 

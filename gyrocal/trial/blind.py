@@ -28,7 +28,8 @@ from gyrocal.errors import ProfileError
 from gyrocal.inference.gram import project
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels
 from gyrocal.physics.catalogue import CATALOGUE, law_of
-from gyrocal.physics.effect import Conditions, Effect
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Effect
 from gyrocal.planning.next_experiment import to_toml
 from gyrocal.records.run import Run, read_run
 from gyrocal.trial.sealed import Sealed
@@ -169,7 +170,7 @@ def draw_secret(stage: Rehearsal, rng: np.random.Generator) -> Secret:
     strengths: dict[str, float] = {}
     for effect in rng.choice(known, size=count, replace=False).tolist():
         hidden = CATALOGUE[effect]
-        parameters = hidden.hiding.draw(hidden, offer, rng)
+        parameters = hidden.hiding.draw(hidden.typical(), offer, rng)
         if hidden.hiding.free_size:
             unit = stage.d_prime(stage.error_dps(effect, {**parameters, "amplitude": 1.0}))
             if unit <= 0:

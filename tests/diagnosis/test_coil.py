@@ -21,7 +21,7 @@ from gyrocal.diagnosis.parts import frame_of
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
 

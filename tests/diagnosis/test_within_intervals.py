@@ -11,7 +11,7 @@ from gyrocal.diagnosis.engine import series_of
 from gyrocal.diagnosis.estimates import of_pattern
 from gyrocal.diagnosis.within import Pattern, jackknife, patterns
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 

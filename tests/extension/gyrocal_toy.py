@@ -22,7 +22,8 @@ from gyrocal.bench.kinds import ChamberKind, GyroKind, TableKind
 from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.transport import Transport
 from gyrocal.physics.c_text import CMemory, CText, Number
-from gyrocal.physics.effect import MDPS, Conditions, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, memoryless, shape
 from gyrocal.physics.fold import FoldAxis, plain
 from gyrocal.physics.hiding import Hiding
 from gyrocal.physics.offer import Offer, many_rates
@@ -38,8 +39,8 @@ def _periods(offer: Offer) -> list[dict[str, float]]:
     return [{"period_dps": float(x) * offer.largest_rate_dps} for x in np.geomspace(0.3, 0.8, 21)]
 
 
-def _draw(effect: Effect, offer: Offer, rng: np.random.Generator) -> dict[str, float]:
-    return effect.typical() | {"period_dps": float(rng.uniform(0.3, 0.8)) * offer.largest_rate_dps}
+def _draw(usual: Mapping[str, float], offer: Offer, rng: np.random.Generator) -> dict[str, float]:
+    return dict(usual) | {"period_dps": float(rng.uniform(0.3, 0.8)) * offer.largest_rate_dps}
 
 
 def _within_period(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:

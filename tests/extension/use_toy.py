@@ -16,7 +16,7 @@ from gyrocal.calibration.export import export_c_header
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import Conditions
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.surface import Surface
 from gyrocal.physics.terms import Term
 from gyrocal.records.datasets import DataSetTable

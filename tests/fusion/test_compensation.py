@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion import Coefficients, Compensator, Term, Valid, parse_coefficients
 from gyrocal.physics.catalogue import CATALOGUE, find_effect
-from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Floats
 from gyrocal.physics.surface import Surface
 from gyrocal.physics.terms import runtime_term
 

@@ -18,7 +18,8 @@ from scipy.optimize import brentq
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion import Coefficients, Compensator, Term, Valid, parse_coefficients
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_TERM
-from gyrocal.physics.effect import Conditions, Floats, Memory
+from gyrocal.physics.conditions import Conditions, Memory
+from gyrocal.physics.effect import Floats
 from gyrocal.physics.smooth import Column, Factor, Frame, SmoothTerm, columns_of
 from gyrocal.physics.surface import Surface
 from gyrocal.physics.terms import Part

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from gyrocal.errors import DataError, InputError
 from gyrocal.physics.catalogue import CATALOGUE, find_effect
-from gyrocal.physics.effect import FAMILIES, Conditions, Effect, Floats
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import FAMILIES, Effect, Floats
 from gyrocal.physics.surface import Surface
 
 SHARED = Path(__file__).parents[2].parent / "shared"

@@ -10,7 +10,8 @@ import pytest
 
 from gyrocal.physics import kernels
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Floats
 from gyrocal.physics.kernels import lag, normal, play, uniform
 from gyrocal.physics.surface import Surface
 

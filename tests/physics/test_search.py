@@ -9,7 +9,8 @@ import pytest
 
 from gyrocal.physics.c_text import CMemory
 from gyrocal.physics.catalogue import CATALOGUE, find_effect, law_of, twins_of
-from gyrocal.physics.effect import Conditions, Effect
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Effect
 from gyrocal.physics.fold import BY_COORDINATE
 from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.offer import Offer
@@ -119,7 +120,7 @@ def test_relations_name_effects_of_the_catalogue(effect: Effect) -> None:
 
 @EFFECTS
 def test_a_draw_is_within_the_bounds(effect: Effect) -> None:
-    drawn = [effect.hiding.draw(effect, WHOLE, np.random.default_rng(k)) for k in range(20)]
+    drawn = [effect.hiding.draw(effect.typical(), WHOLE, np.random.default_rng(k)) for k in range(20)]
     for p in drawn:
         assert effect.complete(p) == p
     free = [p for p in effect.parameters if p.name in ("tau_s", "at_s", "phase_rad", "seed", "knee_dps")]
@@ -131,7 +132,7 @@ def test_a_draw_is_within_the_bounds(effect: Effect) -> None:
 def test_rows_have_a_place_on_the_coordinate_of_an_effect(effect: Effect) -> None:
     assert effect.fold is not None or effect.seen_in in BY_COORDINATE
     c = replace(known(), temp_rate_c_per_s=np.linspace(-0.01, 0.01, 200))
-    p = {**effect.typical(), **effect.hiding.draw(effect, WHOLE, np.random.default_rng(1))}
+    p = {**effect.typical(), **effect.hiding.draw(effect.typical(), WHOLE, np.random.default_rng(1))}
     axis = effect.fold_axis(c, p, effect.unit_dps(c, p, SURFACE))
     assert axis.x.shape == axis.gain.shape == (200,)
     assert np.isfinite(axis.x).sum() > 20

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import eval_legendre
 
-from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Floats
 from gyrocal.physics.shapes import DRIVERS, RATE, TEMPERATURE
 from gyrocal.physics.smooth import (
     Column,

@@ -14,7 +14,7 @@ from gyrocal.bench.devices import GyroSamples
 from gyrocal.bench.profile import VirtualChamberSpec, VirtualSupplySpec, VirtualTableSpec
 from gyrocal.errors import DeviceError
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import Conditions, Memory
+from gyrocal.physics.conditions import Conditions, Memory
 from gyrocal.physics.gyro import GyroModel, GyroStream
 from gyrocal.units import S_PER_MIN
 

@@ -15,7 +15,8 @@ import pytest
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.fusion import Coefficients, Term, Valid
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import Conditions, Floats
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import Floats
 from gyrocal.physics.surface import Direction
 from tests.calibration.test_export import smooth_part
 from tests.diagnosis.versus.tables import SURFACE
