@@ -1,9 +1,4 @@
-"""The experiment that settles a doubt: which plan tells the named effect from what else it could be.
-
-The share R^2 of an effect's whitened signature that another captures, and the effect's signal-to-noise ratio d'
-under the noise that is there, are known before any data: to tell the two at 20 : 1 the expected difference in
-log-likelihood, d'^2 (1 - R^2)/2, must be 3 nats, so d' >= sqrt(6/(1 - R^2)).
-"""
+"""The experiment that settles a doubt: which plan tells the named effect from what else it could be."""
 
 from __future__ import annotations
 
@@ -13,39 +8,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
-from gyrocal.diagnosis.base import simulate
-from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.untimed import by_time
-from gyrocal.inference.gram import Projection, project
-from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
-from gyrocal.physics.surface import Surface
-from gyrocal.planning.planned import Design, Reach, designs, duration_h, planned_series, to_profile
-from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPH_TO_DPS
+from gyrocal.planning.planned import Design, Reach, designs, duration_h, to_profile
+from gyrocal.planning.separation import GOOD_POWER, Separation, repeats_needed, separate
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Evidence that counts as settled: 20 : 1, in nats.
-_SETTLED_NATS = 3.0
-_GOOD_POWER = 0.95
 _MOST_REPEATS = 10
 _USUAL_RAMP_C_PER_MIN = 2.0
 _USUAL_REST_C = 25.0
-#: Of the report's figures, a standard unit, where the record carries none.
-_USUAL_WALK_DEG_PER_RT_H = 0.083
 #: Below this the largest rate of a plan is not rounded to a whole number.
 _WHOLE_RATES_DPS = 5.0
 #: A plan that settles a doubt less often is not worth its bench time.
 _LEAST_POWER = 0.2
-#: Columns of less whitened power are not there.
-_NOTHING = 1e-18
-#: An effect of less d' does not show in a plan.
-_SEEN_AT_ALL = 1e-3
 #: Where structure is left unexplained: the plan that shows it best.
 _PLAN_FOR = {
     "rate": "fine_rates",
@@ -63,31 +41,6 @@ _AT_REST = {"time": ("rest",), "data_set_index": ("rest",)}
 _RATES_UNKNOWN = "; the table stands, as this record does not say what rates the gyro bears"
 _OFF_BEFORE = "leave the gyro off for an hour before, and start the run with its power-on"
 _SUPPLY_BY_HAND = "step the supply voltage by a few tenths of a volt between data sets, in random order"
-
-
-@dataclass(frozen=True)
-class Separation:
-    """How well a plan tells an effect from another.
-
-    Attributes
-    ----------
-    d_prime : float
-        Signal-to-noise ratio of the effect in the planned record.
-    captured : float
-        Share R^2 of its signature that the other captures.
-    power : float
-        Probability of at least 20 : 1 for the true one.
-    """
-
-    other: str
-    d_prime: float
-    captured: float
-    power: float
-
-    @property
-    def d_prime_needed(self) -> float:
-        """d' at which 20 : 1 is expected."""
-        return float(np.sqrt(2.0 * _SETTLED_NATS / max(1.0 - self.captured, 1e-9)))
 
 
 @dataclass(frozen=True)
@@ -117,6 +70,7 @@ class Proposal:
                     "d_prime_needed": s.d_prime_needed,
                     "captured_share": s.captured,
                     "power": s.power,
+                    "power_if_other": None if s.if_other is None else s.if_other.power,
                 }
                 for s in self.separations
             ],
@@ -227,9 +181,9 @@ def _separating(
     unknown = _RATES_UNKNOWN if reach.rate_dps == 0 else ""
     sentence = f"To tell {_either(names)}, measure {design.purpose} ({hours:.1f} h{unknown}): expected to reach 20 : 1 with a probability of {power:.0%}"
     times = repeats_needed(separations)
-    if power < _GOOD_POWER - 0.005:
+    if power < GOOD_POWER - 0.005:
         sentence += (
-            f", or {_GOOD_POWER:.0%} when it is measured {times} times"
+            f", or {GOOD_POWER:.0%} when it is measured {times} times"
             if times <= _MOST_REPEATS
             else ", and no bench time in reach would raise that to certainty"
         )
@@ -245,17 +199,9 @@ def _separating(
     )
 
 
-def repeats_needed(separations: Sequence[Separation]) -> int:
-    """How often a plan must be run so that every pair reaches `_GOOD_POWER`."""
-    quantile = float(norm.ppf(_GOOD_POWER))
-    needed = (quantile + float(np.sqrt(quantile**2 + 2.0 * _SETTLED_NATS))) ** 2
-    each = min(s.d_prime**2 * (1.0 - s.captured) for s in separations)
-    return int(np.ceil(needed / max(each, needed / 1e6)))
-
-
 def _power(separations: Sequence[Separation]) -> float:
     """Probability that the worst pair is settled."""
-    return min(s.power for s in separations)
+    return min(s.expected_power for s in separations)
 
 
 def _hopeless(separations: Sequence[Separation]) -> bool:
@@ -303,119 +249,10 @@ def best_design(
         if hours <= bench_hours:
             pairs = separate(diagnosis, effect, others, design, reach)
             found.append((_power(pairs), hours, design, pairs))
-    good = [f for f in found if f[0] >= _GOOD_POWER]
+    good = [f for f in found if f[0] >= GOOD_POWER]
     if good:
         return min(good, key=lambda f: f[1])[2:]
     return max(found, key=lambda f: f[0])[2:] if found else None
-
-
-def separate(
-    diagnosis: Diagnosis, effect: NamedEffect, others: Sequence[str], design: Design, reach: Reach
-) -> tuple[Separation, ...]:
-    """What a design would tell about an effect of the size that was found, against each of the others."""
-    surface = diagnosis.surface.surface if diagnosis.surface is not None else None
-    series = planned_series(design, reach, _walk_dps_rt_s(diagnosis))
-    if surface is None:
-        return ()
-    base = simulate(series, surface).design
-    signature = _signature(effect, series, surface)
-    grids = [_grid(other, series, surface) for other in others]
-    columns = np.column_stack([signature, base, *(g for grid in grids for g in grid)])
-    white = NoiseModel(series).whiten(_levels(diagnosis), columns)[0]
-    left = project(white.T @ white, np.arange(base.shape[1]))
-    first, pairs = base.shape[1], []
-    for other, grid in zip(others, grids, strict=True):
-        d_prime = float(np.sqrt(max(left.rss, 0.0)))
-        if CATALOGUE[other].search.draws:
-            columns_of = np.arange(first, first + grid[0].shape[1])
-            first += columns_of.size
-            pairs.append(_against_draws(other, d_prime, left, columns_of))
-            continue
-        captured = 0.0
-        for point in grid:
-            captured = max(captured, left.block(np.arange(first, first + point.shape[1]))[0])
-            first += point.shape[1]
-        share = min(captured / left.rss, 1.0) if left.rss > 0 else 1.0
-        pairs.append(Separation(other, d_prime, share, power_of(d_prime, share)))
-    return tuple(pairs)
-
-
-def _against_draws(other: str, d_prime: float, left: Projection, columns: Ints) -> Separation:
-    """How well a law is told from independent draws of one size, one for each rate.
-
-    Draws can follow any law, and pay for it: their evidence, at the size that suits them best, is
-    ``sum(w_k (b_k^2 + 1) - log(1 + s^2 l_k))/2`` over their orthogonal patterns of strength l_k, of which the
-    law has the components b_k, ``w_k = s^2 l_k / (1 + s^2 l_k)``; the 1 is what noise adds to a square.
-    """
-    strength, patterns = np.linalg.eigh(left.gram[np.ix_(columns, columns)])
-    kept = strength > max(1e-6 * float(strength[-1]), _NOTHING)
-    if not kept.any() or d_prime < _SEEN_AT_ALL:
-        return Separation(other, d_prime, 1.0, 0.0)
-    strength = strength[kept]
-    along = (patterns[:, kept].T @ left.score[columns]) ** 2 / strength
-    best, share, spread = 0.0, 0.0, 1.0
-    for size in np.geomspace(1e-3, 1e4, 141) / np.sqrt(float(np.median(strength))):
-        weight = size**2 * strength / (1.0 + size**2 * strength)
-        gain = 0.5 * float(np.sum(weight * (along + 1.0) - np.log1p(size**2 * strength)))
-        if gain > best:
-            best, share = gain, gain / max(0.5 * d_prime**2, 1e-300)
-            spread = float(np.sum((1.0 - weight) ** 2 * along + 0.5 * weight**2))
-    beyond = max(d_prime**2 - float(along.sum()), 0.0)
-    mean = 0.5 * (d_prime**2 + 1.0) - best
-    power = float(norm.sf((_SETTLED_NATS - mean) / np.sqrt(spread + beyond)))
-    return Separation(other, d_prime, float(np.clip(share, 0.0, 1.0)), power)
-
-
-def power_of(d_prime: float, captured: float) -> float:
-    """Probability that the log-likelihood ratio exceeds 3 nats when its mean is half its variance."""
-    variance = d_prime**2 * max(1.0 - captured, 0.0)
-    if variance <= 0:
-        return 0.0
-    return float(norm.sf((_SETTLED_NATS - variance / 2.0) / np.sqrt(variance)))
-
-
-def _signature(effect: NamedEffect, series: Series, surface: Surface) -> Floats:
-    """The named effect in the planned rows, at its estimated size, shape (n,)."""
-    shape = by_time(effect.parameters)
-    size = shape.pop("amplitude", 1.0)
-    c = conditions_of(series)
-    known = CATALOGUE[effect.effect]
-    if known.search.draws:
-        # Draws of one size and of alternating sign stand for draws.
-        each = known.columns(c, {}, surface)
-        return np.asarray(size * (each @ (-1.0) ** np.arange(each.shape[1])))
-    if "at_s" in shape:
-        # The old instant means nothing in a new run: what matters is a jump in its middle.
-        shape["at_s"] = float(series.t_s.mean())
-    return np.asarray(size * known.unit_dps(c, shape, surface))
-
-
-def _grid(effect: str, series: Series, surface: Surface) -> list[Floats]:
-    """Columns of an effect for each of its shapes in the planned rows, each of shape (n, k)."""
-    c = conditions_of(series)
-    known = CATALOGUE[effect]
-    if any(getattr(c, need) is None for need in known.needs):
-        return [np.zeros((len(series), 1))]
-    return [known.columns(c, shape, surface) for shape in known.search.grid(offer_of(series))]
-
-
-def _walk_dps_rt_s(diagnosis: Diagnosis) -> float:
-    """Angle random walk; of a table, whose rows do not say what time they average over, from their distance."""
-    noise, rows = diagnosis.noise, diagnosis.rows
-    walk = noise.angle_random_walk_deg_per_rt_h if noise is not None else None
-    if walk is None and noise is not None and rows is not None and rows.t_s.size > 1:
-        return noise.white_std_dps * float(np.sqrt(max(np.median(np.diff(rows.t_s)), 0.01)))
-    return (walk or _USUAL_WALK_DEG_PER_RT_H) * DEG_PER_RT_H_TO_DPS_PER_RT_HZ
-
-
-def _levels(diagnosis: Diagnosis) -> NoiseLevels:
-    """Noise levels in the planned rows, whose ``white_std_dps`` is the white noise itself."""
-    noise = diagnosis.noise
-    if noise is None:
-        return NoiseLevels(1.0, 1e-9, 1e-9)
-    # A decade apart, processes of variance s^2 add up to the density s^2/(ln 10 f), which is B^2/(pi f).
-    flicker = noise.bias_instability_deg_per_h * DPH_TO_DPS * float(np.sqrt(np.log(10.0) / np.pi))
-    return NoiseLevels(1.0, max(flicker, 1e-9), max(noise.rate_jitter_ppm * 1e-6, 1e-9))
 
 
 def to_toml(profile: Mapping[str, Any]) -> str:

@@ -24,6 +24,8 @@ _ROW_LONG_S = 5.0
 _ROW_SET_S = 1.0
 #: Temperatures nearer together than this are one.
 _LEAST_SPAN_C = 5.0
+#: Hours at rest: half a working day, and one whole.
+_STATIC_S, _LONG_STATIC_S = 14400.0, 25200.0
 #: Visits of a plan at one temperature.
 _VISITS = 6
 _FEWEST_BETWEEN, _MOST_BETWEEN = 4, 24
@@ -104,7 +106,7 @@ def designs(reach: Reach) -> list[Design]:
     found = _thermal(reach)
     if reach.high_c - reach.low_c < _LEAST_SPAN_C:
         found = []
-    found += [_from_power_on(reach), _at_rest(reach)]
+    found += _standing(reach)
     return found + (_turning(reach) if reach.rate_dps > 0 else [])
 
 
@@ -134,15 +136,24 @@ def _thermal(reach: Reach) -> list[Design]:
     return found
 
 
-def _from_power_on(reach: Reach) -> Design:
-    purpose = "hours at rest from power-on"
-    return Design("power_on", purpose, (reach.middle_c,), soak_s=300.0, static_s=14400.0, from_power_on=True)
-
-
-def _at_rest(reach: Reach) -> Design:
-    return Design(
-        "rest", "hours at rest at one temperature", (reach.middle_c,), soak_s=900.0, static_s=14400.0
+def _standing(reach: Reach) -> list[Design]:
+    """Plans at rest at one temperature: what two slow laws differ by grows faster than the time."""
+    on = Design(
+        "power_on",
+        "hours at rest from power-on",
+        (reach.middle_c,),
+        soak_s=300.0,
+        static_s=_STATIC_S,
+        from_power_on=True,
     )
+    rest = Design(
+        "rest", "hours at rest at one temperature", (reach.middle_c,), soak_s=900.0, static_s=_STATIC_S
+    )
+    long = [
+        replace(d, name=f"{d.name}_long", purpose=f"many {d.purpose}", static_s=_LONG_STATIC_S)
+        for d in (on, rest)
+    ]
+    return [on, rest, *long]
 
 
 def _turning(reach: Reach) -> list[Design]:

@@ -18,16 +18,9 @@ from gyrocal.cli.acquire import command as acquire_command
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Located
 from gyrocal.fusion.coefficients import Valid
 from gyrocal.inference.gram import Projection
-from gyrocal.planning.next_experiment import (
-    Separation,
-    _against_draws,
-    power_of,
-    propose,
-    repeats_needed,
-    separate,
-    to_toml,
-)
+from gyrocal.planning.next_experiment import propose, to_toml
 from gyrocal.planning.planned import Reach, designs, duration_h, planned_series, to_profile
+from gyrocal.planning.separation import Separation, _against_draws, power_of, repeats_needed, separate
 from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 
@@ -88,7 +81,7 @@ def test_longer_record_sees_more() -> None:
 @pytest.mark.parametrize(
     ("effect", "others", "hours", "plan"),
     [
-        ("warm_up", ("bias_drift",), 4.2, "power-on"),
+        ("warm_up", ("bias_drift",), 8.0, "power-on"),
         ("dead_zone", ("truncation",), 1.5, "rates"),
         ("reference_rate_error", ("rate_order",), 1.5, "rates"),
     ],
@@ -100,9 +93,30 @@ def test_doubt_gets_the_plan_that_settles_it(
     assert proposal is not None
     assert proposal.profile is not None
     assert proposal.expected_power is not None
-    assert proposal.expected_power > 0.9
+    assert proposal.expected_power > 0.85
     assert plan in proposal.sentence
     assert proposal.separates == (effect, *others)
+
+
+def test_a_plan_must_tell_the_two_whichever_is_true() -> None:
+    """A warm-up is seen from power-on alone, be it the one that is named or the other."""
+    chosen = []
+    for named, other in (("warm_up", "bias_drift"), ("bias_drift", "warm_up")):
+        found = doubtful(named, other, d_prime=12.0)
+        designs_of = {d.name: d for d in designs(REACH)}
+        on, rest = (
+            separate(found, found.effects[0], [other], designs_of[n], REACH)[0]
+            for n in ("power_on_long", "rest_long")
+        )
+        assert on.if_other is not None
+        assert rest.if_other is not None
+        seen = [
+            (x if named == "warm_up" else y).d_prime for x, y in ((on, on.if_other), (rest, rest.if_other))
+        ]
+        assert seen[0] > 1.5 * seen[1]
+        assert on.expected_power == pytest.approx((3.0 * on.power + on.if_other.power) / 4.0)
+        chosen.append(on.expected_power > rest.expected_power)
+    assert chosen == [True, True]
 
 
 def test_no_doubt_no_experiment() -> None:
@@ -251,7 +265,7 @@ def test_two_shapes_of_rate_are_told_apart_by_more_rates_not_by_ramps() -> None:
     assert proposal.profile is not None
     assert len(proposal.profile["plan"]["rates_dps"]) >= 5
     assert proposal.expected_power is not None
-    assert proposal.expected_power > 0.9
+    assert proposal.expected_power > 0.85
     few, many = (
         separate(found, found.effects[0], ["reference_rate_error"], d, REACH)[0]
         for d in (next(d for d in designs(REACH) if d.name == n) for n in ("repeats", "fine_rates"))
