@@ -12,7 +12,7 @@ Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), section 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ _GAP_S, _GAP_STEPS = 60.0, 20.0
 _SLOPE_TOLD = 1e-6
 #: Newton's steps at the most, and what the last may gain, nats.
 _NEWTON, _SETTLED = 30, 1e-6
+#: What is this near to a step, in steps, was read there.
+_AT_STEP = 2e-6
 #: Starts of the two levels: noise as a share of the scatter of neighbours, and spacings over which readings are weighed
 #: together, with the least and the most of them.
 _SHARES, _REACHES, _LEAST_REACH = (0.03, 0.3, 1.0), (1.0, 4.0, 16.0, 100.0), 0.3
@@ -87,6 +89,10 @@ class Course:
     ----------
     noise : float
         Standard deviation of a reading's white noise.
+    run : ndarray, shape (k,)
+        Number of the step that the node was read at, which nodes in a row share.
+    room : ndarray, shape (k,)
+        How little is known of where within that step the node is, standard deviation; 0 without steps.
     """
 
     t_s: Floats
@@ -95,6 +101,8 @@ class Course:
     noise: float
     gap: NDArray[np.bool_]
     factor: Floats = field(repr=False)
+    run: NDArray[np.int64]
+    room: Floats
 
     def at(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Value and slope at times, shape (n,) each; straight across a gap, and level beyond either end."""
@@ -115,7 +123,12 @@ class Course:
         rows = np.arange(t.size)
         pick[2 * k, rows] = 1.0 - share
         pick[2 * k + 2, rows] += share
-        return np.asarray(pick.T @ linalg.cho_solve_banded((self.factor, False), pick))
+        smooth = np.asarray(pick.T @ linalg.cho_solve_banded((self.factor, False), pick))
+        # Where a course levels off it bends more than anywhere else: all that is known is which step it is on.
+        unknown = np.sqrt(np.maximum(np.interp(t, self.t_s, self.room) ** 2 - np.diag(smooth), 0.0))
+        nearest = np.rint(np.interp(t, self.t_s, np.arange(self.run.size))).astype(np.int64)
+        run = self.run[nearest]
+        return smooth + np.where(run[:, None] == run, np.outer(unknown, unknown), 0.0)
 
 
 @dataclass
@@ -213,14 +226,11 @@ def smooth_course(t_s: Floats, value: Floats, count: Floats, step: float) -> Cou
     gap = spacing > max(_GAP_S, _GAP_STEPS * typical)
     total = np.bincount(node, count)
     mean = np.bincount(node, count * value) / total
+    run = _runs(mean, step)
     # Counted in usual spacings, a slope is as large as a change of the value is: what the band's factor needs.
-    found = _Field(
-        readings,
-        spacing / typical,
-        gap,
-        np.column_stack([mean, np.gradient(mean)]).ravel(),
-        _alike(mean, step),
-    )
+    rough = np.column_stack([mean, np.gradient(mean)]).ravel()
+    alike = np.bincount(run)[run].astype(np.float64)
+    found = _Field(readings, spacing / typical, gap, rough, alike)
     least = _LEAST_NOISE_STEPS * step if step else _LEAST_NOISE
     # Means of nodes scatter as less than single readings do.
     often = float(np.sqrt(np.median(total)))
@@ -248,7 +258,36 @@ def smooth_course(t_s: Floats, value: Floats, count: Floats, step: float) -> Cou
     )
     walk, noise = levels(best.x)
     _, x, factor = found.settle(walk, noise)
-    return Course(t, x[::2], x[1::2] / typical, noise, gap, factor)
+    smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size))
+    return _levelled(smooth, mean, step) if step else smooth
+
+
+def _levelled(smooth: Course, mean: Floats, step: float) -> Course:
+    """The course with what is not known within the steps: far from either end of one its middle errs least."""
+    room = _room(smooth.t_s, smooth.slope, mean, smooth.run, step)
+    deep = (np.sqrt(12.0) * room / step) ** 4
+    shift = deep * (mean - smooth.value)
+    slope = smooth.slope + np.gradient(shift, smooth.t_s)
+    return replace(smooth, value=smooth.value + shift, slope=slope, room=room)
+
+
+def _room(t_s: Floats, slope: Floats, mean: Floats, run: NDArray[np.int64], step: float) -> Floats:
+    """How little is known of where within its step each node is, standard deviation, shape (k,).
+
+    Since it came to a step, and until it leaves it, it goes no farther than the slope there takes it.
+    """
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+    came, left = first[run], np.append(first[1:], run.size)[run]
+    inside = (came > 0) & (left < run.size)
+    before, after = np.maximum(came - 1, 0), np.minimum(left, run.size - 1)
+    speed = np.maximum(np.abs(slope), np.abs(np.roll(slope, -1)))
+    since = np.where(came > 0, speed[before] * (t_s - t_s[before]), step)
+    until = np.where(left < run.size, speed[after - 1] * (t_s[after] - t_s), step)
+    width = np.minimum(np.minimum(since, until), step)
+    # What it came through it had to go all the way.
+    through = inside & ((mean[came] > mean[before]) == (mean[after] > mean[after - 1]))
+    slack = np.where(through, np.maximum(since + until - step, 0.0), step)
+    return np.asarray(np.minimum(width, slack) / np.sqrt(12.0))
 
 
 def _nodes(t_s: Floats, count: Floats) -> tuple[Floats, NDArray[np.int64]]:
@@ -265,19 +304,21 @@ def _stepped(r: _Readings) -> _Readings:
         return r
     below = np.floor(r.value / r.step + 1e-6)
     share = np.clip(r.value / r.step - below, 0.0, 1.0)
-    share[share < 2e-6] = 0.0
+    share[share < _AT_STEP] = 0.0
     value = np.concatenate([below, below + 1.0]) * r.step
     count = np.concatenate([(1.0 - share) * r.count, share * r.count])
     node, seen = np.tile(r.node, 2), count > 0.0
     return _Readings(node[seen], value[seen], count[seen], r.step)
 
 
-def _alike(mean: Floats, step: float) -> Floats:
-    """For each node how many nodes in a row are at its step."""
+def _runs(mean: Floats, step: float) -> NDArray[np.int64]:
+    """For each node the number of its run: nodes in a row at one step; by itself where readings are of two steps."""
     if step == 0.0:
-        return np.ones(mean.size)
-    run = np.cumsum(np.diff(np.round(mean / step), prepend=np.nan) != 0.0) - 1
-    return np.asarray(np.bincount(run)[run], dtype=np.float64)
+        return np.arange(mean.size)
+    here = mean / step
+    between = np.abs(here - np.round(here)) > _AT_STEP
+    alone = between | np.append(False, between[:-1])
+    return np.asarray(np.cumsum((np.diff(np.round(here), prepend=np.nan) != 0.0) | alone) - 1)
 
 
 def _times(bands: Floats, x: Floats) -> Floats:
