@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import functools
 import graphlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -190,6 +191,19 @@ def test_import_table(path: Path) -> None:
             assert room(imported) in allowed, f"{path}:{line}: {here or name} may not import {imported}"
 
 
+def test_the_readme_tells_the_rooms() -> None:
+    readme = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    told = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*?) ?\|$", readme, re.MULTILINE))
+    above: set[str] = set()
+    for name, rooms in told.items():
+        said = above if rooms == "all above" else set(filter(None, rooms.split(", ")))
+        assert said == MAY_IMPORT[name] - _BASE, (
+            f"README, rooms: {name} may import {sorted(MAY_IMPORT[name] - _BASE)}"
+        )
+        above = above | {name}
+    assert set(told) == MAY_IMPORT.keys() - _BASE
+
+
 def test_no_module_imports_itself_in_a_circle() -> None:
     known = {module_name(p): p for p in MODULES}
     graph: dict[str, set[str]] = {}
@@ -276,6 +290,15 @@ def test_public_things_have_docstrings(path: Path) -> None:
     for node in public_definitions(tree.body):
         assert isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
         assert ast.get_docstring(node), f"{path}:{node.lineno}: {node.name} has no docstring"
+
+
+@pytest.mark.parametrize("folder", ["diagnosis", "diagnosis/drive"])
+def test_a_large_folder_says_in_which_order_to_read_it(folder: str) -> None:
+    told = ast.get_docstring(tree_of(PACKAGE / folder / "__init__.py")) or ""
+    for path in (PACKAGE / folder).glob("*.py"):
+        assert path.stem == "__init__" or f"{path.stem}`" in told or f"`{path.stem}." in told, (
+            f"{folder}/__init__.py: say in the docstring what {path.name} is for"
+        )
 
 
 @pytest.mark.parametrize("path", MODULES, ids=ids)

@@ -1,1 +1,21 @@
-"""Locate the mismatch, name the physics left out, model it, show the fit improve."""
+"""Locate the mismatch, name the physics left out, model it, show the fit improve.
+
+How a recording goes through the room, file by file; `engine.diagnose` reads in this order.
+
+Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a table), ``history`` (the temperature
+            behind its readings), ``columns`` (what a record gives the laws), ``base`` (what the surface alone predicts),
+            ``inputs`` (what is refused or said), ``given`` (what a file that came along has already),
+            ``scatter`` (data sets, bursts, steps and clocks that no mean shows).
+Layers      ``examine`` leads: ``within`` and ``within_shapes`` (patterns inside data sets), ``means`` (a row a data set),
+            ``parts`` (what a calibration may contain), ``layers`` (all of it in one model, all variances at once),
+            ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil``, ``changes``.
+Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
+            ``jumps`` (at an instant), ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).
+Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
+            ``correction`` (with what stays), both as coefficient files, the latter weighed by ``fresh_run``;
+            ``residual`` (what is left row by row), ``locate`` (where), ``answer`` and ``untimed`` (names as records).
+Records     ``result`` (all that is answered, and its JSON), ``remarks`` (what is said beside the numbers),
+            ``powers`` (of Legendre products, for a file).
+
+``drive`` does the same for drive logs, ``versus`` for a recording against somebody's own simulation.
+"""
