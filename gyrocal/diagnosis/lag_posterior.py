@@ -49,25 +49,28 @@ def lag_estimates(candidates: Sequence[tuple[float, Candidate]]) -> dict[str, Es
 def _posterior(candidate: Candidate) -> Floats:
     """Over time constants and shares, at the variances of a model; its sum is one."""
     model, variance = candidate.fitted.model, candidate.fitted.fit.variance
-    part = next(p for p in model.parts if p.block == "surface")
+    part = model.shrunk
     noise = np.zeros((len(model.means), len(model.means)))
     for c in model.all:
         if c.covariance is not None:
             noise += variance[c.name] * c.covariance
-        elif c.columns is not None and c.name != part.name:
+        elif c.columns is not None and (part is None or c.name != part.name):
             noise += variance[c.name] * (c.columns @ c.columns.T)
     lower = linalg.cholesky(noise, lower=True)
     y = linalg.solve_triangular(lower, model.error_dps, lower=True)
-    columns = [*model.flat, *(SURFACE.index(c) for c in part.columns)]
-    weight = np.array([*np.ones(len(model.flat)), *part.weights])
-    prior = np.diag([*np.zeros(len(model.flat)), *np.full(len(part.columns), 1.0 / variance[part.name])])
+    free = len(model.flat)
+    columns, weight, prior = list(model.flat), np.ones(free), np.zeros(free)
+    if part is not None:
+        columns += [SURFACE.index(c) for c in part.columns]
+        weight = np.array([*weight, *part.weights])
+        prior = np.array([*prior, *np.full(len(part.columns), 1.0 / variance[part.name])])
     here = _whitened(lower, replace(model.basis, coil=None).surface(), columns, weight)
     log = np.empty((_LAGS_S.size, _SHARES.size))
     for i, tau_s in enumerate(_LAGS_S.tolist()):
         there = _whitened(lower, replace(model.basis, coil=(1.0, tau_s)).surface(), columns, weight)
         for j, share in enumerate(_SHARES.tolist()):
             x = (1.0 - share) * here + share * there
-            information, b = x.T @ x + prior, x.T @ y
+            information, b = x.T @ x + np.diag(prior), x.T @ y
             root = linalg.cholesky(information, lower=True)
             log[i, j] = 0.5 * float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
             log[i, j] -= float(np.sum(np.log(np.diag(root))))

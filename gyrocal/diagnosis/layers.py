@@ -126,6 +126,11 @@ class Model:
         """What the model is of: gyro minus reference."""
         return self.means.error_dps
 
+    @property
+    def shrunk(self) -> Part | None:
+        """The terms of the surface that are not free; None where rates and temperatures are too few for any."""
+        return next((p for p in self.parts if p.block == "surface"), None)
+
     def directed(self, direction: str, bend: Floats) -> Model:
         """The same with a surface of this direction.
 
@@ -149,9 +154,9 @@ class Model:
         if not moved.any():
             return self
         components = dict(self.components)
-        part = next(p for p in self.parts if p.block == "surface")
-        own = components.get(part.name)
-        if own is not None and own.columns is not None:
+        part = self.shrunk
+        own = None if part is None else components.get(part.name)
+        if part is not None and own is not None and own.columns is not None:
             shift = moved[:, [SURFACE.index(c) for c in part.columns]] * np.array(part.weights)
             components[part.name] = replace(own, columns=own.columns + shift)
         return replace(self, design=self.design + moved, components=components)

@@ -191,6 +191,16 @@ def test_practice_recordings() -> None:
     assert right == len(answers)
 
 
+def test_many_rates_at_one_temperature() -> None:
+    rng = np.random.default_rng(3)
+    rate = rng.choice([-80.0, -40.0, 0.0, 40.0, 80.0], 60)
+    temp = 25.0 + rng.normal(0.0, 0.02, 60)
+    gyro = 1.0001 * rate + 0.01 + rng.normal(0.0, 1e-3, 60)
+    table = DataSetTable(Path("one.csv"), rate, gyro, temp, t_s=60.0 * np.arange(60.0))
+    found = diagnose(table, options=Options(heldout=False))
+    assert found.effects == ()
+
+
 def test_a_bias_that_walks_is_said_and_its_surface_stands_for_the_mean() -> None:
     rng = np.random.default_rng(11)
     t_s = np.arange(0.0, 7200.0, 4.0)
