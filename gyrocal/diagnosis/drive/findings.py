@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
-from gyrocal.diagnosis.drive.laws import PER_SI
+from gyrocal.diagnosis.drive.laws import KINDS, PER_SI
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
@@ -160,25 +160,25 @@ def _exact(value: float, unit: str) -> Estimate:
 def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
     law = yaw.laws[name]
     value, std = yaw.estimate(name)
-    seen, degrees = None, 1
+    seen, degrees = _said(name, value), 1
     if name == "wheel_cos":
         other, _ = yaw.estimate("wheel_sin")
         value, degrees = float(np.hypot(value, other)), 2
         side = "right" if law.shape["side"] > 0 else "left"
         radius = law.shape["wheel_radius_m"]
         seen = Remark(Said.WHEEL_TURN, {"side": side, "way_m": 2 * np.pi * radius, "radius_m": radius})
-    if law.effect == "gyro_delay" and value < 0:
-        seen = Remark(Said.ENCODERS_LATE)
-    if law.effect == "skid_slip" and value < 0:
-        seen = Remark(Said.TURNS_INWARD)
-    if name == "step":
-        seen = Remark(Said.BIAS_IN_MOTION)
     parameters = {"amplitude": estimate(law.effect, value, std)}
     units = {p.name: p.unit for p in DRIVE_CATALOGUE[law.effect].parameters}
     parameters |= {n: _exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
     if name == "delay" and yaw.window_s > 0:
         parameters["encoder_window_s"] = _exact(yaw.window_s, "s")
     return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
+
+
+def _said(name: str, value: float) -> Remark | None:
+    """What is said of a law of some size where it is named."""
+    said = KINDS[name].said or (KINDS[name].said_below_zero if value < 0 else None)
+    return None if said is None else Remark(said)
 
 
 def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
@@ -208,8 +208,7 @@ def _of_scale(
     others: dict[str, float] = {}
     if name == "track":
         parameters |= {"law": _exact(0.0, "1"), "shape": _exact(0.0, "1")}
-        if scale.value < 0:
-            seen = Remark(Said.TURNS_INWARD)
+        seen = _said(name, scale.value)
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others["unit_or_sign"] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)

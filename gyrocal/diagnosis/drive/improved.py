@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.findings import Scale
-from gyrocal.diagnosis.drive.laws import reference_temp_c
+from gyrocal.diagnosis.drive.laws import KINDS, reference_temp_c
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -149,21 +149,19 @@ def _of_gyro(
     figures: Figures,
 ) -> list[DriveEstimate]:
     """Figures that move the path along the gyro's heading."""
-    bias, std = bias_of(yaw, truth)
-    rows = [("gyro_bias", "bias_dps", bias, std, "deg/s", False)]
-    for law, name, field, unit in (
-        ("step", "gyro_bias_in_motion", "bias_motion_dps", "deg/s"),
-        ("slope", "bias_temperature", "bias_slope_dps_per_c", "deg/s per degC"),
-        ("delay", "gyro_delay", "delay_s", "s"),
-    ):
-        if law == "slope" and "bias_slope" in parts:
-            rows.append((name, field, parts["bias_slope"].value, parts["bias_slope"].std, unit, True))
-        elif law in yaw.laws:
-            rows.append((name, field, *_estimate(yaw, law), unit, law in yaw.named))
-    found = [
-        DriveEstimate(name, value, std, unit, cost_m(series, figures, field, value), "gyro", named)
-        for name, field, value, std, unit, named in rows
-    ]
+    found = []
+    for name, kind in KINDS.items():
+        told = None
+        if name == "bias":
+            told = (*bias_of(yaw, truth), False)
+        elif name == "slope" and "bias_slope" in parts:
+            told = (parts["bias_slope"].value, parts["bias_slope"].std, True)
+        elif kind.figure and name in yaw.laws:
+            told = (*_estimate(yaw, name), name in yaw.named)
+        if told is not None:
+            value, std, named = told
+            metres = cost_m(series, figures, kind.figure, value)
+            found.append(DriveEstimate(kind.shown, value, std, kind.unit, metres, "gyro", named))
     for name in ("gyro_scale", "wheel_scale"):
         scale = parts.get(name)
         if scale is None and truth is not None and not truth.mirrored:
@@ -189,9 +187,8 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]
     path = reckon(series, Figures())
     rows = yaw.model.frame.nodes.rows
     for name in yaw.chosen:
-        if name in ("bias", "step", "slope", "delay", "wheel_sin"):
+        if KINDS[name].figure or name == "wheel_sin":
             continue
-        law = yaw.laws[name]
         value, std = yaw.estimate(name)
         turn = yaw.law_rad(name)
         if name == "wheel_cos":
@@ -199,9 +196,8 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]
             value = float(np.hypot(value, yaw.estimate("wheel_sin")[0]))
         heading = np.interp(np.arange(series.t_s.size), rows, np.concatenate([[0.0], np.cumsum(turn)]))
         metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
-        shown = "effective_track" if name == "track" else law.effect
         named = name in yaw.named or (name == "track" and "track" in parts)
-        found.append(DriveEstimate(shown, 100 * value, 100 * std, "%", metres, "encoders", named))
+        found.append(DriveEstimate(KINDS[name].shown, 100 * value, 100 * std, "%", metres, "encoders", named))
     return found
 
 
@@ -221,9 +217,8 @@ def improved_robot(
     keys: dict[str, Any] = {}
     if series.robot.static_s == 0:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
-    for law, key in (("step", "bias_motion_dps"), ("slope", "bias_slope_dps_per_c"), ("delay", "delay_s")):
-        if law in yaw.named:
-            keys[f"gyro.{key}"], keys[f"gyro.{key}_std"] = yaw.estimate(law)
+    for law in (n for n in yaw.named if KINDS[n].figure):
+        keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = yaw.estimate(law)
     if "bias_slope" in parts:
         slope = parts["bias_slope"]
         keys["gyro.bias_slope_dps_per_c"], keys["gyro.bias_slope_dps_per_c_std"] = slope.value, slope.std

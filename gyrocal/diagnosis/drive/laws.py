@@ -1,4 +1,7 @@
-"""Columns of the heading difference: what each law of `gyrocal.physics.drive` adds to encoder turn minus gyro turn."""
+"""Laws of the heading difference: what each law of `gyrocal.physics.drive` adds to encoder turn minus gyro turn.
+
+A further law is a row of `KINDS` and its column in `candidate_laws`.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.series import SMOOTH_S, DriveSeries, Nodes, averaged
+from gyrocal.diagnosis.remarks import Said
 from gyrocal.physics.drive import DRIVE_CATALOGUE, DriveConditions
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -27,6 +31,50 @@ _LEAST_TEMP_SPAN_C = 0.5
 _LEAST_REST_S = 5.0
 #: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
 _TEMP_SMOOTH_S = 10.0
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is to be known of a law beside its column.
+
+    Attributes
+    ----------
+    shown : str
+        Its name among the estimates.
+    figure, unit : str
+        Of the gyro: its field of `Figures`, which is its key below ``gyro`` in the robot file too, and the unit of both.
+    group : str
+        Laws of one group stand for each other: only one of them is taken.
+    by_floor : bool
+        One log cannot measure the 1/f noise of the bias: it is judged by no less than what is usual.
+    said, said_below_zero : Said, optional
+        What is said where it is named, whatever its size or below zero.
+    """
+
+    shown: str
+    figure: str = ""
+    unit: str = ""
+    group: str = ""
+    by_floor: bool = False
+    said: Said | None = None
+    said_below_zero: Said | None = None
+
+
+_SLIP = Kind("skid_slip", group="slip", said_below_zero=Said.TURNS_INWARD)
+#: Every law by its name in a fit.
+KINDS: Mapping[str, Kind] = {
+    "bias": Kind("gyro_bias", "bias_dps", "deg/s"),
+    "track": Kind("effective_track", said_below_zero=Said.TURNS_INWARD),
+    "asymmetry": Kind("wheel_asymmetry"),
+    "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", by_floor=True, said=Said.BIAS_IN_MOTION),
+    "slope": Kind("bias_temperature", "bias_slope_dps_per_c", "deg/s per degC", by_floor=True),
+    "delay": Kind("gyro_delay", "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
+    "slip_turn_rate": _SLIP,
+    "slip_curvature": _SLIP,
+    **{f"slip_saturating_{half:g}": _SLIP for half in HALF_CURVATURES},
+    "wheel_cos": Kind("wheel_eccentricity"),
+    "wheel_sin": Kind("wheel_eccentricity"),
+}
 
 
 @dataclass(frozen=True)

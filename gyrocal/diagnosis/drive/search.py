@@ -11,6 +11,7 @@ from scipy import stats
 from scipy.ndimage import median_filter
 
 from gyrocal.diagnosis.drive.laws import (
+    KINDS,
     Frame,
     Law,
     candidate_laws,
@@ -30,8 +31,6 @@ Floats = NDArray[np.float64]
 GAIN, WHEEL_GAIN, SECOND = 20.0, 38.0, 0.02
 #: Chance at which columns of no name are located where there is nothing.
 STRANGER_P = 1e-5
-#: Laws of the gyro's bias: one log cannot measure its 1/f noise, so they are judged by no less than what is usual.
-_BY_FLOOR = frozenset({"step", "slope"})
 #: Reach and grid of the search for a delay, s; the fit finds it closer.
 _REACH_S, _GRID_S = 2.0, 0.05
 #: Windows over which encoders may average, s.
@@ -197,7 +196,7 @@ def _rough_bias_dps(series: DriveSeries) -> float:
 
 def _group(name: str) -> str:
     """Laws of one group stand for each other: only one of them is taken."""
-    return "slip" if name.startswith("slip_") else name
+    return KINDS[name].group or name
 
 
 def _pair_of(name: str) -> str:
@@ -206,7 +205,7 @@ def _pair_of(name: str) -> str:
 
 
 def _gain(grams: Sequence[Gram], chosen: Sequence[str], name: str) -> float:
-    gram = grams[1] if name in _BY_FLOOR else grams[0]
+    gram = grams[1] if KINDS[name].by_floor else grams[0]
     return gram.added([n for n in chosen if n != name], [name])
 
 
@@ -271,7 +270,7 @@ def _uneven(
         part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
         columns = {n: laws[n].column for n in chosen}
         more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
-        gain = gram_of(model, columns | more, flicker_floor=name in _BY_FLOOR).added(chosen, list(more))
+        gain = gram_of(model, columns | more, flicker_floor=KINDS[name].by_floor).added(chosen, list(more))
         p = len(tried) * float(stats.chi2.sf(gain, len(more)))
         found.append((gain, len(more), min(p, 1.0)))
     return min(found, key=lambda one: one[2])
