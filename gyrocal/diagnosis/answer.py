@@ -15,7 +15,7 @@ from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import DIRECTION, Law, Model
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
-from gyrocal.diagnosis.names import Named
+from gyrocal.diagnosis.names import ALIKE_NATS, Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect, UnnamedPart
@@ -27,8 +27,6 @@ from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
 
-#: Evidence (nats) within which two laws explain the data alike: 20 to 1.
-CLASS_NATS = 3.0
 #: What is left of this after what a table's laws have paid.
 _NAMED_BEYOND_TOLL = 2.5
 _EACH_RATE = "each rate"
@@ -79,7 +77,7 @@ def _effect(
     others += [
         Alternative(e, float(np.exp(np.clip(nats, 0.0, 50.0))))
         for e, nats in sorted(rivals.items(), key=lambda item: item[1])
-        if nats < CLASS_NATS
+        if nats < ALIKE_NATS
     ]
     return NamedEffect(
         effect.id,

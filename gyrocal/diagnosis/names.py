@@ -24,20 +24,23 @@ from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import RATE_ORDER
 from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 
-#: A further law of the same block leaves nothing of the block, or takes this share of its evidence.
+#: Evidence within which two laws explain the data alike, nats: 20 to 1.
+ALIKE_NATS = 3.0
+#: A further law of another kind leaves nothing of the block or takes this share of its evidence, and no other law is like
+#: it: else it is the first one's misfit. Of 55 made-up recordings three were refused so, and none of them was right.
 _SECOND = 0.2
-#: And no other law explains as much to within 20 to 1, nats.
-_TOLD_APART = 3.0
-#: A law that takes this share of a block's evidence names it, lack of fit and all.
+#: A law that takes this share of a block's evidence names it, lack of fit and all. In the same recordings twelve right ones
+#: took 0.69 to 0.95; none was refused.
 _NAMED_SHARE = 0.6
-#: A law worth less at the end is dropped, nats.
+#: A law worth less at the end is dropped, nats. In the same recordings two were, worth nothing and wrong; 2 and 8 do the
+#: same on three of them.
 _DROPPED = 4.0
 #: A walk follows a drift nearly as well as the drift itself does: it has to be this much worse, nats. Of 100 data sets
 #: at rest, walks of 2.5 times the noise were called a drift in 0 of 24 (0 to 14 %), drifts of d' 12 in 17, of 25 in 24 of 24.
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
-#: Laws of one block: a search ends by what they gain, this is its bound.
+#: Laws of one block. A search ends by what they gain; only the plays of a hysteresis without a corner ever were as many.
 _MOST_LAWS = 3
 
 
@@ -320,7 +323,7 @@ def _alone(
         if gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
             break
         another = found.named and best.effect.id not in found.kinds
-        told_apart = min(best.rivals.values(), default=np.inf) > _TOLD_APART
+        told_apart = min(best.rivals.values(), default=np.inf) > ALIKE_NATS
         left = worth - (without.nll - best.fitted.nll)
         enough = left <= REPLACED + len(found.named) + 1 or gain >= _SECOND * worth
         if another and not (told_apart and enough):
