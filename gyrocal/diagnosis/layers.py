@@ -44,6 +44,10 @@ _STEPS = 60
 DIRECTION = "direction"
 #: Name of the component of what is not known of the temperature.
 THERMOMETER = "thermometer"
+#: Name of the component of what the steps of the output leave.
+ROUNDING = "rounding"
+#: Rounding of less than this share of the noise of a row is none.
+_FINE = 0.01
 #: Prior variance of a law for the scan of shapes, in that of what the surface leaves: strong laws hide in it.
 _WIDE = 25.0
 
@@ -291,6 +295,7 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     rough: Floats = np.asarray(np.linalg.lstsq(design, means.error_dps, rcond=None)[0], dtype=np.float64)
     left = means.error_dps - design @ rough
     components |= {c.name: c for c in of_thermometer(means, basis.frame, rough)}
+    components |= {c.name: c for c in of_steps(means, means.rate_dps + design @ rough)} if memory else {}
     flat = tuple(k for k in FLAT if k in carried)
     wide = _WIDE * float(np.mean(left**2))
     return Model(means, basis, design, parts, components, law_variance=wide, flat=flat)
@@ -308,6 +313,21 @@ def of_thermometer(means: Means, frame: Frame, surface: Floats) -> list[Componen
         return []
     slope = slope_by_temperature(means.rate_dps, means.temp_c, frame, surface)
     return [Component(THERMOMETER, covariance=slope[:, None] * unknown * slope, held=1.0)]
+
+
+def of_steps(means: Means, output_dps: Floats) -> list[Component]:
+    """What rounding leaves in means of samples, which follows the output from step to step; none where there are no steps.
+
+    Parameters
+    ----------
+    output_dps : roughly
+    """
+    step, most_dps = means.series.raw.lattice_dps, means.series.raw.rounding_dps
+    if step is None or most_dps < _FINE * float(np.median(means.white_dps)):
+        return []
+    phase = 2.0 * np.pi * output_dps / step
+    waves = np.column_stack([np.sin(phase), np.cos(phase)])
+    return [Component(ROUNDING, waves, held=0.5 * most_dps**2)]
 
 
 def beyond_input(rows: Basis, bend: Floats) -> Floats:

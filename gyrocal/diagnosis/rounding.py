@@ -11,21 +11,8 @@ from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.names import Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.series import Raw
 
 Floats = NDArray[np.float64]
-
-
-def rounding_dps(raw: Raw) -> float:
-    """How far the mean of many rounded samples may be off, deg/s: the first harmonic of the steps that noise leaves.
-
-    The scatter of the samples has a twelfth of the square of a step in it, which is none of the noise's.
-    """
-    step, scatter = raw.lattice_dps, raw.sample_std_dps
-    if step is None or scatter is None:
-        return 0.0
-    noise_steps2 = max((scatter / step) ** 2 - 1.0 / 12.0, 0.0)
-    return float(step / np.pi * np.exp(-2.0 * np.pi**2 * noise_steps2))
 
 
 def beyond_rounding(found: Examination) -> tuple[Examination, list[Remark]]:
@@ -33,7 +20,7 @@ def beyond_rounding(found: Examination) -> tuple[Examination, list[Remark]]:
 
     Rounding is one error for each output, whatever that depends on: it can follow any law that is smaller than itself.
     """
-    bound = 0.0 if found.ranked else rounding_dps(found.series.raw)
+    bound = 0.0 if found.ranked else found.series.raw.rounding_dps
     fitted = found.naming.fitted
     solution, model = fitted.solve(), fitted.model
 

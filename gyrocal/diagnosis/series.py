@@ -63,6 +63,18 @@ class Raw:
     interval_ratio: float | None = None
     interval_ratio_std: float | None = None
 
+    @property
+    def rounding_dps(self) -> float:
+        """How far the mean of many rounded samples may be off, deg/s: the first harmonic of the steps that noise leaves.
+
+        The scatter of the samples has a twelfth of the square of a step in it, which is none of the noise's.
+        """
+        step, scatter = self.lattice_dps, self.sample_std_dps
+        if step is None or scatter is None:
+            return 0.0
+        noise_steps2 = max((scatter / step) ** 2 - 1.0 / 12.0, 0.0)
+        return float(step / np.pi * np.exp(-2.0 * np.pi**2 * noise_steps2))
+
 
 @dataclass(frozen=True)
 class Series:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.rounding import beyond_rounding, rounding_dps
+from gyrocal.diagnosis.rounding import beyond_rounding
 from gyrocal.diagnosis.series import Raw
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
@@ -28,11 +28,11 @@ def test_rounding_is_off_by_what_the_noise_leaves_of_the_steps(noise_steps: floa
     rounded = np.round(true[:, None] + noise_steps * rng.standard_normal((20, 100_000)))
     off = 2.0 * abs(np.mean((rounded.mean(axis=1) - true) * np.sin(2.0 * np.pi * true)))
     scatter_dps = _STEP_DPS * np.sqrt(noise_steps**2 + 1.0 / 12.0)
-    assert rounding_dps(raw(scatter_dps)) == pytest.approx(_STEP_DPS * off, abs=2e-3 * _STEP_DPS)
+    assert raw(scatter_dps).rounding_dps == pytest.approx(_STEP_DPS * off, abs=2e-3 * _STEP_DPS)
 
 
 def test_an_output_without_steps_is_off_by_nothing() -> None:
-    assert rounding_dps(Raw(np.empty(0), np.empty(0), 100, sample_std_dps=0.01)) == 0.0
+    assert Raw(np.empty(0), np.empty(0), 100, sample_std_dps=0.01).rounding_dps == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +56,23 @@ def test_what_is_larger_stays(warming: Examination) -> None:
     assert [n.law.effect for n in warming.naming.named] == ["warm_up"]
     fine = replace(warming.series, raw=replace(raw(0.0), lattice_dps=0.02))
     assert beyond_rounding(replace(warming, series=fine))[1] == []
+
+
+def test_what_follows_the_output_from_step_to_step_is_no_shape_in_temperature() -> None:
+    t_s = 60.0 * np.arange(150.0)
+    temp = 25.0 + 12.0 * np.sin(t_s / 1800.0)
+    step_dps, noise_steps = 0.01, 0.25
+    true = 1.2e-3 * temp
+    off_dps = step_dps / np.pi * np.exp(-2.0 * np.pi**2 * noise_steps**2)
+    gyro = true - off_dps * np.sin(2.0 * np.pi * true / step_dps)
+    gyro += 1e-4 * np.random.default_rng(4).standard_normal(t_s.size)
+    series = series_of_table(DataSetTable(Path("rest.csv"), np.zeros(t_s.size), gyro, temp, t_s=t_s))
+    stepped = Raw(
+        np.empty(0),
+        np.empty(0),
+        100,
+        sample_std_dps=step_dps * np.sqrt(noise_steps**2 + 1.0 / 12.0),
+        lattice_dps=step_dps,
+    )
+    assert examine(replace(series, raw=replace(stepped, lattice_dps=None)), 0.01).worth["temperature"] > 10.0
+    assert "temperature" not in examine(replace(series, raw=stepped), 0.01).worth
