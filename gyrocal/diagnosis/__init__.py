@@ -17,5 +17,11 @@ Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth
 Records     ``result`` (all that is answered, and its JSON), ``remarks`` (what is said beside the numbers),
             ``powers`` (of Legendre products, for a file).
 
+Words: a *part* is some columns with one variance, a *block* the parts that are kept or dropped together (`parts.BLOCKS`), a
+*component* either of these or a random process, as the model takes it; a *law* is an effect of the catalogue at some shape, in
+place of a block or beside it. What *stays* with the gyro goes into the file, what *passes* (walks, drifts, noise, errors of the
+table) is fitted beside it. The *direction* is whether the surface is one of the output or of the true rate. Evidence is in
+*nats*, differences of the log marginal likelihood.
+
 ``drive`` does the same for drive logs, ``versus`` for a recording against somebody's own simulation.
 """
