@@ -23,3 +23,6 @@ ARCSEC_TO_DEG = 1.0 / 3600.0
 
 #: Half of a 95 % interval of a normal law, in standard deviations.
 NORMAL_95 = 1.959963984540054
+
+#: Standard deviations of a normal law in its median absolute deviation.
+STDS_PER_MAD = 1.4826

@@ -19,6 +19,7 @@ from gyrocal.inference.multiple import holm
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
+from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -95,7 +96,7 @@ def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[f
     base = fit_surface(others)
     first = np.array([np.flatnonzero(series.set_index == n)[0] for n in dead])
     lost = base.surface.output_dps(series.rate_dps[first], series.temp_c[first])
-    noise = 1.4826 * float(np.median(np.abs(base.residual_dps)))
+    noise = STDS_PER_MAD * float(np.median(np.abs(base.residual_dps)))
     least_alive = float(np.min(np.abs(set_means(others, others.gyro_dps)[1])))
     deepest = float(np.max(np.abs(lost)))
     # Sets that lack far more than others show lost their gyro, not a small input.
@@ -134,7 +135,7 @@ def bad_sets(series: Series) -> tuple[Ints, Floats, float]:
     for _ in range(_ROUNDS):
         solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
         left = y - design @ solution
-        spread = 1.4826 * float(np.median(np.abs(left))) + 1e-12
+        spread = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
         weight = np.sqrt(1.0 / (1.0 + (left / (2.0 * spread)) ** 2))
     size = np.abs(left)
     bad = size > _GROSS * float(np.quantile(size, 0.95))

@@ -20,6 +20,7 @@ from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.records.run import Run, Segment
+from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -263,7 +264,9 @@ def outliers(gyro: Floats) -> Bools:
     inner, second = gyro[[1, -2]], gyro[[2, -3]]
     deviation[ends] = (gyro[ends] - 2.0 * inner + second) * 1.25 / np.sqrt(6.0)
     # The median of five takes part of the noise with it; the robust spread of what is left sets the scale.
-    spread = 1.4826 * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
+    spread = (
+        STDS_PER_MAD * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
+    )
     return (
         np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * 1.25 * spread)
         if spread > 0
@@ -411,7 +414,7 @@ def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
         if native.sum() >= 3:
             each = spans[native] * run.sensor.sample_rate_hz - 1.0
             ratio = float(np.median(each))
-            ratio_std = float(1.4826 * np.median(np.abs(each - ratio)) / np.sqrt(native.sum()))
+            ratio_std = float(STDS_PER_MAD * np.median(np.abs(each - ratio)) / np.sqrt(native.sum()))
     return Raw(
         outliers_t_s=np.concatenate([r["outliers_t_s"] for r in raws]),
         outliers_dps=np.concatenate([r["outliers_dps"] for r in raws]),

@@ -22,6 +22,7 @@ from gyrocal.errors import DataError
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.smooth import Frame
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -104,7 +105,7 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
     columns, error = design_at(rate_dps, course_c, frame), gyro_dps - rate_dps
     surface: Floats = np.asarray(np.linalg.lstsq(columns, error, rcond=_CARRIED)[0], dtype=np.float64)
     left = np.abs(error - columns @ surface)
-    sound = left <= OUTLIER_SIGMAS * 1.4826 * np.median(left)
+    sound = left <= OUTLIER_SIGMAS * STDS_PER_MAD * np.median(left)
     along = (read_c - course_c) * slope_by_temperature(rate_dps, course_c, frame, surface)
     free = np.column_stack([along, error])[sound]
     free = free - columns[sound] @ np.linalg.lstsq(columns[sound], free, rcond=_CARRIED)[0]

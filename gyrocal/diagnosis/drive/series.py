@@ -13,7 +13,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
-from gyrocal.units import DEG_TO_RAD
+from gyrocal.units import DEG_TO_RAD, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -165,7 +165,7 @@ def _gyro(
     gyro_dps, bridged = _bridged(log.t_s, gyro_dps)
     notes += bridged
     off = gyro_dps - median_filter(gyro_dps, 5, mode="nearest")
-    limit = max(_SPIKE_STDS * 1.4826 * float(np.median(np.abs(off))), _SPIKE_DPS)
+    limit = max(_SPIKE_STDS * STDS_PER_MAD * float(np.median(np.abs(off))), _SPIKE_DPS)
     spikes = (np.abs(off) > limit) & ~_turns(log, robot, off)
     if spikes.any():
         largest = float(np.abs(off).max())

@@ -21,7 +21,7 @@ from gyrocal.diagnosis.drive.laws import Frame, Law, difference
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
 from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
-from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 
@@ -270,7 +270,7 @@ def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:
     score = weighed[:, -1] - weighed[:, :-1] @ values
     score = score * np.sqrt(model.white)
     # Twice the limit in the tails of a mixture of speeds; the scale is that of the moving intervals.
-    scale = 1.4826 * float(np.median(np.abs(score[moving])))
+    scale = STDS_PER_MAD * float(np.median(np.abs(score[moving])))
     return np.flatnonzero(moving & (np.abs(score) > _FAR * scale))
 
 

@@ -12,6 +12,7 @@ from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,8 +28,6 @@ _IN_ORDER = 0.5
 _MOST_CELLS = 2e7
 #: A ramp or soak has a partner that takes as long, up to this share and so many seconds.
 _DURATION_SHARE, _DURATION_S = 0.05, 5.0
-#: Standard deviations of a Gaussian in its median absolute deviation.
-_MAD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -232,7 +231,7 @@ def _clock(real_s: Floats, simulated_s: Floats) -> Clock:
     for _ in range(20):
         line = np.linalg.lstsq(X * weight[:, None], apart * weight, rcond=None)[0]
         left = apart - X @ line
-        scale = _MAD * float(np.median(np.abs(left))) or 1.0
+        scale = STDS_PER_MAD * float(np.median(np.abs(left))) or 1.0
         weight = np.sqrt(np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(left), 1e-12)))
     variance = float(np.sum((weight * left) ** 2)) / max(real_s.size - 2, 1)
     covariance = variance * np.linalg.pinv((X * weight[:, None]).T @ (X * weight[:, None]))
