@@ -46,8 +46,10 @@ DIRECTION = "direction"
 THERMOMETER = "thermometer"
 #: Name of the component of what the steps of the output leave.
 ROUNDING = "rounding"
-#: Rounding of less than this share of the noise of a row is none.
+#: Rounding of less than this share of the scatter of samples is none: means of ten thousand of them know no better.
 _FINE = 0.01
+#: Rounds in which the surface is freed of rounding and says where between two steps the output is.
+_PHASES = 4
 #: Prior variance of a law for the scan of shapes, in that of what the surface leaves: strong laws hide in it.
 _WIDE = 25.0
 
@@ -295,7 +297,7 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     rough: Floats = np.asarray(np.linalg.lstsq(design, means.error_dps, rcond=None)[0], dtype=np.float64)
     left = means.error_dps - design @ rough
     components |= {c.name: c for c in of_thermometer(means, basis.frame, rough)}
-    components |= {c.name: c for c in of_steps(means, means.rate_dps + design @ rough)} if memory else {}
+    components |= {c.name: c for c in of_steps(means, design, rough)} if memory else {}
     flat = tuple(k for k in FLAT if k in carried)
     wide = _WIDE * float(np.mean(left**2))
     return Model(means, basis, design, parts, components, law_variance=wide, flat=flat)
@@ -315,18 +317,22 @@ def of_thermometer(means: Means, frame: Frame, surface: Floats) -> list[Componen
     return [Component(THERMOMETER, covariance=slope[:, None] * unknown * slope, held=1.0)]
 
 
-def of_steps(means: Means, output_dps: Floats) -> list[Component]:
+def of_steps(means: Means, design: Floats, surface: Floats) -> list[Component]:
     """What rounding leaves in means of samples, which follows the output from step to step; none where there are no steps.
 
     Parameters
     ----------
-    output_dps : roughly
+    design, surface : terms, shape (n, 12), and their coefficients as far as they are known, shape (12,)
     """
-    step, most_dps = means.series.raw.lattice_dps, means.series.raw.rounding_dps
-    if step is None or most_dps < _FINE * float(np.median(means.white_dps)):
+    raw = means.series.raw
+    step, most_dps, scatter_dps = raw.lattice_dps, raw.rounding_dps, raw.sample_std_dps
+    if step is None or scatter_dps is None or most_dps < _FINE * scatter_dps:
         return []
-    phase = 2.0 * np.pi * output_dps / step
-    waves = np.column_stack([np.sin(phase), np.cos(phase)])
+    for _ in range(_PHASES):
+        phase = 2.0 * np.pi * (means.rate_dps + design @ surface) / step
+        waves = np.column_stack([np.sin(phase), np.cos(phase)])
+        both = np.concatenate([design, waves], axis=1)
+        surface = np.linalg.lstsq(both, means.error_dps, rcond=1e-12)[0][: len(surface)]
     return [Component(ROUNDING, waves, held=0.5 * most_dps**2)]
 
 
