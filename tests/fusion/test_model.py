@@ -227,6 +227,24 @@ def test_a_slope_of_the_bias_is_known_as_well_as_the_file_says() -> None:
     )
 
 
+def test_flicker_goes_on_for_hours() -> None:
+    """The bias's processes of 20, 200 and 2000 s keep their size, and turn the heading by their integral."""
+    sigma, t = 0.002, np.arange(0.0, 8000.0, 1.0)
+    still = InitialStd(right_scale=0.0, left_scale=0.0, gyro_scale=0.0, gyro_bias_dps=0.0)
+    noise = FilterNoise(0.0, 0.0, 0.0, flicker_dps=sigma)
+    robot = RobotParameters(WIDTH, still, noise, static_s=0.0)
+    out = Navigator(robot, filtering=False).run(t, np.ones(t.size), np.ones(t.size), np.zeros(t.size))
+    taus = np.array(FLICKER_TAUS_S)
+    expected = np.sqrt(np.sum(2.0 * sigma**2 * taus**2 * (t[-1] / taus - 1.0 + np.exp(-t[-1] / taus))))
+    assert out.std[-1, 6] == pytest.approx(expected, rel=0.05)
+    assert out.std[-1, 8] == pytest.approx(sigma * np.sqrt(3.0), rel=0.01)
+
+
+@pytest.mark.parametrize("width_m", [0.3, 2.0])
+def test_a_track_that_nobody_measured_is_known_to_a_tenth(width_m: float) -> None:
+    assert RobotParameters(width_m).initial_std.wheel_separation_m == pytest.approx(0.1 * width_m)
+
+
 @pytest.mark.parametrize("filtering", [True, False])
 def test_a_rest_in_the_middle_gives_the_bias(filtering: bool) -> None:
     drive = draw(np.random.default_rng(8), rest_s=20.0)
