@@ -138,10 +138,14 @@ def _field(frame: Frame, noise: YawNoise, left_out: Floats) -> MarkovField:
     fade = np.exp(-dt[:, None] / taus)
     flicker, walk = ((DEG_TO_RAD * x) ** 2 for x in (noise.flicker_dps, noise.walk_dps_per_rt_s))
     levels = np.array([flicker, flicker, flicker, noise.wander**2])
-    keep = np.column_stack([nodes.resting, fade[:, :3], np.ones_like(dt), fade[:, 3:]])
+    # A wheel between two ticks keeps its error but for what the robot turns meanwhile. Were it drawn anew, the waits
+    # about each rest would say that there is none, and half a tick in a slow turn would look like slip.
+    waiting = way == 0.0
+    unseen = nodes.between(frame.series.gyro_rad) ** 2
+    keep = np.column_stack([waiting, fade[:, :3], np.ones_like(dt), fade[:, 3:]])
     push = np.column_stack(
         [
-            np.where(moving, unsteady, _STILL * unsteady),
+            np.where(waiting, _STILL * unsteady + moving * unseen, unsteady),
             levels[:3] * (1 - fade[:, :3] ** 2),
             walk * dt,
             levels[3] * (1 - fade[:, 3] ** 2),
