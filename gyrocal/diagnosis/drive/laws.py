@@ -31,6 +31,9 @@ _LEAST_TEMP_SPAN_C = 0.5
 _LEAST_REST_S = 5.0
 #: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
 _TEMP_SMOOTH_S = 10.0
+#: Speeds for the shape of a law are means over this time, s: in a turn the outer wheel goes further and slips more, so
+#: that a node's speed shares noise with the difference of its turns, and a slow robot's looks like slip by speed.
+_SPEED_SMOOTH_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,10 @@ class Frame:
     conditions : DriveConditions
         Row by row. Turn rates are means over `SMOOTH_S` without the bias, zero where no wheel moves, and the wheels are put
         together from them and the mean distance: a law must share no noise with the difference that it explains.
+    steady : DriveConditions
+        The same with a speed averaged over longer, for what goes by speed.
+    rate_rad_s : ndarray, shape (n,)
+        Turn rate at the time of each row.
     """
 
     series: DriveSeries
@@ -107,6 +114,8 @@ class Frame:
     ahead_s: float
     window_s: float
     conditions: DriveConditions
+    steady: DriveConditions
+    rate_rad_s: Floats
 
 
 def temperature_c(series: DriveSeries) -> Floats | None:
@@ -136,21 +145,29 @@ def reference_temp_c(series: DriveSeries) -> float:
 
 def frame_of(series: DriveSeries, nodes: Nodes, ahead_s: float, window_s: float, bias_dps: float) -> Frame:
     """Smooth conditions of a log; `bias_dps` is taken off the turn rates."""
-    t = series.t_s
-    spread_s = max(SMOOTH_S, 2.0 * float(np.median(series.dt_s)))
-    heading = averaged(t, series.gyro_rad, ahead_s, window_s)
-    rate = (np.interp(t + 0.5 * spread_s, t, heading) - np.interp(t - 0.5 * spread_s, t, heading)) / spread_s
-    way = np.cumsum(series.step_m)
-    speed = (np.interp(t + 0.5 * spread_s, t, way) - np.interp(t - 0.5 * spread_s, t, way)) / spread_s
-    # Where no wheel moves the gyro's rate is its noise, and a law of it would explain the difference perfectly.
-    rate = np.where(series.quiet, 0.0, rate - DEG_TO_RAD * bias_dps)
-    speed = np.where(series.quiet, 0.0, speed)
+    t, dt_s = series.t_s, series.dt_s
+    heading = averaged(t, series.gyro_rad, ahead_s, window_s) - DEG_TO_RAD * bias_dps * t
+    way, temp = np.cumsum(series.step_m), temperature_c(series)
+
+    def slope(at_s: Floats, channel: Floats, over_s: float) -> Floats:
+        change = np.interp(at_s + 0.5 * over_s, t, channel) - np.interp(at_s - 0.5 * over_s, t, channel)
+        # Where no wheel moves the gyro's rate is its noise, and a law of it would explain the difference perfectly.
+        return np.where(series.quiet, 0.0, change / over_s)
+
+    spread_s = max(SMOOTH_S, float(np.median(dt_s)))
+    # A row holds what happened since the one before.
+    rate = slope(t - 0.5 * dt_s, heading, spread_s)
     across = 0.5 * series.robot.wheel_separation_m * rate
-    conditions = DriveConditions(
-        t, series.dt_s, (speed - across) * series.dt_s, (speed + across) * series.dt_s, RAD_TO_DEG * rate,
-        series.robot.wheel_separation_m, temperature_c(series),
-    )  # fmt: skip
-    return Frame(series, nodes, ahead_s, window_s, conditions)
+
+    def over(time_s: float) -> DriveConditions:
+        speed = slope(t - 0.5 * dt_s, way, time_s)
+        return DriveConditions(
+            t, dt_s, (speed - across) * dt_s, (speed + across) * dt_s, RAD_TO_DEG * rate,
+            series.robot.wheel_separation_m, temp,
+        )  # fmt: skip
+
+    steady = over(max(spread_s, _SPEED_SMOOTH_S))
+    return Frame(series, nodes, ahead_s, window_s, over(spread_s), steady, slope(t, heading, spread_s))
 
 
 def difference(frame: Frame) -> Floats:
@@ -164,9 +181,15 @@ def law(frame: Frame, effect: str, where: Floats | None = None, **shape: float) 
     """One law of the catalogue at a small amplitude, divided by it; `where` weighs its rows."""
     described = DRIVE_CATALOGUE[effect]
     size = _SMALL * PER_SI[described.parameters[0].unit]
-    change, _ = described.change(frame.conditions, described.complete({"amplitude": size, **shape}), None)
+    conditions = frame.steady if effect == "skid_slip" else frame.conditions
+    change, _ = described.change(conditions, described.complete({"amplitude": size, **shape}), None)
     turn = (change.encoder_yaw_rad - change.gyro_yaw_rad) / _SMALL
     return Law(effect, shape, frame.nodes.between(np.cumsum(turn if where is None else turn * where)))
+
+
+def late(frame: Frame) -> Law:
+    """A gyro that is late: what its turn lacks of each interval is the change of the rate over it."""
+    return Law("gyro_delay", {}, frame.nodes.between(frame.rate_rad_s))
 
 
 def constant_laws(frame: Frame) -> dict[str, Law]:
@@ -190,7 +213,7 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
         away = float(temp[0]) - reference_temp_c(series)
         found["slope"] = Law(slope.effect, slope.shape, slope.column + away * law(frame, "gyro_bias").column)
     if series.differential:
-        found["delay"] = law(frame, "gyro_delay")
+        found["delay"] = late(frame)
         found["slip_turn_rate"] = law(frame, "skid_slip", law=0.0, shape=1.0)
         found["slip_curvature"] = law(frame, "skid_slip", law=float(SLIP_LAWS.index("curvature")), shape=1.0)
         saturating = float(SLIP_LAWS.index("curvature_saturating"))
@@ -214,11 +237,11 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     if not series.differential:
         return {}
     turn, way = c.gyro_yaw_rad, c.distance_m
-    speed = np.divide(way, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
+    speed = np.divide(frame.steady.distance_m, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
     share = (c.t_s - c.t_s[0]) / series.duration_s - 0.5
     heading = np.cumsum(turn)
     acceleration = np.gradient(speed, c.t_s) if np.all(np.diff(c.t_s) > 0) else np.zeros_like(speed)
-    late = law(frame, "gyro_delay").column
+    delay = late(frame).column
     moving = np.abs(speed) > 0
     edges = np.quantile(np.abs(speed[moving]), [1 / 3, 2 / 3]) if moving.any() else np.zeros(2)
     steps = [np.abs(speed) > edge for edge in edges]
@@ -232,4 +255,4 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     }
     found = {name: frame.nodes.between(np.cumsum(np.stack(v, axis=1), axis=0)) for name, v in rows.items()}
     at = (frame.nodes.t_s - c.t_s[0]) / series.duration_s - 0.5
-    return found | {"delay": (late * at)[:, None]}
+    return found | {"delay": (delay * at)[:, None]}

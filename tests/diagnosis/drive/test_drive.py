@@ -50,16 +50,18 @@ def test_what_prudence_takes_off_a_bias_is_in_the_asymmetry_beside_it(tmp_path: 
     path.write_text(
         "wheel_separation_m = 0.5\nstatic_s = 0.0\n[initial_std]\nleft_scale = 0.01\nright_scale = 0.01\n"
     )
-    # At one speed, without a rest, a drive tells a sum of bias and asymmetry: both are too large or both too small, by
-    # less with what the file knows of the bias.
+    # At one speed, without a rest, a drive tells a sum of bias and asymmetry, which the file must keep.
     log = drive(Plan(shape="eights", minutes=4, rest_s=0.0, bias_dps=0.1, tick_m=4e-4), 4)
     told = diagnose_drive("drive.csv", log, read_robot(path))
     estimate = {e.name: e.value for e in told.estimates}
-    assert estimate["gyro_bias"] > 0.12
     assert told.robot is not None
-    assert told.robot.parameters.gyro.bias_dps == pytest.approx(0.1, abs=0.02)
-    wheels = told.robot.parameters.encoders
-    assert abs(wheels.right_scale - wheels.left_scale) < 0.06e-2
+    given_dps, wheels = told.robot.parameters.gyro.bias_dps, told.robot.parameters.encoders
+    taken_off_dps = estimate["gyro_bias"] - given_dps
+    assert taken_off_dps > 0.02
+    given = (1 + wheels.right_scale) / (1 + wheels.left_scale) - 1
+    speed_mps = float(np.mean(log.left_m + log.right_m) / 2 / np.mean(np.diff(log.t_s)))
+    by_wheels_dps = np.degrees((1e-2 * estimate["wheel_asymmetry"] - given) * speed_mps / 0.5)
+    assert by_wheels_dps == pytest.approx(taken_off_dps, rel=0.1)
 
 
 def test_a_bias_that_the_file_knows_better_than_the_drive_stays(tmp_path: Path) -> None:
@@ -139,9 +141,14 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
     result = found(Hidden(bias_dps=bias_dps), robot, 8)
     bias = next(e for e in result.estimates if e.name == "gyro_bias")
     assert result.robot is not None
+    # Empirical Bayes: the file's own figure is off by the likeliest amount, and by no more than is granted.
+    granted_dps = robot.initial_std["gyro_bias_dps"]
+    own = bias.std**-2 - granted_dps**-2
+    away_dps = bias.value / (own * bias.std**2)
+    likeliest = min(max(away_dps**2 - 1 / own, 0.0), granted_dps**2)
     told_dps = result.robot.parameters.gyro.bias_dps
-    assert abs(told_dps) <= abs(bias.value) * (1.0 + 1e-9)
-    assert (abs(told_dps) > 0.8 * abs(bias.value)) == kept
+    assert told_dps == pytest.approx(away_dps * likeliest * own / (likeliest * own + 1.0))
+    assert (told_dps != 0.0) == kept
 
 
 def test_a_robot_file_that_grants_too_little_leaves_no_structure_without_a_name(tmp_path: Path) -> None:
