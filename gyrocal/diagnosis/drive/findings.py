@@ -17,7 +17,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import DRIVE_CATALOGUE
 from gyrocal.physics.lacking import Lack, Reason, Why
-from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH
+from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG
 
 #: Evidence against a rival beyond which it is no rival.
 _OUT = 20.0
@@ -25,6 +25,8 @@ _OUT = 20.0
 _MIXED_UP, _MIXED_UP_BY = (0.5, 2.0), 0.1
 #: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
 _TILT_STDS = 3.0
+#: Columns of the heading difference that a slope alone makes: what the gyro lacks of a turn goes by twice the heading.
+_TILT = ("heading:2", "heading:3")
 #: A scale that the truth knows to less than this is said to be not testable: no maker is as far off.
 _KNOWN = 0.02
 #: Noise above what the robot file says by more than this is no noise of that kind.
@@ -60,16 +62,25 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     What it does not show goes to whichever of the three it speaks least against.
     """
     found: dict[str, Scale] = {}
+    tilt = _tilt(yaw)
     if truth is not None:
         for name in ("gyro_scale", "wheel_scale"):
             if truth.believed(name):
                 found[name] = Scale(truth.values[name], truth.stds[name])
+        if "gyro_scale" in found and tilt.value > 0.0:
+            beside = found.pop("gyro_scale")
+            beside = Scale(beside.value + tilt.value, float(np.hypot(beside.std, tilt.std)))
+            if abs(beside.value) > BELIEVED * beside.std:
+                found["gyro_scale"] = beside
         if truth.told("bias_slope") ** 2 >= GAIN:
             found["bias_slope"] = Scale(truth.values["bias_slope"], truth.stds["bias_slope"])
+    if tilt.value > 0.0:
+        found["robot_tilt"] = tilt
     if "track" not in yaw.chosen:
         return found
     c, std = yaw.estimate("track")
     if found:
+        c = (1 + c) * (1 - tilt.value) - 1
         g, w = (found[n].value if n in found else 0.0 for n in ("gyro_scale", "wheel_scale"))
         spread = float(np.sqrt(std**2 + sum(s.std**2 for s in found.values())))
         left = (1 + c) * (1 + g) / (1 + w) - 1
@@ -85,6 +96,23 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
         found[best] = Scale(value, std)
     return found
+
+
+def _tilt(yaw: YawAnswer) -> Scale:
+    """Share of the turns that a gyro on a slope lacks in the mean; 0 where nothing speaks for one.
+
+    Of a turn over a slope of angle a, w cos(a cos(heading)) is seen: a^2/4 less, and as much by twice the heading. It must
+    hold beside all columns without a name, since a path of right angles turns at the same headings each time.
+    """
+    others = [n for n in yaw.gram.names if ":" in n and n not in _TILT]
+    if (
+        _TILT[0] not in yaw.gram.names
+        or stats.chi2.sf(yaw.gram.added([*yaw.chosen, *others], _TILT), 2) > STRANGER_P
+    ):
+        return Scale(0.0, 0.0)
+    values, covariance = yaw.gram.solve([*yaw.chosen, *_TILT])
+    size = float(np.hypot(*values[-2:]))
+    return Scale(size, float(np.sqrt(values[-2:] @ covariance[-2:, -2:] @ values[-2:])) / size)
 
 
 def _turns_are_odd(truth: TruthAnswer | None) -> bool:
@@ -204,8 +232,12 @@ def _of_scale(
 ) -> NamedEffect:
     effect = {"track": "skid_slip", "bias_slope": "bias_temperature"}.get(name, name)
     seen = beside = None
-    parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     others: dict[str, float] = {}
+    if name == "robot_tilt":
+        tilt = 2.0 * RAD_TO_DEG * float(np.sqrt(scale.value))
+        parameters = {"amplitude": Estimate.normal(tilt, 0.5 * tilt * scale.std / scale.value, "deg")}
+    else:
+        parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     if name == "track":
         parameters |= {"law": _exact(0.0, "1"), "shape": _exact(0.0, "1")}
         seen = _said(name, scale.value)
@@ -262,6 +294,8 @@ def places(
         for coordinate, p in truth.odd.items():
             if p < STRANGER_P:
                 odd[coordinate] = min(p, odd.get(coordinate, 1.0))
+    if any(e.effect == "robot_tilt" for e in effects):
+        odd.pop("heading", None)
     left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
     return [*found.values(), *left, *_noisy(series, yaw)]
 
@@ -314,6 +348,8 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
         "start_stop_slip": Lack(Why.MOMENTS_ONLY),
         "encoder_overcount": Lack(Why.SINGLE_BUMPS),
     }
+    if _tilt(yaw).value > 0.0:
+        del reasons["robot_tilt"]
     if "slope" not in yaw.laws:
         reasons["bias_temperature"] = Lack(Why.NO_GYRO_TEMPERATURE)
     if "step" not in yaw.laws:

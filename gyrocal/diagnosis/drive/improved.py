@@ -229,7 +229,8 @@ def improved_robot(
     if "gyro_scale" in parts:
         keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
     keys |= _slip_keys(yaw)
-    earned = bool(keys) or bool(parts) or "asymmetry" in yaw.named
+    # A slope stays where it is.
+    earned = bool(keys) or bool(set(parts) - {"robot_tilt"}) or "asymmetry" in yaw.named
     if not earned:
         return None
     if series.differential:
@@ -293,10 +294,10 @@ def _geometry_keys(
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     track, track_std = _beside_bias(yaw, "track", bias)
-    # What the scales of the truth make of the ratio of the headings is no track.
+    # What the scales of the truth, or a slope, make of the ratio of the headings is no track.
     gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
     track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
-    if "track" not in parts and ("gyro_scale" in parts or "wheel_scale" in parts):
+    if "track" not in parts and not {"gyro_scale", "wheel_scale", "robot_tilt"}.isdisjoint(parts):
         track = 0.0
     separation = series.robot.wheel_separation_m * (1 + track)
     one = float(np.hypot(std, _ASYMMETRY_CHANGES)) / np.sqrt(2.0)
