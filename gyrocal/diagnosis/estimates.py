@@ -36,6 +36,8 @@ Floats = NDArray[np.float64]
 _MDPS = 1e3
 #: Shapes are profiled within this ratio of the best.
 _REACH = 9.0
+#: Its interval ends at this ratio from the best at the latest.
+_FARTHEST = 30.0
 #: The best of two parameters is sought within this ratio, in turn so often.
 _NEAR, _ROUNDS = 2.0, 3
 #: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
@@ -197,7 +199,7 @@ def _profiles(
     for name in free:
         (low, high), best = _limits(beside, name), best_shape[name]
         loss = partial(_loss, beside, best_shape, name)
-        own = profile_interval(loss, best, _REACH, (max(low, best / 30.0), min(high, best * 30.0)))
+        own = profile_interval(loss, best, _REACH, (max(low, best / _FARTHEST), min(high, best * _FARTHEST)))
         alone[name] = holding(own, shape[name])
     if len(free) > 1:
         return _jointly(beside, shape, best_shape, alone)

@@ -32,6 +32,8 @@ _BIN_TURN_DEG = 20.0
 _BIN_SET_S, _LONG_SEGMENT_S, BIN_LONG_S, _BINS_PER_SEGMENT = 1.0, 120.0, 8.0, 1500
 #: After a step of the rate samples stay by themselves so long, s: tables and filters ring for less.
 _HEAD_S = 2.5
+#: Readings of the supply are means over so long, s, so that their noise does not thin out what they explain.
+_SUPPLY_S = 7.0
 #: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
 #: a Gaussian gives one in 5e8.
 OUTLIER_SIGMAS = 6.0
@@ -298,12 +300,12 @@ def _at(bench_t_s: Floats, values: Floats, t_s: Floats, slope: float) -> Floats:
     return np.asarray(inside + slope * np.maximum(t_s - times[-1], 0.0))
 
 
-def _smooth(values: Floats, bench_t_s: Floats, seconds: float = 7.0) -> Floats:
-    """Running mean over some seconds of readings, so that their noise does not thin out what they explain."""
+def _smooth(values: Floats, bench_t_s: Floats) -> Floats:
+    """Running mean over some seconds of readings."""
     known = np.isfinite(values)
     if known.sum() < 3:
         return values
-    width = max(1, int(seconds / max(float(np.median(np.diff(bench_t_s[known]))), 1e-3)) // 2 * 2 + 1)
+    width = max(1, int(_SUPPLY_S / max(float(np.median(np.diff(bench_t_s[known]))), 1e-3)) // 2 * 2 + 1)
     kernel = np.ones(min(width, int(known.sum()) // 2 * 2 - 1))
     smooth = np.array(values)
     v = values[known]

@@ -32,6 +32,8 @@ _LEAST_JUMP_C = 3.0
 _BOOTSTRAP = 1000
 #: Noise of a prediction, in units of the usual one, from which on it is an extrapolation.
 _EXTRAPOLATED = 4.0
+#: The share removed of an excess that is less than this share of the noise, in the mean square, is a ratio of two noises.
+_LEAST_EXCESS = 0.02
 _SCHEME = "whole data sets (every eighth segment) and whole temperatures or sweeps in turn"
 
 
@@ -100,7 +102,9 @@ def improvement(
     drop = np.sqrt(squares[draws, 0].mean(axis=1)) - np.sqrt(squares[draws, 1].mean(axis=1))
     nats = (loss[draws, 0] - loss[draws, 1]).mean(axis=1)
     excess = float(rms[0] ** 2 - floor**2)
-    removed = float((rms[0] ** 2 - rms[1] ** 2) / excess) if excess > 0.02 * floor**2 else float("nan")
+    removed = (
+        float((rms[0] ** 2 - rms[1] ** 2) / excess) if excess > _LEAST_EXCESS * floor**2 else float("nan")
+    )
     low, high = np.quantile(drop, [0.025, 0.975])
     nats_low, nats_high = np.quantile(nats, [0.025, 0.975])
     means = loss.mean(axis=0)

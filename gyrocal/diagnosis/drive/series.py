@@ -38,6 +38,8 @@ _SPIKE_STDS, _SPIKE_DPS = 12.0, 2.0
 _SHORTEST_TURN_S, _SHARED = 0.3, 0.2
 #: Multiples of a tick from which its size is told, and how far off they may lie.
 _MULTIPLES, _OFF = (3, 10, 40, 200, 1000), 0.1
+#: Share of the steps that must be few ticks, and of these share that must lie on whole ones.
+_FEW_TICKS, _ON_TICKS = 0.05, 0.98
 #: Steps below this are the file's rounding, m.
 _LEAST_TICK_M = 1e-5
 
@@ -221,7 +223,11 @@ def tick_size(step_m: Floats) -> float:
                 tick = float(times @ near / (times @ times))
         near = moved[moved < (_MULTIPLES[-1] + 0.5) * tick]
         off = np.abs(near / tick - np.round(near / tick))
-        if tick > _LEAST_TICK_M and near.size > 0.05 * moved.size and np.quantile(off, 0.98) < _OFF:
+        if (
+            tick > _LEAST_TICK_M
+            and near.size > _FEW_TICKS * moved.size
+            and np.quantile(off, _ON_TICKS) < _OFF
+        ):
             return tick
     return 0.0
 

@@ -31,6 +31,8 @@ _MODEL_STD = 1e-4
 STRANGER_P = 1e-5
 #: Knots that the truth is averaged to, as the cost grows with their cube, and how many a path is laid on at the least.
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
+#: Truth that spans less of the drive, or a path that spans less of its own size, is none: a receiver that was off or stuck.
+_LEAST_SHARE, _LEAST_SIZE = 0.2, 0.01
 #: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), slope of the bias (deg/s per degC).
 _SCALE, _CLOCK_S, _LEVER_M, _SLOPE = 0.2, 0.3, 1.0, 0.02
 #: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
@@ -93,7 +95,7 @@ class TruthAnswer:
 def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     position = series.truth_x_m + 1j * series.truth_y_m
     rows = np.flatnonzero(np.isfinite(position))
-    if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < 0.2 * series.duration_s:
+    if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
         return None
     t = series.t_s[rows]
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
@@ -280,6 +282,7 @@ def _first_levels(knots: Knots) -> Floats:
     """Levels from neighbouring knots: a path is smooth, noise is not."""
     if knots.count.size > 4:
         second = knots.position[2:] - 2 * knots.position[1:-1] + knots.position[:-2]
+        # The median of two squared normals is 1.386 of one's variance; a second difference has six times the variance.
         white = float(np.median(np.abs(second) ** 2) / 1.386 / 6.0 * np.median(knots.count))
     else:
         white = 1e-4
@@ -333,7 +336,7 @@ def ask_truth(
     """
     base = reckon(series, figures)
     knots = _knots(series, base)
-    if knots is None or np.std(knots.position) < 0.01 * np.std(base.at_m):
+    if knots is None or np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     state, problem, logs, _ = _laid(knots, base, bias_std_dps, noise)
     mirrored = False
