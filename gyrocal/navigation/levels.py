@@ -33,6 +33,8 @@ USUAL: Mapping[str, tuple[float, float]] = {
 }
 #: A gyro's flicker in deg/h for each deg/sqrt(h) of its angle random walk (drive-report.md, section 1).
 _FLICKER_BY_WALK = 25.0
+#: Spread of the logarithm of an angle random walk of which nothing is known but its default.
+_WALK_SPREAD = 1.5
 #: Innovations of a filter that describes the log. On the 18 practice drives they were 0.99 to 1.13 and -0.07 to 0.12;
 #: encoders that are smoothed or late are far outside (the Husky's: 1.1 and 0.8).
 NIS_RANGE, LAG1_LIMIT = (0.75, 1.33), 0.15
@@ -73,7 +75,8 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> 
     """The robot with its noise figures by maximum posterior likelihood on these rows.
 
     A figure that the file gives with a standard deviation is held by it, one without by a factor of e, and one that the
-    file does not give by its usual size (`USUAL`). The angle random walk is the file's, or that of the rows at rest.
+    file does not give by its usual size (`USUAL`). The angle random walk is the file's, or that of the rows at rest, or,
+    where neither tells, one of the figures that are estimated.
 
     Parameters
     ----------
@@ -89,13 +92,16 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> 
         parameters = replace(parameters, noise=noise, initial_std=std)
     if robot.static_s == 0.0 and "initial_std.gyro_bias_dps" not in robot.given:
         parameters = _likely_bias(rows, parameters, navigator)
-    names, usual, spread = _priors(robot, parameters)
-    wide = _wide(parameters)
+    names, usual, spread = _priors(
+        robot, parameters, open_walk=walk is None and f"noise.{_WALK}" not in robot.given
+    )
+    wide, usual_walk = _wide(parameters), parameters.noise.angle_random_walk_deg_per_rt_h
 
     def told(logs: Floats, base: RobotParameters) -> RobotParameters:
-        return replace(
-            base, noise=replace(base.noise, **dict(zip(names, np.exp(logs).tolist(), strict=True)))
-        )
+        noise = dict(zip(names, np.exp(logs).tolist(), strict=True))
+        # 1/f noise is usual for a white noise, so that one level is their ratio.
+        noise["flicker_dps"] *= noise.get(_WALK, usual_walk) / usual_walk
+        return replace(base, noise=replace(base.noise, **noise))
 
     def cost(logs: Floats) -> float:
         return float(np.sum(((logs - usual) / spread) ** 2)) + misfit(rows, navigator(told(logs, wide)))
@@ -129,7 +135,9 @@ def _likely_bias(
     )
 
 
-def _priors(robot: Robot, parameters: RobotParameters) -> tuple[list[str], Floats, Floats]:
+def _priors(
+    robot: Robot, parameters: RobotParameters, *, open_walk: bool
+) -> tuple[list[str], Floats, Floats]:
     """Names of the figures, their logarithms before the log is seen, and how firmly they hold."""
     flicker = _FLICKER_BY_WALK * parameters.noise.angle_random_walk_deg_per_rt_h * DPH_TO_DPS
     usual, spread = [], []
@@ -141,7 +149,12 @@ def _priors(robot: Robot, parameters: RobotParameters) -> tuple[list[str], Float
         else:
             usual.append(math.log(flicker if math.isnan(size) else size))
             spread.append(width)
-    return list(USUAL), np.minimum(usual, 0.0), np.array(spread)
+    names = list(USUAL)
+    if open_walk:
+        names.append(_WALK)
+        usual.append(math.log(parameters.noise.angle_random_walk_deg_per_rt_h))
+        spread.append(_WALK_SPREAD)
+    return names, np.minimum(usual, 0.0), np.array(spread)
 
 
 def _wide(parameters: RobotParameters) -> RobotParameters:

@@ -13,8 +13,9 @@ from gyrocal.navigation.equip import equip
 from gyrocal.navigation.levels import rest_walk, whiteness
 from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.records.drive import DriveBlock
-from gyrocal.records.robot import Robot, read_robot
+from gyrocal.records.robot import Robot, read_robot, robot_of
 from gyrocal.report.navigation import filter_sentence
+from tests.diagnosis.drive.fleet import Plan, drive
 from tests.fusion.test_model import NOISE, ROBOT, Drive, draw
 from tests.navigation.drives import source
 
@@ -48,6 +49,17 @@ def test_levels_that_the_file_leaves_open_are_found() -> None:
     for name, spread in (("wheel_slip_m_per_rt_m", 0.5), ("turn_slip_deg_per_rt_deg", 0.4), ("tick_m", 0.7)):
         size = np.exp(np.mean([np.log(getattr(noise, name)) for noise in found]))
         assert abs(np.log(size / getattr(NOISE, name))) < spread, name
+
+
+@pytest.mark.parametrize("walk", [0.05, 0.2])
+def test_a_walk_that_neither_file_nor_rest_tells_is_asked_of_the_drive(walk: float) -> None:
+    plan = Plan("random", 6.0, 20.0, rest_s=0.0, arw_dps_rt_s=walk / 60.0, tick_m=4e-4)
+    silent = robot_of({"wheel_separation_m": plan.separation_m, "static_s": 0.0}, Path("robot.toml"))
+    found = equip(source(drive(plan, 3)), silent, "model", None, None).robot.noise
+    assert abs(np.log(found.angle_random_walk_deg_per_rt_h / walk)) < 1.0
+    known = silent.with_figures({"noise.angle_random_walk_deg_per_rt_h": walk})
+    told = equip(source(drive(plan, 3)), known, "model", None, None).robot.noise
+    assert told.angle_random_walk_deg_per_rt_h == walk
 
 
 def test_levels_of_the_file_with_their_deviations_hold() -> None:
