@@ -48,6 +48,9 @@ def carried_terms(series: Series) -> Ints:
     distinct = np.unique(np.round(series.temp_c, 1)).size
     rate_order = min(SHAPE[0], rates)
     temp_order = min(SHAPE[1], 1 if span < 0.5 else distinct)
+    # Few rows have something left to see in only beside fewer terms.
+    while temp_order > 1 and 3 * rate_order * temp_order > 2 * len(series):
+        temp_order -= 1
     i, j = np.divmod(np.arange(SHAPE[0] * SHAPE[1]), SHAPE[1])
     return np.flatnonzero((i < rate_order) & (j < temp_order))
 

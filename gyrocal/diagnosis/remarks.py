@@ -28,6 +28,7 @@ class Said(Enum):
     NOT_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
     NO_SURE_GAIN = auto()
+    TOO_FEW_TO_WRITE = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
     BURST_SAMPLES = auto()

@@ -28,8 +28,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-#: A diagnosis of fewer rows says nothing.
-FEWEST_ROWS = 30
+#: A diagnosis of fewer rows says nothing: it takes a surface of eight terms, and some rows to see what that leaves.
+FEWEST_ROWS = 12
 #: Longer static logs are binned.
 _LONG_LOG = 1000
 #: A mean is not known better, deg/s: files round to that.

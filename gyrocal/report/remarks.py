@@ -78,6 +78,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
     Said.NO_SURE_GAIN: "What was found would make another run of this gyro better than the surface alone with probability "
     "{chance:.2f} only: no improved coefficients are written. Record sweeps of both signs at each temperature.",
+    Said.TOO_FEW_TO_WRITE: "It has {rows} data sets, in which one law may pass for another: what is found is told, but improved "
+    "coefficients are written from {enough} on.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
     "mdeg/s: small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,

@@ -137,8 +137,20 @@ def test_bias_of_a_static_cycle_that_follows_temperature_alone() -> None:
 
 def test_too_short_a_record_is_refused() -> None:
     table = make_table(sets=14)
-    with pytest.raises(DataError, match="at least 30"):
-        diagnose(table)
+    columns = (table.rate_dps[:11], table.gyro_dps[:11], table.temp_c[:11])
+    with pytest.raises(DataError, match="has 11 rows; a diagnosis needs at least 12"):
+        diagnose(DataSetTable(table.source, *columns))
+
+
+def test_of_few_data_sets_no_file_is_written() -> None:
+    few = make_table(sets=28)
+    assert diagnose(few, options=Options(heldout=False)).effects == ()
+    found = diagnose(
+        make_table(3e-3 * np.maximum(few.rate_dps, 0.0), sets=28), options=Options(heldout=False)
+    )
+    assert [e.effect for e in found.effects] == ["scale_asymmetry"]
+    assert found.improved is None
+    assert any("28 data sets" in s and "from 30 on" in s for s in plain_sentences(found))
 
 
 def test_document_is_plain_json_and_deterministic(asymmetric: tuple[DataSetTable, Diagnosis]) -> None:

@@ -105,7 +105,7 @@ def test_one_row_is_refused_without_a_murmur_of_numpy() -> None:
     one = DataSetTable(table.source, table.rate_dps[:1], table.gyro_dps[:1], table.temp_c[:1])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(DataError, match="has 1 row; a diagnosis needs at least 30"):
+        with pytest.raises(DataError, match="has 1 row; a diagnosis needs at least 12"):
             series_of_table(one)
 
 
