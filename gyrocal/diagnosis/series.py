@@ -237,6 +237,7 @@ def _segment_rows(
         "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),
     }
     raw = {
+        "number": number,
         "odd": odd,
         "averaging_s": averaging_s,
         "gyro": gyro[keep],
@@ -401,8 +402,8 @@ def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]], rounding_dps: f
         stated = reference / np.sqrt(averaging)
         # Logged samples may be points rather than means (aliasing): then the scatter itself is right.
         std[rows] = (stated if abs(sigma / stated - 1.0) < _ONE_WHITE else sigma) / np.sqrt(c["count"][rows])
-    at_one_step = scatter[c["set_index"].astype(np.int64)] == 0.0
-    return np.asarray(np.maximum(std, np.where(at_one_step, least, 1e-9)))
+    still = [r["number"] for r in raws if r["difference_std"] == 0.0]
+    return np.asarray(np.maximum(std, np.where(np.isin(c["set_index"], still), least, 1e-9)))
 
 
 def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +49,21 @@ def test_a_data_set_at_one_step_of_the_output_is_off_by_its_rounding() -> None:
         "set_index": np.array([0.0, 1.0, 2.0]),
     }
     raws: list[dict[str, Any]] = [
-        {"averaging_s": 0.1, "difference_std": std, "n": 100} for std in (0.0, 0.0, 0.02)
+        {"number": k, "averaging_s": 0.1, "difference_std": std, "n": 100}
+        for k, std in enumerate((0.0, 0.0, 0.02))
     ]
     rounding_dps = 0.05 / np.sqrt(12.0)
     stated = _white_std(rows, raws, rounding_dps)
     np.testing.assert_allclose(stated, [rounding_dps, rounding_dps, rounding_dps / 10.0])
     assert np.all(_white_std(rows, raws[:2] * 2, 0.0) > 0.0)
+
+
+def test_a_failed_segment_is_counted_and_moves_no_other(tmp_path: Path) -> None:
+    still = replace(part(10.0, 10.0), rows=[gyro_row(t, 10.0) for t in T_S])
+    parts = [replace(part(50.0, 50.0), outcome="failed"), part(-20.0, -20.0), still, part(80.0, 80.0)]
+    series = series_of_run(read_run(write_run(tmp_path / "run", parts)))
+    assert np.unique(series.set_index).tolist() == [1, 2, 3]
+    noise_dps = [np.median(series.white_std_dps[series.set_index == n]) for n in (1, 2, 3)]
+    # What stands at one step is off by its rounding, of which so short a run does not tell; the others by their scatter.
+    assert noise_dps[0] == pytest.approx(noise_dps[2], rel=0.5)
+    assert sum("failed" in remark_words(note) for note in series.notes) == 1
