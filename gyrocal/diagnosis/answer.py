@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from gyrocal.diagnosis import estimates
+from gyrocal.diagnosis.coil import averaged
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
@@ -157,7 +158,7 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     """The coil's lag or a law of time of a table."""
     if searched.law is None:
         p = float(chi2.sf(2.0 * searched.nats, 2))
-        coils = [(weight, c) for weight, c in found.candidates if c.coil is not None]
+        coils = [(weight, c) for weight, c in averaged(found.ranked) if c.coil is not None]
         return _effect(found, searched.effect, lag_estimates(coils), p, {})
     p = float(chi2.sf(2.0 * searched.nats, 1))
     # The search goes from one shape of its grid to the next.

@@ -6,7 +6,7 @@ whichever is taken first takes the others' share. So they start together, from e
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
-from gyrocal.diagnosis.parts import Coil
+from gyrocal.diagnosis.parts import Coil, Part, drifts, passing, remembering
+from gyrocal.inference.additive import Contrasts
+from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import NORMAL_95
@@ -46,6 +48,8 @@ _ODD_NATS = 1.5
 _CANCELLED_NATS = 2.0
 #: And the first one this: beside none, what else has a name goes into the file by its law and not as smooth parts.
 _FIRST_NATS = 1.0
+#: Models of so many sets of laws are fitted beside smooth parts, and without the laws that those can stand for.
+_BESIDE_SMOOTH = 3
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
@@ -79,6 +83,7 @@ class TableSearch:
     base: Model
     known: dict[tuple[Coil, tuple[Change, ...]], Candidate] = field(default_factory=dict)
     _at_coil: dict[Coil, Model] = field(default_factory=dict)
+    _contrasts: dict[Coil, Contrasts] = field(default_factory=dict)
     _at_hand: tuple[Candidate, tuple[Floats, Floats]] | None = None
 
     @cached_property
@@ -108,6 +113,38 @@ class TableSearch:
         self._spread()
         return sorted(self.known.values(), key=lambda c: c.score)
 
+    def beside_smooth(self, ranked: Sequence[Candidate]) -> list[Candidate]:
+        """The best models, and those with their steps alone, beside smooth parts of temperature's history and of time.
+
+        Few gyros obey a law: what one leaves is taken for a warm-up or a step, or a law is taken that is none. Of the scale
+        factor only what passes is smooth: what it remembers is too like a coil's lag.
+        """
+        parts = [p for p in remembering(self.base.means) if all(c.rate == Factor() for c in p.columns)]
+        if not parts:
+            return []
+        of_laws: dict[object, Candidate] = {}
+        for c in ranked:
+            of_laws.setdefault((c.coil is None, frozenset(c.effects)), c)
+        chosen = {(c.coil, c.changes): c for c in [*of_laws.values()][:_BESIDE_SMOOTH]}
+        for c in [*chosen.values()]:
+            steps = tuple(change for change in c.changes if change.effect in STEPS)
+            for key in ((None, steps), (c.coil, steps)):
+                chosen.setdefault(key, self.fit(*key, c))
+        chosen[None, ()] = self.known[None, ()]
+        return sorted((self._with_smooth(c, parts) for c in chosen.values()), key=lambda c: c.score)
+
+    def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
+        """A model beside smooth parts, which pay together what a law pays."""
+        coil, changes, near = candidate.coil, candidate.changes, candidate.fitted
+        means, frame = self.base.means, self.base.basis.frame
+        more = [*drifts(means, frame), *(c for c in passing(means, frame) if c.name == "scale walk")]
+        model = near.model.with_parts(parts)
+        fitted = near.refit(replace(model, components={**model.components, **{c.name: c for c in more}}))
+        paid = self._toll(coil, changes) + _TOLL_NATS + (0.0 if coil or changes else _FIRST_NATS)
+        smooth = [p.name for p in parts] + [c.name for c in more if c.columns is not None]
+        paid += _CANCELLED_NATS * self._cancelled(fitted, smooth)
+        return Candidate(coil, changes, fitted, fitted.nll + paid)
+
     def _spread(self) -> None:
         """Every shape near those of the best models, so that an average over them is one over all that they may be."""
         done: set[tuple[Coil, tuple[Change, ...]]] = set()
@@ -126,17 +163,22 @@ class TableSearch:
         key = coil, changes
         if key not in self.known:
             model = self.model(coil, changes)
-            if near is None:
-                designs = [replace(self.base.basis, coil=(1.0, tau)).surface() for tau in _FIRST_LAGS_S]
-                contrasts = contrasts_of(model, designs=designs)
-            else:
-                contrasts = contrasts_of(model, near.fitted.contrasts)
+            if coil not in self._contrasts:
+                self._contrasts[coil] = self._contrasts_of(model)
+            contrasts = self._contrasts[coil]
             start = None if near is None else near.fitted.fit.log_variance
             fit = contrasts.fit(model.all, start, _ITERATIONS if near else 60)
             fitted = Fitted(model, fit, contrasts)
             paid = self._toll(coil, changes) + _CANCELLED_NATS * self._cancelled(fitted)
             self.known[key] = Candidate(coil, changes, fitted, fit.nll + paid)
         return self.known[key]
+
+    def _contrasts_of(self, model: Model) -> Contrasts:
+        """Contrasts that all models with the same coil share."""
+        if None in self._contrasts:
+            return contrasts_of(model, self._contrasts[None])
+        designs = [replace(self.base.basis, coil=(1.0, tau)).surface() for tau in _FIRST_LAGS_S]
+        return contrasts_of(model, designs=designs)
 
     @cached_property
     def _by_rate(self) -> Floats:
@@ -147,15 +189,19 @@ class TableSearch:
         """Root mean square of what is not the same at all times and temperatures."""
         return float(np.sqrt(np.mean((columns - self._by_rate @ (self._by_rate.T @ columns)) ** 2)))
 
-    def _cancelled(self, fitted: Fitted) -> float:
-        """How far the laws of a model go together beyond what the record shows, as a share of that: each hides the others.
+    def _cancelled(self, fitted: Fitted, smooth: Sequence[str] = ()) -> float:
+        """How far the laws of a model, and smooth parts, go together beyond what the record shows, as a share of that.
 
-        The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
+        Each hides the others. The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
         """
-        if not fitted.model.laws:
+        columns = {law.name: law.columns for law in fitted.model.laws}
+        columns |= {
+            n: c.columns for n, c in fitted.model.components.items() if n in smooth and c.columns is not None
+        }
+        if not columns:
             return 0.0
         amplitudes = fitted.solve().amplitudes
-        sizes = [self._beyond_rate(law.columns @ amplitudes[law.name]) for law in fitted.model.laws]
+        sizes = [self._beyond_rate(own @ amplitudes[name]) for name, own in columns.items()]
         shown = self._beyond_rate(self.base.error_dps)
         return max(0.0, sum(sizes) / shown - 1.0) if shown else 0.0
 
@@ -240,7 +286,7 @@ def _best(candidates: list[Candidate]) -> list[Candidate]:
     return sorted(different.values(), key=lambda c: c.score)[:_BEAM]
 
 
-def averaged(candidates: list[Candidate]) -> list[tuple[float, Candidate]]:
+def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
     """The models worth averaging over, with their weights.
 
     With a warm-up or without, as the best one: a robot that need not know when it was switched on shall not have to.

@@ -43,7 +43,9 @@ class Examination:
     candidates : tuple
         Of a table of sweeps with a lag of the coil or a law of time: the models near the best, with their weights.
     ranked : tuple of Candidate
-        All of them, the best first.
+        All of them that have no more than laws, the best first.
+    smooth : tuple of Candidate
+        Those beside smooth parts, the best first.
     """
 
     series: Series
@@ -54,14 +56,16 @@ class Examination:
     laws: Laws
     candidates: tuple[tuple[float, Candidate], ...] = ()
     ranked: tuple[Candidate, ...] = ()
+    smooth: tuple[Candidate, ...] = ()
 
     @property
     def comes_again(self) -> float:
         """Probability that what the bias did since power-on begins anew with the next one."""
         if not self.ranked:
             return self.naming.comes_again
-        weight = np.exp([self.ranked[0].score - c.score for c in self.ranked])
-        return float(weight @ [c.warms_up for c in self.ranked] / weight.sum())
+        every = [*self.ranked, *self.smooth]
+        weight = np.exp([self.ranked[0].score - c.score for c in every])
+        return float(weight @ [c.warms_up for c in every] / weight.sum())
 
     @property
     def model(self) -> Model:
@@ -90,7 +94,8 @@ def examine(series: Series, level: float) -> Examination:
 
 
 def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examination:
-    ranked = TableSearch(base).run()
+    search = TableSearch(base)
+    ranked = search.run()
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
     drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
     first = ranked[0].fitted
@@ -99,9 +104,11 @@ def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examinati
     settled, worth = present(settle_direction(best)[0])
     beside = replace(settled.model, components={**settled.model.components, **drifting})
     naming, laws = name(settled.refit(beside), worth, laws)
-    joint = ranked[0].coil is not None or ranked[0].changes != ()
-    near = tuple(averaged(ranked)) if joint else ()
-    return Examination(series, found, best, worth, naming, laws, near, tuple(ranked))
+    smooth = search.beside_smooth(ranked)
+    both = sorted([*ranked, *smooth], key=lambda c: c.score)
+    joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
+    near = tuple(averaged(both)) if joint else ()
+    return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth))
 
 
 def draws_of(full: Model) -> Component | None:

@@ -209,6 +209,11 @@ class Model:
         """A law, whose variance is estimated as that of a smooth part is, so that the two can be compared."""
         return Component(law.name, law.columns)
 
+    def with_parts(self, parts: Sequence[Part]) -> Model:
+        """The same with further parts that stay."""
+        more = {p.name: self.basis.component(p) for p in parts}
+        return replace(self, parts=(*self.parts, *parts), components={**self.components, **more})
+
     def without(self, names: Sequence[str]) -> Model:
         """The same less some components."""
         return replace(self, components={n: c for n, c in self.components.items() if n not in names})

@@ -240,15 +240,14 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
     memory : whether parts that remember the temperature, and a warm-up, are among them
     """
     found = [surface_part(carried)]
-    turning = np.unique(np.round(means.rate_dps, 2)).size > 3
+    turning = _turns(means)
     span_c = float(np.ptp(means.series.history.temp_c))
     if turning:
         found += _of_rate(frame)
     if span_c > 4.0 * _LEAST_SPAN_C:
         found += _of_temperature(frame, turning)
-    if memory and span_c > _LEAST_SPAN_C:
-        found += _of_history(span_c, float(np.ptp(means.t_s)), turning)
     if memory:
+        found += remembering(means)
         warm = tuple(
             Column(driver=Factor(_SINCE_ON, (float(tau),)))
             for tau in _WARM_UPS_S
@@ -260,6 +259,10 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
         if turning:
             found.append(_part("supply on scale", "supply", (Column(_LINEAR, driver=Factor("supply")),)))
     return [p for p in found if p.columns]
+
+
+def _turns(means: Means) -> bool:
+    return np.unique(np.round(means.rate_dps, 2)).size > 3
 
 
 def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[float, ...] = ()) -> Part:
@@ -300,7 +303,11 @@ def _of_temperature(frame: Frame, turning: bool) -> list[Part]:
     return found
 
 
-def _of_history(span_c: float, span_s: float, turning: bool) -> list[Part]:
+def remembering(means: Means) -> list[Part]:
+    """Parts that remember the temperature; none where it does not change."""
+    span_c, span_s = float(np.ptp(means.series.history.temp_c)), float(np.ptp(means.t_s))
+    if span_c <= _LEAST_SPAN_C:
+        return []
     lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
     plays = [Factor("play", (share * span_c,)) for share in _PLAYS]
@@ -313,14 +320,14 @@ def _of_history(span_c: float, span_s: float, turning: bool) -> list[Part]:
         _part("play on bias", "memory", tuple(Column(driver=d) for d in plays)),
         _part("play on bias by temperature", "memory", tuple(Column(one, slope, d) for d in plays)),
     ]
-    if turning:
+    if _turns(means):
         found += [
             _part("lag on scale", "memory", tuple(Column(_LINEAR, one, d) for d in lags)),
             _part("lag on scale by temperature", "memory", tuple(Column(_LINEAR, slope, d) for d in lags)),
             _part("band on scale", "memory", tuple(Column(_LINEAR, one, d) for d in bands)),
             _part("play on scale", "memory", tuple(Column(_LINEAR, one, d) for d in plays)),
         ]
-    return found
+    return [p for p in found if p.columns]
 
 
 #: Blocks of what passes, by the name of the component.
@@ -347,6 +354,13 @@ def passing(means: Means, frame: Frame) -> list[Component]:
             found.append(Component("each rate", np.where(sizes[:, None] == kinds, u[:, None], 0.0)))
         found.append(Component("jitter", covariance=np.diag(u**2)))
     return found + noise(means)
+
+
+def drifts(means: Means, frame: Frame) -> list[Component]:
+    """Straight drifts of the bias and the scale factor, of which the surface has the mean."""
+    away = (means.t_s - np.mean(means.t_s)) / (float(np.ptp(means.t_s)) or 1.0)
+    u = means.rate_dps / frame.rate_scale_dps
+    return [Component("bias drift", away[:, None]), Component("scale drift", (away * u)[:, None])]
 
 
 def noise(means: Means) -> list[Component]:

@@ -69,6 +69,41 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
 
 
+def test_a_law_that_is_none_of_the_catalogue_goes_into_the_file_as_smooth_parts() -> None:
+    """Two gaps, a slow drift: of the models with laws alone the best is wrong by more on another course."""
+    first, again = _of_two_gaps(0), _of_two_gaps(1)
+    found = examine(series_of_table(first), 1e-3)
+    best = found.smooth[0]
+    assert best.score < found.ranked[0].score
+    assert "play on bias" in {p.name for p in best.fitted.model.parts}
+
+    def left(candidate: Candidate) -> float:
+        file = Compensator(correction(replace(found, candidates=((1.0, candidate),))))
+        assert again.t_s is not None
+        return float(np.std(file.correct(again.t_s, again.gyro_dps, again.temp_c) - again.rate_dps))
+
+    assert left(best) < 0.85 * left(found.ranked[0])
+    assert found.candidates[0][1] is best
+
+
+def _of_two_gaps(course: int) -> DataSetTable:
+    """A gyro whose bias follows the temperature behind gaps of 2 and 12 degC, and on the first course drifts."""
+    rng = np.random.default_rng(course)
+    rates = np.tile([0.0, 20.0, -20.0, 60.0, -60.0], 16)
+    goals = ([20.0, 45.0, 5.0, 35.0, 15.0, 30.0], [30.0, 5.0, 25.0, 10.0, 45.0, 20.0])[course]
+    temp_c = np.interp(np.arange(rates.size), np.linspace(0, rates.size, 6), goals)
+    behind_c = np.zeros(rates.size)
+    for half_c in (1.0, 6.0):
+        play = temp_c[0]
+        for k, temp in enumerate(temp_c):
+            play = min(max(play, temp - half_c), temp + half_c)
+            behind_c[k] += play - temp
+    t_s = 40.0 * np.arange(rates.size, dtype=np.float64)
+    drift = 2e-6 * t_s if course == 0 else 0.0
+    gyro = rates * 1.0002 + 3e-3 * behind_c + drift + 4e-4 * rng.standard_normal(rates.size)
+    return DataSetTable(Path("gaps.csv"), rates, gyro, temp_c, t_s=t_s)
+
+
 def _sweep() -> Changes:
     t_s, rate_dps = 60.0 * np.arange(40.0), np.linspace(-50.0, 50.0, 40)
     means = means_of(
@@ -147,7 +182,9 @@ def test_what_the_surface_can_take_back_is_not_believed_beyond_what_the_record_s
     search = TableSearch(full_model(wavy, memory=False))
     law = search.changes.law(Change("bias_drift", 1.0))
     solved = SimpleNamespace(amplitudes={law.name: np.array([1.0])})
-    fitted = cast(Any, SimpleNamespace(model=SimpleNamespace(laws=(law,)), solve=lambda: solved))
+    fitted = cast(
+        Any, SimpleNamespace(model=SimpleNamespace(laws=(law,), components={}), solve=lambda: solved)
+    )
     shown = search._beyond_rate(search.base.error_dps)
     own = search._beyond_rate(law.columns[:, 0])
     assert search._cancelled(fitted) == pytest.approx(max(0.0, own / shown - 1.0))
