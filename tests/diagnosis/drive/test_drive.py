@@ -151,6 +151,31 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
     assert (told_dps != 0.0) == kept
 
 
+def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot) -> None:
+    log = drive(Plan("eights", 3.0, 10.0, tick_m=4e-4, truth_m=0.02, truth_every_s=1.0, wheel_noise=0.001), 5)
+    heading = np.cumsum(np.radians(log.gyro_dps) / 10.0)
+    lacking = 0.01 * (1.0 + np.cos(2.0 * heading - 0.8))
+    told = diagnose_drive("drive.csv", replace(log, gyro_dps=log.gyro_dps * (1.0 - lacking)), resting)
+    assert names(told) == ["robot_tilt"]
+    tilt = told.diagnosis.effects[0].parameters["amplitude"]
+    assert tilt.interval_95[0] < np.degrees(2.0 * np.sqrt(0.01)) < tilt.interval_95[1]
+    assert "robot_tilt" not in told.diagnosis.not_testable
+    assert told.robot is None
+
+
+def test_waits_between_two_ticks_are_not_taken_for_slip(resting: Robot) -> None:
+    log = drive(Plan("rests", 5.0, 10.0, tick_m=1.5e-3, arw_dps_rt_s=0.002, turn_noise=0.002), 6)
+    told = diagnose_drive("drive.csv", log, resting)
+    assert names(told) == []
+    # Two wheels, each of a step over the square root of twelve.
+    assert told.yaw.model.noise.tick_m == pytest.approx(1.5e-3 / np.sqrt(6.0), rel=0.4)
+
+
+def test_beside_a_wrong_track_no_delay_of_half_a_row_is_named(resting: Robot) -> None:
+    log = drive(Plan("random", 6.0, 5.0, tick_m=2e-4, wheel_noise=0.001, effects={"skid_slip": 6.0}), 7)
+    assert names(diagnose_drive("drive.csv", log, resting)) == ["skid_slip"]
+
+
 def test_a_robot_file_that_grants_too_little_leaves_no_structure_without_a_name(tmp_path: Path) -> None:
     path = tmp_path / "firm.toml"
     path.write_text(
