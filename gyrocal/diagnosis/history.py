@@ -67,7 +67,12 @@ class TemperatureHistory:
 
 
 def temperature_history(
-    t_s: Floats, temp_c: Floats, count: Floats | None = None, step_c: float | None = None
+    t_s: Floats,
+    temp_c: Floats,
+    count: Floats | None = None,
+    step_c: float | None = None,
+    *,
+    all_along: bool = False,
 ) -> TemperatureHistory:
     """The temperature behind readings, and its rate, on a uniform grid.
 
@@ -79,10 +84,13 @@ def temperature_history(
         How many readings each is a mean of.
     step_c : float, optional
         Steps of the thermometer, where it has any.
+    all_along : bool
+        Whether it was read all the time, and not with the data sets only.
     """
     known = np.isfinite(temp_c)
     t, read = t_s[known], temp_c[known]
-    course = smooth_course(t, read, np.ones(t.size) if count is None else count[known], step_c or 0.0)
+    often = np.ones(t.size) if count is None else count[known]
+    course = smooth_course(t, read, often, step_c or 0.0, all_along=all_along)
     span = max(float(t_s[-1] - t_s[0]), 1.0)
     step = max(1.0, span / _MOST_POINTS)
     grid = t_s[0] + step * np.arange(int(np.ceil(span / step)) + 1)

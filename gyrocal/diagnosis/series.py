@@ -331,7 +331,8 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         logged = c["chamber_c"]
         notes.append(Remark(Said.CHAMBER_FOR_GYRO))
     sampled_c = np.concatenate([raw["temp"] for raw in raws])
-    history = temperature_history(c["t_s"], logged, c["count"], lattice(sampled_c[np.isfinite(sampled_c)]))
+    step_c = lattice(sampled_c[np.isfinite(sampled_c)])
+    history = temperature_history(c["t_s"], logged, c["count"], step_c, all_along=True)
     angle = channel("angle_deg", "table_angle", Why.ANGLE_NOT_LOGGED)
     supply = channel("supply_v", "supply", Why.SUPPLY_NOT_LOGGED)
     chamber = c["chamber_c"] if np.isfinite(c["chamber_c"]).all() else None

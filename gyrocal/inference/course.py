@@ -92,7 +92,7 @@ class Course:
     run : ndarray, shape (k,)
         Number of the step that the node was read at, which nodes in a row share.
     room : ndarray, shape (k,)
-        How little is known of where within that step the node is, standard deviation; 0 without steps.
+        How little is known of where within that step the node is, standard deviation; 0 where it is not told apart.
     """
 
     t_s: Floats
@@ -203,7 +203,9 @@ class _Field:
         return 0.5 * float(x @ bent) - log_p, gradient, curvature
 
 
-def smooth_course(t_s: Floats, value: Floats, count: Floats, step: float) -> Course:
+def smooth_course(
+    t_s: Floats, value: Floats, count: Floats, step: float, *, all_along: bool = False
+) -> Course:
     """The course of a quantity from its readings.
 
     Parameters
@@ -214,6 +216,8 @@ def smooth_course(t_s: Floats, value: Floats, count: Floats, step: float) -> Cou
         Of how many readings the value is a mean.
     step : float
         Steps of the instrument; 0: none.
+    all_along : bool
+        Whether it was read so often that when it came to a step, and how fast, is seen.
     """
     if np.ptp(t_s) == 0.0:
         # What was read at one instant is taken to stay.
@@ -234,9 +238,7 @@ def smooth_course(t_s: Floats, value: Floats, count: Floats, step: float) -> Cou
     least = _LEAST_NOISE_STEPS * step if step else _LEAST_NOISE
     # Means of nodes scatter as less than single readings do.
     often = float(np.sqrt(np.median(total)))
-    bends = np.diff(mean, 2)
-    scatter = max(float(np.linalg.norm(bends)) / np.sqrt(6.0 * max(bends.size, 1)) * often, 2.0 * least)
-
+    scatter = max(_scatter(mean) * often, 2.0 * least)
     farthest = min(_REACHES[-1], float(t.size))
 
     def levels(logs: Floats) -> tuple[float, float]:
@@ -259,7 +261,13 @@ def smooth_course(t_s: Floats, value: Floats, count: Floats, step: float) -> Cou
     walk, noise = levels(best.x)
     _, x, factor = found.settle(walk, noise)
     smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size))
-    return _levelled(smooth, mean, step) if step else smooth
+    return _levelled(smooth, mean, step) if all_along and step else smooth
+
+
+def _scatter(mean: Floats) -> float:
+    """How far values scatter about a course, by how they bend from one to the next."""
+    bends = np.diff(mean, 2)
+    return float(np.linalg.norm(bends) / np.sqrt(6.0 * max(bends.size, 1)))
 
 
 def _levelled(smooth: Course, mean: Floats, step: float) -> Course:

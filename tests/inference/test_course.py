@@ -87,7 +87,7 @@ def test_the_slope_of_a_rounded_reading_is_that_of_its_probability(noise: float)
 
 @pytest.mark.parametrize(("step", "noise"), [(0.0, 0.3), (0.5, 0.05), (1.0, 0.05), (1.0, 0.3)])
 def test_a_poor_thermometer_is_seen_through(step: float, noise: float) -> None:
-    """A third of what the readings are off is left, and it is no larger than stated: in coarse steps far less."""
+    """A third of what the readings are off is left, and it is no larger than stated: of fine noise in coarse steps less."""
     t = np.arange(12.0, 3400.0, 20.0)
     truth = heated_box(t)
     raw, left, stated = [], [], []
@@ -99,7 +99,7 @@ def test_a_poor_thermometer_is_seen_through(step: float, noise: float) -> None:
         left.append(np.mean((course.at(t)[0] - truth) ** 2))
         stated.append(np.mean(np.diag(course.covariance(t))))
     assert np.mean(left) < 0.35 * np.mean(raw)
-    assert 0.05 < np.mean(left) / np.mean(stated) < 1.5
+    assert 0.12 < np.mean(left) / np.mean(stated) < 1.5
 
 
 def test_where_a_chamber_stands_still_only_the_step_is_known() -> None:
@@ -110,7 +110,7 @@ def test_where_a_chamber_stands_still_only_the_step_is_known() -> None:
     corners = np.column_stack([ramps, ramps + 60.0 * np.abs(np.diff(ends))]).ravel()
     truth = np.interp(t, corners, np.column_stack([ends[:-1], ends[1:]]).ravel())
     read = np.round(truth + 0.01 * np.random.default_rng(3).standard_normal(t.size))
-    course = smooth_course(t, read, np.ones(t.size), 1.0)
+    course = smooth_course(t, read, np.ones(t.size), 1.0, all_along=True)
     halts = np.asarray(ramps + 1000.0, dtype=np.float64)
     error = course.at(halts)[0] - np.interp(halts, t, truth)
     covariance = course.covariance(halts)
