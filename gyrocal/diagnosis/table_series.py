@@ -34,6 +34,8 @@ FEWEST_ROWS = 12
 _LONG_LOG = 1000
 #: A mean is not known better, deg/s: files round to that.
 _LEAST_STD_DPS = 1e-7
+#: No thermometer has coarser steps, degC: values farther apart are the set points of a plan, which hold as they are written.
+_COARSEST_C = 2.0
 #: Directions of a surface weaker than this are not carried.
 _CARRIED = 1e-9
 #: Evidence that a thermometer's scatter is real, nats: where the gyro cannot tell it is noise, as it mostly is.
@@ -71,8 +73,9 @@ def series_of_table(table: DataSetTable) -> Series:
     white, notes = _white(table)
     times = mean(t_s)
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
-    history = temperature_history(times, read, count[filled], lattice(table.temp_c))
-    if _scatter_is_real(rate, gyro, read, history.temp_at(times)):
+    step_c = lattice(table.temp_c) or 0.0
+    history = temperature_history(times, read, count[filled], step_c)
+    if step_c > _COARSEST_C or _scatter_is_real(rate, gyro, read, history.temp_at(times)):
         history = history.as_read(times, read)
     given = table.temp_rate_c_per_min
     return Series(

@@ -1,4 +1,4 @@
-"""Rows of a run: the reference rate is the one that `fit` takes."""
+"""Rows of a run, whose reference rate is the one that `fit` takes, and of a table."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import pytest
 
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.diagnosis.series import _white_std, series_of_run
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.records.datasets import DataSetTable
 from gyrocal.records.run import read_run
 from gyrocal.report.remarks import remark_words
 from tests.calibration.runs import Part, bench_row, gyro_row, write_run
@@ -67,3 +69,12 @@ def test_a_failed_segment_is_counted_and_moves_no_other(tmp_path: Path) -> None:
     # What stands at one step is off by its rounding, of which so short a run does not tell; the others by their scatter.
     assert noise_dps[0] == pytest.approx(noise_dps[2], rel=0.5)
     assert sum("failed" in remark_words(note) for note in series.notes) == 1
+
+
+def test_set_points_of_a_plan_are_the_temperatures_as_they_are_written() -> None:
+    """Seven of them, ten degrees apart, are no thermometer of steps of ten degrees."""
+    rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 21), np.linspace(-10.0, 50.0, 7)))
+    gyro = 90.0 * np.sin(rate / 90.0)
+    series = series_of_table(DataSetTable(Path("plan.csv"), rate, gyro, temp))
+    np.testing.assert_array_equal(series.temp_c, temp)
+    assert series.history.covariance_at(series.t_s) is None
