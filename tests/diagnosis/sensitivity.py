@@ -5,7 +5,7 @@ A command line; a row a constant goes to JSON lines as it comes, and a repeated 
     nice -n 10 python -m tests.diagnosis.sensitivity --out sensitivity.jsonl [--only names.py]
     python -m tests.diagnosis.sensitivity --out sensitivity.jsonl --table
 
-The table, as it was last made, is `sensitivity.md` beside this file. An error is that of a second run without noise (or a
+The table of what has been measured so far is `sensitivity.md` beside this file. An error is that of a second run without noise (or a
 second drive) by the improved file; names and verdict are told where they become others.
 """
 
