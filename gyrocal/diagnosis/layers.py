@@ -299,7 +299,9 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     # Where laws of time are searched for, a scale factor that wanders would take their place.
     later = () if memory else WANDERING_SCALE
     components |= {c.name: c for c in passing(means, basis.frame) if c.name not in later}
-    rough: Floats = np.asarray(np.linalg.lstsq(design, means.error_dps, rcond=None)[0], dtype=np.float64)
+    # At one temperature the slope along what scatters in it could be anything, a drift's in time too.
+    rough = np.zeros(len(SURFACE))
+    rough[carried] = np.linalg.lstsq(design[:, carried], means.error_dps, rcond=None)[0]
     left = means.error_dps - design @ rough
     components |= {c.name: c for c in of_thermometer(means, basis.frame, rough)}
     components |= {c.name: c for c in of_steps(means, design, rough)} if memory else {}

@@ -203,6 +203,17 @@ def test_practice_recordings() -> None:
     assert right == len(answers)
 
 
+def test_a_drift_at_rest_is_not_taken_for_the_thermometers_noise() -> None:
+    rng = np.random.default_rng(1)
+    t_s = 60.0 * np.arange(60.0)
+    drift = 6e-3 * (t_s / t_s[-1] - 0.5)
+    gyro = 0.01 + drift + rng.normal(0.0, 1e-3, t_s.size)
+    temp = 25.0 + rng.normal(0.0, 0.05, t_s.size)
+    table = DataSetTable(Path("rest.csv"), np.zeros(t_s.size), gyro, temp, t_s=t_s)
+    found = diagnose(table, options=Options(heldout=False))
+    assert [e.effect for e in found.effects] == ["bias_drift"]
+
+
 def test_many_rates_at_one_temperature() -> None:
     rng = np.random.default_rng(3)
     rate = rng.choice([-80.0, -40.0, 0.0, 40.0, 80.0], 60)
