@@ -50,8 +50,8 @@ _WALK_LEVEL = 1e-6
 #: What is less probable than this is not said to be open.
 _SURE = 0.05
 #: A file that makes another run of the gyro better with less probability than this is not written. The probability is one
-#: under the model: of 36 tables by the project's own generator none that was written was worse, of 25 by another hand,
-#: whose laws are others, 4, and all of them had been given more than 0.99.
+#: under the model: of 36 tables by the project's own generator none that was written was worse; of 25 by another hand,
+#: whose laws are others, 4 were, all of which had been given more than 0.99, before smooth parts stood beside the laws.
 _SURELY_BETTER = 0.8
 #: A file is written from so many rows on. Of 12 files from made-up tables of 12 to 29 rows with one effect 3 made another run
 #: worse, each with a probability of gain of more than 0.99.
