@@ -36,7 +36,8 @@ _NAMED_SHARE = 0.6
 #: there.
 _DROPPED = 4.0
 #: A walk follows a drift nearly as well as the drift itself does: it has to be this much worse, nats. Of 100 data sets
-#: at rest, walks of 2.5 times the noise were called a drift in 0 of 24 (0 to 14 %), drifts of d' 12 in 17, of 25 in 24 of 24.
+#: at rest walks of 2.5 and of 6 times the noise were called a drift in 2 of 100 (1 to 7 %; 8 without this bound), drifts of
+#: d' 12 in 19 of 24, none of which the bound had refused.
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0

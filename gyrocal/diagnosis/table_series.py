@@ -38,6 +38,9 @@ _LEAST_STD_DPS = 1e-7
 _COARSEST_C = 2.0
 #: Directions of a surface weaker than this are not carried.
 _CARRIED = 1e-9
+#: A course that misses readings by more than so many times what neighbours differ by is none of a thermometer: noise, which
+#: scatters about its own course as neighbours do about each other, gives 1.
+_MISSED = 3.0
 #: Evidence that a thermometer's scatter is real, nats: where the gyro cannot tell it is noise, as it mostly is.
 _REAL_NATS = 3.0
 
@@ -75,7 +78,12 @@ def series_of_table(table: DataSetTable) -> Series:
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
     step_c = lattice(table.temp_c) or 0.0
     history = temperature_history(times, read, count[filled], step_c)
-    if step_c > _COARSEST_C or _scatter_is_real(rate, gyro, read, history.temp_at(times)):
+    course_c = history.temp_at(times)
+    if (
+        step_c > _COARSEST_C
+        or (not step_c and _missed(read, course_c))
+        or _scatter_is_real(rate, gyro, read, course_c)
+    ):
         history = history.as_read(times, read)
     given = table.temp_rate_c_per_min
     return Series(
@@ -96,6 +104,13 @@ def series_of_table(table: DataSetTable) -> Series:
         has_time=table.t_s is not None,
         is_table=True,
     )
+
+
+def _missed(read_c: Floats, course_c: Floats) -> bool:
+    """Whether a smooth course misses readings by more than they scatter: a plan that leaps from temperature to temperature."""
+    scatter_c = STDS_PER_MAD * float(np.median(np.abs(np.diff(read_c)))) / np.sqrt(2.0)
+    off_c = STDS_PER_MAD * float(np.median(np.abs(read_c - course_c)))
+    return bool(off_c > _MISSED * scatter_c > 0.0)
 
 
 def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats) -> bool:

@@ -84,6 +84,23 @@ def test_whole_degrees_are_said() -> None:
     assert Remark(Said.WHOLE_DEGREES) in coarse.notes
 
 
+def test_a_plan_that_leaps_between_temperatures_is_taken_as_read() -> None:
+    """No smooth course goes through it; one that scatters about a smooth course is not."""
+    rng = np.random.default_rng(2)
+    n = 66
+    leaps, slow = np.repeat([0.0, 40.0] * 3, 11), 20.0 + 5.0 * np.sin(np.arange(n) / 20.0)
+    for course_c, as_read in ((leaps, True), (slow, False)):
+        read_c = course_c + rng.normal(0.0, 0.05, n)
+        table = DataSetTable(
+            Path("t.csv"),
+            np.tile([-50.0, 0.0, 50.0], 22),
+            np.zeros(n),
+            read_c,
+            t_s=15.0 * np.arange(float(n)),
+        )
+        assert np.array_equal(series_of_table(table).temp_c, read_c) == as_read
+
+
 def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None:
     timed, untimed = series_of_table(make_log()), series_of_table(make_log(timed=False))
     jump = {"at_s": Estimate(33.5 * SURROGATE_PERIOD_S, 2.0, "s", (665.0, 675.0))}
