@@ -42,6 +42,16 @@ def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[Rem
             f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
             f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
         )
+    if np.array_equal(series.rate_dps, series.gyro_dps):
+        raise DataError(
+            f"{series.name}: the gyro says exactly the rate in every row, which no gyro does. Check that the column of the "
+            "output is not a copy of that of the rate."
+        )
+    if np.ptp(series.t_s) == 0:
+        raise DataError(
+            f"{series.name}: every row has the same time ({series.t_s[0]:.6g} s). Write when each was recorded, or leave "
+            "the column out."
+        )
     odd = odd_output(series.rate_dps, series.gyro_dps)
     if odd is not None and (coefficients is None or np.ptp(series.gyro_dps) == 0):
         raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")

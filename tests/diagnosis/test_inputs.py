@@ -203,3 +203,15 @@ def test_a_very_nonlinear_gyro_is_no_gyro_of_another_unit() -> None:
     left = gyro - found.surface.surface.output_dps(rate, temp)
     # A cubic of the output is not the inverse of a cubic of the rate: some of it stays, and no more.
     assert np.std(left) < 1.0
+
+
+def test_an_output_that_is_the_rate_itself_is_refused() -> None:
+    table = make_table()
+    with pytest.raises(DataError, match="exactly the rate in every row"):
+        diagnose(replace(table, gyro_dps=table.rate_dps.copy()))
+
+
+def test_one_time_for_all_rows_is_refused() -> None:
+    table = make_table()
+    with pytest.raises(DataError, match=r"every row has the same time \(100 s\)"):
+        diagnose(replace(table, t_s=np.full(table.rate_dps.size, 100.0)))
