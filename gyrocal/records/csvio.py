@@ -28,6 +28,8 @@ _LARGEST = 1e20
 _NUMBER = re.compile(
     r"\s*([+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|nan)?\s*", re.IGNORECASE | re.ASCII
 )
+_BRACKETS = re.compile(r"[\[(].*")
+_DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 #: Bytes that a row of numbers can hold; a look-up table is the fastest way to meet every byte of a long file.
 _ALLOWED = np.zeros(256, dtype=np.bool_)
 _ALLOWED[list(b"0123456789+-.,eE \t\r\nnaifityNAIFTY")] = True
@@ -75,7 +77,7 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
     if missing:
         msg = (
             f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). "
-            f"{_hint(header)}Names carry the unit; known: {', '.join(known)}."
+            f"{_hint(header, missing[0])}Names carry the unit; known: {', '.join(known)}."
         )
         raise InputError(msg)
     if unknown:
@@ -83,14 +85,17 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
         raise InputError(msg)
 
 
-def _hint(header: Sequence[str]) -> str:
-    """What is wrong with how the cells are separated, as a sentence with a blank behind it; empty if nothing is."""
+def _hint(header: Sequence[str], missing: str) -> str:
+    """What is wrong with a header that lacks a column, as a sentence with a blank behind it; empty if it is not known."""
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             return (
                 f"The cells are separated by {name}: save the file with commas, and points in its numbers. "
             )
-    return ""
+    if header[0].startswith("#"):
+        return "The first line is a comment: remove it, so that the names come first. "
+    near = [name for name in header if _BRACKETS.sub("", name).strip().lower() == missing]
+    return f"Rename {near[0]!r:.80} to {missing}. " if near else ""
 
 
 def iterate_columns(
@@ -201,15 +206,28 @@ def _raise_at_bad_line(
             for number, row in enumerate(csv.reader(f, quoting=_quoting(header, wanted)), start=1):
                 if number == 1:
                     continue
+                if not any(cell.strip() for cell in row) and len(row) < 2 <= len(header):
+                    raise InputError(
+                        f"{path}, line {number}: is empty. Remove it, and other empty lines."
+                    ) from cause
                 if len(row) != len(header):
                     msg = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. The file may be truncated; repair or remove the line."
                     raise InputError(msg) from cause
                 for name, cell in zip(header, row, strict=True):
+                    if name in wanted and _DATE.match(cell):
+                        msg = f"{path}, line {number}: {name:.80} is {cell[:40]!r}, a date. Write seconds since any start that all rows share."
+                        raise InputError(msg) from cause
                     if name in wanted and not _NUMBER.fullmatch(cell):
                         msg = f"{path}, line {number}: {name:.80} is {cell[:40]!r}, not a number. Repair or remove the line."
                         raise InputError(msg) from cause
     except csv.Error as error:  # a cell as long as a file
         cause = cause or error
+    with reading(path), path.open("rb") as raw:
+        start = raw.read(_BLOCK_BYTES)
+    if b"\r" in start and b"\n" not in start:
+        raise InputError(
+            f"{path}: its lines end with carriage returns alone. Save it with the line ends of Unix or Windows."
+        ) from cause
     raise InputError(f"{path}: cannot be parsed as CSV ({cause or 'unexpected bytes'}).") from cause
 
 

@@ -67,7 +67,34 @@ def test_a_row_of_another_length_is_named(tmp_path: Path, rows: list[int]) -> No
     if not bad:
         assert len(read(path)["a"]) == len(rows)
         return
-    with pytest.raises(InputError, match=f"line {bad[0] + 2}: .* cells where the header has 3"):
+    wrong = "is empty. Remove it" if rows[bad[0]] == 0 else ".* cells where the header has 3"
+    with pytest.raises(InputError, match=f"line {bad[0] + 2}: {wrong}"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "remedy"),
+    [
+        ("t_s,RATE_DPS", "Rename 'RATE_DPS' to rate_dps"),
+        ("t_s, rate_dps [deg/s]", "Rename .*rate_dps .* to rate_dps"),
+        ("# a comment", "first line is a comment: remove it"),
+        ("t_s;rate_dps", "separated by semicolons"),
+    ],
+)
+def test_a_header_that_is_nearly_right_gets_its_remedy(header: str, remedy: str) -> None:
+    with pytest.raises(InputError, match=remedy):
+        require_columns(Path("x.csv"), header.split(","), ["rate_dps"], ["t_s", "rate_dps"])
+
+
+def test_a_date_is_told_from_a_wrong_number(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.csv", "t_s,b\n2026-11-23T08:00:00,1\n")
+    with pytest.raises(InputError, match=r"line 2: t_s is .*, a date\. Write seconds"):
+        read(path)
+
+
+def test_lines_that_end_with_carriage_returns_alone_are_told(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.csv", "a,b\r1,2\r3,4\r")
+    with pytest.raises(InputError, match="carriage returns alone"):
         read(path)
 
 
