@@ -7,7 +7,7 @@ import numpy as np
 from gyrocal.calibration.datasets import DataSets, Recording
 from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
 from gyrocal.calibration.groups import distinct
-from gyrocal.calibration.scale import gross_row, odd_output
+from gyrocal.calibration.scale import copied_text, copies, gross_row, odd_columns
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER
 
@@ -102,9 +102,9 @@ def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> None
                 f"went from {min(chamber):.0f} to {max(chamber):.0f} °C. Repair the sensor and record again."
             )
     if span < LEAST_TEMPERATURE_SPAN_C:
+        within = " to ".join(dict.fromkeys(f"{edge:.2f}" for edge in (sets.temp_c.min(), sets.temp_c.max())))
         raise DataError(
-            f"{recording.source}: every data set is at one temperature ({sets.temp_c.min():.2f} to "
-            f"{sets.temp_c.max():.2f} °C), which carries no {what} over temperature. "
+            f"{recording.source}: every data set is at one temperature ({within} °C), which carries no {what} over temperature. "
             f"Record at least {TEMPERATURE_ORDER + 1} temperatures, spread over the range of use."
         )
     if levels < TEMPERATURE_ORDER + 1:
@@ -146,19 +146,19 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
 
 
 def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
-    """Refuse a value that nothing measured, and an output of another sign or unit than the rate."""
+    """Refuse a value that nothing measured, and columns that are not what they say."""
     row = gross_row(sets.rate_dps, sets.gyro_dps)
     if row is not None and not force:
         raise DataError(
             f"{recording.source}: {sets.describe(row)} says {sets.gyro_dps[row]:.6g} deg/s, which no gyro does. "
             f"Repair the row, leave it out with --exclude {sets.segment[row]}, or say --force."
         )
-    odd = odd_output(sets.rate_dps, sets.gyro_dps)
-    if odd is None:
-        return ()
-    if force:
-        return (f"{odd.what}; used because of --force",)
-    raise DataError(f"{recording.source}: {odd.what}. {odd.remedy}, or say --force.")
+    copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c)
+    odds = odd_columns(sets.rate_dps, sets.gyro_dps, sets.temp_c, copied)
+    if odds and not force:
+        raise DataError(f"{recording.source}: {odds[0].what}. {odds[0].remedy}, or say --force.")
+    said = [f"{odd.what}; used because of --force" for odd in odds]
+    return tuple(said) if odds or not copied else (copied_text(copied, len(sets)),)
 
 
 def check_bias(recording: Recording, sets: DataSets) -> None:

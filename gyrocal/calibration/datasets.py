@@ -237,7 +237,7 @@ def _from_table(table: DataSetTable) -> Recording:
         n_samples=int(table.n.sum()) if table.n is not None else 0,
         masked=Masked(),
         excluded=(),
-        notes=notes,
+        notes=(*notes, *table.notes),
         counts_per_dps=table.counts_per_dps,
     )
 

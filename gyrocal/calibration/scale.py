@@ -1,4 +1,4 @@
-"""Whether an output follows the rate: another unit, another sign, a stuck gyro, a value that is a slip of the pen."""
+"""Whether columns are what they say: an output in another unit or of another sign, a stuck gyro, a copy, a slip of the pen, kelvin."""
 
 from __future__ import annotations
 
@@ -32,7 +32,13 @@ _MISTAKES = (
 )
 
 
+#: No gyro works where it is hotter.
+_HOTTEST_C = 200.0
+#: Coarse steps make rows equal by chance, as a tenth of one made-up table; where so many are, they were entered twice.
+_MOST_COPIES = 0.5
 _STUCK = "Check the gyro's power, its cable and the column, and record again"
+_KELVIN = "Convert them if they are in kelvin, or repair the thermometer's readings"
+_COPIED = "Check that the column of the output is not a copy of that of the rate"
 _CONVERT = (
     "Rates are deg/s, counter-clockwise positive; for counts the nominal scale and its sign are given with "
     "--counts-per-dps. Convert the output"
@@ -40,10 +46,11 @@ _CONVERT = (
 
 
 class Odd(NamedTuple):
-    """What is wrong with an output, and what to do; neither ends with a full stop."""
+    """What is wrong, and what to do; neither ends with a full stop. A wrong scale may be what coefficients correct."""
 
     what: str
     remedy: str
+    a_scale: bool = False
 
 
 def output_scale(rate_dps: Floats, gyro_dps: Floats) -> float:
@@ -72,17 +79,71 @@ def gross_row(rate_dps: Floats, gyro_dps: Floats) -> int | None:
     return row if off[row] > _GROSS * largest * max(1.0, abs(scale)) else None
 
 
-def odd_output(rate_dps: Floats, gyro_dps: Floats) -> Odd | None:
-    """What is wrong with an output that does not follow the rate as a gyro's does; None if it does."""
+def copies(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats) -> int:
+    """Rows that repeat an earlier one to the last digit; none of a record at one rate, whose steps are coarse."""
+    if np.ptp(rate_dps) == 0:
+        return 0
+    rows = np.column_stack([rate_dps, gyro_dps, temp_c])
+    return int(rate_dps.size - np.unique(rows, axis=0).shape[0])
+
+
+def copied_text(count: int, rows: int) -> str:
+    """That some rows are copies, without a full stop."""
+    return (
+        f"{count} of {rows} data sets repeat an earlier one to the last digit of rate, output and temperature, and "
+        "make every interval too narrow if they were entered twice"
+    )
+
+
+def odd_columns(
+    rate_dps: Floats, gyro_dps: Floats, temp_c: Floats, copied: int, *, ideal: bool = False
+) -> tuple[Odd, ...]:
+    """All that is wrong with the columns of a recording, whoever asks.
+
+    Parameters
+    ----------
+    copied : int
+        Rows that are `copies` of earlier ones.
+    ideal : bool
+        Whether it is a simulation, whose output may be the rate itself and repeats where the rate does.
+    """
+    twice = not ideal and copied >= _MOST_COPIES * rate_dps.size
+    return tuple(
+        filter(
+            None,
+            (
+                Odd(copied_text(copied, rate_dps.size), "Remove the copies") if twice else None,
+                odd_output(rate_dps, gyro_dps, ideal=ideal),
+                _odd_temperature(temp_c),
+            ),
+        )
+    )
+
+
+def _odd_temperature(temp_c: Floats) -> Odd | None:
+    """What is wrong with temperatures that no gyro has; None if they can be one's."""
+    low_c, high_c = float(np.min(temp_c)), float(np.max(temp_c))
+    if high_c <= _HOTTEST_C:
+        return None
+    return Odd(f"temperatures run from {low_c:.4g} to {high_c:.4g} °C, and no gyro works so hot", _KELVIN)
+
+
+def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Odd | None:
+    """What is wrong with an output that does not follow the rate as a gyro's does; None if it does.
+
+    `ideal`: it may be the rate itself, as that of a simulated gyro without errors.
+    """
     if gyro_dps.size > 1 and float(np.ptp(gyro_dps)) == 0.0:
         return Odd(f"the gyro says {gyro_dps[0]:.6g} in every row: it is stuck", _STUCK)
+    if not ideal and np.array_equal(rate_dps, gyro_dps):
+        return Odd("the gyro says exactly the rate in every row, which no gyro does", _COPIED)
     scale = output_scale(rate_dps, gyro_dps)
     if not np.isfinite(scale) or 1.0 / WORST_SCALE < scale < WORST_SCALE:
         return None
     text = f"the output is {scale:.3g} times the rate"
     for mistake, meaning in _MISTAKES:
         if abs(scale / mistake - 1.0) < _NEAR:
-            return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT)
+            return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT, a_scale=True)
     if abs(scale) < _DEAD:
-        return Odd(f"{text}: it does not follow the rate", _STUCK)
-    return Odd(f"{text}, which is another unit or sign", _CONVERT)
+        return Odd(f"{text}: it does not follow the rate", _STUCK, a_scale=True)
+    return Odd(f"{text}, which is another unit or sign", _CONVERT, a_scale=True)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from gyrocal.calibration.scale import Odd, gross_row, odd_output, output_scale
-from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.calibration.scale import Odd, copied_text, gross_row, odd_columns, odd_output, output_scale
+from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
@@ -13,18 +11,18 @@ from gyrocal.fusion.coefficients import Coefficients
 
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1
-#: No gyro works where it is hotter.
-_HOTTEST_C = 200.0
 
 
-def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[Remark, ...]:
-    """Refuse too few rows, an output of another unit or sign, a stuck gyro, a wild value, and another gyro's coefficients.
+def check_inputs(
+    series: Series, coefficients: Coefficients | None, *, ideal: bool = False
+) -> tuple[Note, ...]:
+    """Refuse too few rows, columns that are not what they say, a stuck gyro, a wild value, and another gyro's coefficients.
 
-    A surface that is fitted first would swallow all of them.
+    A surface that is fitted first would swallow all of them. `ideal`: an output that is the rate itself is a simulation's.
 
     Returns
     -------
-    notes : tuple of Remark
+    notes : tuple of Note
         What is doubtful and goes on.
 
     Raises
@@ -42,30 +40,18 @@ def check_inputs(series: Series, coefficients: Coefficients | None) -> tuple[Rem
             f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
             f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
         )
-    if np.array_equal(series.rate_dps, series.gyro_dps):
-        raise DataError(
-            f"{series.name}: the gyro says exactly the rate in every row, which no gyro does. Check that the column of the "
-            "output is not a copy of that of the rate."
-        )
-    if np.ptp(series.t_s) == 0:
-        raise DataError(
-            f"{series.name}: every row has the same time ({series.t_s[0]:.6g} s). Write when each was recorded, or leave "
-            "the column out."
-        )
-    odd = odd_output(series.rate_dps, series.gyro_dps)
-    if odd is not None and (coefficients is None or np.ptp(series.gyro_dps) == 0):
-        raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
+    odds = odd_columns(series.rate_dps, series.gyro_dps, series.temp_c, series.copies, ideal=ideal)
+    for odd in odds:
+        if coefficients is None or not odd.a_scale:
+            raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
+    notes: tuple[Note, ...] = (
+        (copied_text(series.copies, len(series)),) if series.copies and not ideal else ()
+    )
     if coefficients is not None:
-        _check_coefficients(series, coefficients, odd)
-        return ()
-    notes: tuple[Remark, ...] = ()
-    low_c, high_c = float(np.min(series.temp_c)), float(np.max(series.temp_c))
-    if high_c > _HOTTEST_C:
-        notes = (Remark(Said.FAR_TOO_HOT, {"low_c": low_c, "high_c": high_c}),)
+        _check_coefficients(series, coefficients, odds[0] if odds else None)
+        return notes
     off = output_scale(series.rate_dps, series.gyro_dps) - 1.0
-    if abs(off) > _SAID:
-        notes += (Remark(Said.SCALE_FAR_OFF, {"ratio": 1.0 + off}),)
-    return notes
+    return (*notes, Remark(Said.SCALE_FAR_OFF, {"ratio": 1.0 + off})) if abs(off) > _SAID else notes
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

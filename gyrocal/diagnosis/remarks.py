@@ -20,7 +20,6 @@ class Said(Enum):
     CHAMBER_FOR_GYRO = auto()
     SAME_TIMES = auto()
     NO_SPREAD = auto()
-    FAR_TOO_HOT = auto()
     SCALE_FAR_OFF = auto()
     # What was found in it.
     TEMPERATURE_ALONE = auto()

@@ -124,6 +124,8 @@ class Series:
     has_time: bool = True
     #: Rows were averages already (white noise has no stated averaging time).
     is_table: bool = False
+    #: Rows of a table that repeat an earlier one to the last digit.
+    copies: int = 0
     sensor_model: str = "unknown"
 
     def __len__(self) -> int:

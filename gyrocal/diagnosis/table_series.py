@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.scale import copies
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -100,9 +101,10 @@ def series_of_table(table: DataSetTable) -> Series:
         history=history,
         raw=_raw(table, t_s, wild, one_rate),
         untestable=_untestable(table),
-        notes=(*notes, *sample_notes(int(wild.sum()), table.temp_c)),
+        notes=(*table.notes, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
         has_time=table.t_s is not None,
         is_table=True,
+        copies=copies(table.rate_dps, table.gyro_dps, table.temp_c),
     )
 
 

@@ -13,6 +13,10 @@ from gyrocal.records.csvio import Floats, format_columns, read_columns, read_hea
 COLUMNS = ("rate_dps", "gyro_dps", "gyro_counts", "temp_c", "gyro_std_dps", "n", "t_s", "temp_rate_c_per_min")
 
 ABSOLUTE_ZERO_C = -273.15
+#: No table turns faster, deg/s.
+_FASTEST_DPS = 1e5
+#: A plan of several rates whose fastest is slower, deg/s, is in another unit: the earth turns four times as fast.
+_SLOWEST_DPS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,16 @@ class DataSetTable:
     temp_rate_c_per_min: Floats | None = None
     counts_per_dps: float | None = None
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is doubtful about the table, in words."""
+        if self.temp_c.size < 2 or np.ptp(self.temp_c) > 0:
+            return ()
+        return (
+            f"temp_c is {self.temp_c[0]:.4g} degC in every row: if no thermometer was read, what the temperature does passes "
+            "for a drift; log the gyro's temperature",
+        )
+
 
 def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTable:
     """Read a table of data sets.
@@ -44,8 +58,8 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
     Raises
     ------
     InputError
-        A missing or unknown column, a cell that is empty, infinite or text, time going backwards,
-        no rows, or counts without their scale.
+        A missing or unknown column, a cell that is empty, infinite or text, a value that nothing has,
+        time going backwards or standing still, no rows, or counts without their scale.
     """
     header = read_header(path)
     counts = "gyro_counts" in header
@@ -69,10 +83,9 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
             msg = f"{path}, line {bad[0] + 2}: {name} is empty or not finite ({bad.size} such cells). Repair or remove the row."
             raise InputError(msg)
     _check_values(path, columns)
+    _check_plan(path, columns)
     if "t_s" in columns:
-        back = np.flatnonzero(np.diff(columns["t_s"]) < 0)
-        if back.size:
-            raise InputError(f"{path}, line {back[0] + 3}: time goes backwards. Rows must be in time order.")
+        _check_times(path, columns["t_s"], several_rates=bool(np.ptp(columns["rate_dps"]) > 0))
     gyro_dps = columns["gyro_counts"] / counts_per_dps if counts and counts_per_dps else columns["gyro_dps"]
     return DataSetTable(
         path,
@@ -90,11 +103,12 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
 def _check_values(path: Path, columns: dict[str, Floats]) -> None:
     """Refuse values that no data set can have."""
     none = np.empty(0)
-    n, std, temp = (columns.get(name, none) for name in ("n", "gyro_std_dps", "temp_c"))
+    n, std, temp, rate = (columns.get(name, none) for name in ("n", "gyro_std_dps", "temp_c", "rate_dps"))
     rules = (
         ("n", (n < 1) | (n != np.round(n)), "a whole number of samples, 1 or more, is wanted"),
         ("gyro_std_dps", std < 0, "a standard deviation is not negative"),
         ("temp_c", temp < ABSOLUTE_ZERO_C, "no temperature is that low"),
+        ("rate_dps", np.abs(rate) > _FASTEST_DPS, "no table turns so fast (rates are deg/s)"),
     )
     for name, wrong, why in rules:
         if wrong.any():
@@ -102,6 +116,41 @@ def _check_values(path: Path, columns: dict[str, Floats]) -> None:
             raise InputError(
                 f"{path}, line {row + 2}: {name} is {columns[name][row]:.6g}; {why}. Repair the row."
             )
+
+
+def _check_plan(path: Path, columns: dict[str, Floats]) -> None:
+    """Refuse a table of several rates that are in another unit, or whose scatter says nothing."""
+    rate, n, std = columns["rate_dps"], columns.get("n"), columns.get("gyro_std_dps")
+    if np.ptp(rate) == 0:
+        return
+    fastest = float(np.max(np.abs(rate)))
+    if fastest < _SLOWEST_DPS:
+        raise InputError(
+            f"{path}: the fastest rate_dps is {fastest:.3g}, which no plan of several rates has. Rates are deg/s: "
+            "convert rate_dps and gyro_dps."
+        )
+    if std is not None and not std.any() and (n is None or np.any(n > 1)):
+        raise InputError(
+            f"{path}: gyro_std_dps is 0 in every row, which no gyro's scatter is. Leave the column out if it is unknown."
+        )
+
+
+def _check_times(path: Path, t_s: Floats, *, several_rates: bool) -> None:
+    """Refuse times that go backwards, that are all one, or that two data sets at several rates share."""
+    steps = np.diff(t_s)
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        raise InputError(f"{path}, line {back[0] + 3}: time goes backwards. Rows must be in time order.")
+    if steps.size and not steps.any():
+        raise InputError(
+            f"{path}: t_s is {t_s[0]:.6g} in every row. Write when each was recorded, or leave the column out."
+        )
+    same = np.flatnonzero(steps == 0)
+    if same.size and several_rates:
+        raise InputError(
+            f"{path}, line {same[0] + 3}: t_s is {t_s[same[0]]:.6g} as in the line before, and no gyro records two data sets "
+            f"at once (lines with the time of the one before: {same.size}). Write times that tell them apart, or leave the column out."
+        )
 
 
 def format_data_sets(table: DataSetTable) -> str:

@@ -68,7 +68,6 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SAME_TIMES: "{count} rows have the time of the row before them: check the times",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} rows of several samples: an output that is stuck or does not resolve "
     "its noise; they count as noisy as the others",
-    Said.FAR_TOO_HOT: "temperatures run from {low_c:.4g} to {high_c:.4g} degC: check their unit (kelvin?)",
     Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
     "surface takes it up; check scale and units",
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",

@@ -36,11 +36,12 @@ _LARGE_DPS = 0.3
 _FEWEST_UNITS = 8
 _MOST_PLACES = 4
 
+_MORE = "Beyond the error surface something stands out of the noise"
 _VERDICTS = {
-    "consistent": "The recording agrees with the simulated sequence: nothing beyond noise.",
-    "explained": "The recording departs from the simulated sequence, and the physics named below explains it.",
-    "partly_explained": "The recording departs from the simulated sequence; the physics named below explains a part of it.",
-    "unexplained": "The recording departs from the simulated sequence, and no physics of the catalogue explains it.",
+    "consistent": "Beyond the error surface nothing stands out of the noise.",
+    "explained": f"{_MORE}, and the physics named below explains it.",
+    "partly_explained": f"{_MORE}; the physics named below explains a part of it.",
+    "unexplained": f"{_MORE}, and no physics of the catalogue explains it.",
 }
 
 

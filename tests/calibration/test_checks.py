@@ -84,6 +84,27 @@ def test_another_unit_or_sign_is_refused_and_forced(tmp_path: Path, factor: floa
     )
 
 
+def test_kelvin_copies_and_a_copy_of_the_rate_are_refused(tmp_path: Path) -> None:
+    rate, temp = grid()
+    assert "no gyro works so hot. Convert them if they are in kelvin" in str(
+        refusal(table(tmp_path / "k.csv", rate, temp + 273.15))
+    )
+    twice = table(
+        tmp_path / "t.csv", np.tile(rate, 2), np.tile(temp, 2), np.tile(SURFACE.output_dps(rate, temp), 2)
+    )
+    assert "27 of 54 data sets repeat an earlier one" in str(refusal(twice))
+    assert any("used because of --force" in note for note in calibrate(twice, FitConfig(force=True)).notes)
+    assert "exactly the rate in every row" in str(refusal(table(tmp_path / "c.csv", rate, temp, rate)))
+
+
+def test_one_temperature_is_said_once(tmp_path: Path) -> None:
+    rate = np.repeat(RATES, 3)
+    gyro = rate + 0.1 + 1e-3 * np.arange(rate.size)
+    assert "at one temperature (20.00 °C)" in str(
+        refusal(table(tmp_path / "t.csv", rate, np.full(rate.size, 20.0), gyro))
+    )
+
+
 def run_parts(**conditions: Any) -> list[Part]:
     sets = simulate(
         np.random.default_rng(2), rates=RATES, temps=np.array([0.0, 20.0, 40.0, 10.0]), **conditions

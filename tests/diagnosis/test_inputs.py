@@ -16,6 +16,7 @@ from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import Surface
@@ -72,10 +73,10 @@ def test_a_scale_far_off_is_said_and_a_sound_one_is_not() -> None:
     assert "0.802 times the rate" in remark_words(note)
 
 
-def test_kelvin_is_said() -> None:
+def test_kelvin_is_refused() -> None:
     table = make_table()
-    notes = check_inputs(series_of_table(replace(table, temp_c=table.temp_c + 273.15)), None)
-    assert notes[0].said is Said.FAR_TOO_HOT
+    with pytest.raises(DataError, match=r"from 253 to 333.\d °C, and no gyro works so hot. Convert"):
+        check_inputs(series_of_table(replace(table, temp_c=table.temp_c + 273.15)), None)
 
 
 def test_coefficients_of_another_gyro_are_refused() -> None:
@@ -205,13 +206,34 @@ def test_a_very_nonlinear_gyro_is_no_gyro_of_another_unit() -> None:
     assert np.std(left) < 1.0
 
 
-def test_an_output_that_is_the_rate_itself_is_refused() -> None:
+def test_an_output_that_is_the_rate_itself_is_refused_unless_it_is_simulated() -> None:
     table = make_table()
-    with pytest.raises(DataError, match="exactly the rate in every row"):
-        diagnose(replace(table, gyro_dps=table.rate_dps.copy()))
+    with pytest.raises(DataError, match=r"says what made.csv says in every row"):
+        versus(series_of_table(table), series_of_table(table), Options(heldout=False))
+    copied = replace(table, gyro_dps=table.rate_dps.copy())
+    for coefficients in (None, model(0.1)):
+        with pytest.raises(DataError, match="exactly the rate in every row"):
+            diagnose(copied, coefficients)
+    assert versus(series_of_table(table), series_of_table(copied), Options(heldout=False)).match.difference
 
 
-def test_one_time_for_all_rows_is_refused() -> None:
+def test_a_table_that_was_entered_twice_is_refused_and_single_copies_are_said() -> None:
     table = make_table()
-    with pytest.raises(DataError, match=r"every row has the same time \(100 s\)"):
-        diagnose(replace(table, t_s=np.full(table.rate_dps.size, 100.0)))
+    rows = np.tile(np.arange(table.rate_dps.size), 2)
+    twice = replace(
+        table, rate_dps=table.rate_dps[rows], gyro_dps=table.gyro_dps[rows], temp_c=table.temp_c[rows]
+    )
+    with pytest.raises(DataError, match="55 of 110 data sets repeat an earlier one"):
+        check_inputs(series_of_table(twice), None)
+    assert check_inputs(series_of_table(twice), None, ideal=True) == ()
+    for column in (table.rate_dps, table.gyro_dps, table.temp_c):
+        column[-2:] = column[:2]
+    (note,) = check_inputs(series_of_table(table), None)
+    assert str(note).startswith("2 of 55 data sets repeat an earlier one")
+
+
+def test_a_temperature_that_never_changes_is_said() -> None:
+    table = make_table()
+    constant = replace(table, temp_c=np.full(table.rate_dps.size, 20.0))
+    assert str(series_of_table(constant).notes[0]).startswith("temp_c is 20 degC in every row")
+    assert series_of_table(table).notes == ()

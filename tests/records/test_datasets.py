@@ -14,11 +14,17 @@ from gyrocal.records.datasets import DataSetTable, format_data_sets, read_data_s
 
 SETTINGS = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 VALUES = st.floats(-200, 200)
+RATES = VALUES.map(lambda rate: round(rate, 2))
 
 
 @SETTINGS
 @given(
-    rows=st.lists(st.tuples(VALUES, VALUES, VALUES, st.integers(1, 10_000)), min_size=1, max_size=10),
+    rows=st.lists(
+        st.tuples(RATES, VALUES, VALUES, st.integers(1, 10_000)),
+        min_size=1,
+        max_size=10,
+        unique_by=lambda row: row[0],
+    ),
     timed=st.booleans(),
 )
 def test_what_is_written_is_read(
@@ -61,7 +67,30 @@ def refused(path: Path, text: str, counts_per_dps: float | None = None) -> str:
         ("rate_dps,gyro_dps,temp_c,n\n1,2,3,2.5\n", None, "line 2: n is 2.5"),
         ("rate_dps,gyro_dps,temp_c,gyro_std_dps\n1,2,3,-1\n", None, "line 2: gyro_std_dps is -1"),
         ("rate_dps,gyro_dps,temp_c\n1,2,-300\n", None, "line 2: temp_c is -300"),
+        (
+            "rate_dps,gyro_dps,temp_c\n1,2,3\n-1e8,2,3\n",
+            None,
+            "line 3: rate_dps is -1e+08; no table turns so fast",
+        ),
+        (
+            "rate_dps,gyro_dps,temp_c\n-1e-4,0,3\n1e-4,0,3\n",
+            None,
+            "the fastest rate_dps is 0.0001, which no plan",
+        ),
+        ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,9\n1,3,3,9\n", None, "t_s is 9 in every row. Write when"),
+        (
+            "rate_dps,gyro_dps,temp_c,t_s\n1,2,3,8\n2,2,3,9\n3,4,3,9\n",
+            None,
+            "line 4: t_s is 9 as in the line before",
+        ),
+        ("rate_dps,gyro_dps,temp_c,gyro_std_dps\n1,2,3,0\n2,2,3,0\n", None, "gyro_std_dps is 0 in every row"),
     ],
 )
 def test_bad_tables(tmp_path: Path, text: str, counts: float | None, message: str) -> None:
     assert message in refused(tmp_path / "t.csv", text, counts)
+
+
+def test_a_log_at_one_rate_may_share_times_and_values(tmp_path: Path) -> None:
+    path = tmp_path / "rest.csv"
+    path.write_text("rate_dps,gyro_dps,temp_c,gyro_std_dps,t_s\n" + "0,0,20,0,1\n" * 3 + "0,0,21,0,2\n")
+    assert read_data_sets(path).notes == ()

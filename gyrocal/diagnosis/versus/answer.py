@@ -118,8 +118,14 @@ def versus(real: Series, simulated: Series, options: Options) -> Versus:
     DataError
         The two hardly overlap, what they share is too little to be examined, or one of them is no gyro's output.
     """
-    for series in (real, simulated):
-        check_inputs(series, None)
+    check_inputs(real, None)
+    check_inputs(simulated, None, ideal=True)
+    if np.array_equal(real.rate_dps, simulated.rate_dps) and np.array_equal(
+        real.gyro_dps, simulated.gyro_dps
+    ):
+        raise DataError(
+            f"{simulated.name}: says what {real.name} says in every row. Give the simulation, not the recording again."
+        )
     matched = match(real, simulated)
     found = diagnose(matched.difference, None, options)
     comparison = compare(matched, options) if options.heldout else None
