@@ -72,8 +72,8 @@ class ShapeWithin:
         profiles, points = {}, [beside.at(shape)]
         for name in beside.free(shape):
             known = self.effect.parameter(name)
-            limits = (known.low or shape[name] / _REACH, known.high)
-            own = profile_interval(partial(beside._loss, shape, name), shape[name], _REACH, limits)
+            loss = partial(beside._loss, shape, name)
+            own = profile_interval(loss, shape[name], _REACH, (known.low, known.high))
             profiles[name] = own
             points += [beside.at({**shape, name: float(x)}) for x in shapes_within(own.interval)]
         return profiles, amplitude_interval(points)

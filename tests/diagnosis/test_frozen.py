@@ -75,6 +75,13 @@ def _step() -> dict[str, Any]:
     return _diagnosed(diagnose(_table(3, step_dps=0.02), options=Options(heldout=False)))
 
 
+def _resonance() -> dict[str, Any]:
+    table = _table(6)
+    shift_dps = 0.02 / (1.0 + ((np.abs(table.rate_dps) - 60.0) / 12.0) ** 2)
+    resonant = replace(table, gyro_dps=table.gyro_dps + shift_dps)
+    return _diagnosed(diagnose(resonant, options=Options(heldout=False)))
+
+
 def _another_gyro() -> dict[str, Any]:
     given = Coefficients(
         {"model": "made up"}, _SURFACE, 1e-10 * np.eye(12), Valid((-100.0, 100.0), (-10.0, 50.0))
@@ -118,6 +125,7 @@ QUICK: dict[str, Callable[[], dict[str, Any]]] = {
     "asymmetry": _asymmetry,
     "warm_up": _warm_up,
     "step": _step,
+    "resonance": _resonance,
     "another_gyro": _another_gyro,
     "drive": _drive,
     "drive_with_truth": _drive_with_truth,

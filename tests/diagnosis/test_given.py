@@ -42,6 +42,7 @@ def test_a_surface_has_changed_where_neither_covariance_allows_for_it(of: str) -
     moved = replace(file, surface=replace(file.surface, coefficients_dps=bias))
     change = surface_change(found, moved, file)
     assert change is not None
+    assert change.coordinate == "rate"
     assert change.rms_dps == pytest.approx(1e-3)
     unsure = 1e-6 * np.eye(12)
     pair = {"given": moved, "fitted": file}

@@ -101,6 +101,43 @@ def test_a_plan_that_leaps_between_temperatures_is_taken_as_read() -> None:
         assert np.array_equal(series_of_table(table).temp_c, read_c) == as_read
 
 
+def make_scattering(noise_dps: float, seed: int, follows: bool = True) -> DataSetTable:
+    """A thermometer that scatters about a slow course, and a gyro that follows it, or does not."""
+    rng = np.random.default_rng(seed)
+    n = np.arange(120.0)
+    slow_c = 20.0 + 8.0 * np.sin(n / 20.0)
+    read_c = slow_c + rng.normal(0.0, 0.3, n.size)
+    rate = np.tile([-50.0, 0.0, 50.0], 40)
+    gyro = 1.001 * rate + 0.01 * (read_c if follows else slow_c) + noise_dps * rng.standard_normal(n.size)
+    return DataSetTable(Path("t.csv"), rate, gyro, read_c, t_s=15.0 * n)
+
+
+@pytest.mark.parametrize(("noise_dps", "seed"), [(0.006, 2), (0.008, 1), (0.01, 1), (0.012, 3), (0.014, 2)])
+def test_a_thermometers_scatter_is_real_where_the_gyro_follows_it(noise_dps: float, seed: int) -> None:
+    table = make_scattering(noise_dps, seed)
+    course_c = series_of_table(make_scattering(noise_dps, seed, follows=False)).temp_c
+    rate, temp = table.rate_dps / 50.0, (course_c - 20.0) / 8.0
+    surface = np.column_stack([rate**i * temp**j for i in range(3) for j in range(3)])
+    both = np.column_stack([table.gyro_dps - table.rate_dps, table.temp_c - course_c])
+    left, scatter = (both - surface @ np.linalg.lstsq(surface, both, rcond=1e-9)[0]).T
+    squares = [float(np.sum((left - slope * scatter) ** 2)) for slope in (0.0, 0.01)]
+    evidence = 0.5 * left.size * np.log(squares[0] / squares[1])
+    assert np.array_equal(series_of_table(table).temp_c, table.temp_c) == (evidence > 3.0)
+
+
+@pytest.mark.parametrize("spread", [False, True])
+def test_rows_of_more_samples_are_known_better(spread: bool) -> None:
+    """A single sample has no spread of its own: it takes that of the others."""
+    n = np.tile([1.0, 4.0, 100.0], 20)
+    std = np.where(n > 1, 0.01, 0.0) * (np.repeat([1.0, 3.0], 30) if spread else 1.0)
+    series = series_of_table(replace(make_log(n=60), gyro_std_dps=std, n=n))
+    last = 3.0 if spread else 1.0
+    white = series.white_std_dps / series.white_std_dps[2]
+    typical = np.median(std[n > 1]) / 0.01
+    assert white[:3] == pytest.approx([10.0 * typical, 5.0, 1.0])
+    assert white[-3:] == pytest.approx([10.0 * typical, 5.0 * last, last])
+
+
 def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None:
     timed, untimed = series_of_table(make_log()), series_of_table(make_log(timed=False))
     jump = {"at_s": Estimate(33.5 * SURROGATE_PERIOD_S, 2.0, "s", (665.0, 675.0))}

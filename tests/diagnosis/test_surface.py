@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from gyrocal.calibration.choice import fit_chosen
 from gyrocal.calibration.datasets import load_recording
@@ -18,28 +20,34 @@ from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import read_data_sets
 
+_SET_S = 25.0
 
-def _table(path: Path) -> Path:
-    """Sweeps of a gyro that is cubic in the true rate, while the temperature drifts."""
+
+def _table(path: Path, wander_dps: float) -> Path:
+    """Sweeps of a gyro that is cubic in the true rate, while the temperature drifts and the bias walks."""
     rng = np.random.default_rng(1)
     rate = np.tile(np.linspace(-100.0, 100.0, 11), 6)
     temp = 25.0 + 8.0 * np.sin(np.arange(rate.size) / 9.0)
     gyro = rate + 0.02 + 0.002 * rate - 3e-6 * rate**3 + 1e-4 * rate * (temp - 25.0) / 8.0
     gyro += 1e-3 * rng.standard_normal(rate.size)
-    rows = zip(25.0 * np.arange(rate.size), rate, gyro, temp, strict=True)
+    gyro += wander_dps * np.cumsum(rng.standard_normal(rate.size))
+    rows = zip(_SET_S * np.arange(rate.size), rate, gyro, temp, strict=True)
     lines = [f"{t:.1f},{w:.6f},{y:.6f},{c:.3f}" for t, w, y, c in rows]
     path.write_text("\n".join(["t_s,rate_dps,gyro_dps,temp_c", *lines]) + "\n")
     return path
 
 
-def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path) -> None:
-    path = _table(tmp_path / "sweeps.csv")
+@pytest.mark.parametrize("wander_dps", [0.0, 1e-3])
+def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path, wander_dps: float) -> None:
+    """Where the bias wanders the times that the data sets lasted decide what two of them have in common."""
+    path = _table(tmp_path / "sweeps.csv", wander_dps)
     series = series_of_table(read_data_sets(path))
     means = means_of(series)
     whole = alive(fit_model(full_model(means, memory=False), iterations=2))
     blank = Surface(np.zeros(SHAPE), 0.0, 100.0, 25.0, 8.0)
     found = Examination(series, (), whole, {}, Naming(whole, ()), laws_of(means, blank))
-    chosen = fit_chosen(load_recording(path).sets).fit.surface
+    sets = load_recording(path).sets
+    chosen = fit_chosen(replace(sets, duration_s=np.full(len(sets), _SET_S))).fit.surface
     surface = surface_alone(found).surface
     assert surface.direction == chosen.direction == "input"
     # The temperatures are those behind the readings.

@@ -329,6 +329,7 @@ def test_gaps_and_jitter_are_found() -> None:
     assert lost is not None
     assert lost.seen.said is Said.MISSING_ROWS
     assert lost.seen.facts["count"] == 80
+    assert lost.amplitude.value == pytest.approx(100.0 * 80 / len(log))
     rng = np.random.default_rng(1)
     assert uneven_clock(np.sort(log.t_s + 0.01 * rng.normal(size=len(log)))) is not None
 
