@@ -17,6 +17,7 @@ from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.covariance import PARTS
 from gyrocal.calibration.crossval import CrossValidation
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
+from gyrocal.calibration.figure import plural
 from gyrocal.calibration.figures import BeforeAfter, merit_figures
 from gyrocal.calibration.fit import SurfaceFit, Weights, rms
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
@@ -189,11 +190,11 @@ def _without(recording: Recording, exclude: tuple[int, ...]) -> DataSets:
 def _notes_on(recording: Recording, sets: DataSets) -> list[str]:
     masked, notes = recording.masked, []
     for count, what in (
-        (masked.bad_status, "samples of bad status are left out"),
-        (masked.non_finite, "samples that are not finite are left out"),
-        (masked.saturated, "samples stand at the recording's extreme value"),
+        (masked.bad_status, "[sample of bad status is|samples of bad status are] left out"),
+        (masked.non_finite, "[sample that is not finite is|samples that are not finite are] left out"),
+        (masked.saturated, "[sample stands|samples stand] at the recording's extreme value"),
     ):
-        notes += [f"{count} {what}"] if count else []
+        notes += [f"{count} {plural(count, what)}"] if count else []
     notes += [
         f"segment {e.segment} ({e.rate_dps:+.4g} deg/s, {e.temp_c:.1f} °C) is left out: {e.reason}"
         for e in recording.excluded
@@ -201,7 +202,8 @@ def _notes_on(recording: Recording, sets: DataSets) -> list[str]:
     unsettled = sets.segment[sets.outcome == "unsettled"]
     if unsettled.size:
         listed = ", ".join(str(i) for i in unsettled[:12]) + (", ..." if unsettled.size > 12 else "")
-        notes.append(f"{unsettled.size} data sets are marked unsettled and used ({listed})")
+        are = plural(unsettled.size, "data [set is|sets are]")
+        notes.append(f"{unsettled.size} {are} marked unsettled and used ({listed})")
     if not sets.timed:
         notes.append("times are unknown: the order of the data sets stands for them in the uncertainties")
     return notes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal.calibration.datasets import DataSets, Recording
+from gyrocal.calibration.figure import plural
 from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
 from gyrocal.calibration.groups import distinct
 from gyrocal.calibration.scale import copied_text, copies, gross_row, odd_columns
@@ -130,18 +131,19 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
         listed = ", ".join(sets.describe(row) for row in rows[:_LISTED]) + (
             ", ..." if len(rows) > _LISTED else ""
         )
+        are = plural(len(rows), "data [set is|sets are]")
         if not force:
             ids = ",".join(str(sets.segment[row]) for row in rows)
             raise DataError(
-                f"{recording.source}: {len(rows)} data sets are {what} ({listed}). "
-                f"Leave them out with --exclude {ids}, or say --force."
+                f"{recording.source}: {len(rows)} {are} {what} ({listed}). "
+                f"Leave {plural(len(rows), '[it|them]')} out with --exclude {ids}, or say --force."
             )
-        notes.append(f"{len(rows)} data sets are {what} ({listed}); used because of --force")
+        notes.append(f"{len(rows)} {are} {what} ({listed}); used because of --force")
     zero = (sets.gyro_std_dps == 0) & (sets.n > 1) & (sets.rate_dps == 0)
     if zero.any():
-        notes.append(
-            f"at rest the output does not move in {int(zero.sum())} data sets (coarse steps or a dead zone)"
-        )
+        count = int(zero.sum())
+        where = plural(count, f"{count} data [set|sets]")
+        notes.append(f"at rest the output does not move in {where} (coarse steps or a dead zone)")
     return tuple(notes)
 
 

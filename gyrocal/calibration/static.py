@@ -31,7 +31,7 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
 from gyrocal.records.bags import is_bag
-from gyrocal.records.gyro_log import iterate_gyro_log
+from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from gyrocal.records.run import Run, read_run
 from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H
 
@@ -60,8 +60,8 @@ class StaticConfig:
         Of the sensing axis: above the horizon (90: up), and clockwise from north.
     rate_hz : float, optional
         Nominal rate of the logged samples, for the error of the clock.
-    axis, instance, topic
-        Of an autopilot's log or a ROS bag (`records.gyro_log`).
+    choice : GyroChoice
+        Which gyro of a log.
     """
 
     path: Path
@@ -69,9 +69,7 @@ class StaticConfig:
     elevation_deg: float = 90.0
     azimuth_deg: float = 0.0
     rate_hz: float | None = None
-    axis: str = "z"
-    instance: int = 0
-    topic: str | None = None
+    choice: GyroChoice = field(default_factory=GyroChoice)
 
 
 @dataclass(frozen=True)
@@ -168,8 +166,10 @@ def examine_static(
     tell(0.0, "reading")
     rate_hz, notes = config.rate_hz, list[str]()
     if config.path.is_dir() and not is_bag(config.path):
-        if config.axis != "z" or config.instance or config.topic:
-            raise InputError(f"{config.path}: is a run of one gyro; leave out axis, instance and topic.")
+        if config.choice != GyroChoice():
+            raise InputError(
+                f"{config.path}: is a run of one gyro; leave out axis, instance, topic and columns."
+            )
         run = read_run(config.path)
         blocks = _run_blocks(run)
         if config.latitude_deg is None and isinstance(run.bench.get("latitude_deg"), int | float):
@@ -285,7 +285,7 @@ def _run_blocks(run: Run) -> Iterator[_Block]:
 
 
 def _log_blocks(config: StaticConfig, notes: list[str]) -> Iterator[_Block]:
-    for block in iterate_gyro_log(config.path, config.axis, config.instance, config.topic):
+    for block in iterate_gyro_log(config.path, config.choice):
         notes += block.notes
         rate = np.where(np.isfinite(block.rate_dps), block.rate_dps, 0.0)
         yield _Block(block.segment, block.usual_dt_s, block.t_s, block.gyro_dps - rate, block.temp_c)

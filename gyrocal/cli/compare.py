@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
 
 
 @click.command("compare")
@@ -23,7 +23,7 @@ def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool)
     """
     from gyrocal.calibration.calibrate import calibrate, configs
     from gyrocal.calibration.compare import compare_runs
-    from gyrocal.report.compare import change_rows, changes_sentence, to_json
+    from gyrocal.report.compare import blank_sentences, change_rows, changes_sentence, to_json
 
     found = []
     with progress("compare", quiet=as_json) as tell:
@@ -38,3 +38,4 @@ def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool)
     click.echo(changes_sentence(changes))
     click.echo("")
     emit_table(*change_rows(changes, names))
+    emit_list(blank_sentences(changes, names))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
-from gyrocal.cli.drive_options import drive_options
+from gyrocal.cli.log_options import drive_options
 
 if TYPE_CHECKING:
     from gyrocal.report.diagnosis_build import DiagnoseResult

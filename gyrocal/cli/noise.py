@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
+from gyrocal.cli.log_options import gyro_options
 
 
 @click.command("noise")
@@ -32,17 +33,7 @@ from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, p
 @click.option(
     "--rate-hz", type=click.FloatRange(min=0, min_open=True), help="Nominal sample rate, for the clock."
 )
-@click.option(
-    "--axis",
-    type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
-    default="z",
-    show_default=True,
-    help="Axis of an autopilot's log or a bag.",
-)
-@click.option(
-    "--instance", type=click.IntRange(0), default=0, help="Which gyro of an autopilot's log, from 0."
-)
-@click.option("--topic", help="Of a ROS bag with several IMUs: imu=TOPIC, or the topic alone.")
+@gyro_options
 @json_option
 def command(
     record: Path,
@@ -54,6 +45,7 @@ def command(
     axis: str,
     instance: int,
     topic: str | None,
+    columns: Path | None,
     as_json: bool,
 ) -> None:
     """Noise and bias of a gyro that stands: RECORD is a run, a CSV with t_s and gyro_dps, a .ulg, a .bin or a bag.
@@ -64,11 +56,11 @@ def command(
     Example: gyrocal noise still.csv --latitude 42.3 --out noise
     """
     from gyrocal.calibration.static import StaticConfig
+    from gyrocal.records.gyro_log import GyroChoice
     from gyrocal.report.noise import examine_noise, noise_rows, noise_sentences
 
-    config = StaticConfig(
-        record, latitude, elevation, azimuth, rate_hz, axis, instance, topic and topic.removeprefix("imu=")
-    )
+    choice = GyroChoice(axis, instance, topic, columns)
+    config = StaticConfig(record, latitude, elevation, azimuth, rate_hz, choice)
     with progress("noise", quiet=as_json) as tell:
         found = examine_noise(config, out, tell)
     if as_json:

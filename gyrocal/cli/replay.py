@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import json_option
-from gyrocal.cli.drive_options import drive_options
+from gyrocal.cli.log_options import drive_options
 
 
 @click.command("replay")

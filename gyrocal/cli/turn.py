@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option
+from gyrocal.cli.log_options import gyro_options
 
 
 @click.command("turn")
@@ -19,9 +20,19 @@ from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option
     help="Every turn ends at a multiple of this angle.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="New directory for turns.json and the picture.")
+@gyro_options
 @json_option
-def command(log: Path, mark_deg: float, out: Path | None, as_json: bool) -> None:
-    """Calibrate a gyro by turning it on a mark: LOG is a CSV with t_s and gyro_dps.
+def command(
+    log: Path,
+    mark_deg: float,
+    out: Path | None,
+    axis: str,
+    instance: int,
+    topic: str | None,
+    columns: Path | None,
+    as_json: bool,
+) -> None:
+    """Calibrate a gyro by turning it on a mark: LOG is a CSV with t_s and gyro_dps, a .ulg, a .bin or a bag.
 
     Stand still for a few seconds, turn by whole turns back to the mark, stand still again, and so on, by hand or
     with the robot spinning in place, some turns each way. Rests and turns are found in the log; the angle between
@@ -29,9 +40,10 @@ def command(log: Path, mark_deg: float, out: Path | None, as_json: bool) -> None
 
     Example: gyrocal turn turns.csv --mark-deg 360
     """
+    from gyrocal.records.gyro_log import GyroChoice
     from gyrocal.report.turns import examine_turns, turn_rows, turn_sentence, write_turns
 
-    report = examine_turns(log, mark_deg)
+    report = examine_turns(log, mark_deg, GyroChoice(axis, instance, topic, columns))
     if out is not None:
         write_turns(report, out)
     if as_json:

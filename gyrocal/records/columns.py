@@ -1,4 +1,4 @@
-"""How the columns of a foreign drive log map on ours: units and signs are stated in a small TOML, never guessed.
+"""How the columns of a foreign log map on ours: units and signs are stated in a small TOML, never guessed.
 
 Each table ``[columns.NAME]`` gives, for one column of the drive log, ``from`` (the foreign column), ``unit``, and
 optionally ``sign`` (1 or -1), ``offset`` (added last, in our unit) and, for counters, ``wrap`` (their modulus)::
@@ -27,7 +27,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gyrocal.errors import InputError
+from gyrocal.records.csvio import Floats, read_header
 from gyrocal.records.files import parse_toml, read_text
 from gyrocal.units import RAD_TO_DEG
 
@@ -105,11 +108,16 @@ class ColumnRule:
 #: Larger numbers have no meaning in a log; it also keeps infinity and integers that no float holds out.
 _LARGEST = 1e15
 
+#: Behind a refusal of columns of others.
+MAP_THEM = " Columns of other names and units are mapped with --columns."
+#: The length of a quaternion is 1; logged in few digits it is a little beside it.
+_QUATERNION_LENGTH = (0.9, 1.1)
+
 ColumnMap = Mapping[str, ColumnRule]
 
 
-def read_column_map(path: Path) -> ColumnMap:
-    """Read a column mapping.
+def read_column_map(path: Path, way: bool = True) -> ColumnMap:
+    """Read a column mapping: of a drive, or without `way` of a gyro alone.
 
     Raises
     ------
@@ -126,12 +134,11 @@ def read_column_map(path: Path) -> ColumnMap:
     if not isinstance(columns, dict):
         raise InputError(f"{path}: columns must be tables [columns.NAME].")
     rules = {name: _rule(path, name, entry) for name, entry in columns.items()}
-    way = SPEED if "speed_m" in rules else SIDES
-    for name in (*REQUIRED, *way):
+    required = REQUIRED + ((SPEED if "speed_m" in rules else SIDES) if way else ())
+    for name in required:
         if name not in rules:
-            raise InputError(
-                f"{path}: [columns.{name}] is missing; required: t_s, gyro_dps, and left_m and right_m, or speed_m."
-            )
+            also = ", and left_m and right_m, or speed_m" if way else ""
+            raise InputError(f"{path}: [columns.{name}] is missing; required: t_s, gyro_dps{also}.")
     if "speed_m" in rules and not rules.keys().isdisjoint(SIDES):
         raise InputError(f"{path}: has both speed_m and a side. Map left_m and right_m, or speed_m.")
     for name in REQUIRED:
@@ -191,3 +198,42 @@ def _number(where: str, key: str, value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
         raise InputError(f"{where}: {key} is {repr(value)[:40]}, and a finite number is wanted.")
     return float(value)
+
+
+def mapped_header(file: Path, rules: ColumnMap) -> list[str]:
+    """Header of a file that has every column of its rules."""
+    header = read_header(file)
+    for name, rule in rules.items():
+        for source in rule.sources:
+            if source not in header:
+                found = ", ".join(header)[:200]
+                msg = f"{file}, line 1: column {source!r:.80}, mapped to {name}, is missing (found: {found})."
+                raise InputError(msg)
+            if header.count(source) > 1:
+                raise InputError(f"{file}, line 1: column {source!r:.80} stands twice. Remove one.")
+    return header
+
+
+def scaled(path: Path, first_line: int, rule: ColumnRule, raw: Mapping[str, Floats]) -> Floats:
+    """The column of `rule` in our unit, from the foreign ones of a block; an infinite cell is refused by its line."""
+    for source in rule.sources:
+        infinite = np.flatnonzero(np.isinf(raw[source]))
+        if infinite.size:
+            raise InputError(
+                f"{path}, line {first_line + infinite[0]}: {source} is infinite. Repair the log."
+            )
+    values = raw[rule.source]
+    if rule.quaternion:
+        values = _heading_deg(path, first_line, rule.quaternion, raw)
+    return rule.sign * (rule.unit.factor * values + rule.unit.shift) + rule.offset
+
+
+def _heading_deg(path: Path, first_line: int, names: tuple[str, ...], raw: Mapping[str, Floats]) -> Floats:
+    x, y, z, w = (raw[name] for name in names)
+    length = np.sqrt(x * x + y * y + z * z + w * w)
+    low, high = _QUATERNION_LENGTH
+    bad = np.flatnonzero((length < low) | (length > high))
+    if bad.size:
+        msg = f"{path}, line {first_line + bad[0]}: the quaternion {', '.join(names)} has the length {length[bad[0]]:.3g}, and 1 is wanted. Repair the log or leave the row's cells empty."
+        raise InputError(msg)
+    return np.degrees(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -60,11 +60,13 @@ def read_header(path: Path) -> list[str]:
     return header
 
 
-def require_columns(path: Path, header: Sequence[str], required: Sequence[str], known: Sequence[str]) -> None:
+def require_columns(
+    path: Path, header: Sequence[str], required: Sequence[str], known: Sequence[str], remedy: str = ""
+) -> None:
     """Refuse a header that lacks a required column, repeats one, or has one nobody knows.
 
     A column with a known quantity but another unit (``rate_rad_s`` for ``rate_dps``) falls under
-    "nobody knows": its unit would otherwise be guessed.
+    "nobody knows": its unit would otherwise be guessed. `remedy` ends the sentence where there is one beside renaming.
     """
     repeated = sorted(name for name, count in Counter(header).items() if count > 1)
     if repeated:
@@ -77,11 +79,11 @@ def require_columns(path: Path, header: Sequence[str], required: Sequence[str], 
     if missing:
         msg = (
             f"{path}, line 1: column {missing[0]} is missing (found: {', '.join(header)[:200]}). "
-            f"{_hint(header, missing[0])}Names carry the unit; known: {', '.join(known)}."
+            f"{_hint(header, missing[0])}Names carry the unit; known: {', '.join(known)}.{remedy}"
         )
         raise InputError(msg)
     if unknown:
-        msg = f"{path}, line 1: unknown column {unknown[0]!r:.80}. Names carry the unit; known: {', '.join(known)}."
+        msg = f"{path}, line 1: unknown column {unknown[0]!r:.80}. Names carry the unit; known: {', '.join(known)}.{remedy}"
         raise InputError(msg)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import InputError, ProfileError
-from gyrocal.records.columns import UNITS, ColumnMap, ColumnRule
+from gyrocal.records.columns import MAP_THEM, UNITS, ColumnMap, ColumnRule, mapped_header, scaled
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.streams import Merger
@@ -41,8 +41,6 @@ _CHUNK_ROWS = 200_000
 _HEAD_ROWS = 1000
 #: Streams are of different rates when more than this share of one's rows has nothing of the other.
 _SPARSE_SHARE = 0.5
-#: The length of a quaternion is 1; logged in few digits it is a little beside it.
-_QUATERNION_LENGTH = (0.9, 1.1)
 _TRUTH = ("truth_x_m", "truth_y_m", "truth_heading_deg")
 
 Rules = Mapping[str, ColumnRule]
@@ -111,11 +109,11 @@ def _read_file(
         head.append(more)
     if not head:
         return
-    first_s = np.concatenate([_scaled(path, line, rules["t_s"], raw) for line, raw in head])
+    first_s = np.concatenate([scaled(path, line, rules["t_s"], raw) for line, raw in head])
     timeline = Timeline(path, usual_step(path, first_s))
     ways = {name: _Way(rules[name], scales[name]) for name in scales}
     for first_line, raw in itertools.chain(head, blocks):
-        values = {name: _scaled(path, first_line, rule, raw) for name, rule in rules.items()}
+        values = {name: scaled(path, first_line, rule, raw) for name, rule in rules.items()}
         t_s, segment, said = timeline.take(first_line, values["t_s"])
         steps = {name: way.steps(values[name], t_s) for name, way in ways.items()}
         yield _assemble(first_line, t_s, values, steps, segment, said)
@@ -225,7 +223,7 @@ def _merge_files(
     for file, rules in files.items():
         feed = _Feed(merger, rules)
         own = {name: scales[name] for name in scales if name in rules}
-        reads = _read_file(file, _header_of(file, rules), rules, own, chunk_rows)
+        reads = _read_file(file, mapped_header(file, rules), rules, own, chunk_rows)
         open_files |= dict.fromkeys(feed.streams, (file, feed, reads))
     while True:
         file, feed, reads = open_files[merger.behind()]
@@ -247,7 +245,7 @@ def _merge_files(
 def _native_rules(path: Path, header: list[str]) -> dict[str, ColumnRule]:
     found = [way for way in _WAYS if not set(way[0]).isdisjoint(header)]
     names, rule_names, unit = found[0] if found else _WAYS[-1]
-    require_columns(path, header, ("t_s", *names, "gyro_dps", "gyro_temp_c"), COLUMNS)
+    require_columns(path, header, ("t_s", *names, "gyro_dps", "gyro_temp_c"), COLUMNS, MAP_THEM)
     if len(found) > 1:
         what = {"left_ticks": "ticks", "left_m": "metres"}
         both = " and ".join(what.get(way[0][0], way[0][0]) for way in found[:2])
@@ -285,22 +283,8 @@ def _by_file(path: Path, rules: Rules) -> dict[Path, dict[str, ColumnRule]]:
         if len({"left_m", "right_m"} & own.keys()) == 1:
             raise InputError(f"{path}: left_m and right_m are mapped to two files. Both have to be in one.")
     for file, own in files.items():
-        _header_of(file, own)
+        mapped_header(file, own)
     return files
-
-
-def _header_of(file: Path, rules: Rules) -> list[str]:
-    """Header of a file that has every column of its rules."""
-    header = read_header(file)
-    for name, rule in rules.items():
-        for source in rule.sources:
-            if source not in header:
-                found = ", ".join(header)[:200]
-                msg = f"{file}, line 1: column {source!r:.80}, mapped to {name}, is missing (found: {found})."
-                raise InputError(msg)
-            if header.count(source) > 1:
-                raise InputError(f"{file}, line 1: column {source!r:.80} stands twice. Remove one.")
-    return header
 
 
 def _tick_scales(path: Path, rules: Rules, metres_per_tick: tuple[float, float] | None) -> dict[str, float]:
@@ -312,30 +296,6 @@ def _tick_scales(path: Path, rules: Rules, metres_per_tick: tuple[float, float] 
     left, right = metres_per_tick or (1.0, 1.0)
     scale = {"left_m": left, "right_m": right, "speed_m": 0.5 * (left + right)}
     return {name: scale[name] if rules[name].unit.ticks else 1.0 for name in told}
-
-
-def _scaled(path: Path, first_line: int, rule: ColumnRule, raw: Mapping[str, Floats]) -> Floats:
-    for source in rule.sources:
-        infinite = np.flatnonzero(np.isinf(raw[source]))
-        if infinite.size:
-            raise InputError(
-                f"{path}, line {first_line + infinite[0]}: {source} is infinite. Repair the log."
-            )
-    values = raw[rule.source]
-    if rule.quaternion:
-        values = _heading_deg(path, first_line, rule.quaternion, raw)
-    return rule.sign * (rule.unit.factor * values + rule.unit.shift) + rule.offset
-
-
-def _heading_deg(path: Path, first_line: int, names: tuple[str, ...], raw: Mapping[str, Floats]) -> Floats:
-    x, y, z, w = (raw[name] for name in names)
-    length = np.sqrt(x * x + y * y + z * z + w * w)
-    low, high = _QUATERNION_LENGTH
-    bad = np.flatnonzero((length < low) | (length > high))
-    if bad.size:
-        msg = f"{path}, line {first_line + bad[0]}: the quaternion {', '.join(names)} has the length {length[bad[0]]:.3g}, and 1 is wanted. Repair the log or leave the row's cells empty."
-        raise InputError(msg)
-    return np.degrees(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 class _Way:

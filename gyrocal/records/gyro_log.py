@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 
 from gyrocal.errors import GyrocalError, InputError
 from gyrocal.records.bags import is_bag, iterate_rates
+from gyrocal.records.columns import read_column_map
 from gyrocal.records.csvio import Floats
 from gyrocal.records.files import reading
 from gyrocal.records.static_log import StaticBlock, cut_at_steps, iterate_static_log
@@ -34,14 +35,15 @@ _US_PER_S = 1e6
 #: No gyro of a vehicle turns so fast.
 _LARGEST_RPS = 1e6
 _DAMAGED = ("parts of the file are damaged and left out",)
+#: Telemetry is a few messages a second, filtered and without clocks of its own.
+_TELEMETRY = ".tlog"
 
 
-def iterate_gyro_log(
-    path: Path, axis: str = "z", instance: int = 0, topic: str | None = None
-) -> Iterator[StaticBlock]:
-    """Yield the log `path` in blocks: ``.ulg`` of PX4, ``.bin`` of ArduPilot, a ROS bag, else a CSV (see `iterate_static_log`).
+@dataclass(frozen=True)
+class GyroChoice:
+    """Which gyro of a log is meant.
 
-    Parameters
+    Attributes
     ----------
     axis : str
         Of a log with three axes: one of `AXES`.
@@ -49,12 +51,33 @@ def iterate_gyro_log(
         Of an autopilot's log: which of its gyros, from 0.
     topic : str, optional
         Of a bag with several IMUs.
+    columns : Path, optional
+        Mapping of a foreign CSV (`records.columns`).
+    """
+
+    axis: str = "z"
+    instance: int = 0
+    topic: str | None = None
+    columns: Path | None = None
+
+
+def iterate_gyro_log(path: Path, choice: GyroChoice | None = None) -> Iterator[StaticBlock]:
+    """Yield the log `path` in blocks: ``.ulg`` of PX4, ``.bin`` of ArduPilot, a ROS bag, else a CSV (see `iterate_static_log`).
 
     Raises
     ------
     InputError
         The extra is not installed; a damaged file; no such gyro in it; something asked that the log does not have.
     """
+    choice = choice or GyroChoice()
+    axis, instance, topic = choice.axis, choice.instance, choice.topic
+    autopilot = path.suffix.lower() in (".ulg", ".bin")
+    if choice.columns is not None and (autopilot or is_bag(path)):
+        raise InputError(f"{path}: is no CSV, and columns are mapped of one. Leave --columns out.")
+    if path.suffix.lower() == _TELEMETRY:
+        raise InputError(
+            f"{path}: is telemetry of a ground station, a few filtered samples a second. Take the autopilot's own log: .bin of ArduPilot, .ulg of PX4."
+        )
     if topic is not None and not is_bag(path):
         raise InputError(f"{path}: is no ROS bag, and a topic is of one. Leave it out.")
     if is_bag(path):
@@ -69,7 +92,9 @@ def iterate_gyro_log(
         raise InputError(
             f"{path}: is a CSV, and axis and instance are of an autopilot's log. Leave them out."
         )
-    return iterate_static_log(path)
+    return iterate_static_log(
+        path, mapping=None if choice.columns is None else read_column_map(choice.columns, way=False)
+    )
 
 
 def _iterate_ulog(path: Path, axis: str, instance: int) -> Iterator[StaticBlock]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gyrocal.errors import InputError
+from gyrocal.records.columns import MAP_THEM, ColumnMap, mapped_header, scaled
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
 from gyrocal.records.timeline import Timeline, usual_step
 
 COLUMNS = ("t_s", "gyro_dps", "temp_c", "rate_dps")
 #: Columns of the run directory that a plain log may have as well; nothing is made of them here.
 _PASSED_OVER = ("status", "chamber_temp_c", "supply_v")
+#: Name in a mapping of columns -> ours.
+_MAPPED: Mapping[str, str] = {"t_s": "t_s", "gyro_dps": "gyro_dps", "gyro_temp_c": "temp_c"}
 _CHUNK_ROWS = 500_000
 _HEAD_ROWS = 1000
 
@@ -52,8 +55,12 @@ class StaticBlock:
         return int(self.t_s.size)
 
 
-def iterate_static_log(path: Path, chunk_rows: int = _CHUNK_ROWS) -> Iterator[StaticBlock]:
+def iterate_static_log(
+    path: Path, chunk_rows: int = _CHUNK_ROWS, mapping: ColumnMap | None = None
+) -> Iterator[StaticBlock]:
     """Yield the CSV log `path` (``t_s, gyro_dps`` and perhaps ``temp_c, rate_dps``) in blocks of bounded memory.
+
+    With `mapping` it is a foreign log, of which time, gyro and temperature are read.
 
     Raises
     ------
@@ -61,21 +68,39 @@ def iterate_static_log(path: Path, chunk_rows: int = _CHUNK_ROWS) -> Iterator[St
         A missing or unknown column, a cell that is text or infinite, time that is empty, going backwards or not in
         seconds, no rows.
     """
-    header = read_header(path)
-    require_columns(path, header, ("t_s", "gyro_dps"), (*COLUMNS, *_PASSED_OVER))
-    only = [name for name in COLUMNS if name in header]
+    chunk_rows = max(chunk_rows, _HEAD_ROWS)
+    blocks = _own_columns(path, chunk_rows) if mapping is None else _mapped_columns(path, chunk_rows, mapping)
     timeline: Timeline | None = None
-    for first_line, columns in iterate_columns(path, header, max(chunk_rows, _HEAD_ROWS), only):
+    for first_line, columns in blocks:
         if columns["t_s"].size == 0:
             continue
-        _refuse_infinite(path, first_line, columns)
         if timeline is None:
-            timeline = Timeline(
-                path, usual_step(path, columns["t_s"][:_HEAD_ROWS], mapped=False), closes=False
-            )
+            usual_dt_s = usual_step(path, columns["t_s"][:_HEAD_ROWS], mapped=mapping is not None)
+            timeline = Timeline(path, usual_dt_s, closes=False)
         yield from cut_at_steps(timeline, first_line, columns)
     if timeline is None:
         raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")
+
+
+def _own_columns(path: Path, chunk_rows: int) -> Iterator[tuple[int, dict[str, Floats]]]:
+    header = read_header(path)
+    require_columns(path, header, ("t_s", "gyro_dps"), (*COLUMNS, *_PASSED_OVER), MAP_THEM)
+    only = [name for name in COLUMNS if name in header]
+    for first_line, columns in iterate_columns(path, header, chunk_rows, only):
+        _refuse_infinite(path, first_line, columns)
+        yield first_line, columns
+
+
+def _mapped_columns(
+    path: Path, chunk_rows: int, mapping: ColumnMap
+) -> Iterator[tuple[int, dict[str, Floats]]]:
+    rules = {own: mapping[name] for name, own in _MAPPED.items() if name in mapping}
+    if any(rule.file is not None for rule in rules.values()):
+        raise InputError(f"{path}: its temperature is mapped to another file, and one file is read here.")
+    header = mapped_header(path, rules)
+    only = list(dict.fromkeys(rule.source for rule in rules.values()))
+    for first_line, raw in iterate_columns(path, header, chunk_rows, only):
+        yield first_line, {name: scaled(path, first_line, rule, raw) for name, rule in rules.items()}
 
 
 def cut_at_steps(timeline: Timeline, first_line: int, columns: dict[str, Floats]) -> Iterator[StaticBlock]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import gyrocal
+from gyrocal.calibration.figure import plural
 from gyrocal.calibration.residuals import ALARM_RATE
 from gyrocal.report import tables
 from gyrocal.report.drawings import DRAWINGS
@@ -152,9 +153,8 @@ def _remarks(m: Material) -> list[str]:
     sets, mask = m.data.sets, m.recording.masked
     flags = int(np.count_nonzero(m.coefficients.flags(sets.gyro_dps, sets.temp_c)))
     if flags:
-        said.append(
-            f"{flags} data sets lie outside the range of rate or temperature that the coefficients cover."
-        )
+        lie = plural(flags, "data [set lies|sets lie]")
+        said.append(f"{flags} {lie} outside the range of rate or temperature that the coefficients cover.")
     if mask.bad_status or mask.non_finite:
         said.append(
             f"{mask.bad_status} samples of bad status and {mask.non_finite} that are not numbers were left out of the means."

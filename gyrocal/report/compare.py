@@ -34,6 +34,16 @@ def change_rows(
     return ("figure", *names, "last less first", ""), rows
 
 
+def blank_sentences(changes: Sequence[Change], names: Sequence[str]) -> list[str]:
+    """Why figures have no number, a sentence a reason."""
+    by_reason: dict[str, list[str]] = {}
+    for c in changes:
+        for name, figure in zip(names, c.figures, strict=True):
+            if figure.value is None:
+                by_reason.setdefault(f"{name}: {figure.reason}", []).append(figure.title)
+    return [f"{', '.join(titles)} of {reason}" for reason, titles in by_reason.items()]
+
+
 def _change(change: Change) -> str:
     if change.change is None or change.low is None or change.high is None:
         return "-"

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from gyrocal.calibration.course import Course
-from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.figure import Figure, plural
 from gyrocal.calibration.static import StaticConfig, StaticFigures, examine_static
 from gyrocal.calibration.summary import said
 from gyrocal.report import style
@@ -65,7 +65,9 @@ def noise_sentences(found: StaticFigures) -> list[str]:
     for f in _figures(found):
         by_reason.setdefault(f.reason or f.definition, []).append(f.title)
     told += [f"{', '.join(titles)}: {reason}" for reason, titles in by_reason.items()]
-    told += [f"{found.missing} samples are missing, bad or not finite, and left out"] if found.missing else []
+    if found.missing:
+        text = f"{found.missing} [sample is|samples are] missing, bad or not finite, and left out"
+        told.append(plural(found.missing, text))
     return told + list(found.notes)
 
 

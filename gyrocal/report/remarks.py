@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from gyrocal.calibration.figure import plural
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
-
-
-def _stray(count: int) -> str:
-    stand = "sample stands" if count == 1 else "samples stand"
-    return f"{count} {stand} out of the noise by more than six standard deviations; left out"
 
 
 def _strange_sets(sets: Sequence[tuple[int, float, float, float]]) -> str:
@@ -56,18 +52,18 @@ def _gyro_column(unit: str, inverted: bool) -> str:
     return f"The gyro column is {said} (its turns over those of the encoders)."
 
 
-#: What each remark says: a template of its facts, or a function of them.
+#: What each remark says: a template of its facts, with ``[one|more]`` by their count, or a function of them.
 WORDS: Mapping[Said, str | Callable[..., str]] = {
-    Said.FAILED_SEGMENTS: "{count} segments are marked failed in the journal and are left out",
-    Said.SET_ASIDE_AFTER_STEPS: "{count} samples that stand out right after a step of rate are left out",
-    Said.UNUSABLE_SAMPLES: "{count} gyro samples are empty or of bad status and are left out",
-    Said.STRAY_SAMPLES: _stray,
+    Said.FAILED_SEGMENTS: "{count} [segment is|segments are] marked failed in the journal and left out",
+    Said.SET_ASIDE_AFTER_STEPS: "{count} [sample that stands|samples that stand] out right after a step of rate [is|are] left out",
+    Said.UNUSABLE_SAMPLES: "{count} gyro [sample is|samples are] empty or of bad status and left out",
+    Said.STRAY_SAMPLES: "{count} [sample stands|samples stand] out of the noise by more than six standard deviations; left out",
     Said.WHOLE_DEGREES: "temperatures are whole degrees (nominal, or of a coarse sensor): an error of 0.29 degC rms, "
     "which blurs what lives in temperature and hides what lives in its rate",
     Said.CHAMBER_FOR_GYRO: "the gyro sends no temperature: the chamber's stands for its own, behind which the gyro lags",
-    Said.SAME_TIMES: "{count} rows have the time of the row before them: check the times",
-    Said.NO_SPREAD: "gyro_std_dps is 0 in {count} rows of several samples: an output that is stuck or does not resolve "
-    "its noise; they count as noisy as the others",
+    Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
+    Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "
+    "its noise; [it counts|they count] as noisy as the others",
     Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
     "surface takes it up; check scale and units",
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
@@ -80,9 +76,9 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.TOO_FEW_TO_WRITE: "It has {rows} data sets, in which one law may pass for another: what is found is told, but improved "
     "coefficients are written from {enough} on.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
-    "mdeg/s: small outputs are lost (dead zone, lock-in). Those data sets are left out of the fit.",
+    "mdeg/s: small outputs are lost (dead zone, lock-in). [That data set is|Those data sets are] left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,
-    Said.BURST_SAMPLES: "{count} of {samples} samples stand out of the noise by more than six standard deviations "
+    Said.BURST_SAMPLES: "{count} of {samples} samples [stands|stand] out of the noise by more than six standard deviations "
     "(bursts, slip ring).",
     Said.OUTPUT_STEPS: "The output comes in steps of {step_mdps:.4g} mdeg/s, which adds {noise_mdps:.3g} mdeg/s of noise "
     "to a sample.",
@@ -91,19 +87,19 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SAMPLE_CLOCK: _clock,
     Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
-    Said.GAPS: "{count} gaps of more than {steps:g} usual steps are left out",
-    Said.EMPTY_WHEEL: "{count} rows without {wheel} count as no motion of that wheel",
+    Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out",
+    Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [counts|count] as no motion of that wheel",
     Said.CALIBRATED: "the gyro was calibrated with the coefficients given",
     Said.NO_GYRO: "no row has a gyro",
-    Said.GYRO_BRIDGED: "{count} rows without gyro are bridged by their neighbours",
-    Said.GYRO_SPIKES: "{count} spikes of the gyro, up to {largest_dps:.3g} deg/s, are bridged in the comparison",
+    Said.GYRO_BRIDGED: "{count} [row|rows] without gyro [is|are] bridged by [its|their] neighbours",
+    Said.GYRO_SPIKES: "{count} [spike|spikes] of the gyro, up to {largest_dps:.3g} deg/s, [is|are] bridged in the comparison",
     Said.TRUTH_UNIT: "the truth's positions are {times:g} times too large: they are taken in {unit}",
     Said.TRUTH_RADIANS: "the truth's heading is in radians: it is taken as such",
     Said.TRUTH_MIRRORED: "the truth follows the path in a mirror only (y and x swapped, or y of the wrong sign?), so it "
     "was left aside",
     Said.UNEVEN_CLOCK: "time stamps scatter by {jitter_ms:.2g} ms about an even clock of {usual_ms:.3g} ms",
     Said.GYRO_COLUMN: _gyro_column,
-    Said.MISSING_ROWS: "About {count} rows are missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
+    Said.MISSING_ROWS: "About {count} [row is|rows are] missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
     Said.WHEEL_TURN: "The {side} wheel's distance is modulated every {way_m:.3g} m, once a turn of a wheel of radius "
     "{radius_m:.3g} m.",
     Said.ENCODERS_LATE: "The encoders' counts arrive later than the gyro's rate (a negative delay).",
@@ -121,7 +117,9 @@ def remark_words(note: Note) -> str:
     if not isinstance(note, Remark):
         return note
     words = WORDS[note.said]
-    return words.format(**note.facts) if isinstance(words, str) else words(**note.facts)
+    if not isinstance(words, str):
+        return words(**note.facts)
+    return plural(note.facts.get("count", 0), words).format(**note.facts)
 
 
 def statement(effect: NamedEffect) -> str:

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from gyrocal.calibration.figure import interval_said, number
+from gyrocal.calibration.figure import interval_said, number, plural
 from gyrocal.calibration.turns import Figure as Figured
 from gyrocal.calibration.turns import Floats, TurnCalibration, calibrate_turns
 from gyrocal.errors import DataError, InputError
 from gyrocal.navigation.umbmark import Umbmark, umbmark
 from gyrocal.records.csvio import read_columns, read_header, require_columns
+from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from gyrocal.records.robot import read_robot
-from gyrocal.records.static_log import iterate_static_log
 from gyrocal.report import style
 from gyrocal.report.output import check_output, write_directory
 
@@ -39,7 +39,7 @@ class TurnReport:
         return {"schema": "gyrocal-turns/1", **asdict(self.found), "notes": list(self.notes)}
 
 
-def examine_turns(log: Path, mark_deg: float) -> TurnReport:
+def examine_turns(log: Path, mark_deg: float, choice: GyroChoice | None = None) -> TurnReport:
     """Read a log of samples and calibrate by its turns.
 
     Raises
@@ -47,20 +47,20 @@ def examine_turns(log: Path, mark_deg: float) -> TurnReport:
     InputError, DataError
         A log that cannot be read, or without three turns between rests.
     """
-    blocks = list(iterate_static_log(log))
+    blocks = list(iterate_gyro_log(log, choice))
     numbers = np.concatenate([np.full(len(b), b.segment) for b in blocks])
     t_s, gyro = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("t_s", "gyro_dps"))
     notes = [note for block in blocks for note in block.notes]
     longest = np.bincount(numbers).argmax()
     if np.any(numbers != longest):
+        beyond = int(np.count_nonzero(numbers != longest))
         notes.append(
-            f"{np.count_nonzero(numbers != longest)} samples beyond a step of the clock are left out"
+            plural(beyond, f"{beyond} [sample|samples] beyond a step of the clock [is|are] left out")
         )
     missing = ~np.isfinite(gyro)
     if np.any(missing & (numbers == longest)):
-        notes.append(
-            f"{np.count_nonzero(missing & (numbers == longest))} empty samples are bridged by the next one"
-        )
+        empty = int(np.count_nonzero(missing & (numbers == longest)))
+        notes.append(plural(empty, f"{empty} empty [sample is|samples are] bridged by the next one"))
     use = (numbers == longest) & ~missing
     if np.count_nonzero(use) < 2:
         raise DataError(f"{log}: has no samples to look for turns in.")

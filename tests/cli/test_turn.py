@@ -29,10 +29,25 @@ def test_turn_says_and_writes(log: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(gyrocal_command, ["turn", str(log), "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert done.output.startswith("6 turns between 7 rests: scale factor error 3")
-    assert "- 1 empty samples are bridged by the next one" in done.output
+    assert "- 1 empty sample is bridged by the next one" in done.output
     data = json.loads((out / "turns.json").read_text())
     assert data["scale"]["low"] < 3000 < data["scale"]["high"]
     assert (out / "turns.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_turn_reads_logs_of_others(log: Path, tmp_path: Path) -> None:
+    t_s, gyro_dps = np.genfromtxt(log, delimiter=",", skip_header=1).T
+    table = np.stack([1e3 * t_s, -np.radians(gyro_dps)], axis=1)
+    other = tmp_path / "other.csv"
+    np.savetxt(other, table[np.isfinite(gyro_dps)], "%.9f", ",", header="ms,wz", comments="")
+    columns = tmp_path / "columns.toml"
+    columns.write_text(
+        '[columns.t_s]\nfrom = "ms"\nunit = "ms"\n[columns.gyro_dps]\nfrom = "wz"\nunit = "rad/s"\nsign = -1\n'
+    )
+    words = ["turn", str(other), "--columns", str(columns), "--json"]
+    found = json.loads(CliRunner().invoke(gyrocal_command, words).output)
+    assert len(found["turns"]) == 6
+    assert found["scale"]["low"] < 3000 < found["scale"]["high"]
 
 
 def test_turn_as_json(log: Path) -> None:

@@ -43,7 +43,7 @@ def test_what_is_missing_is_counted() -> None:
         "2 rows without a gyro sample",
         "1 rows without an encoder sample",
         "1 rows with the time of the row before",
-        "1 gaps of more than 5 usual steps",
+        "1 gap of more than 5 usual steps",
     )
     assert found.usual_dt_s == pytest.approx(0.1)
 

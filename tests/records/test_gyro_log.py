@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gyrocal.errors import InputError
-from gyrocal.records.gyro_log import iterate_gyro_log
+from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from tests.records.test_drive_bags import write_bag
 
 T_S = 0.004 * np.arange(2000)
@@ -69,7 +69,7 @@ def dataflash(path: Path, raw: bool = False) -> Path:
 @pytest.mark.parametrize("topic", ["sensor_gyro", "sensor_combined"])
 def test_a_log_of_px4(tmp_path: Path, axis: str, topic: str) -> None:
     pytest.importorskip("pyulog")
-    (block,) = iterate_gyro_log(ulog(tmp_path / "a.ulg", topic), axis)
+    (block,) = iterate_gyro_log(ulog(tmp_path / "a.ulg", topic), GyroChoice(axis))
     sign = -1.0 if axis.startswith("-") else 1.0
     np.testing.assert_allclose(block.t_s, T_S, atol=1e-9)
     np.testing.assert_allclose(
@@ -100,7 +100,7 @@ def test_damage_that_the_parser_passes_over_is_said_once(
 @pytest.mark.parametrize("instance", [0, 1])
 def test_a_log_of_ardupilot(tmp_path: Path, instance: int) -> None:
     pytest.importorskip("pymavlink")
-    (block,) = iterate_gyro_log(dataflash(tmp_path / "a.BIN"), "x", instance)
+    (block,) = iterate_gyro_log(dataflash(tmp_path / "a.BIN"), GyroChoice("x", instance))
     sign = 1.0 - 2.0 * instance
     np.testing.assert_allclose(block.t_s, T_S + 1e-3, atol=1e-9)
     np.testing.assert_allclose(block.gyro_dps, sign * np.degrees(RATES[:, 0]), rtol=1e-6, atol=1e-7)
@@ -111,12 +111,12 @@ def test_raw_samples_of_ardupilot_are_taken_before_filtered_ones(tmp_path: Path)
     """With the sensor's own times, and the temperature that the filtered ones have."""
     pytest.importorskip("pymavlink")
     path = dataflash(tmp_path / "a.bin", raw=True)
-    (block,) = iterate_gyro_log(path, "x")
+    (block,) = iterate_gyro_log(path, GyroChoice("x"))
     assert block.notes == ("read: GYR messages of gyro 0, axis x",)
     np.testing.assert_allclose(block.t_s, T_S, atol=1e-9)
     np.testing.assert_allclose(block.gyro_dps, np.degrees(RATES[:, 0]), rtol=1e-6, atol=1e-7)
     assert np.nanmax(np.abs(block.temp_c - TEMP_C)) < 0.02
-    (other,) = iterate_gyro_log(path, "x", 1)
+    (other,) = iterate_gyro_log(path, GyroChoice("x", 1))
     assert other.notes == ("read: IMU messages of gyro 1, axis x",)
     assert len(other) == T_S.size // 4
 
@@ -128,7 +128,7 @@ def test_a_gyro_that_is_not_there_is_told(tmp_path: Path, library: str, name: st
     pytest.importorskip(library)
     make(tmp_path / name)  # type: ignore[operator]
     with pytest.raises(InputError, match=r"holds no gyro 5 \(found: .*0.*\). Choose another instance."):
-        list(iterate_gyro_log(tmp_path / name, instance=5))
+        list(iterate_gyro_log(tmp_path / name, GyroChoice(instance=5)))
 
 
 @pytest.mark.parametrize("name", ["a.ulg", "a.bin"])
@@ -150,10 +150,10 @@ def test_a_ros_bag(tmp_path: Path, kind: str) -> None:
     t_s = np.concatenate([block.t_s for block in blocks])
     assert t_s.size == 150
     np.testing.assert_allclose(np.diff(t_s), 0.02, atol=1e-6)
-    turned = np.concatenate([block.gyro_dps for block in iterate_gyro_log(path, axis="-z")])
+    turned = np.concatenate([block.gyro_dps for block in iterate_gyro_log(path, GyroChoice("-z"))])
     np.testing.assert_allclose(turned, -np.concatenate([block.gyro_dps for block in blocks]))
     with pytest.raises(InputError, match="topic '/odom' cannot be imu"):
-        next(iterate_gyro_log(path, topic="/odom"))
+        next(iterate_gyro_log(path, GyroChoice(topic="/odom")))
 
 
 def test_a_bag_with_two_imus_is_asked_which(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_a_bag_with_two_imus_is_asked_which(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "two.bag", "bag", {"/a": imu, "/b": imu})
     with pytest.raises(InputError, match=r"several \(/a, /b\).*--topic imu=TOPIC"):
         next(iterate_gyro_log(path))
-    assert next(iterate_gyro_log(path, topic="/b")).t_s.size == 150
+    assert next(iterate_gyro_log(path, GyroChoice(topic="/b"))).t_s.size == 150
 
 
 def test_a_csv_has_one_gyro(tmp_path: Path) -> None:
@@ -169,7 +169,57 @@ def test_a_csv_has_one_gyro(tmp_path: Path) -> None:
     path.write_text("t_s,gyro_dps\n0,1\n1,2\n")
     assert sum(map(len, iterate_gyro_log(path))) == 2
     with pytest.raises(InputError, match="is a CSV, and axis and instance are of an autopilot's log"):
-        iterate_gyro_log(path, "x")
+        iterate_gyro_log(path, GyroChoice("x"))
+
+
+MAP = """[columns.t_s]
+from = "stamp"
+unit = "ms"
+[columns.gyro_dps]
+from = "gz"
+unit = "rad/s"
+sign = -1
+"""
+WARM = """[columns.gyro_temp_c]
+from = "temp"
+unit = "K"
+"""
+
+
+@pytest.mark.parametrize("warm", ["", WARM])
+def test_a_csv_of_others_is_mapped(tmp_path: Path, warm: str) -> None:
+    (tmp_path / "map.toml").write_text(MAP + warm)
+    path = tmp_path / "a.csv"
+    path.write_text("stamp,name,gz,temp\n0,a,0.5,300\n10,b,,300\n20,c,-0.5,301\n")
+    (block,) = iterate_gyro_log(path, GyroChoice(columns=tmp_path / "map.toml"))
+    np.testing.assert_allclose(block.t_s, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(block.gyro_dps, np.degrees([-0.5, np.nan, 0.5]))
+    np.testing.assert_allclose(block.temp_c, [26.85, 26.85, 27.85] if warm else [np.nan] * 3)
+    with pytest.raises(InputError, match="mapped with --columns"):
+        list(iterate_gyro_log(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        (MAP.partition("[columns.gyro_dps]")[0], "a.csv", r"\[columns.gyro_dps\] is missing; required: t_s, gyro_dps\."),
+        (MAP.replace("gz", "gw"), "a.csv", "column 'gw', mapped to gyro_dps, is missing"),
+        (MAP + WARM + 'file = "b.csv"\n', "a.csv", "mapped to another file"),
+        (MAP, "a.ulg", "is no CSV, and columns are mapped of one"),
+    ],
+)  # fmt: skip
+def test_a_mapping_that_cannot_be_followed_is_refused(
+    tmp_path: Path, text: str, name: str, message: str
+) -> None:
+    (tmp_path / "map.toml").write_text(text)
+    (tmp_path / name).write_text("stamp,gz\n0,0.5\n10,0.5\n")
+    with pytest.raises(InputError, match=message):
+        list(iterate_gyro_log(tmp_path / name, GyroChoice(columns=tmp_path / "map.toml")))
+
+
+def test_telemetry_is_refused_with_what_to_take(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"is telemetry of a ground station.*\.bin of ArduPilot"):
+        iterate_gyro_log(tmp_path / "a.tlog")
 
 
 @pytest.mark.parametrize(
