@@ -398,6 +398,40 @@ def test_the_exceptions_are_needed() -> None:
         assert words <= ids_in(path), f"{name}: {sorted(words - ids_in(path))} stand there no longer"
 
 
+#: Where a sentence stands in the rooms of statistics: remedies of errors, equations, and the text of a program that is written.
+SENTENCES = {
+    "gyrocal.diagnosis.inputs",
+    "gyrocal.diagnosis.versus.answer",
+    "gyrocal.diagnosis.versus.law_file",
+}
+#: A text of so many words is a sentence.
+_WORDS = 6
+
+
+def sentences_in(path: Path) -> Iterator[tuple[int, str]]:
+    """Sentences that a module holds beside docstrings and what it raises."""
+    tree = tree_of(path)
+    raised = {id(n) for r in ast.walk(tree) if isinstance(r, ast.Raise) for n in ast.walk(r)}
+    alone = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    for node in ast.walk(tree):
+        if not (isinstance(node, ast.Constant) and isinstance(node.value, str)):
+            continue
+        if id(node) not in raised | alone and len(node.value.split()) >= _WORDS:
+            yield node.lineno, node.value
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in MODULES if room(module_name(p)) in ("diagnosis", "inference")], ids=ids
+)
+def test_sentences_are_made_at_the_edge(path: Path) -> None:
+    found = list(sentences_in(path))
+    if module_name(path) in SENTENCES:
+        assert found, f"{module_name(path)}: is no exception any longer"
+        return
+    for line, text in found:
+        raise AssertionError(f"{path}:{line}: {text!r}: answer with a remark, and say it in gyrocal.report")
+
+
 def error_classes() -> list[type[GyrocalError]]:
     """Every error class of errors.py but the base."""
     found = vars(gyrocal.errors).values()

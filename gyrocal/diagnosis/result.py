@@ -126,7 +126,7 @@ class Improvement:
         Held-out log-loss, nats a data set, under the noise that is there.
     excess_removed : float
         Part of the held-out excess over the noise floor that the model removed.
-    scheme : str
+    scheme : Remark
         What was left out together.
     """
 
@@ -138,7 +138,7 @@ class Improvement:
     logloss_after: float
     logloss_interval_95: tuple[float, float]
     excess_removed: float
-    scheme: str
+    scheme: Remark
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``improvement``."""
@@ -151,7 +151,6 @@ class Improvement:
             "logloss_after_nats": finite(self.logloss_after),
             "logloss_interval_95": [finite(x) for x in self.logloss_interval_95],
             "excess_removed": finite(self.excess_removed),
-            "left_out": self.scheme,
         }
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement, Layer
 from gyrocal.inference.additive import precision
 
@@ -34,7 +35,6 @@ _BOOTSTRAP = 1000
 _EXTRAPOLATED = 4.0
 #: The share removed of an excess that is less than this share of the noise, in the mean square, is a ratio of two noises.
 _LEAST_EXCESS = 0.02
-_SCHEME = "whole data sets (every eighth segment) and whole temperatures or sweeps in turn"
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def improvement(
         float(means[1]),
         (float(nats_low), float(nats_high)),
         min(removed, 1.0) if np.isfinite(removed) else removed,
-        _SCHEME,
+        Remark(Said.LEFT_OUT_SETS),
     )
 
 

@@ -40,7 +40,8 @@ class Why(Enum):
     NO_GYRO_TEMPERATURE = auto()
     NO_REST_AT_START = auto()
     ONE_SPEED = auto()
-    NO_TRUTH = auto()
+    LIKE_SEPARATION = auto()
+    LIKE_WAY = auto()
     POOR_TRUTH = auto()
 
 

@@ -26,7 +26,7 @@ from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, namel
 from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.reasons import reason_words
-from gyrocal.report.remarks import statement
+from gyrocal.report.remarks import remark_words, statement
 from gyrocal.report.sentences import (
     counted,
     in_the_noise,
@@ -319,8 +319,8 @@ def _improvement_table(diagnosis: Diagnosis) -> Table:
         f"Log-loss gain, nats a {counted(diagnosis).each}",
         "95 % interval",
     )
-    left_out = diagnosis.improvement.scheme if diagnosis.improvement is not None else ""
-    note = f"Left out: {left_out}." if left_out else ""
+    gained = diagnosis.improvement
+    note = "" if gained is None else f"Left out: {remark_words(gained.scheme)}."
     return _table("improvement", "On data that the fit did not see", columns, rows, note)
 
 

@@ -19,6 +19,7 @@ from gyrocal.report.diagnosis_marks import bars, legend_above, limit_around_zero
 from gyrocal.report.folds import clustered_error
 from gyrocal.report.page import Picture
 from gyrocal.report.remarks import statement
+from gyrocal.report.words import part_words
 from gyrocal.units import DEG_TO_RAD, NORMAL_95, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
@@ -100,8 +101,9 @@ def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
     seconds = seconds_of(found)
     drawn: list[tuple[Picture, Figure | None]] = []
     for number, shown in enumerate(found.shown):
+        part = part_words(shown.log, shown.from_share)
         caption = (
-            f"{shown.part[0].upper()}{shown.part[1:]}: distance by the encoders along the gyro's heading, with the robot file as "
+            f"{part[0].upper()}{part[1:]}: distance by the encoders along the gyro's heading, with the robot file as "
             "it is and with what was found taken out, and the truth where there is one. The figures were not fitted to it."
         )
         drawn.append((Picture(f"paths_{number + 1}", "Paths before and after", caption), paths(shown)))

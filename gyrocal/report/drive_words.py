@@ -14,7 +14,7 @@ from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import statement
-from gyrocal.report.words import region_words
+from gyrocal.report.words import part_words, region_words
 
 #: Evidence that tells nothing apart.
 _ALIKE = 3.0
@@ -84,10 +84,11 @@ def _other(a: Alternative) -> str:
 
 
 def _shown_sentence(shown: Shown) -> str:
+    part = part_words(shown.log, shown.from_share)
     if not np.isfinite(shown.before_m):
-        return f"On {shown.part} the path along the gyro's heading moves by {shown.apart_m:.2g} m rms; there is no truth to say whether for the better"
+        return f"On {part} the path along the gyro's heading moves by {shown.apart_m:.2g} m rms; there is no truth to say whether for the better"
     better = "falls" if shown.after_m <= shown.before_m else "rises"
-    return f"On {shown.part} the position error along the gyro's heading {better} from {shown.before_m:.3g} to {shown.after_m:.3g} m rms"
+    return f"On {part} the position error along the gyro's heading {better} from {shown.before_m:.3g} to {shown.after_m:.3g} m rms"
 
 
 def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) -> list[str]:
@@ -153,7 +154,12 @@ def drive_tables(diagnosis: Diagnosis) -> list[Table]:
         for e in diagnosis.drive["estimates"]
     ]
     errors = [
-        (e["part"], _cell(e, "before_rms_m"), _cell(e, "after_rms_m"), _cell(e, "apart_rms_m"))
+        (
+            part_words(e["log"], e["from_share"]),
+            _cell(e, "before_rms_m"),
+            _cell(e, "after_rms_m"),
+            _cell(e, "apart_rms_m"),
+        )
         for e in diagnosis.drive["position_error"]
     ]
     return [

@@ -34,7 +34,8 @@ WORDS: Mapping[Why, str] = {
     Why.NO_GYRO_TEMPERATURE: "the log has no gyro temperature, or it hardly changes",
     Why.NO_REST_AT_START: "the log does not begin with a rest: a bias is seen, but not that in motion less that at rest",
     Why.ONE_SPEED: "both wheel columns hold one speed, so that nothing but the truth speaks of turns",
-    Why.NO_TRUTH: "without true positions it cannot be told from {twin}",
+    Why.LIKE_SEPARATION: "without true positions it cannot be told from the effective wheel separation",
+    Why.LIKE_WAY: "without true positions it cannot be told from the true way",
     Why.POOR_TRUTH: "with this truth it is known to {percent:.2g} % only",
 }
 

@@ -66,6 +66,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "its noise; [it counts|they count] as noisy as the others",
     Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
     "surface takes it up; check scale and units",
+    Said.LEFT_OUT_SETS: "whole data sets (every eighth segment) and whole temperatures or sweeps in turn",
+    Said.LEFT_OUT_BLOCKS: "every {folds}th block of {block_s:g} s",
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
     Said.NOT_TEMPERATURE_ALONE: _beyond_temperature,
     Said.NOT_WRITTEN: _not_written,

@@ -22,6 +22,7 @@ from gyrocal.report.words import (
     listed,
     p_equals,
     parameter_words,
+    part_words,
     place_words,
     range_text,
     region_words,
@@ -102,8 +103,18 @@ def document(d: Diagnosis) -> dict[str, Any]:
     for entry, effect in zip(found["effects"], d.effects, strict=True):
         law = described(effect.effect)
         entry |= {"equation": law.equation, "reference": law.reference, "statement": statement(effect)}
+        _say_left_out(entry["improvement"], effect.improvement)
+    _say_left_out(found["improvement"], d.improvement)
+    if d.drive is not None:
+        errors = [e | {"part": part_words(e["log"], e["from_share"])} for e in d.drive["position_error"]]
+        found["drive"] = {**d.drive, "position_error": errors}
     found["not_testable"] = {what: reason_words(why) for what, why in d.not_testable.items()}
     return found | {"notes": [remark_words(note) for note in d.notes], "statements": plain_sentences(d)}
+
+
+def _say_left_out(entry: dict[str, Any] | None, gained: Improvement | None) -> None:
+    if entry is not None and gained is not None:
+        entry["left_out"] = remark_words(gained.scheme)
 
 
 def _sentences(d: Diagnosis) -> list[str]:

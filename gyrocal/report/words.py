@@ -166,3 +166,10 @@ def parameter_words(name: str) -> str:
 def listed(things: list[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}" if things else ""
+
+
+def part_words(log: str | None, from_share: float) -> str:
+    """Which log, or which part of this one, the figures were not fitted to."""
+    if log:
+        return log
+    return f"the last {100 * (1 - from_share):.0f} % of the log, with figures from the first {100 * from_share:.0f} %"

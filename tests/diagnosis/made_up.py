@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import (
     Alternative,
     Diagnosis,
@@ -70,7 +71,9 @@ def made_up_diagnosis(recording: Recording, verdict: Verdict = "explained") -> D
     model = Coefficients(
         {"model": "RD2100-class"}, surface, np.eye(12) * 1e-8, Valid((-100.0, 100.0), (-10.0, 50.0))
     )
-    better = Improvement(2e-3, 1.2e-3, 1.1e-3, (5e-4, 9e-4), 1.5, 0.6, (0.5, 1.2), 0.9, "whole data sets")
+    better = Improvement(
+        2e-3, 1.2e-3, 1.1e-3, (5e-4, 9e-4), 1.5, 0.6, (0.5, 1.2), 0.9, Remark(Said.LEFT_OUT_SETS)
+    )
     named = []
     for h in recording.hidden:
         effect = CATALOGUE[h.effect]

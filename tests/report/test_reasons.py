@@ -35,7 +35,7 @@ def test_a_reason_has_its_facts(effect: str, offer: Offer, words: str) -> None:
 @pytest.mark.parametrize(
     ("reason", "words"),
     [
-        (Lack(Why.NO_TRUTH, {"twin": "the true way"}), "without true positions it cannot be told from the true way"),
+        (Lack(Why.LIKE_WAY), "without true positions it cannot be told from the true way"),
         (Lack(Why.POOR_TRUTH, {"percent": 3.14}), "with this truth it is known to 3.1 % only"),
         ("nobody looked", "nobody looked"),
     ],

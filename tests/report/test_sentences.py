@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
 from gyrocal.report.diagnosis import diagnosis_page, tables
 from gyrocal.report.remarks import statement
@@ -37,7 +38,7 @@ HIDDEN = Improvement(
     36.37,
     (0.50, 1.28),
     float("nan"),
-    "whole data sets",
+    Remark(Said.LEFT_OUT_SETS),
 )
 
 
@@ -73,7 +74,9 @@ def test_error_within_the_noise_is_said_in_words(shupe: Diagnosis) -> None:
 
 def test_error_of_means_leads_where_it_shows_the_gain() -> None:
     found = made_up_diagnosis(make_recording([("scale_asymmetry", 20.0)], 7, "even"))
-    gain = Improvement(2e-3, 1.2e-3, 1.1e-3, (5e-4, 9e-4), 1.5, 0.6, (0.5, 1.2), 0.9, "whole data sets")
+    gain = Improvement(
+        2e-3, 1.2e-3, 1.1e-3, (5e-4, 9e-4), 1.5, 0.6, (0.5, 1.2), 0.9, Remark(Said.LEFT_OUT_SETS)
+    )
     said = next(s for s in plain_sentences(_with_gain(found, gain)) if "left out" in s)
     assert said == (
         "scale_asymmetry: on data left out the rms of segment means falls from 2.00 to 1.20 mdeg/s (drop 0.50 to "

@@ -39,13 +39,15 @@ class Shown:
 
     Attributes
     ----------
-    part : in words
+    log : name of another log; empty for this one
+    from_share : part of the log, from its start, that is not in it
     before, after, truth : positions x + iy, m, laid on the truth where there is one; truth is NaN where it is not
     before_m, after_m : rms distance from the truth; NaN without truth
     apart_m : rms distance between the two paths
     """
 
-    part: str
+    log: str
+    from_share: float
     before: Complexes
     after: Complexes
     truth: Complexes
@@ -57,7 +59,8 @@ class Shown:
         """Entry of ``position_error``."""
         known = np.isfinite(self.before_m)
         return {
-            "part": self.part,
+            "log": self.log or None,
+            "from_share": self.from_share,
             "before_rms_m": self.before_m if known else None,
             "after_rms_m": self.after_m if known else None,
             "apart_rms_m": self.apart_m,
@@ -181,7 +184,7 @@ def _shown(
     shown = []
     for name, other in others:
         series = wrong_truth(wrong_gyro(drive_series(name, other, robot, coefficients))[0])[0]
-        shown.append(_compared(name, series, Figures(), _foretold(found), slice(None)))
+        shown.append(_compared(series, Figures(), _foretold(found), name))
     if others or not found.series.has_truth or found.truth is None or found.truth.mirrored:
         return shown
     split = int(np.searchsorted(log.t_s, log.t_s[0] + _FITTED * (log.t_s[-1] - log.t_s[0])))
@@ -193,10 +196,7 @@ def _shown(
     before = Figures(bias_dps=0.0 if rest is None else rest[0], bias_from_rest=False)
     # One switch-on: the bias is that of the first part, at rest or not.
     after = replace(_foretold(part), bias_from_rest=rest is not None)
-    name = (
-        f"the last {100 * (1 - _FITTED):.0f} % of the log, with figures from the first {100 * _FITTED:.0f} %"
-    )
-    shown.append(_compared(name, found.series, before, after, slice(split, None)))
+    shown.append(_compared(found.series, before, after, from_row=split))
     return shown
 
 
@@ -205,11 +205,15 @@ def _foretold(found: Examined) -> Figures:
     return replace(found.figures, bias_dps=foretold_bias(found.yaw, found.truth))
 
 
-def _compared(name: str, series: DriveSeries, before: Figures, after: Figures, rows: slice) -> Shown:
-    truth = (series.truth_x_m + 1j * series.truth_y_m)[rows]
-    paths = [reckon(series, figures).at_m[rows] for figures in (before, after)]
+def _compared(
+    series: DriveSeries, before: Figures, after: Figures, name: str = "", from_row: int = 0
+) -> Shown:
+    share = _FITTED if from_row else 0.0
+    truth = (series.truth_x_m + 1j * series.truth_y_m)[from_row:]
+    paths = [reckon(series, figures).at_m[from_row:] for figures in (before, after)]
     if np.count_nonzero(np.isfinite(truth)) < 3:
         apart = float(np.sqrt(np.mean(np.abs(paths[0] - paths[1]) ** 2)))
-        return Shown(name, paths[0], paths[1], truth, float("nan"), float("nan"), apart)
+        return Shown(name, share, paths[0], paths[1], truth, float("nan"), float("nan"), apart)
     (one, first), (two, second) = (laid_on(path, truth) for path in paths)
-    return Shown(name, one, two, truth, first, second, float(np.sqrt(np.mean(np.abs(one - two) ** 2))))
+    apart = float(np.sqrt(np.mean(np.abs(one - two) ** 2)))
+    return Shown(name, share, one, two, truth, first, second, apart)

@@ -358,9 +358,9 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
         for name in ("skid_slip", "wheel_asymmetry", "wheel_eccentricity", "gyro_delay"):
             reasons[name] = Lack(Why.ONE_SPEED)
     usable = truth is not None and not truth.mirrored
-    for name, twin in (("gyro_scale", "the effective wheel separation"), ("wheel_scale", "the true way")):
+    for name, like in (("gyro_scale", Why.LIKE_SEPARATION), ("wheel_scale", Why.LIKE_WAY)):
         if not usable or truth is None:
-            reasons[name] = Lack(Why.NO_TRUTH, {"twin": twin})
+            reasons[name] = Lack(like)
         elif truth.stds[name] > _KNOWN:
             reasons[name] = Lack(Why.POOR_TRUTH, {"percent": 100.0 * truth.stds[name]})
     return reasons

@@ -10,6 +10,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.search import YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import Bools, Floats, Ints
 from gyrocal.diagnosis.drive.yaw import Gram, gram_of
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.staircase import LeftOut, improvement
 from gyrocal.units import RAD_TO_DEG
@@ -17,7 +18,7 @@ from gyrocal.units import RAD_TO_DEG
 #: Length of what is left out, s, and every how many-th of them together: a longer one would hold a whole rest, and with
 #: it all that a log says of a step of the bias.
 _BLOCK_S, _FOLDS = 5.0, 4
-_SCHEME = f"every {_FOLDS}th block of {_BLOCK_S:g} s"
+_SCHEME = Remark(Said.LEFT_OUT_BLOCKS, {"folds": _FOLDS, "block_s": _BLOCK_S})
 #: Errors are means over about this time, s: of shorter ones ticks are the most.
 _MEAN_S = 1.0
 #: Variance of an interval that is left out, rad^2.

@@ -395,7 +395,7 @@ def test_what_was_found_makes_the_path_better_elsewhere(resting: Robot) -> None:
     other = Plan("lawn", 4.0, 10.0, arw_dps_rt_s=0.001, truth_m=0.01, effects=plan.effects)
     result = diagnose_drive("a.csv", drive(plan, 1), resting, others=[("b.csv", drive(other, 2))])
     (shown,) = result.shown
-    assert shown.part == "b.csv"
+    assert shown.log == "b.csv"
     assert shown.after_m < 0.3 * shown.before_m
 
 
