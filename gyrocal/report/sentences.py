@@ -145,7 +145,9 @@ def _places(d: Diagnosis) -> list[str]:
     """Where it departs: the strongest place in full, what only mirrors it by name, and what is still there."""
     means = [p for p in d.located if p.statistic == "mean" and not p.finding]
     said = []
-    if means:
+    if means and d.verdict == "consistent":
+        said.append(f"It comes nearest to that in {_where(d, means[0])}: too little to name or to correct.")
+    elif means:
         first, others = means[0], means[1:]
         mirrored = dict.fromkeys(_coordinate(d, p) for p in others if p.coordinate != first.coordinate)
         also = f"; it is also seen in {listed(list(mirrored))}" if mirrored else ""

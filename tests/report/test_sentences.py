@@ -156,6 +156,15 @@ def test_explained_coordinates_are_one_line(shupe: Diagnosis) -> None:
     ]
 
 
+def test_where_nothing_stands_out_no_mean_departs(shupe: Diagnosis) -> None:
+    """Before: "nothing beyond noise", and then where "the mean departs most"."""
+    nothing = replace(shupe, effects=(), improvement=None, verdict="consistent")
+    first, second = plain_sentences(nothing)[:2]
+    assert first == "Beyond the error surface nothing stands out of the noise."
+    assert second.startswith("It comes nearest to that in ")
+    assert "departs" not in " ".join(plain_sentences(nothing))
+
+
 def test_place_that_is_not_testable_is_not_named_so(shupe: Diagnosis) -> None:
     places = (
         Located("rate", "mean", 1e-51, 1.0, low=93.6, high=100.8, unit="deg/s"),
