@@ -11,6 +11,7 @@ from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError
 from gyrocal.inference.multiple import holm
 from gyrocal.units import NORMAL_95
@@ -48,10 +49,11 @@ def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
     Raises
     ------
     DataError
-        Fewer than two runs.
+        Fewer than two runs, or one that is given twice.
     """
     if len(runs) < 2:
         raise DataError("One run is given, and a comparison takes two: give more.")
+    refuse_twice([run.recording.source for run in runs])
     listed = [
         {name: pair.before for name, pair in run.merit.items()} | dict(run.noise.figures) for run in runs
     ]

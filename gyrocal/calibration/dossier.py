@@ -16,6 +16,7 @@ from scipy import stats
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.noise import noise_figures
+from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.records.files import reading
 from gyrocal.records.instruments import day_of, expired
@@ -166,7 +167,7 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         raise DataError(
             f"The runs are of several units ({shown}): a certificate is of one. Use `fleet` for many."
         )
-    _refuse_twice(runs)
+    refuse_twice([run.path for run in runs])
     rows = [*_merit_rows(runs), *_noise_rows(runs), *_repeatability(runs), *_reach(runs)]
     unknown = sorted(set(limits) - {row.known.name for row in rows})
     if unknown:
@@ -198,16 +199,6 @@ def _expired(runs: Sequence[UnitRun]) -> tuple[str, ...]:
             for text in expired(run.head.get("identity", {}), day):
                 late.setdefault(text, []).append(f"{run.path.name} ({day.isoformat()})")
     return tuple(f"{text}, before the measurement of {', '.join(names)}" for text, names in late.items())
-
-
-def _refuse_twice(runs: Sequence[UnitRun]) -> None:
-    """One recording given twice repeats itself exactly, which is no repeatability."""
-    seen: dict[str, Path] = {}
-    for run in runs:
-        checksum = run.calibration.recording.sha256
-        if checksum in seen:
-            raise DataError(f"{run.path} and {seen[checksum]} are the same recording: give each once.")
-        seen[checksum] = run.path
 
 
 def _without_number(row: Row) -> list[tuple[Figure, str]]:

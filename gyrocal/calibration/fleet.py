@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate, configs
+from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError, DeviceError, GyrocalError, InputError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
@@ -158,10 +159,11 @@ def measure_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> Fl
     Raises
     ------
     DataError
-        Nothing to compare. InputError, DeviceError: no library for Dask, or no cluster answers.
+        Nothing to compare, or a recording that is given twice. InputError, DeviceError: no library for Dask, or no cluster answers.
     """
     if len(config.recordings) < 2:
         raise DataError("One recording is given, and a fleet has two at least: give more, or use `fit`.")
+    refuse_twice(config.recordings)
     each = configs(config.recordings, config.counts_per_dps)
     with _workers(config) as executor:
         return compare_units(list(measure_all(config.recordings, each, executor, tell)))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gyrocal.errors import CoefficientError, DataError
+from gyrocal.errors import CoefficientError, DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.files import reading, sha256_of_file
 from gyrocal.records.run import Run
@@ -94,6 +94,25 @@ def source_sha256(path: Path) -> str:
         with reading(path / name):
             digest.update((path / name).read_bytes())
     return digest.hexdigest()
+
+
+def refuse_twice(paths: Sequence[Path]) -> None:
+    """Refuse a recording that is given twice, be it under two names: it repeats itself exactly, which no measurement does.
+
+    Raises
+    ------
+    DataError
+        With both names.
+    """
+    seen: dict[str, Path] = {}
+    for path in paths:
+        try:
+            checksum = source_sha256(path)
+        except InputError:  # said where it is read
+            continue
+        if checksum in seen:
+            raise DataError(f"{path} and {seen[checksum]} are the same recording: give each once.")
+        seen[checksum] = path
 
 
 def fitted_to(coefficients: Coefficients, path: Path) -> Coefficients:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import textwrap
@@ -22,6 +23,14 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 
 #: ``--overwrite``, the same in every command that writes one file.
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+
+
+def finite_number(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
+    """Refuse ``nan`` and ``inf``, which click takes for numbers in any range."""
+    if value is not None and not math.isfinite(value):
+        raise click.BadParameter("a finite number is wanted.")
+    return value
+
 
 #: What a terminal's table adds to each column.
 _RULES = 3

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number, json_option, progress
 from gyrocal.cli.log_options import drive_options
 
 if TYPE_CHECKING:
@@ -38,12 +38,17 @@ if TYPE_CHECKING:
 @click.option(
     "--bench-hours",
     type=click.FloatRange(min=0.1),
+    callback=finite_number,
     default=8.0,
     show_default=True,
     help="Bench time that the next experiment may take.",
 )
 @click.option(
-    "--seed", type=int, default=0, show_default=True, help="Of the Monte Carlo nulls and bootstraps."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the Monte Carlo nulls and bootstraps.",
 )
 @click.option("--force-sensor", is_flag=True, help="Accept coefficients of another model or serial number.")
 @drive_options

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gyrocal.cli.console import overwrite_option
+from gyrocal.cli.console import finite_number, overwrite_option
 
 if TYPE_CHECKING:
     from gyrocal.calibration.export import CType
@@ -48,7 +48,10 @@ if TYPE_CHECKING:
     "--instance", type=click.IntRange(0, 3), default=0, show_default=True, help="px4, ardupilot: which gyro."
 )
 @click.option(
-    "--rate-hz", type=click.FloatRange(0.1), help="kalibr: sample rate, if the file does not say it."
+    "--rate-hz",
+    type=click.FloatRange(0.1),
+    callback=finite_number,
+    help="kalibr: sample rate, if the file does not say it.",
 )
 @overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was exported as JSON on stdout; needs -o.")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number, json_option, progress
 from gyrocal.cli.log_options import gyro_options
 
 
@@ -14,11 +14,15 @@ from gyrocal.cli.log_options import gyro_options
 @click.argument("record", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="New directory for noise.json and the pictures.")
 @click.option(
-    "--latitude", type=click.FloatRange(-90, 90), help="Of the place, deg: takes the earth rate off."
+    "--latitude",
+    type=click.FloatRange(-90, 90),
+    callback=finite_number,
+    help="Of the place, deg: takes the earth rate off.",
 )
 @click.option(
     "--elevation",
     type=click.FloatRange(-90, 90),
+    callback=finite_number,
     default=90.0,
     show_default=True,
     help="Of the sensing axis above the horizon, deg; 90 is up.",
@@ -26,12 +30,16 @@ from gyrocal.cli.log_options import gyro_options
 @click.option(
     "--azimuth",
     type=float,
+    callback=finite_number,
     default=0.0,
     show_default=True,
     help="Of the sensing axis, deg clockwise from north.",
 )
 @click.option(
-    "--rate-hz", type=click.FloatRange(min=0, min_open=True), help="Nominal sample rate, for the clock."
+    "--rate-hz",
+    type=click.FloatRange(min=0, min_open=True),
+    callback=finite_number,
+    help="Nominal sample rate, for the clock.",
 )
 @gyro_options
 @json_option

@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from gyrocal.cli.console import emit_json, json_option
+from gyrocal.cli.console import emit_json, finite_number, json_option
 
 
 @click.command()
@@ -15,7 +15,12 @@ from gyrocal.cli.console import emit_json, json_option
     "--baud", type=click.IntRange(min=1), help="Line speed; without it the usual ones are tried in turn."
 )
 @click.option(
-    "--seconds", default=2.0, show_default=True, type=click.FloatRange(0.1, 600), help="Time to listen."
+    "--seconds",
+    default=2.0,
+    show_default=True,
+    type=click.FloatRange(0.1, 600),
+    callback=finite_number,
+    help="Time to listen.",
 )
 @json_option
 def command(port: str, baud: int | None, seconds: float, as_json: bool) -> None:

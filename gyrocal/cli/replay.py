@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import json_option
+from gyrocal.cli.console import finite_number, json_option
 from gyrocal.cli.log_options import drive_options
 
 
@@ -40,7 +40,12 @@ from gyrocal.cli.log_options import drive_options
 @click.option(
     "--returns", is_flag=True, help="The robot came back to its start: without truth, that is the error."
 )
-@click.option("--power-on-s", type=float, help="When the gyro was switched on, on the log's clock.")
+@click.option(
+    "--power-on-s",
+    type=float,
+    callback=finite_number,
+    help="When the gyro was switched on, on the log's clock.",
+)
 @drive_options
 @json_option
 def command(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option
+from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number, json_option
 from gyrocal.cli.log_options import gyro_options
 
 
@@ -15,6 +15,7 @@ from gyrocal.cli.log_options import gyro_options
 @click.option(
     "--mark-deg",
     type=click.FloatRange(1.0, 360.0),
+    callback=finite_number,
     default=360.0,
     show_default=True,
     help="Every turn ends at a multiple of this angle.",

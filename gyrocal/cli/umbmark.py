@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_table, json_option
+from gyrocal.cli.console import emit_json, emit_table, finite_number, json_option
 
 
 @click.command("umbmark")
@@ -15,9 +15,19 @@ from gyrocal.cli.console import emit_json, emit_table, json_option
     "--robot", required=True, type=click.Path(path_type=Path), help="Robot file in use on these runs."
 )
 @click.option(
-    "--side-m", required=True, type=click.FloatRange(0.1, 1000.0), help="Side of the square, in metres."
+    "--side-m",
+    required=True,
+    type=click.FloatRange(0.1, 1000.0),
+    callback=finite_number,
+    help="Side of the square, in metres.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the draws behind the intervals.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the draws behind the intervals.",
+)
 @json_option
 def command(runs: Path, robot: Path, side_m: float, seed: int, as_json: bool) -> None:
     """Correct a robot's wheels and track by UMBmark (Borenstein and Feng, 1996).

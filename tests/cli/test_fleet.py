@@ -61,6 +61,17 @@ def test_one_recording_is_no_fleet(tables: list[Path], tmp_path: Path) -> None:
     assert not (tmp_path / "x").exists()
 
 
+def test_a_recording_given_twice_is_refused_under_any_name(tables: list[Path], tmp_path: Path) -> None:
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(tables[0].read_bytes())
+    done = CliRunner().invoke(
+        gyrocal_command, ["fleet", *map(str, tables[:2]), str(copy), "--out", str(tmp_path / "x")]
+    )
+    assert "are the same recording: give each once" in str(done.exception)
+    done = CliRunner().invoke(gyrocal_command, ["compare", str(tables[0]), str(copy)])
+    assert "are the same recording: give each once" in str(done.exception)
+
+
 def test_no_scheduler_is_said(tables: list[Path]) -> None:
     config = FleetConfig(tuple(tables), dask="tcp://127.0.0.1:9")
     with pytest.raises(Exception, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:9"):

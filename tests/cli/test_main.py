@@ -8,9 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
-from gyrocal.cli import _say_bug, main
+from gyrocal.cli import COMMANDS, _say_bug, gyrocal_command, main
 
 
 @pytest.mark.parametrize(
@@ -72,3 +73,18 @@ main()
 def test_streams_that_were_closed_before_are_no_bug(closed: str) -> None:
     command = f'exec "{sys.executable}" -m gyrocal profile {closed}'
     assert subprocess.run(["/bin/sh", "-c", command], check=False).returncode == 0
+
+
+def test_no_option_that_is_a_number_takes_nan_or_an_endless_one() -> None:
+    numbers = 0
+    for name in COMMANDS:
+        command = gyrocal_command.get_command(click.Context(gyrocal_command), name)
+        assert command is not None
+        for param in command.params:
+            # The readers of tables refuse a scale that is none, where it is wanted.
+            if isinstance(param.type, click.types.FloatParamType) and param.name != "counts_per_dps":
+                numbers += 1
+                for value in ("nan", "inf"):
+                    with pytest.raises(click.BadParameter):
+                        param.process_value(click.Context(command), value)
+    assert numbers
