@@ -104,12 +104,12 @@ class Survey:
     def notes(self) -> tuple[str, ...]:
         """What was found and bridged, in words."""
         found = (
-            (self.bad_gyro, "rows without a gyro sample"),
-            (self.bad_encoder, "rows without an encoder sample"),
-            (self.duplicates, "rows with the time of the row before"),
-            (self.gaps, "gaps of more than 5 usual steps"),
+            (self.bad_gyro, "row", "without a gyro sample"),
+            (self.bad_encoder, "row", "without an encoder sample"),
+            (self.duplicates, "row", "with the time of the row before"),
+            (self.gaps, "gap", "of more than 5 usual steps"),
         )
-        said = [*self.said, *(f"{count} {what}" for count, what in found if count)]
+        said = [*self.said, *(f"{n} {one}{'s' if n > 1 else ''} {what}" for n, one, what in found if n)]
         if self.usual_dt_s > SLOW_S:
             said.append(
                 f"a row every {self.usual_dt_s:.2g} s: how the robot turned between two rows is lost, and with it accuracy of the path; log every {SLOW_S:g} s or closer"

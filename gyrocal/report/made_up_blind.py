@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gyrocal
+from gyrocal.calibration.figure import plural
 from gyrocal.records.files import make_output_directory, write_atomically
 from gyrocal.report.diagnosis_blind import Commitments
 from gyrocal.report.page import Page, Table, render_page
@@ -66,7 +67,7 @@ def write_made_up(
 def _page(config: BlindConfig, counted: Tally, trials: Sequence[Opened]) -> str:
     right, wrong = counted.shares[0], counted.shares[3]
     page = Page(
-        title=f"Blind trial: {len(trials)} made-up recordings of the kind {config.kind}",
+        title=f"Blind trial: {len(trials)} made-up {plural(len(trials), '[recording|recordings]')} of the kind {config.kind}",
         verdict=(
             f"Of {right.trials} hidden layers of d' 12 and more {right.hits} were named; of {wrong.trials} names "
             f"{wrong.hits} were wrong; of the removable error on the second run was removed: {counted.removed_text}."

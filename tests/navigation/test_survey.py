@@ -41,8 +41,8 @@ def test_what_is_missing_is_counted() -> None:
     assert (found.bad_gyro, found.bad_encoder, found.duplicates, found.gaps) == (2, 1, 1, 1)
     assert found.notes() == (
         "2 rows without a gyro sample",
-        "1 rows without an encoder sample",
-        "1 rows with the time of the row before",
+        "1 row without an encoder sample",
+        "1 row with the time of the row before",
         "1 gap of more than 5 usual steps",
     )
     assert found.usual_dt_s == pytest.approx(0.1)

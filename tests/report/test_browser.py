@@ -65,3 +65,21 @@ def test_a_page_without_them_has_no_banner_and_no_limits() -> None:
     text = render_page(replace(PAGE, banner="", quality=()))
     assert 'class="banner"' not in text
     assert "Limits of the data" not in text
+
+
+def test_a_page_without_pictures_has_no_heading_for_them() -> None:
+    text = render_page(replace(PAGE, pictures=[]))
+    assert "<h2>Figures</h2>" not in text
+    assert "<summary>1 note</summary>" in text
+    assert "<summary>2 notes</summary>" in render_page(replace(PAGE, quality=["a", "b"]))
+
+
+@needs_chromium
+def test_many_short_columns_with_long_names_need_no_scrolling(tmp_path: Path) -> None:
+    columns = ["Trial", *(f"no calibration, no filter {k}, cm" for k in range(9))]
+    table = Table("t", "Wide", columns, [["1", *["332.6"] * 9]] * 3, "")
+    path = tmp_path / "page.html"
+    # A table that scrolls is made one that runs over.
+    path.write_text(render_page(replace(PAGE, tables=[table])).replace("overflow-x: auto;", ""), "utf-8")
+    seen = look(path, 1400, tmp_path)
+    assert seen.wide_px <= seen.given_px
