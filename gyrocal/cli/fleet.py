@@ -33,8 +33,8 @@ def command(
     Example: gyrocal fleet units/*/run --out fleet
     """
     from gyrocal.calibration.fleet import FleetConfig, measure_fleet
+    from gyrocal.records.output import check_output
     from gyrocal.report.fleet import fleet_sentence, tables, to_json, write_fleet
-    from gyrocal.report.output import check_output
 
     check_output(out)
     with progress("fleet", quiet=as_json) as tell:

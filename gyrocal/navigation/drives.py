@@ -11,7 +11,7 @@ import gyrocal
 from gyrocal.navigation.montecarlo import World, simulate_drives, simulated_robot_file, unit_of
 from gyrocal.navigation.simulate import CCW, CW, draw_day, draw_robot
 from gyrocal.records.drive import format_drive_log
-from gyrocal.records.files import make_output_directory, write_atomically
+from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import format_robot
 
 DIRECTIONS = {"cw": (CW,), "ccw": (CCW,), "both": (CW, CCW)}
@@ -68,8 +68,7 @@ def simulated_files(request: DriveRequest) -> tuple[dict[str, str], dict[str, An
 
 def simulate_to_directory(request: DriveRequest) -> dict[str, Any]:
     """Simulate, then write everything to ``request.out``: logs, ``robot.toml``, ``simulation.json``."""
-    make_output_directory(request.out)
+    check_output(request.out)
     files, note = simulated_files(request)
-    for name, text in files.items():
-        write_atomically(request.out / name, text)
+    write_directory(request.out, files)
     return note

@@ -11,10 +11,10 @@ import numpy as np
 import gyrocal
 from gyrocal.calibration.figure import plural
 from gyrocal.calibration.residuals import ALARM_RATE
+from gyrocal.records.output import check_output, write_directory
 from gyrocal.report import tables
 from gyrocal.report.drawings import DRAWINGS
 from gyrocal.report.gather import Material, Progress, gather
-from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.scatter import scatter_statements
 from gyrocal.report.style import render

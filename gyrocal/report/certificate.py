@@ -15,9 +15,9 @@ from gyrocal.calibration.calibrate import configs
 from gyrocal.calibration.dossier import Dossier, Row, compile_dossier, read_limits, unit_run
 from gyrocal.calibration.summary import said, verdict
 from gyrocal.errors import InputError
+from gyrocal.records.output import check_output, write_directory
 from gyrocal.report.drawings import DRAWINGS
 from gyrocal.report.gather import examine
-from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, Table, Tone, render_page
 from gyrocal.report.style import render
 

@@ -25,6 +25,7 @@ from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.planning.next_experiment import propose, to_toml
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.drive_source import Reading, read_drive
+from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import format_robot, read_robot
 from gyrocal.records.run import Run, read_run
 from gyrocal.report import style
@@ -32,7 +33,6 @@ from gyrocal.report.between import BETWEEN_JSON, between_file, between_table, be
 from gyrocal.report.diagnosis import diagnosis_page, figures
 from gyrocal.report.diagnosis_drive import drive_figures
 from gyrocal.report.drive_words import drive_sentences
-from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Picture, Table
 from gyrocal.report.sentences import document
 from gyrocal.report.versus import LAW_JSON, law_files, told

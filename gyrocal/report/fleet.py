@@ -17,8 +17,8 @@ import gyrocal
 from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.fleet import ALARM_RATE, LEAST_UNITS, Fleet
 from gyrocal.records.files import finite
+from gyrocal.records.output import write_directory
 from gyrocal.report import style
-from gyrocal.report.output import write_directory
 from gyrocal.report.page import Page, Picture, Table, render_page
 
 #: Figures a picture shows: those of a gyro, not its coefficients.

@@ -24,6 +24,7 @@ from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.csvio import Floats, format_columns
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.drive_source import Reading, iterate_drive
+from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import Robot, read_robot
 from gyrocal.report.navigation_figures import (
     bars_caption,
@@ -34,7 +35,6 @@ from gyrocal.report.navigation_figures import (
     draw_trajectories,
     in_truth_frame,
 )
-from gyrocal.report.output import check_output, write_directory
 from gyrocal.report.page import Page, Picture, render_page
 from gyrocal.report.page import Table as PageTable
 from gyrocal.report.style import render

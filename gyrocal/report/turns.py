@@ -17,9 +17,9 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.navigation.umbmark import Umbmark, umbmark
 from gyrocal.records.csvio import read_columns, read_header, require_columns
 from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
+from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import read_robot
 from gyrocal.report import style
-from gyrocal.report.output import check_output, write_directory
 
 _CURVE_POINTS = 6000
 _SQUARES = ("direction", "x_m", "y_m")

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from gyrocal.errors import OutputError
 from gyrocal.navigation.drives import DriveRequest, simulate_to_directory, simulated_files
 from gyrocal.navigation.path import Motion, drive, square_via_points
 from gyrocal.navigation.simulate import CCW, CW, Day, SimulatedRobot, Spread, encoder_steps, simulate_log
 from gyrocal.physics.gyro import rd2100_unit
+from gyrocal.records.files import raise_output_error, write_atomically
 from gyrocal.records.robot import read_robot
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH
 from tests.records.whole import read_drive_log
@@ -99,3 +101,17 @@ def test_what_is_written_is_what_replay_reads(tmp_path: Path) -> None:
     log = read_drive_log(tmp_path / "a" / "ccw1.csv", robot.metres_per_tick)
     assert log.truth_heading_deg[-1] > 300.0
     assert log.left_m.sum() == pytest.approx(210.0, abs=4.0)
+
+
+def test_a_disk_that_fills_between_two_logs_keeps_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def filling(path: Path, data: bytes | str) -> None:
+        if path.name == "robot.toml":
+            raise_output_error(path, OSError(28, "No space left on device"))
+        write_atomically(path, data)
+
+    monkeypatch.setattr("gyrocal.records.output.write_atomically", filling)
+    with pytest.raises(OutputError, match="the disk is full; nothing was left half-written"):
+        simulate_to_directory(DriveRequest(tmp_path / "a", 5, runs=1, direction="ccw"))
+    assert list(tmp_path.iterdir()) == []

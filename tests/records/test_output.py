@@ -8,7 +8,7 @@ import pytest
 
 from gyrocal.errors import OutputError
 from gyrocal.records.files import raise_output_error, write_atomically
-from gyrocal.report.output import check_output, write_directory
+from gyrocal.records.output import check_output, write_directory
 
 
 def test_files_and_folders_are_written(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_a_failure_in_the_middle_leaves_nothing(tmp_path: Path, monkeypatch: pyt
             raise_output_error(path, OSError(28, "No space left on device"))
         write_atomically(path, data)
 
-    monkeypatch.setattr("gyrocal.report.output.write_atomically", full_disk)
+    monkeypatch.setattr("gyrocal.records.output.write_atomically", full_disk)
     with pytest.raises(OutputError, match="the disk is full; nothing was left half-written") as caught:
         write_directory(tmp_path / "report", {"a.txt": "a", "b.txt": "b"})
     assert str(caught.value).startswith(f"{tmp_path / 'report'}: ")
