@@ -2,10 +2,11 @@
 
 A command line; a row a constant goes to JSON lines as it comes, and a repeated call goes on where the last one stopped::
 
-    nice -n 10 python -m tests.diagnosis.sensitivity --out sensitivity.jsonl [--only names.py]
+    nice -n 10 python -m tests.diagnosis.sensitivity --out sensitivity.jsonl [--only names.py] [--small]
     python -m tests.diagnosis.sensitivity --out sensitivity.jsonl --table
 
-The table of what has been measured so far is `sensitivity.md` beside this file. An error is that of a second run without noise (or a
+With `--small` on the recordings of `test_frozen`, a few seconds a constant: which of them changes its answer at all. The tables of
+what has been measured so far are in `sensitivity.md` beside this file. An error is that of a second run without noise (or a
 second drive) by the improved file; names and verdict are told where they become others.
 """
 
@@ -37,6 +38,7 @@ from gyrocal.trial.made_up import MadeUp, make_up
 from gyrocal.trial.second import corrected_rms_dps
 from tests.diagnosis.drive.fleet import Plan, again, drive
 from tests.diagnosis.drive.score import diagnosed, metres, plans, robot_file
+from tests.diagnosis.test_frozen import QUICK, differences, rounded
 
 PACKAGE = Path(__file__).parents[2] / "gyrocal"
 #: What recordings of either kind do not read, by folder or file of `gyrocal/diagnosis`.
@@ -46,6 +48,8 @@ ONLY_DRIVES = "drive/"
 RECORDINGS = (("layers", 102, 1), ("layers", 101, 0), ("nulls", 101, 0))
 TABLES = (("layers", 101, 0), ("layers", 103, 0))
 DRIVES = (("gyro_delay", 12.0, 0), ("gyro_scale", 12.0, 1), ("", 0.0, 2))
+#: Of the frozen recordings; the first that changes ends the search.
+SMALL, SMALL_DRIVES = ("warm_up", "resonance", "asymmetry"), ("drive", "drive_with_truth")
 #: Errors that differ by less are the same.
 _SAME_ERROR = 0.01
 
@@ -127,6 +131,20 @@ class Outcome:
         return " ".join(changes) or (self.verdict if self.verdict != usual.verdict else "")
 
 
+def _small(constant: Constant) -> Iterator[dict[str, Any]]:
+    """Documents of the frozen recordings that may depend on a constant, one by one."""
+    names = SMALL_DRIVES if constant.file.startswith(ONLY_DRIVES) else SMALL
+    for name in names:
+        yield rounded(QUICK[name]())
+
+
+def _changes(usual: dict[str, Any], now: dict[str, Any]) -> str:
+    """Names that come and go; else whether a number is another."""
+    before, after = ([e["effect"] for e in d["effects"]] for d in (usual, now))
+    names = [f"+{n}" for n in after if n not in before] + [f"-{n}" for n in before if n not in after]
+    return " ".join(names) or ("numbers" if differences(usual, now) else "")
+
+
 @cache
 def _recording(kind: str, seed: int, number: int) -> tuple[MadeUp, Path, Path]:
     place = Path(tempfile.mkdtemp(prefix="gyrocal-sensitivity-"))
@@ -169,13 +187,24 @@ def outcomes(constant: Constant) -> list[Outcome]:
     return [_of_bench(*r) for r in (TABLES if constant.file in ONLY_TABLES else RECORDINGS)]
 
 
-def _measured(constant: Constant, usual: list[Outcome]) -> dict[str, Any]:
+def _told(constant: Constant, usual: list[Any], *, small: bool) -> list[str]:
+    if small:
+        told = []
+        for before, now in zip(usual, _small(constant), strict=True):
+            told.append(_changes(before, now))
+            if told[-1]:
+                break
+        return told
+    return [o.against(u) for o, u in zip(outcomes(constant), usual, strict=True)]
+
+
+def _measured(constant: Constant, usual: list[Any], *, small: bool) -> dict[str, Any]:
     row: dict[str, Any] = {"constant": constant.key, "value": constant.value}
     for word, factor in (("half", 0.5), ("twice", 2.0)):
         value = constant.times(factor)
         with constant.set_to(value):
             try:
-                told = [o.against(u) for o, u in zip(outcomes(constant), usual, strict=True)]
+                told = _told(constant, usual, small=small)
             except Exception as error:  # noqa: BLE001 (any failure is the answer)
                 told = [f"fails: {type(error).__name__}"]
         row[word] = [value, told]
@@ -200,6 +229,7 @@ def main() -> None:
     parser.add_argument(
         "--only", default="", help="Constants whose file and name hold one of these, comma-separated."
     )
+    parser.add_argument("--small", action="store_true", help="On the frozen recordings.")
     parser.add_argument("--table", action="store_true", help="Print the table of what was measured.")
     options = parser.parse_args()
     rows = [json.loads(line) for line in options.out.open()] if options.out.exists() else []
@@ -208,15 +238,15 @@ def main() -> None:
             click.echo(line)
         return
     known = {row["constant"] for row in rows}
-    usual: dict[tuple[bool, bool], list[Outcome]] = {}
+    usual: dict[tuple[bool, bool], list[Any]] = {}
     for constant in constants():
         wanted = any(word in constant.key for word in options.only.split(","))
         if constant.key in known or constant.file.startswith("versus/") or not wanted:
             continue
         kind = constant.file.startswith(ONLY_DRIVES), constant.file in ONLY_TABLES
         if kind not in usual:
-            usual[kind] = outcomes(constant)
-        row = _measured(constant, usual[kind])
+            usual[kind] = list(_small(constant)) if options.small else outcomes(constant)
+        row = _measured(constant, usual[kind], small=options.small)
         click.echo(json.dumps(row))
         with options.out.open("a") as lines:
             lines.write(json.dumps(row) + "\n")

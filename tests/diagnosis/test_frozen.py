@@ -138,24 +138,22 @@ SLOW: dict[str, Callable[[], dict[str, Any]]] = {
 }
 
 
-def _rounded(value: Any) -> Any:
+def rounded(value: Any) -> Any:
     """With the digits that are kept; texts and hashes of a file are no numbers of its own."""
     if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items() if k not in ("sha256", "provenance", "sensor")}
+        return {k: rounded(v) for k, v in value.items() if k not in ("sha256", "provenance", "sensor")}
     if isinstance(value, list | tuple):
-        return [_rounded(v) for v in value]
+        return [rounded(v) for v in value]
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
-def _differences(frozen: Any, now: Any, at: str = "") -> list[str]:
+def differences(frozen: Any, now: Any, at: str = "") -> list[str]:
     """Places where two documents differ by more than another machine makes them."""
     if isinstance(frozen, dict) and isinstance(now, dict) and frozen.keys() == now.keys():
-        return [d for k in frozen for d in _differences(frozen[k], now[k], f"{at}/{k}")]
+        return [d for k in frozen for d in differences(frozen[k], now[k], f"{at}/{k}")]
     if isinstance(frozen, list) and isinstance(now, list) and len(frozen) == len(now):
         return [
-            d
-            for k, pair in enumerate(zip(frozen, now, strict=True))
-            for d in _differences(*pair, f"{at}/{k}")
+            d for k, pair in enumerate(zip(frozen, now, strict=True)) for d in differences(*pair, f"{at}/{k}")
         ]
     if isinstance(frozen, float) and isinstance(now, int | float):
         return (
@@ -168,7 +166,7 @@ def _differences(frozen: Any, now: Any, at: str = "") -> list[str]:
 
 def _compare(name: str, made: dict[str, Any]) -> None:
     frozen = json.loads((FROZEN / f"{name}.json").read_text(encoding="utf-8"))
-    changed = _differences(frozen, json.loads(json.dumps(_rounded(made))))
+    changed = differences(frozen, json.loads(json.dumps(rounded(made))))
     assert not changed, "\n".join(changed[:12])
 
 
@@ -184,19 +182,19 @@ def test_numbers_of_longer_recordings_are_what_they_were(name: str) -> None:
 
 
 def test_what_differs_is_told() -> None:
-    assert _differences({"a": [1.0, None]}, {"a": [1.0 + 1e-6, None]}) == []
-    assert _differences({"a": [1.0, "x"]}, {"a": [1.1, "y"]}) == [
+    assert differences({"a": [1.0, None]}, {"a": [1.0 + 1e-6, None]}) == []
+    assert differences({"a": [1.0, "x"]}, {"a": [1.1, "y"]}) == [
         "/a/0: 1.0 is now 1.1",
         "/a/1: 'x' is now 'y'",
     ]
-    assert _differences({"a": 1}, {"b": 1}) == [": {'a': 1} is now {'b': 1}"]
+    assert differences({"a": 1}, {"b": 1}) == [": {'a': 1} is now {'b': 1}"]
 
 
 def main() -> None:
     """Freeze the numbers of today."""
     FROZEN.mkdir(exist_ok=True)
     for name, made in (QUICK | SLOW).items():
-        text = json.dumps(_rounded(made()), indent=1)
+        text = json.dumps(rounded(made()), indent=1)
         (FROZEN / f"{name}.json").write_text(text + "\n", encoding="utf-8")
         click.echo(name)
 

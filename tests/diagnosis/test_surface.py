@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +19,6 @@ from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import read_data_sets
 
-_SET_S = 25.0
-
 
 def _table(path: Path, wander_dps: float) -> Path:
     """Sweeps of a gyro that is cubic in the true rate, while the temperature drifts and the bias walks."""
@@ -31,7 +28,7 @@ def _table(path: Path, wander_dps: float) -> Path:
     gyro = rate + 0.02 + 0.002 * rate - 3e-6 * rate**3 + 1e-4 * rate * (temp - 25.0) / 8.0
     gyro += 1e-3 * rng.standard_normal(rate.size)
     gyro += wander_dps * np.cumsum(rng.standard_normal(rate.size))
-    rows = zip(_SET_S * np.arange(rate.size), rate, gyro, temp, strict=True)
+    rows = zip(25.0 * np.arange(rate.size), rate, gyro, temp, strict=True)
     lines = [f"{t:.1f},{w:.6f},{y:.6f},{c:.3f}" for t, w, y, c in rows]
     path.write_text("\n".join(["t_s,rate_dps,gyro_dps,temp_c", *lines]) + "\n")
     return path
@@ -39,16 +36,22 @@ def _table(path: Path, wander_dps: float) -> Path:
 
 @pytest.mark.parametrize("wander_dps", [0.0, 1e-3])
 def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path, wander_dps: float) -> None:
-    """Where the bias wanders the times that the data sets lasted decide what two of them have in common."""
     path = _table(tmp_path / "sweeps.csv", wander_dps)
     series = series_of_table(read_data_sets(path))
     means = means_of(series)
     whole = alive(fit_model(full_model(means, memory=False), iterations=2))
     blank = Surface(np.zeros(SHAPE), 0.0, 100.0, 25.0, 8.0)
     found = Examination(series, (), whole, {}, Naming(whole, ()), laws_of(means, blank))
-    sets = load_recording(path).sets
-    chosen = fit_chosen(replace(sets, duration_s=np.full(len(sets), _SET_S))).fit.surface
-    surface = surface_alone(found).surface
-    assert surface.direction == chosen.direction == "input"
+    chosen = fit_chosen(load_recording(path).sets).fit
+    alone = surface_alone(found)
+    assert alone.surface.direction == chosen.surface.direction == "input"
     # The temperatures are those behind the readings.
-    np.testing.assert_allclose(surface.coefficients_dps, chosen.coefficients_dps, rtol=1e-6, atol=2e-5)
+    np.testing.assert_allclose(
+        alone.surface.coefficients_dps, chosen.surface.coefficients_dps, rtol=1e-6, atol=2e-5
+    )
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(alone.covariance_dps2)),
+        np.sqrt(np.diag(chosen.covariance_dps2)),
+        rtol=0.01,
+        atol=1e-9,
+    )
