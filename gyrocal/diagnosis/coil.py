@@ -41,7 +41,7 @@ _BEAM, _ROUNDS = 3, 6
 #: Steps of a fit from the variances of a model one step away.
 _ITERATIONS = 20
 #: What a further law pays, nats; with the logarithm of the root of the number of its shapes.
-_TOLL_NATS = 3.0
+TOLL_NATS = 3.0
 #: One that is not of one time constant, sudden or straight pays this beside: of two that explain as much the plain one.
 _ODD_NATS = 1.5
 #: What laws pay by which each other and the surface cancel, for each time that they add up to what the record shows.
@@ -140,7 +140,7 @@ class TableSearch:
         more = [*drifts(means, frame), *(c for c in passing(means, frame) if c.name == "scale walk")]
         model = near.model.with_parts(parts)
         fitted = near.refit(replace(model, components={**model.components, **{c.name: c for c in more}}))
-        paid = self._toll(coil, changes) + _TOLL_NATS + (0.0 if coil or changes else _FIRST_NATS)
+        paid = self._toll(coil, changes) + TOLL_NATS + (0.0 if coil or changes else _FIRST_NATS)
         smooth = [p.name for p in parts] + [c.name for c in more if c.columns is not None]
         paid += _CANCELLED_NATS * self._cancelled(fitted, smooth)
         return Candidate(coil, changes, fitted, fitted.nll + paid)
@@ -273,7 +273,7 @@ class TableSearch:
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
         paid = _ODD_NATS * sum(not change.plain for change in changes)
-        paid += _FIRST_NATS + float(np.sum(_TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+        paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
         low, high = np.log(LAG_BOUNDS_S)

@@ -26,12 +26,12 @@ from gyrocal.diagnosis.scatter import (
     Finding,
     clock_findings,
     outlier_findings,
-    set_aside,
     step_findings,
     variance_places,
 )
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
+from gyrocal.diagnosis.strays import set_aside, stray_findings, without
 from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import strange_turns
@@ -108,8 +108,10 @@ def diagnose(
     level = (options := options or Options()).false_alarm_rate
     notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
-    series, findings = set_aside(whole, recorded.gyro_dps)
+    series, findings, gross = set_aside(whole, recorded.gyro_dps)
     found, lost = beyond_rounding(examine(series, level))
+    series = without(series, found.strays.numbers)
+    findings += stray_findings(whole, gross.joined(found.strays))
     stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found)
     surface, improved = surface_alone(found), correction(found, withheld)

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming, name
 from gyrocal.diagnosis.parts import PASSING, Basis, passing
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
 from gyrocal.diagnosis.within import Pattern, patterns
 from gyrocal.inference.additive import Component, Solution
 
@@ -33,7 +34,7 @@ class Examination:
     Attributes
     ----------
     series : Series
-        Less the patterns within data sets.
+        Less the patterns within data sets, and less `strays`.
     whole : Fitted
         Every part that is alive, no law.
     worth : mapping
@@ -46,6 +47,8 @@ class Examination:
         All of them that have no more than laws, the best first.
     smooth : tuple of Candidate
         Those beside smooth parts, the best first.
+    strays : Strays
+        Data sets of a table that are off by themselves.
     """
 
     series: Series
@@ -57,6 +60,7 @@ class Examination:
     candidates: tuple[tuple[float, Candidate], ...] = ()
     ranked: tuple[Candidate, ...] = ()
     smooth: tuple[Candidate, ...] = ()
+    strays: Strays = NO_STRAYS
 
     @property
     def comes_again(self) -> float:
@@ -80,7 +84,7 @@ def examine(series: Series, level: float) -> Examination:
     means = means_of(left)
     # A table of sweeps has no ramps in which the coil's lag could be seen by itself.
     if series.is_table and np.ptp(series.rate_dps) > 0:
-        return _table(left, found, full_model(means, memory=False))
+        return _table(left, found)
     full = full_model(means)
     whole, _ = settle_direction(alive(fit_twice(full)))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
@@ -93,9 +97,12 @@ def examine(series: Series, level: float) -> Examination:
     return Examination(left, found, whole, worth, naming, laws)
 
 
-def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examination:
+def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
+    base = full_model(means_of(series), memory=False)
     search = TableSearch(base)
     ranked = search.run()
+    if len(more := strays_beside(ranked, aside)):
+        return _table(without(series, more.numbers), found, aside.joined(more))
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
     drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
     first = ranked[0].fitted
@@ -108,7 +115,7 @@ def _table(series: Series, found: tuple[Pattern, ...], base: Model) -> Examinati
     both = sorted([*ranked, *smooth], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(both)) if joint else ()
-    return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth))
+    return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth), aside)
 
 
 def draws_of(full: Model) -> Component | None:

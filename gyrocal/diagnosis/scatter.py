@@ -1,4 +1,4 @@
-"""Changes of variance, single bad data sets, bursts, steps of the output, the sample clock."""
+"""Changes of variance, a dead gyro, bursts, steps of the output, the sample clock."""
 
 from __future__ import annotations
 
@@ -26,14 +26,10 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 #: P-value of what is counted, not tested: that noise puts every sample on a lattice is out of the question.
-_CERTAIN = 0.0
+CERTAIN = 0.0
 #: The surface of the others may say this much more of a set that lost its output than the least output that is left:
 #: it is known to some percent there, and a set that lacks far more has lost its gyro, not a small input.
 _DEEPER = 1.5
-#: A data set this many times farther off than 95 % of all others is not of this recording; no more than this share is.
-_GROSS, _MOST_BAD_SHARE = 8.0, 0.03
-#: Fewer data sets show no gross one beside the twelve terms of a surface; the robust fit settles in so many rounds.
-_FEWEST_SETS, _ROUNDS = 30, 30
 #: Fewest data sets of no output that are a dead zone, and the share of them all beyond which the gyro is not read.
 _FEWEST_DEAD, _MOST_DEAD_SHARE = 3, 0.5
 #: What is lost must stand out of the noise of a row by this factor.
@@ -62,24 +58,6 @@ class Finding:
     place: Located
 
 
-def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding]]:
-    """The series without the data sets that say nothing of the surface, and what is found in them.
-
-    Parameters
-    ----------
-    output_dps : ndarray, shape (n,)
-        The output as recorded: a dead gyro says exactly 0, whatever has been taken off since.
-    """
-    findings: list[Finding] = []
-    dead, lost_dps, reach = dead_sets(series, output_dps)
-    if dead.size:
-        findings.append(_dead_finding(dead, lost_dps, reach, np.unique(series.set_index).size))
-        series = series.take(~np.isin(series.set_index, dead))
-    numbers, off_dps, spread_dps = bad_sets(series)
-    findings += bad_set_findings(series, numbers, off_dps, spread_dps)
-    return (series.take(~np.isin(series.set_index, numbers)) if numbers.size else series), findings
-
-
 def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[float, float]]:
     """Data sets of exactly no output where the surface of the others has one, what it has, and the dead zone's width.
 
@@ -105,7 +83,8 @@ def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[f
     return dead, lost, (deepest, max(least_alive, deepest))
 
 
-def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets: int) -> Finding:
+def dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets: int) -> Finding:
+    """What data sets of no output say of the dead zone."""
     size, spread = 1e3 * float(np.sqrt(np.mean(lost_dps**2))), 1e3 * float(np.std(lost_dps))
     seen = Remark(Said.DEAD_SETS, {"count": dead.size, "sets": sets, "lost_mdps": 1e3 * reach[0]})
     parameters = {
@@ -115,55 +94,8 @@ def _dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets
         # It may be no wider than what it is seen to swallow.
         "width_dps": Estimate(reach[0], 0.25 * (reach[1] - reach[0]), "deg/s", reach),
     }
-    place = Located("rate", "mean", _CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
-    return Finding(DEAD_ZONE.id, seen, parameters, _CERTAIN, place)
-
-
-def bad_sets(series: Series) -> tuple[Ints, Floats, float]:
-    """Data sets that are grossly off a robust surface (mislabelled, disturbed), by how much, and the others' spread, deg/s.
-
-    At most a few: many that are off together are physics, and left to the search.
-    """
-    nothing = np.empty(0, dtype=np.int64), np.empty(0), 0.0
-    base = fit_surface(series)
-    numbers, y = set_means(series, base.residual_dps)
-    if numbers.size < _FEWEST_SETS:
-        return nothing
-    design = np.column_stack([set_means(series, column)[1] for column in base.design.T])
-    weight = np.ones(numbers.size)
-    left, spread = y, 0.0
-    for _ in range(_ROUNDS):
-        solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
-        left = y - design @ solution
-        spread = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
-        weight = np.sqrt(1.0 / (1.0 + (left / (2.0 * spread)) ** 2))
-    size = np.abs(left)
-    bad = size > _GROSS * float(np.quantile(size, 0.95))
-    if not bad.any() or bad.sum() > max(1, _MOST_BAD_SHARE * numbers.size):
-        return nothing
-    return numbers[bad], left[bad], spread
-
-
-def bad_set_findings(series: Series, numbers: Ints, off_dps: Floats, spread_dps: float) -> list[Finding]:
-    """One finding for all data sets that are left out; the largest is known to the spread of the others."""
-    if numbers.size == 0:
-        return []
-    rows = [np.flatnonzero(series.set_index == n)[0] for n in numbers]
-    sets = [
-        (int(n) + 1, float(series.rate_dps[r]), float(series.temp_c[r]), 1e3 * float(d))
-        for n, r, d in zip(numbers, rows, off_dps, strict=True)
-    ]
-    size = float(1e3 * np.max(np.abs(off_dps)))
-    place = Located("data_set_index", "mean", _CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
-    return [
-        Finding(
-            BURSTS.id,
-            Remark(Said.STRANGE_SETS, {"sets": sets}),
-            {"amplitude": Estimate.normal(size, 1e3 * spread_dps, "mdeg/s")},
-            _CERTAIN,
-            place,
-        )
-    ]
+    place = Located("rate", "mean", CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
+    return Finding(DEAD_ZONE.id, seen, parameters, CERTAIN, place)
 
 
 def outlier_findings(series: Series) -> list[Finding]:
@@ -210,13 +142,13 @@ def step_findings(series: Series) -> list[Finding]:
         return []
     size = 1e3 * step
     seen = Remark(Said.OUTPUT_STEPS, {"step_mdps": size, "noise_mdps": size / np.sqrt(12)})
-    place = Located("rate", "variance", _CERTAIN, 0.0, target="samples", finding=QUANTISATION.id)
+    place = Located("rate", "variance", CERTAIN, 0.0, target="samples", finding=QUANTISATION.id)
     return [
         Finding(
             QUANTISATION.id,
             seen,
             {"amplitude": Estimate.normal(size, _STEP_KNOWN * size, "mdeg/s")},
-            _CERTAIN,
+            CERTAIN,
             place,
         )
     ]

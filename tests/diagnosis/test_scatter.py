@@ -12,8 +12,9 @@ import pytest
 
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, set_aside, step_findings, variance_places
+from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, step_findings, variance_places
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
+from gyrocal.diagnosis.strays import set_aside
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.untimed import between_sets, by_data_set, by_time
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
@@ -172,7 +173,7 @@ def make_rates(zone_dps: float, bias_dps: float = 0.3, seed: int = 3) -> DataSet
 
 def test_data_sets_without_output_are_a_dead_zone_and_do_not_bend_the_surface() -> None:
     series = series_of_table(make_rates(0.6))
-    left, findings = set_aside(series, series.gyro_dps)
+    left, findings, _ = set_aside(series, series.gyro_dps)
     (found,) = findings
     assert found.effect == "dead_zone"
     assert found.seen.said is Said.DEAD_SETS

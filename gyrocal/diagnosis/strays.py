@@ -1,0 +1,187 @@
+"""Data sets that say nothing of the surface: those of a dead gyro, and single ones that are off by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.base import fit_surface
+from gyrocal.diagnosis.changes import STEPS
+from gyrocal.diagnosis.coil import TOLL_NATS, Candidate
+from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.diagnosis.result import Estimate, Located
+from gyrocal.diagnosis.scatter import CERTAIN, Finding, dead_finding, dead_sets
+from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.inference.additive import precision
+from gyrocal.physics.sampling import BURSTS
+from gyrocal.units import STDS_PER_MAD
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: A data set this many times farther off than 95 % of all others is not of this recording; no more than this share is.
+_GROSS, _MOST_SHARE = 8.0, 0.03
+#: Fewer data sets show no single one beside the twelve terms of a surface; the robust fit settles in so many rounds.
+_FEWEST_SETS, _ROUNDS = 30, 30
+#: What a data set by itself must explain, nats: five standard deviations, which of 171 rows of white noise one does in 10,000
+#: tables. Of 29 made-up tables without an outlier none had a row beyond 3.9, of six with outliers every one, beyond 5.
+_STRAY_NATS = 12.5
+#: Data sets at either end that may be off by physics: a transient, or a step that has hardly been seen.
+_ENDS = 4
+#: A row that the record knows less of than this share of what it knows of the others is what some term is known from.
+_TOLD = 0.1
+
+
+@dataclass(frozen=True)
+class Strays:
+    """Data sets that are off by themselves.
+
+    Attributes
+    ----------
+    numbers : ndarray, shape (k,)
+        Of the data sets.
+    off_dps : ndarray, shape (k,)
+        By how much they are off.
+    std_dps : ndarray, shape (k,)
+        How well that is known.
+    """
+
+    numbers: Ints
+    off_dps: Floats
+    std_dps: Floats
+
+    def __len__(self) -> int:
+        return int(self.numbers.size)
+
+    def joined(self, other: Strays) -> Strays:
+        """These and others."""
+        return Strays(
+            np.concatenate([self.numbers, other.numbers]),
+            np.concatenate([self.off_dps, other.off_dps]),
+            np.concatenate([self.std_dps, other.std_dps]),
+        )
+
+
+#: No data set is off.
+NO_STRAYS = Strays(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+
+
+def without(series: Series, numbers: Ints) -> Series:
+    """A series less some of its data sets."""
+    return series.take(~np.isin(series.set_index, numbers)) if numbers.size else series
+
+
+def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding], Strays]:
+    """The series without the data sets that say nothing of the surface, what the dead ones tell, and the gross ones.
+
+    Parameters
+    ----------
+    output_dps : ndarray, shape (n,)
+        The output as recorded: a dead gyro says exactly 0, whatever has been taken off since.
+    """
+    findings: list[Finding] = []
+    dead, lost_dps, reach = dead_sets(series, output_dps)
+    if dead.size:
+        findings.append(dead_finding(dead, lost_dps, reach, np.unique(series.set_index).size))
+        series = without(series, dead)
+    gross = gross_strays(series)
+    return without(series, gross.numbers), findings, gross
+
+
+def gross_strays(series: Series) -> Strays:
+    """Data sets that are grossly off a robust surface: mislabelled, disturbed.
+
+    At most a few: many that are off together are physics, and left to the search.
+    """
+    base = fit_surface(series)
+    numbers, y = set_means(series, base.residual_dps)
+    if numbers.size < _FEWEST_SETS:
+        return NO_STRAYS
+    design = np.column_stack([set_means(series, column)[1] for column in base.design.T])
+    weight = np.ones(numbers.size)
+    left, spread = y, 0.0
+    for _ in range(_ROUNDS):
+        solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
+        left = y - design @ solution
+        spread = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
+        weight = np.sqrt(1.0 / (1.0 + (left / (2.0 * spread)) ** 2))
+    size = np.abs(left)
+    bad = size > _GROSS * float(np.quantile(size, 0.95))
+    if not bad.any() or bad.sum() > _most(numbers.size):
+        return NO_STRAYS
+    return Strays(numbers[bad], left[bad], np.full(int(bad.sum()), spread))
+
+
+def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:
+    """Data sets of a table that by themselves explain more than any law does: two steps, up and down, pass for such a one.
+
+    Parameters
+    ----------
+    ranked : models of the table, the best first
+    known : data sets that have been left out of it; with them they must be few, since many are physics
+    """
+    best: dict[int, Candidate] = {}
+    for c in ranked:
+        best.setdefault(sum(change.effect in STEPS for change in c.changes), c)
+    found, score = min(((_alone(c), c.score) for c in best.values()), key=lambda f: f[1] - f[0][1])
+    strays, nats = found
+    few = len(strays) + len(known) <= _most(len(ranked[0].fitted.model.means))
+    return strays if few and score - nats < ranked[0].score else NO_STRAYS
+
+
+def _alone(candidate: Candidate) -> tuple[Strays, float]:
+    """Rows beside a model that are off by themselves, and what they gain less what a law would pay for them, nats."""
+    model = candidate.fitted.model
+    means, rows = model.means, len(model.means)
+    chosen: list[int] = []
+    gained = 0.0
+    if rows < _FEWEST_SETS:
+        return NO_STRAYS, gained
+    variance = candidate.fitted.fit.variance
+    flat = model.design[:, model.flat]
+    score, p = precision(model.error_dps, flat, model.all, variance)
+    off, std = np.empty(0), np.empty(0)
+    while len(chosen) <= _most(rows):
+        # Freed of those that were chosen; the level of all noise follows what is left (Student's t, profiled).
+        inner = np.linalg.inv(p[np.ix_(chosen, chosen)]) if chosen else np.empty((0, 0))
+        own, here = score - p[:, chosen] @ inner @ score[chosen], p - p[:, chosen] @ inner @ p[chosen]
+        off, std = inner @ score[chosen], np.sqrt(np.diag(inner))
+        known = np.diag(here) > _TOLD * np.median(np.diag(p))
+        known[:_ENDS] = known[-_ENDS:] = False
+        squares = np.where(known, own**2 / np.where(known, np.diag(here), 1.0), 0.0)
+        freedom = float(model.error_dps @ score) - float(score[chosen] @ off)
+        gains = 0.5 * (rows - flat.shape[1]) * -np.log1p(-np.minimum(squares / freedom, 1.0 - 1e-9))
+        k = int(np.argmax(gains))
+        if gains[k] < _STRAY_NATS:
+            break
+        gained += float(gains[k]) - TOLL_NATS - 0.5 * float(np.log(rows))
+        chosen.append(k)
+    return Strays(means.set_index[chosen], off, std), gained
+
+
+def _most(sets: int) -> int:
+    return max(1, int(_MOST_SHARE * sets))
+
+
+def stray_findings(series: Series, strays: Strays) -> list[Finding]:
+    """One finding for all data sets that are left out."""
+    if not len(strays):
+        return []
+    rows = [np.flatnonzero(series.set_index == n)[0] for n in strays.numbers]
+    sets = [
+        (int(n) + 1, float(series.rate_dps[r]), float(series.temp_c[r]), 1e3 * float(d))
+        for n, r, d in zip(strays.numbers, rows, strays.off_dps, strict=True)
+    ]
+    most = int(np.argmax(np.abs(strays.off_dps)))
+    amplitude = Estimate.normal(
+        1e3 * float(abs(strays.off_dps[most])), 1e3 * float(strays.std_dps[most]), "mdeg/s"
+    )
+    place = Located("data_set_index", "mean", CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
+    return [
+        Finding(
+            BURSTS.id, Remark(Said.STRANGE_SETS, {"sets": sets}), {"amplitude": amplitude}, CERTAIN, place
+        )
+    ]

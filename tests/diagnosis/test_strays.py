@@ -1,0 +1,83 @@
+"""Single data sets that are off by themselves, told from steps of the bias and of the scale factor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.coil import Candidate, TableSearch
+from gyrocal.diagnosis.engine import diagnose
+from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.records.datasets import DataSetTable
+
+NOISE_DPS = 1e-3
+
+
+def make_sweeps(seed: int, off_dps: dict[int, float], step_dps: float = 0.0) -> DataSetTable:
+    """Seven sweeps of nine rates at one temperature after another, some rows off, and the bias with a step after 30."""
+    rng = np.random.default_rng(seed)
+    rate = np.tile(np.linspace(-80.0, 80.0, 9), 7)
+    temp = np.repeat(np.linspace(20.0, 20.9, 7), 9)
+    noise: NDArray[np.float64] = NOISE_DPS * rng.standard_normal(rate.size)
+    gyro = 1.0004 * rate + 0.01 + noise + step_dps * (np.arange(rate.size) >= 30)
+    at_s = 60.0 * np.arange(rate.size, dtype=np.float64)
+    for row, dps in off_dps.items():
+        gyro[row] += dps
+    return DataSetTable(Path("sweeps.csv"), rate, gyro, temp, t_s=at_s + 30.0)
+
+
+def without_laws(table: DataSetTable) -> list[Candidate]:
+    """The model of a table that has no law of time."""
+    return [TableSearch(full_model(means_of(series_of_table(table)), memory=False)).fit(None, (), None)]
+
+
+def found_in(table: DataSetTable) -> Strays:
+    return strays_beside(without_laws(table), NO_STRAYS)
+
+
+def test_noise_has_no_stray_data_set() -> None:
+    assert [len(found_in(make_sweeps(seed, {}))) for seed in range(20)] == [0] * 20
+
+
+@pytest.mark.parametrize("off_dps", [0.02, -0.5])
+def test_a_stray_data_set_is_found_with_how_far_it_is_off(off_dps: float) -> None:
+    found = found_in(make_sweeps(1, {40: off_dps}))
+    assert found.numbers.tolist() == [40]
+    assert abs(found.off_dps[0] - off_dps) < 4.0 * NOISE_DPS
+
+
+def test_of_so_many_rows_a_second_stray_is_none_of_a_few() -> None:
+    ranked = without_laws(make_sweeps(2, {20: 0.02}))
+    known = Strays(np.array([50]), np.array([0.02]), np.array([NOISE_DPS]))
+    assert len(strays_beside(ranked, NO_STRAYS)) == 1
+    assert len(strays_beside(ranked, known)) == 0
+
+
+def test_what_is_off_at_either_end_may_be_a_transient() -> None:
+    assert len(found_in(make_sweeps(3, {0: 0.02}))) == 0
+
+
+def test_one_stray_data_set_is_not_two_steps_and_a_step_is_not_strays() -> None:
+    found = examine(series_of_table(make_sweeps(4, {40: 0.02}, step_dps=0.02)), 1e-3)
+    assert found.strays.numbers.tolist() == [40]
+    assert [(c.effect, c.at) for c in found.ranked[0].changes] == [("bias_step", 30.0)]
+    assert len(found.series) == 62
+
+
+def test_a_stray_data_set_is_said_and_nothing_else_is_named() -> None:
+    found = diagnose(series_of_table(make_sweeps(5, {40: 0.02})))
+    assert [e.effect for e in found.effects] == ["bursts"]
+    seen = found.effects[0].seen
+    assert seen is not None
+    ((number, rate_dps, _, off_mdps),) = seen.facts["sets"]
+    assert (number, rate_dps) == (41, pytest.approx(0.0))
+    assert off_mdps == pytest.approx(20.0, abs=4.0)
+    low, high = found.effects[0].parameters["amplitude"].interval_95
+    assert low < 20.0 < high
