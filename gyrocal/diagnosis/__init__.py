@@ -5,7 +5,7 @@ How a recording goes through the room, file by file; `engine.diagnose` reads in 
 Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a table), ``history`` (the temperature
             behind its readings), ``columns`` (what a record gives the laws), ``base`` (what the surface alone predicts),
             ``inputs`` (what is refused or said), ``given`` (what a file that came along has already),
-            ``scatter`` (data sets, bursts, steps and clocks that no mean shows).
+            ``scatter`` (bursts, steps, clocks and a dead gyro, that no mean shows), ``strays`` (data sets that are set aside).
 Layers      ``examine`` leads: ``within`` and ``within_shapes`` (patterns inside data sets), ``means`` (a row a data set),
             ``parts`` (what a calibration may contain), ``layers`` (all of it in one model, all variances at once),
             ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil``, ``changes``.

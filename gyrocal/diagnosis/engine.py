@@ -108,10 +108,7 @@ def diagnose(
     level = (options := options or Options()).false_alarm_rate
     notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
-    series, findings, gross = set_aside(whole, recorded.gyro_dps)
-    found, lost = beyond_rounding(examine(series, level))
-    series = without(series, found.strays.numbers)
-    findings += stray_findings(whole, gross.joined(found.strays))
+    series, found, findings, lost = _taken_apart(whole, recorded.gyro_dps, level)
     stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found)
     surface, improved = surface_alone(found), correction(found, withheld)
@@ -148,6 +145,16 @@ def diagnose(
         layers=stairs.layers,
         unnamed=parts,
     )
+
+
+def _taken_apart(
+    whole: Series, output_dps: Floats, level: float
+) -> tuple[Series, Examination, list[Finding], list[Remark]]:
+    """The rows that tell of the surface, what they were taken apart into, what the others tell, and what rounding hides."""
+    series, findings, gross = set_aside(whole, output_dps)
+    found, lost = beyond_rounding(examine(series, level))
+    findings += stray_findings(whole, gross.joined(found.strays))
+    return without(series, found.strays.numbers), found, findings, lost
 
 
 def _written(

@@ -47,7 +47,7 @@ def test_a_recording_without_anything_is_consistent() -> None:
     assert found.verdict == "consistent"
     assert found.effects == ()
     assert found.improved is None
-    assert "nothing beyond noise" in plain_sentences(found)[0]
+    assert "nothing stands out of the noise" in plain_sentences(found)[0]
 
 
 def test_an_asymmetry_in_a_table_is_named_with_its_size(
