@@ -42,7 +42,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "planning": _BASE | _TOOLS | {"inference", "calibration", "diagnosis", "bench"},
     "trial": _BASE | _TOOLS | {"inference", "calibration", "diagnosis", "bench", "planning"},
     "report": _BASE | _TOOLS | _EXPERTS,
-    "cli": _BASE | _TOOLS | _EXPERTS | {"report"},
+    "commands": _BASE | _TOOLS | _EXPERTS | {"report"},
+    "cli": _BASE | _TOOLS | _EXPERTS | {"report", "commands"},
 }
 #: What each room may take from outside the package, beside the standard library; None: any dependency.
 LIGHT_ROOMS: dict[str, set[str]] = {
@@ -396,6 +397,30 @@ def test_the_exceptions_are_needed() -> None:
     for name, words in (SAME_WORD | OWN_LAWS).items():
         path = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
         assert words <= ids_in(path), f"{name}: {sorted(words - ids_in(path))} stand there no longer"
+
+
+#: What runs for long: `gyrocal.commands` calls it, and gives what came of it to `gyrocal.report`.
+ENGINES = {
+    "diagnose",
+    "diagnose_drive",
+    "versus",
+    "drive_versus",
+    "propose",
+    "replay_log",
+    "monte_carlo",
+    "run_trials",
+    "run_made_up",
+    "acquire",
+    "simulate_to_directory",
+}
+
+
+@pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) == "report"], ids=ids)
+def test_report_runs_nothing(path: Path) -> None:
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.ImportFrom):
+            called = {a.name for a in node.names} & ENGINES
+            assert not called, f"{path}:{node.lineno}: {sorted(called)} belongs to gyrocal.commands"
 
 
 #: Where a sentence stands in the rooms of statistics: remedies of errors, equations, and the text of a program that is written.

@@ -53,7 +53,7 @@ def command(trials: int, seed: int, out: Path, kind: str, profile: str | None, a
 
 
 def _single(trials: int, seed: int, out: Path, profile: str, as_json: bool) -> None:
-    from gyrocal.report.diagnosis_blind import write_blind
+    from gyrocal.commands.blind import write_blind
     from gyrocal.trial.blind import BlindConfig
 
     with progress("blind", quiet=as_json) as tell:
@@ -69,7 +69,7 @@ def _single(trials: int, seed: int, out: Path, profile: str, as_json: bool) -> N
 
 
 def _made_up(trials: int, seed: int, out: Path, kind: str, as_json: bool) -> None:
-    from gyrocal.report.made_up_blind import write_made_up
+    from gyrocal.commands.blind import write_made_up
     from gyrocal.trial.blind import BlindConfig
 
     with progress("blind", quiet=as_json) as tell:

@@ -25,7 +25,7 @@ def command(out: Path, seed: int, as_json: bool) -> None:
 
     Example: gyrocal demo --out demo
     """
-    from gyrocal.report.demo import DemoConfig, run_demo
+    from gyrocal.commands.demo import DemoConfig, run_demo
 
     with progress("demo", quiet=as_json) as tell:
         result = run_demo(DemoConfig(out, seed), tell)

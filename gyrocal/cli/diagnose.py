@@ -11,7 +11,7 @@ from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number,
 from gyrocal.cli.log_options import drive_options
 
 if TYPE_CHECKING:
-    from gyrocal.report.diagnosis_build import DiagnoseResult
+    from gyrocal.commands.diagnose import DiagnoseResult
 
 
 @click.command("diagnose")
@@ -88,8 +88,8 @@ def command(
       gyrocal diagnose run --out diagnosis
       gyrocal diagnose run --simulation simulated.csv --out versus
     """
+    from gyrocal.commands.diagnose import DiagnoseConfig, write_diagnosis
     from gyrocal.records.drive_source import Reading
-    from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
     from gyrocal.report.sentences import document
 
     config = DiagnoseConfig(

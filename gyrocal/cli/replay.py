@@ -71,9 +71,9 @@ def command(
     Example: gyrocal replay drives/*.csv --robot drives/robot.toml -c fog.json --out replay
     """
     from gyrocal.cli.console import emit_json, emit_table, progress
+    from gyrocal.commands.replay import ReplayRequest, replay_to_directory
     from gyrocal.navigation.table import HEADINGS
     from gyrocal.records.drive_source import Reading
-    from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 
     reading = Reading(columns, topics, axis)
     request = ReplayRequest(logs, robot, out, coefficients, reading, align, returns, power_on_s, kind)

@@ -101,7 +101,8 @@ def table2(
     Example: gyrocal simulate table2 --experiments 500 --seed 1 --out table2
     """
     from gyrocal.cli.console import emit_json, emit_table, progress
-    from gyrocal.report.navigation_table2 import Table2Request, table2_to_directory
+    from gyrocal.commands.simulate import table2_to_directory
+    from gyrocal.report.navigation_table2 import Table2Request
 
     with progress("simulate", quiet=as_json) as report:
         result = table2_to_directory(Table2Request(out, experiments, what_if, seed, workers, world), report)

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 
 import gyrocal
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.records.files import make_output_directory, write_atomically
+from gyrocal.records.files import write_atomically
 from gyrocal.report import style
 from gyrocal.report.page import Page, Picture, Table, render_page
-from gyrocal.trial.blind import BlindConfig, Finder, Progress, Trial, check_profile, run_trials
+from gyrocal.trial.blind import BlindConfig, Trial
 from gyrocal.trial.summary import NOTHING, BlindSummary, summarise
 
 _CAVEAT = (
@@ -34,34 +34,8 @@ class BlindResult:
     out: Path
 
 
-class Commitments:
-    """What was committed to so far, in ``commitments.txt`` of a directory."""
-
-    def __init__(self, out: Path) -> None:
-        self._file = out / "commitments.txt"
-        self._seals: list[str] = []
-
-    def add(self, number: int, seal: str) -> None:
-        """Write down what trial `number` is sealed by; trials come in their order."""
-        self._seals.append(seal)
-        write_atomically(self._file, "".join(f"{n:4d} {s}\n" for n, s in enumerate(self._seals)))
-
-
-def write_blind(
-    config: BlindConfig, out: Path, progress: Progress, finder: Finder | None = None
-) -> BlindResult:
-    """Run a blind trial and write commitments.txt, blind.json, blind.html and its pictures to `out`.
-
-    A commitment is on disk before the run that it seals is diagnosed.
-
-    Raises
-    ------
-    ProfileError, OutputError
-        No such profile, or it cannot be written.
-    """
-    check_profile(config)
-    make_output_directory(out)
-    trials = run_trials(config, Commitments(out).add, progress, finder)
+def write_trials(config: BlindConfig, trials: Sequence[Trial], out: Path) -> BlindResult:
+    """blind.json, blind.html and its pictures in `out`, of opened trials."""
     summary = summarise(trials)
     drawn = {"confusion": confusion_matrix(summary), "strength": naming_by_strength(summary)}
     figures = {name: style.render(figure, "png") for name, figure in drawn.items()}

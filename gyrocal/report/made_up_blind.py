@@ -9,11 +9,10 @@ from pathlib import Path
 
 import gyrocal
 from gyrocal.calibration.figure import plural
-from gyrocal.records.files import make_output_directory, write_atomically
-from gyrocal.report.diagnosis_blind import Commitments
+from gyrocal.records.files import write_atomically
 from gyrocal.report.page import Page, Table, render_page
-from gyrocal.trial.blind import BlindConfig, Finder, Progress
-from gyrocal.trial.opened import Opened, run_made_up
+from gyrocal.trial.blind import BlindConfig
+from gyrocal.trial.opened import Opened
 from gyrocal.trial.tally import Tally, tally
 
 _ABOUT = (
@@ -33,20 +32,8 @@ class MadeUpResult:
     out: Path
 
 
-def write_made_up(
-    config: BlindConfig, out: Path, progress: Progress, finder: Finder | None = None
-) -> MadeUpResult:
-    """Run a blind trial of a kind and write commitments.txt, blind.json, blind.html and the recordings to `out`.
-
-    A commitment is on disk before the recording that it seals is diagnosed.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
-    make_output_directory(out)
-    trials = run_made_up(config, out / "recordings", Commitments(out).add, progress, finder)
+def write_opened(config: BlindConfig, trials: Sequence[Opened], out: Path) -> MadeUpResult:
+    """blind.json and blind.html in `out`, of opened trials of a kind."""
     counted = tally(trials)
     document = {
         "schema": "gyrocal-blind-made-up/1",

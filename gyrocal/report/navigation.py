@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.errors import InputError
-from gyrocal.fusion import STATES, Coefficients, load_coefficients
+from gyrocal.fusion import STATES, Coefficients
 from gyrocal.navigation.align import METHODS
-from gyrocal.navigation.equip import DriveSource
-from gyrocal.navigation.replay import LogReplay, replay_log
+from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
 from gyrocal.navigation.track import CONDITIONS, Track
 from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.csvio import Floats, format_columns
-from gyrocal.records.drive import DriveBlock
-from gyrocal.records.drive_source import Reading, iterate_drive
-from gyrocal.records.output import check_output, write_directory
-from gyrocal.records.robot import Robot, read_robot
+from gyrocal.records.robot import Robot
 from gyrocal.report.navigation_figures import (
     bars_caption,
     draw_bars,
@@ -46,21 +40,6 @@ Report = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class ReplayRequest:
-    """What to replay; see `gyrocal replay --help`."""
-
-    logs: Sequence[Path]
-    robot: Path
-    out: Path
-    coefficients: Path | None = None
-    reading: Reading = field(default_factory=Reading)
-    method: str | None = None
-    returns: bool = False
-    power_on_t_s: float | None = None
-    kind: str = "model"
-
-
-@dataclass(frozen=True)
 class ReplayResult:
     """Tables and summary, as printed; everything is in `files` too, by path below the output directory."""
 
@@ -72,59 +51,7 @@ class ReplayResult:
     files: Mapping[str, bytes]
 
 
-def replay_to_directory(request: ReplayRequest, report: Report) -> ReplayResult:
-    """Replay the logs, then write everything to the output directory: all of it or nothing."""
-    robot = read_robot(request.robot)
-    coefficients = load_coefficients(request.coefficients) if request.coefficients else None
-    sources = _sources(request.logs, robot, request.reading)
-    check_output(request.out)
-    result = build(_replay_all(request, sources, robot, coefficients, report), robot, coefficients, report)
-    write_directory(request.out, result.files)
-    report(1.0, "")
-    return result
-
-
-def _replay_all(
-    request: ReplayRequest,
-    sources: Sequence[DriveSource],
-    robot: Robot,
-    coefficients: Coefficients | None,
-    report: Report,
-) -> list[LogReplay]:
-    replays = []
-    for k, source in enumerate(sources):
-        report(0.7 * k / len(sources), f"replay {source.name}")
-        replays.append(
-            replay_log(
-                source,
-                robot,
-                coefficients,
-                kind=request.kind,
-                method=request.method,
-                returns=request.returns,
-                power_on_t_s=request.power_on_t_s,
-            )
-        )
-    return replays
-
-
-def _sources(logs: Sequence[Path], robot: Robot, reading: Reading) -> list[DriveSource]:
-    sources: list[DriveSource] = []
-    for path in logs:
-        name = path.stem if path.is_file() else path.name
-        if any(s.name == name for s in sources):
-            raise InputError(
-                f"{path}: another log is called {name!r} too. Rename one: the outputs carry the names."
-            )
-
-        def blocks(path: Path = path) -> Iterator[DriveBlock]:
-            return iterate_drive(path, robot, reading)
-
-        sources.append(DriveSource(name, blocks))
-    return sources
-
-
-def build(
+def replay_files(
     replays: Sequence[LogReplay], robot: Robot, coefficients: Coefficients | None, report: Report
 ) -> ReplayResult:
     """Everything that is written, from replayed logs; the same logs give the same bytes."""

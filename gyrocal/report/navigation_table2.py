@@ -13,29 +13,19 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import gyrocal
-from gyrocal.navigation.bench import calibrate_unit
 from gyrocal.navigation.montecarlo import (
     WORLDS,
     MonteCarlo,
     World,
-    monte_carlo,
-    simulate_and_replay,
-    simulated_robot_file,
-    unit_of,
 )
 from gyrocal.navigation.sensitivity import (
     PAPER_CM,
     Sensitivity,
-    calibration_error_cm,
-    coefficient_sensitivities,
     headings,
-    sensitivities,
 )
-from gyrocal.navigation.simulate import draw_day
-from gyrocal.navigation.table import HEADINGS, Table, make_table
+from gyrocal.navigation.table import HEADINGS, Table
 from gyrocal.navigation.track import CONDITIONS
-from gyrocal.records.files import make_output_directory, write_atomically
-from gyrocal.report.navigation import Report
+from gyrocal.records.files import write_atomically
 from gyrocal.report.navigation_figures import bars_caption, draw_bars
 from gyrocal.report.page import Page, Picture, render_page
 from gyrocal.report.page import Table as PageTable
@@ -88,13 +78,22 @@ class Table2Result:
     summary: Mapping[str, Any]
 
 
-def table2_to_directory(request: Table2Request, report: Report) -> Table2Result:
-    """Run the experiments, then write page, figures, tables and summary to ``request.out``."""
-    make_output_directory(request.out)
-    done = _simulate(request, report)
-    result = _result(request, *done)
+@dataclass(frozen=True)
+class Simulated:
+    """What the experiments gave: one table, all of the chosen world and of the others, what each input does."""
+
+    table: Table
+    main: MonteCarlo
+    changed: Mapping[str, MonteCarlo]
+    parts: Mapping[str, Sequence[Sensitivity]]
+    both_cm: float
+
+
+def write_table2(request: Table2Request, done: Simulated) -> Table2Result:
+    """Page, figures, tables and summary in ``request.out``."""
+    result = _result(request, done)
     pictures = []
-    for picture, figure in _figures(done[0], done[1]):
+    for picture, figure in _figures(done.table, done.main):
         png = render(figure, "png")
         write_atomically(request.out / f"{picture.name}.png", png)
         write_atomically(request.out / f"{picture.name}.svg", render(figure, "svg"))
@@ -106,46 +105,14 @@ def table2_to_directory(request: Table2Request, report: Report) -> Table2Result:
     page = Page(
         "The paper's Table II, simulated",
         result.verdict,
-        _key_figures(done[1]),
+        _key_figures(done.main),
         _remarks(request),
         pictures,
         result.tables,
         {"software": f"gyrocal {gyrocal.__version__}", "seed": str(request.seed)},
     )
     write_atomically(request.out / "table2.html", render_page(page))
-    report(1.0, "")
     return result
-
-
-def _simulate(
-    request: Table2Request, report: Report
-) -> tuple[Table, MonteCarlo, dict[str, MonteCarlo], dict[str, list[Sensitivity]], float]:
-    chosen = WORLDS[request.world]
-    others = {name: world for name, world in WHAT_IF.items() if world != chosen} if request.what_if else {}
-    total = request.experiments + request.what_if * len(others)
-    base = 0
-
-    def said(done: int) -> None:
-        report(0.97 * (base + done) / total, f"{base + done} of {total} experiments")
-
-    table = make_table(simulate_and_replay(chosen, request.seed))
-    main = monte_carlo(chosen, request.experiments, request.seed, said, request.workers)
-    base = request.experiments
-    changed: dict[str, MonteCarlo] = {}
-    for name, world in others.items():
-        changed[name] = monte_carlo(world, request.what_if, request.seed, said, request.workers)
-        base += request.what_if
-    world, rng = chosen, np.random.default_rng([request.seed, 21])
-    model = unit_of(world, request.seed)
-    parameters = simulated_robot_file(world).parameters
-    coefficients = calibrate_unit(model, rng)
-    temp_c = draw_day(request.seed, *world.temp_range_c).temp_c
-    parts = {
-        "sensitivity": sensitivities(world.spread, parameters, model, rng),
-        "coefficients": coefficient_sensitivities(world.spread, parameters, coefficients, temp_c),
-    }
-    both = calibration_error_cm(world.spread, parameters, coefficients, temp_c)
-    return table, main, changed, parts, both
 
 
 def _name_of(world: str) -> str:
@@ -157,14 +124,8 @@ def _quantiles(values: Floats) -> tuple[float, float, float]:
     return float(low), float(middle), float(high)
 
 
-def _result(
-    request: Table2Request,
-    table: Table,
-    main: MonteCarlo,
-    changed: Mapping[str, MonteCarlo],
-    parts: Mapping[str, list[Sensitivity]],
-    both_cm: float,
-) -> Table2Result:
+def _result(request: Table2Request, done: Simulated) -> Table2Result:
+    table, main, changed, parts = done.table, done.main, done.changed, done.parts
     factors = {name: _quantiles(values) for name, values in main.factors().items()}
     verdict = (
         f"Over {request.experiments} experiments ({_name_of(request.world)}) the mean return error improves "
@@ -190,7 +151,7 @@ def _result(
             "coefficients",
             "From one coefficient of the surface to centimetres (units here: its standard error)",
             parts["coefficients"],
-            f"All twelve with their covariance: {both_cm:.2f} cm rms without the filter.",
+            f"All twelve with their covariance: {done.both_cm:.2f} cm rms without the filter.",
         ),
     ]
     summary = {
@@ -204,7 +165,7 @@ def _result(
         "mean_error_m": _errors_json(main),
         "what_if": {name: _errors_json(mc) for name, mc in changed.items()},
         "sensitivity": [_plain(s) for s in (*parts["sensitivity"], *parts["coefficients"])],
-        "calibration_error_cm": both_cm,
+        "calibration_error_cm": done.both_cm,
         "paper": {"mean_cm": list(PAPER_CM), "factors": PAPER_FACTORS},
     }
     return Table2Result(tables, f"{verdict} {_explanation(parts['sensitivity'])}", summary)

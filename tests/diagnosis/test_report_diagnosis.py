@@ -12,6 +12,12 @@ import pytest
 
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.calibration.noise import noise_figures
+from gyrocal.commands.diagnose import (
+    DiagnoseConfig,
+    diagnosis_files,
+    with_noise_at_rest,
+    write_diagnosis,
+)
 from gyrocal.diagnosis.result import Diagnosis, Located
 from gyrocal.errors import InputError, OutputError
 from gyrocal.records.run import read_run
@@ -19,12 +25,6 @@ from gyrocal.report.diagnosis import (
     diagnosis_page,
     figures,
     tables,
-)
-from gyrocal.report.diagnosis_build import (
-    DiagnoseConfig,
-    diagnosis_files,
-    with_noise_at_rest,
-    write_diagnosis,
 )
 from gyrocal.report.folds import beyond_surface, bin_rows, clusters, coordinate_of, fold, fold_of
 from gyrocal.report.sentences import not_testable_sentences, plain_sentences

@@ -12,7 +12,7 @@ from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.navigation.table import make_table, table_of
 from gyrocal.navigation.track import CONDITIONS
 from gyrocal.report import navigation as module
-from gyrocal.report.navigation import build, shown, verdict
+from gyrocal.report.navigation import replay_files, shown, verdict
 from gyrocal.report.navigation_figures import (
     bars_caption,
     draw_bars,
@@ -37,7 +37,7 @@ def replays() -> list[LogReplay]:
 def test_files_and_summary(replays: list[LogReplay], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "render", lambda figure, kind: b"picture")
     said: list[float] = []
-    result = build(replays, robot(), calibration(), lambda share, what: said.append(share))
+    result = replay_files(replays, robot(), calibration(), lambda share, what: said.append(share))
     assert said == sorted(said)
     names = set(result.files)
     assert {"trajectories/cw1.csv", "states/ccw1_uncalibrated_filter.csv", "figures/table.svg"} <= names

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gyrocal.commands.replay import ReplayRequest, replay_to_directory
 from gyrocal.errors import DataError, InputError, ProfileError
 from gyrocal.records import bags
 from gyrocal.records.bags import Wheels, is_bag, iterate_bag
 from gyrocal.records.drive import join
 from gyrocal.report import navigation
-from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 from tests.records.whole import read_bag
 
 rosbags = pytest.importorskip("rosbags")

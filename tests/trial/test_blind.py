@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from gyrocal.bench.session import AcquireConfig, acquire
+from gyrocal.commands.blind import write_blind
 from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
 from gyrocal.errors import ProfileError
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.report.diagnosis_blind import write_blind
 from gyrocal.trial.blind import BlindConfig, Secret, draw_secret, judge, rehearse, run_trials
 from gyrocal.trial.summary import Share, summarise
 from tests.diagnosis.concealed_bench import make_recording, write_run

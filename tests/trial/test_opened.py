@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 from gyrocal.cli import gyrocal_command
+from gyrocal.commands.blind import write_made_up
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Verdict
 from gyrocal.errors import DataError
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.report.made_up_blind import write_made_up
 from gyrocal.trial.blind import BlindConfig
 from gyrocal.trial.conceal import Concealed, Layer
 from gyrocal.trial.made_up import make_up

@@ -109,7 +109,7 @@ def _write(path: Path, log: DriveBlock) -> Path:
 
 def test_command_writes_a_robot_file_and_paths(tmp_path: Path) -> None:
     """Fit on one drive, shown on another; the robot file can be read and holds what was hidden."""
-    from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
+    from gyrocal.commands.diagnose import DiagnoseConfig, write_diagnosis
 
     robot = tmp_path / "robot.toml"
     robot.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
@@ -130,7 +130,7 @@ def test_command_writes_a_robot_file_and_paths(tmp_path: Path) -> None:
 
 
 def test_several_recordings_need_a_robot(tmp_path: Path) -> None:
-    from gyrocal.report.diagnosis_build import DiagnoseConfig, write_diagnosis
+    from gyrocal.commands.diagnose import DiagnoseConfig, write_diagnosis
 
     config = DiagnoseConfig(tmp_path / "a", tmp_path / "out", others=(tmp_path / "b",))
     with pytest.raises(InputError, match="--robot"):

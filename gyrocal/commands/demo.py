@@ -11,12 +11,12 @@ from gyrocal.bench.profile import load_profile
 from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.bench.watching import Progress as BenchProgress
 from gyrocal.calibration.calibrate import FitConfig, calibrate
+from gyrocal.commands.replay import ReplayRequest, replay_to_directory
 from gyrocal.navigation.drives import DriveRequest, simulate_to_directory
 from gyrocal.physics.gyro import rd2100_unit
 from gyrocal.records.files import write_atomically
 from gyrocal.records.output import check_output
 from gyrocal.report.build import ReportConfig, ReportResult, write_report
-from gyrocal.report.navigation import ReplayRequest, replay_to_directory
 from gyrocal.report.truth import TruthComparison, compare_with_truth
 
 #: Share done, 0 to 1, and what is being done.
