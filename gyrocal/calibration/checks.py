@@ -49,7 +49,7 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
     if rates == 1:
         raise DataError(
             f"{source}: a recording at one rate ({sets.rate_dps[0]:+.4g} deg/s) carries no surface. "
-            "Record at least 4 rates of both signs, take it as bias over temperature with --bias-only, or take noise and "
+            "Record at least 4 rates of both signs, take it as bias over temperature with gyrocal fit --bias-only, or take noise and "
             f"bias of a gyro at rest with gyrocal noise {source}."
         )
     if len(sets) <= TERMS:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import emit_json, emit_table, json_option, progress
+from gyrocal.cli.filling import filling
 
 _COLUMNS = ("", "Trials", "Share, 95 % interval")
 
@@ -56,7 +57,7 @@ def _single(trials: int, seed: int, out: Path, profile: str, as_json: bool) -> N
     from gyrocal.commands.blind import write_blind
     from gyrocal.trial.blind import BlindConfig
 
-    with progress("blind", quiet=as_json) as tell:
+    with filling(out), progress("blind", quiet=as_json) as tell:
         summary = write_blind(BlindConfig(trials, seed, profile), out, tell).summary
     if as_json:
         emit_json(summary.to_json())
@@ -72,7 +73,7 @@ def _made_up(trials: int, seed: int, out: Path, kind: str, as_json: bool) -> Non
     from gyrocal.commands.blind import write_made_up
     from gyrocal.trial.blind import BlindConfig
 
-    with progress("blind", quiet=as_json) as tell:
+    with filling(out), progress("blind", quiet=as_json) as tell:
         tally = write_made_up(BlindConfig(trials, seed, kind=kind), out, tell).tally
     if as_json:
         emit_json(tally.to_json())

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import emit_json, json_option, progress
+from gyrocal.cli.filling import filling
 
 _S_PER_H = 3600.0
 
@@ -27,7 +28,7 @@ def command(out: Path, seed: int, as_json: bool) -> None:
     """
     from gyrocal.commands.demo import DemoConfig, run_demo
 
-    with progress("demo", quiet=as_json) as tell:
+    with filling(out), progress("demo", quiet=as_json) as tell:
         result = run_demo(DemoConfig(out, seed), tell)
     if as_json:
         emit_json(result.to_json())

@@ -47,7 +47,7 @@ def command(run: Path, as_json: bool) -> None:
         click.echo(f"{_duration(s.left_s)} of bench time left.")
     readings = (("chamber", s.chamber_c, "°C"), ("gyro", s.gyro_c, "°C"), ("table", s.table_dps, "deg/s"))
     known = [f"{name} {value:.2f} {unit}" for name, value, unit in readings if value == value]
-    click.echo(f"Last readings: {', '.join(known) or 'none'}; last change {_duration(s.quiet_s)} ago.\n")
+    click.echo(f"Last recorded: {', '.join(known) or 'nothing'}; last change {_duration(s.quiet_s)} ago.\n")
     emit_table(["t, s", "event", "what"], [_row(e) for e in s.events], "Last events")
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
 from gyrocal.cli.console import emit_json, emit_table, progress
+from gyrocal.cli.filling import filling
+from gyrocal.errors import InterruptedRunError
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,3 +114,13 @@ def test_what_goes_on_of_a_title_stands_in(
         "  error",
         "bias                     3",
     ]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InterruptedRunError("... --resume carries on.")])
+def test_an_interrupted_demo_or_trial_promises_no_resume(error: BaseException) -> None:
+    with pytest.raises(InterruptedRunError) as caught, filling(Path("demo")):
+        raise error
+    assert (
+        str(caught.value)
+        == "interrupted; demo holds what was done until then, which nothing carries on. Remove it and run it again."
+    )
