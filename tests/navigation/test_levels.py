@@ -10,6 +10,7 @@ import pytest
 
 from gyrocal.fusion import Aligner, Navigator, RobotParameters, Rows
 from gyrocal.navigation.equip import equip
+from gyrocal.navigation.judge import judge
 from gyrocal.navigation.levels import rest_walk, whiteness
 from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.records.drive import DriveBlock
@@ -131,3 +132,13 @@ def test_robot_and_replay_share_their_defaults(tmp_path: Path) -> None:
             for n in (on_robot, Navigator(in_replay.robot, kind=kind))
         ]
         np.testing.assert_array_equal(paths[0].std, paths[1].std)
+
+
+def test_a_filter_is_followed_where_it_moves_the_path_by_more_than_it_is_unsure_of() -> None:
+    found = replayed(draw(np.random.default_rng(3), rest_s=1.0))
+    alone, filtered = found.tracks
+    sure = replace(filtered, nis=1.0, lag1=0.0, drift_m=3.0, x_m=alone.x_m, y_m=alone.y_m)
+    for apart_m, gain, left in ((0.0, 1.0, True), (1.0, 0.949, True), (4.0, 0.6, False)):
+        judged = judge(alone, replace(sure, y_m=alone.y_m + apart_m))
+        assert judged.gain == pytest.approx(gain, abs=1e-3)
+        assert judged.left_to_gyro == left
