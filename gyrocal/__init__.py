@@ -14,8 +14,8 @@ Noise       angle random walk N in deg/sqrt(h): the standard deviation of a mean
 Rooms       ``physics`` (catalogue of effects), ``fusion`` (runtime of a robot), ``records`` (files),
             ``bench`` (table, chamber, gyro), ``inference`` (noise, likelihoods, tests), ``calibration`` (fit),
             ``navigation`` (drive logs), ``diagnosis`` (missing physics), ``planning`` (the next experiment),
-            ``trial`` (hidden physics with sealed answers), ``report`` (prose and pictures), ``cli`` (commands);
-            beside them ``units``, ``errors`` and ``extensions`` (what other packages add).
+            ``trial`` (hidden physics with sealed answers), ``report`` (prose and pictures), ``commands`` (what the
+            long ones run), ``cli`` (options and printing); beside them ``units``, ``errors`` and ``extensions`` (what other packages add).
             ``tests/test_architecture.py`` holds who may import whom.
 """
 
