@@ -30,6 +30,7 @@ from gyrocal.calibration.noise import (
 from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
+from gyrocal.inference.rounding import mean_error, slope_error
 from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from gyrocal.records.run import Run, read_run
@@ -46,6 +47,8 @@ _LEAST_RAMP_C, _TEMPERATURE_ORDER = 10.0, 3
 #: No gyro at rest is so far off its own median for so much of the time, nor has it such a bias: it turns.
 _TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
 _PPM = 1e6
+#: Figures of an hour are not told to better than this, so that rounding may do as much unsaid.
+_ROUNDED = 0.01
 
 
 @dataclass(frozen=True)
@@ -84,8 +87,8 @@ class StaticFigures:
     course : Course
     samples, missing : int
         Samples used, and samples that were bad, empty, not finite or left out.
-    warning : str
-        That the output jumps, and what was left out for it.
+    warnings : tuple of str
+        That the output jumps, and what was left out for it; that its steps hide its noise.
     """
 
     source: Path
@@ -94,7 +97,7 @@ class StaticFigures:
     course: Course
     samples: int
     missing: int
-    warning: str = ""
+    warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -120,7 +123,7 @@ class StaticFigures:
                 }
                 for p in self.noise.points
             ],
-            "warning": self.warning or None,
+            "warnings": list(self.warnings),
             "notes": list(self.notes),
         }
 
@@ -189,10 +192,12 @@ def examine_static(
         spans = jumps_of(course, reading.step_dps)
         reading = _read_again(config, reading, spans, notes)
     tell(0.8, "figures")
-    noise = figures_of(_curves(reading)) if run is None else noise_at_rest(run)
+    curves = _curves(reading)
+    noise = figures_of(curves) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
+    off_dps, coarse = _rounded(reading.step_dps, curves)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
-    figures = [*_mean(course, covariance, blank, config), *_slopes(course, covariance, blank)]
+    figures = [*_mean(course, covariance, off_dps, blank, config), *_slopes(course, covariance, blank)]
     if spans:
         reason = "the output jumps within the record: cut out a rest"
         figures = [replace(f, value=None, low=None, high=None, reason=reason) for f in figures]
@@ -204,7 +209,7 @@ def examine_static(
         course,
         reading.samples,
         reading.missing,
-        _jumps_said(spans) if spans else "",
+        tuple([_jumps_said(spans)] * bool(spans) + coarse),
         tuple(notes),
     )
 
@@ -244,6 +249,20 @@ def _jumps_said(spans: Sequence[tuple[float, float]]) -> str:
     )
     length_s = sum(end - start for start, end in spans)
     return f"the output jumps (at {shown}): the gyro was moved, or its bias stepped; noise is told without the {length_s:.3g} s around"
+
+
+def _rounded(step_dps: float, curves: Sequence[AllanCurve]) -> tuple[float, list[str]]:
+    """How far rounding may put the mean off, and what to say of it where it may do more than that."""
+    # Halves of stretches scatter by half their Allan variance; all halvings together are the scatter of the samples.
+    scatter_dps = max((float(np.sqrt(0.5 * c.avar.sum())) for c in curves), default=0.0)
+    if not np.isfinite(step_dps):
+        return 0.0, []
+    share = min(slope_error(step_dps, scatter_dps), 1.0)
+    said = (
+        f"the output comes in steps of {step_dps:.3g} deg/s, over which its noise hardly carries it: the figures are those of the "
+        f"rounded output, and the gyro's own may differ from them by {share:.0%} or more; log finer samples"
+    )
+    return mean_error(step_dps, scatter_dps), [said] if share > _ROUNDED else []
 
 
 def _without(blocks: Iterator[_Block], spans: Sequence[tuple[float, float]]) -> Iterator[_Block]:
@@ -349,11 +368,13 @@ def _covariance(course: Course, noise: NoiseFigures, elapsed_s: float) -> Floats
     return np.asarray(matrix)
 
 
-def _mean(course: Course, covariance: Floats | None, blank: Figure, config: StaticConfig) -> list[Figure]:
-    """Mean output, and less the earth rate about the sensing axis."""
+def _mean(
+    course: Course, covariance: Floats | None, off_dps: float, blank: Figure, config: StaticConfig
+) -> list[Figure]:
+    """Mean output, and less the earth rate about the sensing axis; rounding may put it off by `off_dps`."""
     share = course.n / course.n.sum()
     mean_dps = float(share @ course.gyro_dps)
-    half = np.nan if covariance is None else float(NORMAL_95 * np.sqrt(share @ covariance @ share))
+    half = np.nan if covariance is None else float(NORMAL_95 * np.sqrt(share @ covariance @ share)) + off_dps
     mean = replace(
         blank,
         name="mean_bias",
@@ -413,6 +434,10 @@ def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Fi
     varied = known and float(np.ptp(course.temp_c)) > _LEAST_SPAN_C
     if varied:
         columns.append(course.temp_c - course.temp_c.mean())
+        trend = np.polynomial.Polynomial.fit(course.t_s, course.temp_c, 1)
+        if float(np.ptp(course.temp_c - trend(course.t_s))) < _LEAST_SPAN_C:
+            reason = "the temperature changes evenly with time, and what either does is not told apart"
+            return [replace(ramp, reason=reason), replace(warm, reason=reason)]
     design = np.stack(columns, axis=1)
     gain = gls_gain(covariance, design)
     half = NORMAL_95 * np.sqrt(np.sum(gain * (gain @ covariance), axis=1))

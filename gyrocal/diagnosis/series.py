@@ -18,6 +18,7 @@ from gyrocal.calibration.datasets import reduce_segment, reference_rate
 from gyrocal.diagnosis.history import TemperatureHistory, temperature_history
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
+from gyrocal.inference.rounding import mean_error
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.records.run import Run, Segment
 from gyrocal.units import STDS_PER_MAD
@@ -68,15 +69,11 @@ class Raw:
 
     @property
     def rounding_dps(self) -> float:
-        """How far the mean of many rounded samples may be off, deg/s: the first harmonic of the steps that noise leaves.
-
-        The scatter of the samples has a twelfth of the square of a step in it, which is none of the noise's.
-        """
+        """How far the mean of many rounded samples may be off, deg/s; 0 where that is not known."""
         step, scatter = self.lattice_dps, self.sample_std_dps
         if step is None or scatter is None:
             return 0.0
-        noise_steps2 = max((scatter / step) ** 2 - 1.0 / 12.0, 0.0)
-        return float(step / np.pi * np.exp(-2.0 * np.pi**2 * noise_steps2))
+        return mean_error(step, scatter)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def _figures(found: StaticFigures) -> tuple[Figure, ...]:
 
 def noise_sentences(found: StaticFigures) -> list[str]:
     """Whether it jumps; how well the model fits; what each figure is, or why there is none; what is missing, and notes."""
-    told = [found.warning] if found.warning else []
+    told = list(found.warnings)
     told += [found.noise.fit_statement] if found.noise.fit_statement else []
     by_reason: dict[str, list[str]] = {}
     for f in _figures(found):

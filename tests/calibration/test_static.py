@@ -82,7 +82,7 @@ def test_a_turn_in_a_log_is_left_out_of_its_noise(tmp_path: Path, size_dps: floa
     assert walk[1] < 60.0 * ARW_DPS_RT_S < walk[2]
     assert walk[2] / walk[1] < 1.1
     assert found.noise.figures["rate_random_walk"].value is None
-    assert "the output jumps (at 50" in found.warning
+    assert "the output jumps (at 50" in found.warnings[0]
     assert found.figures["mean_bias"].reason == "the output jumps within the record: cut out a rest"
 
 
@@ -121,6 +121,30 @@ def test_drift_and_temperature_are_told_apart(tmp_path: Path) -> None:
     found = examine_static(StaticConfig(write_log(tmp_path / "warm.csv", t_s, gyro, temp_c)))
     warm = found.figures["bias_temperature_sensitivity"]
     assert warm.interval is None or warm.interval[1] < 3.0 < warm.interval[2]
+
+
+def test_drift_and_an_even_rise_of_temperature_are_not_told_apart(tmp_path: Path) -> None:
+    """The thermometer's own noise would pass for what the temperature does."""
+    rng = np.random.default_rng(5)
+    t_s = 0.1 * np.arange(36_000)
+    temp_c = np.round(25.0 + 20.0 * t_s / 3600.0, 1)
+    gyro = white(rng, t_s.size) + 3.0 * temp_c / 3600.0
+    found = examine_static(StaticConfig(write_log(tmp_path / "warm.csv", t_s, gyro, temp_c)))
+    for name in ("rate_ramp", "bias_temperature_sensitivity"):
+        assert found.figures[name].value is None
+        assert found.figures[name].reason.startswith("the temperature changes evenly with time")
+
+
+@pytest.mark.parametrize(("step_dps", "said"), [(0.004, False), (0.04, True)])
+def test_steps_that_hide_the_noise_are_said(tmp_path: Path, step_dps: float, said: bool) -> None:
+    """A mean of a tenth of a step is rounded to nothing, and the interval knows it."""
+    t_s = 0.1 * np.arange(9000)
+    gyro = np.random.default_rng(6).normal(0.1 * step_dps, 0.01, t_s.size)
+    log = write_log(tmp_path / "steps.csv", t_s, step_dps * np.round(gyro / step_dps))
+    found = examine_static(StaticConfig(log))
+    assert any("in steps of 0.04 deg/s" in text for text in found.warnings) is said
+    _, low, high = interval(found, "mean_bias")
+    assert low < 360.0 * step_dps < high
 
 
 def test_noise_of_a_log_through_a_thermal_cycle(tmp_path: Path) -> None:
