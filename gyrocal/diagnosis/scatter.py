@@ -190,7 +190,7 @@ def variance_places(
         mean, spread = float(np.mean(squares)), float(np.std(squares))
         for g in usable.tolist():
             z = (total[g] - count[g] * mean) / (spread * np.sqrt(count[g]))
-            # A sum of squares is skewed: the cube root of a chi-square is nearly normal (Wilson and Hilferty).
+            # A sum of squares is skewed: a chi-square of as many degrees of freedom as give it its mean and spread.
             df = 2.0 * count[g] * mean**2 / spread**2
             p = float(chi2.sf(df + z * np.sqrt(2.0 * df), df))
             found.append((coordinate, stretches[g], min(1.0, 2.0 * p), total[g] - count[g] * mean))

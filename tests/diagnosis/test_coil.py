@@ -138,6 +138,15 @@ def test_a_law_of_time_is_that_of_the_catalogue_less_a_state_of_the_record(
     np.testing.assert_allclose(law.columns[:, 0], (grown - state) * unit, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "change", [Change("bias_drift", 1.0), Change("bias_step", 7), Change("warm_up", 300.0)]
+)
+def test_what_is_straight_sudden_or_of_one_time_constant_is_plain(change: Change) -> None:
+    assert change.plain
+    assert not change._replace(spread=0.8).plain
+    assert change._replace(at=0.5).plain == (change.effect != "bias_drift")
+
+
 def test_a_step_that_takes_its_time_is_half_done_at_its_instant() -> None:
     changes = _sweep()
     slow = changes.law(Change("bias_step", 7, 120.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,16 @@ def test_a_decay_time_has_an_interval(tmp_path: Path) -> None:
         low, high = estimate.interval_95
         assert low < estimate.value < high
         assert high - low < abs(estimate.value)
+
+
+def test_a_table_that_wobbles_is_no_error_of_the_gyro(tmp_path: Path) -> None:
+    write_run(make_recording([], 22, "even"), tmp_path / "run")
+    series = series_of(tmp_path / "run")
+    assert series.angle_deg is not None
+    wobble_dps = 0.05 * np.sin(np.radians(series.angle_deg)) * (series.rate_dps != 0)
+    wobbling = replace(series, rate_dps=series.rate_dps + wobble_dps, gyro_dps=series.gyro_dps + wobble_dps)
+    assert patterns(replace(series, gyro_dps=wobbling.gyro_dps), 0.01) != []
+    assert patterns(wobbling, 0.01) == []
 
 
 def test_amplitude_and_phase_are_those_of_the_law() -> None:

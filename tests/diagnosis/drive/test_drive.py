@@ -331,7 +331,9 @@ def test_gaps_and_jitter_are_found() -> None:
     assert lost.seen.facts["count"] == 80
     assert lost.amplitude.value == pytest.approx(100.0 * 80 / len(log))
     rng = np.random.default_rng(1)
-    assert uneven_clock(np.sort(log.t_s + 0.01 * rng.normal(size=len(log)))) is not None
+    uneven = uneven_clock(np.sort(log.t_s + 0.01 * rng.normal(size=len(log))))
+    assert uneven is not None
+    assert uneven.facts["jitter_ms"] == pytest.approx(10.0, rel=0.1)
 
 
 def test_lost_gyro_samples_are_bridged(robot: Robot) -> None:
