@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
-from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.figure import Figure, plural
 from gyrocal.calibration.noise import noise_figures
 from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError, ProfileError
@@ -266,7 +266,7 @@ def _repeatability(runs: Sequence[UnitRun]) -> list[Row]:
             figures[0].unit,
             f"standard deviation of the {figures[0].title} from run to run",
             method="sample standard deviation; chi-square interval",
-            sample=f"{len(runs)} runs",
+            sample=f"{len(runs)} {plural(len(runs), '[run|runs]')}",
         )
         values = np.array([f.value for f in figures if f.value is not None], dtype=float)
         if values.size < 2:
@@ -297,7 +297,7 @@ def _reach(runs: Sequence[UnitRun]) -> list[Row]:
                 largest,
                 largest,
                 method="the reference rate",
-                sample=f"{len(runs)} runs",
+                sample=f"{len(runs)} {plural(len(runs), '[run|runs]')}",
             ),
             None,
         )
