@@ -34,6 +34,7 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.physics.surface import Direction
 from gyrocal.records.csvio import read_header
+from gyrocal.units import DPS_TO_DPH
 
 Floats = NDArray[np.float64]
 
@@ -42,6 +43,9 @@ BIAS_REACH_DPS = 1.0
 #: Permutations of the scatter test are drawn with this seed, so that the same recording gives the same file.
 _SEED = 952
 _MOST_BLOCKS = 600
+#: White noise of the samples that is so many times what is left cannot be it: of 8 degrees of freedom chance leaves a third
+#: once in a thousand times.
+_CONTRADICTED = 3.0
 
 
 @dataclass(frozen=True)
@@ -166,13 +170,19 @@ def calibrate(path: Path, config: FitConfig) -> Calibration:
         sets, block = coarsen(sets, MOST_DATA_SETS)
         notes += [_averaged_note(len(recording.sets), block)] if block > 1 else []
         notes += check_surface(recording, sets, force=config.force)
-    chosen = fit_chosen(
-        sets,
-        recording.rest,
-        model=BIAS if config.bias_only else PAPER if config.paper else None,
-        direction=config.direction,
-        weights=config.weights,
-    )
+    try:
+        chosen = fit_chosen(
+            sets,
+            recording.rest,
+            model=BIAS if config.bias_only else PAPER if config.paper else None,
+            direction=config.direction,
+            weights=config.weights,
+        )
+    except np.linalg.LinAlgError as error:
+        raise DataError(
+            f"{recording.source}: the scatter of the data sets cannot be told from their digits: nearly all agree to the last "
+            "one. Write rates, outputs and temperatures with more digits."
+        ) from error
     notes += check_rounding(recording, chosen.fit, force=config.force)
     return _assess(recording, config, chosen, tuple(notes))
 
@@ -261,7 +271,7 @@ def _assess(
         noise=noise,
         merit=merit_figures(fit, next((v.error_dps for v in chosen.left_out if v.left_out == "time"), None)),
         excluded_by_user=tuple(sorted(config.exclude)),
-        notes=notes,
+        notes=(*notes, *_too_noisy(fit)),
         coefficients=_coefficients(recording, config, chosen, noise),
     )
     coefficients = replace(calibration.coefficients, figures=_figures(calibration))
@@ -279,6 +289,19 @@ def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
     if config.bias_only:
         low, high = low - BIAS_REACH_DPS, high + BIAS_REACH_DPS
     return Valid((low, high), (temp_low, temp_high))
+
+
+def _too_noisy(fit: SurfaceFit) -> list[str]:
+    """Says it where the samples are said to scatter by more than the means do: the columns contradict each other."""
+    floor_dps = float(np.sqrt(np.mean(fit.sets.mean_variance_dps2)))
+    free = max(len(fit.sets) - int(fit.terms.sum()), 1)
+    residual_dps = float(np.sqrt(np.sum(fit.residual_dps**2) / free))
+    if not floor_dps > _CONTRADICTED * residual_dps:  # NaN where it is not known
+        return []
+    return [
+        f"gyro_std_dps over the root of n says that a mean is off by {floor_dps * DPS_TO_DPH:.3g} deg/h rms, and all that is left is "
+        f"{residual_dps * DPS_TO_DPH:.3g}: check these columns"
+    ]
 
 
 def _coefficients(

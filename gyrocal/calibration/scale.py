@@ -17,6 +17,9 @@ _NEAR = 0.15
 _DEAD = 2e-3
 #: A data set that is further off than this many times the largest rate was not measured.
 _GROSS = 10.0
+#: A data set that is off the others' line by more than this share of the largest rate, and so many times what nine in ten are
+#: off at most, belongs to another rate.
+_STRAY_SHARE, _STRAY_TIMES, _MOST_STRAY = 0.02, 20.0, 0.1
 #: Scale to the mistake that makes it.
 _MISTAKES = (
     (np.pi / 180.0, "it is in rad/s"),
@@ -32,8 +35,8 @@ _MISTAKES = (
 )
 
 
-#: No gyro works where it is hotter.
-_HOTTEST_C = 200.0
+#: No gyro works where it is colder or hotter; thermometers that broke say so.
+_COLDEST_C, _HOTTEST_C = -100.0, 200.0
 #: Coarse steps make rows equal by chance, as a tenth of one made-up table; where so many are, they were entered twice.
 _MOST_COPIES = 0.5
 _STUCK = "Check the gyro's power, its cable and the column, and record again"
@@ -66,6 +69,20 @@ def output_scale(rate_dps: Floats, gyro_dps: Floats) -> float:
     if half == 0 or not apart.any():
         return float("nan")
     return float(np.median((gyro[half:] - gyro[: rate.size - half])[apart] / step[apart]))
+
+
+def stray_rows(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.int64]:
+    """Rows that are off the straight line of the others by a share of the largest rate that no nonlinearity has beside them.
+
+    Rates that were mixed up, mostly. None where more than a tenth are, for then it is the gyro that does it.
+    """
+    scale, largest = output_scale(rate_dps, gyro_dps), float(np.max(np.abs(rate_dps), initial=0.0))
+    if not np.isfinite(scale):
+        return np.empty(0, dtype=np.int64)
+    off = gyro_dps - scale * rate_dps
+    off = np.abs(off - np.median(off))
+    usual = float(np.quantile(off, 1.0 - _MOST_STRAY))
+    return np.flatnonzero((off > _STRAY_SHARE * largest) & (off > _STRAY_TIMES * usual))
 
 
 def gross_row(rate_dps: Floats, gyro_dps: Floats) -> int | None:
@@ -123,9 +140,10 @@ def odd_columns(
 def _odd_temperature(temp_c: Floats) -> Odd | None:
     """What is wrong with temperatures that no gyro has; None if they can be one's."""
     low_c, high_c = float(np.min(temp_c)), float(np.max(temp_c))
-    if high_c <= _HOTTEST_C:
+    if low_c >= _COLDEST_C and high_c <= _HOTTEST_C:
         return None
-    return Odd(f"temperatures run from {low_c:.4g} to {high_c:.4g} °C, and no gyro works so hot", _KELVIN)
+    much = "hot" if high_c > _HOTTEST_C else "cold"
+    return Odd(f"temperatures run from {low_c:.4g} to {high_c:.4g} °C, and no gyro works so {much}", _KELVIN)
 
 
 def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Odd | None:

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from gyrocal.calibration.scale import Odd, copied_text, gross_row, odd_columns, odd_output, output_scale
+from gyrocal.calibration.scale import (
+    Odd,
+    copied_text,
+    gross_row,
+    odd_columns,
+    odd_output,
+    output_scale,
+    stray_rows,
+)
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
@@ -44,14 +52,23 @@ def check_inputs(
     for odd in odds:
         if coefficients is None or not odd.a_scale:
             raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
-    notes: tuple[Note, ...] = (
-        (copied_text(series.copies, len(series)),) if series.copies and not ideal else ()
-    )
+    notes: tuple[Note, ...] = _stray_notes(series)
+    if series.copies and not ideal:
+        notes += (copied_text(series.copies, len(series)),)
     if coefficients is not None:
         _check_coefficients(series, coefficients, odds[0] if odds else None)
         return notes
     off = output_scale(series.rate_dps, series.gyro_dps) - 1.0
     return (*notes, Remark(Said.SCALE_FAR_OFF, {"ratio": 1.0 + off})) if abs(off) > _SAID else notes
+
+
+def _stray_notes(series: Series) -> tuple[Remark, ...]:
+    stray = stray_rows(series.rate_dps, series.gyro_dps) if series.is_table else ()
+    return (
+        (Remark(Said.STRAY_SETS, {"sets": [int(series.set_index[row]) + 1 for row in stray]}),)
+        if len(stray)
+        else ()
+    )
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

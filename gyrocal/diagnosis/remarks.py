@@ -21,6 +21,7 @@ class Said(Enum):
     SAME_TIMES = auto()
     NO_SPREAD = auto()
     SCALE_FAR_OFF = auto()
+    STRAY_SETS = auto()
     # What was found in it.
     TEMPERATURE_ALONE = auto()
     NOT_TEMPERATURE_ALONE = auto()

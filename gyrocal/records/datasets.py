@@ -15,6 +15,10 @@ COLUMNS = ("rate_dps", "gyro_dps", "gyro_counts", "temp_c", "gyro_std_dps", "n",
 ABSOLUTE_ZERO_C = -273.15
 #: No table turns faster, deg/s.
 _FASTEST_DPS = 1e5
+#: A gyro that goes through more than so many °C needs at least a second for each.
+_LEAST_SPAN_C, _FASTEST_C_PER_S = 5.0, 1.0
+#: No record is longer: ten years, s.
+_LONGEST_S = 3.2e8
 #: A plan of several rates whose fastest is slower, deg/s, is in another unit: the earth turns four times as fast.
 _SLOWEST_DPS = 1e-3
 
@@ -86,6 +90,7 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
     _check_plan(path, columns)
     if "t_s" in columns:
         _check_times(path, columns["t_s"], several_rates=bool(np.ptp(columns["rate_dps"]) > 0))
+        _check_seconds(path, float(np.ptp(columns["t_s"])), float(np.ptp(columns["temp_c"])))
     gyro_dps = columns["gyro_counts"] / counts_per_dps if counts and counts_per_dps else columns["gyro_dps"]
     return DataSetTable(
         path,
@@ -151,6 +156,17 @@ def _check_times(path: Path, t_s: Floats, *, several_rates: bool) -> None:
             f"{path}, line {same[0] + 3}: t_s is {t_s[same[0]]:.6g} as in the line before, and no gyro records two data sets "
             f"at once (lines with the time of the one before: {same.size}). Write times that tell them apart, or leave the column out."
         )
+
+
+def _check_seconds(path: Path, span_s: float, span_c: float) -> None:
+    """Refuse times in another unit: the gyro would warm faster, or the record last longer, than any does."""
+    what = ""
+    if span_c > _LEAST_SPAN_C and span_c > _FASTEST_C_PER_S * span_s > 0.0:
+        what = f"temp_c goes through {span_c:.3g} degC within {span_s:.3g} s of t_s (hours, days?)"
+    elif span_s > _LONGEST_S:
+        what = f"t_s goes through {span_s:.3g} s, which is years (microseconds?)"
+    if what:
+        raise InputError(f"{path}: {what}, which no record of a gyro does. Write t_s in seconds.")
 
 
 def format_data_sets(table: DataSetTable) -> str:

@@ -10,6 +10,14 @@ from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
 
 
+def _stray_sets(sets: Sequence[int]) -> str:
+    return plural(
+        len(sets),
+        f"data [set|sets] {', '.join(map(str, sets))} [is|are] far off the line of the others, which hides what is small: "
+        "[was its rate|were their rates] mixed up? Repair or remove [it|them]",
+    )
+
+
 def _strange_sets(sets: Sequence[tuple[int, float, float, float]]) -> str:
     """Each with its number, rate in deg/s, temperature in degC, and how far off it is in mdeg/s."""
     each = (
@@ -64,6 +72,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "
     "its noise; [it counts|they count] as noisy as the others",
+    Said.STRAY_SETS: _stray_sets,
     Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
     "surface takes it up; check scale and units",
     Said.LEFT_OUT_SETS: "whole data sets (every eighth segment) and whole temperatures or sweeps in turn",

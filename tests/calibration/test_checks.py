@@ -97,6 +97,32 @@ def test_kelvin_copies_and_a_copy_of_the_rate_are_refused(tmp_path: Path) -> Non
     assert "exactly the rate in every row" in str(refusal(table(tmp_path / "c.csv", rate, temp, rate)))
 
 
+def test_a_broken_thermometer_is_refused(tmp_path: Path) -> None:
+    rate, temp = grid()
+    temp[4] = -200.0
+    assert "from -200 to" in str(refusal(table(tmp_path / "t.csv", rate, temp)))
+
+
+def test_an_output_without_digits_is_refused_and_is_no_bug(tmp_path: Path) -> None:
+    rate = np.tile(np.linspace(-100.0, 100.0, 11), 5)
+    temp = np.repeat([-10.0, 5.0, 20.0, 35.0, 50.0], 11)
+    gyro = rate + np.where((rate == 100.0) & (temp >= 35.0), 1.0, 0.0)
+    assert "Write rates, outputs and temperatures with more digits" in str(
+        refusal(table(tmp_path / "t.csv", rate, temp, gyro))
+    )
+
+
+def test_a_scatter_of_samples_that_the_means_contradict_is_said(tmp_path: Path) -> None:
+    rate, temp = grid()
+    gyro = SURFACE.output_dps(rate, temp) + np.random.default_rng(1).normal(0, 1e-3, rate.size)
+    for std, said in ((0.02, False), (2.0, True)):
+        rows = [f"{r:.6f},{g:.8f},{t:.6f},{std},400" for r, g, t in zip(rate, gyro, temp, strict=True)]
+        path = tmp_path / "t.csv"
+        path.write_text("\n".join(["rate_dps,gyro_dps,temp_c,gyro_std_dps,n", *rows]) + "\n")
+        notes = calibrate(path, FitConfig()).notes
+        assert any("check these columns" in note for note in notes) == said
+
+
 def test_one_temperature_is_said_once(tmp_path: Path) -> None:
     rate = np.repeat(RATES, 3)
     gyro = rate + 0.1 + 1e-3 * np.arange(rate.size)

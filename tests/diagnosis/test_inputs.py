@@ -237,3 +237,10 @@ def test_a_temperature_that_never_changes_is_said() -> None:
     constant = replace(table, temp_c=np.full(table.rate_dps.size, 20.0))
     assert str(series_of_table(constant).notes[0]).startswith("temp_c is 20 degC in every row")
     assert series_of_table(table).notes == ()
+
+
+def test_rates_that_were_mixed_up_are_said() -> None:
+    table = make_table()
+    table.rate_dps[[10, 11]] = table.rate_dps[[11, 10]]
+    (note,) = check_inputs(series_of_table(table), None)
+    assert remark_words(note).startswith("data sets 11, 12 are far off the line of the others")

@@ -31,7 +31,7 @@ def test_what_is_written_is_read(
     tmp_path: Path, rows: list[tuple[float, float, float, int]], timed: bool
 ) -> None:
     rate, gyro, temp, n = np.array(rows, dtype=np.float64).T
-    times = 20.0 * np.arange(rate.size) if timed else None
+    times = 500.0 * np.arange(rate.size) if timed else None
     path = tmp_path / "t.csv"
     path.write_text(format_data_sets(DataSetTable(path, rate, gyro, temp, n=n, t_s=times)))
     found = read_data_sets(path)
@@ -65,6 +65,12 @@ def refused(path: Path, text: str, counts_per_dps: float | None = None) -> str:
         ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,9\n1,2,3,8\n", None, "line 3: time goes backwards"),
         ("rate_dps,gyro_dps,temp_c,n\n1,2,3,0\n", None, "line 2: n is 0"),
         ("rate_dps,gyro_dps,temp_c,n\n1,2,3,2.5\n", None, "line 2: n is 2.5"),
+        (
+            "rate_dps,gyro_dps,temp_c,t_s\n1,2,3,0\n2,2,9,0.5\n",
+            None,
+            "6 degC within 0.5 s of t_s (hours, days?)",
+        ),
+        ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,0\n2,2,3,4e9\n", None, "through 4e+09 s, which is years"),
         ("rate_dps,gyro_dps,temp_c,gyro_std_dps\n1,2,3,-1\n", None, "line 2: gyro_std_dps is -1"),
         ("rate_dps,gyro_dps,temp_c\n1,2,-300\n", None, "line 2: temp_c is -300"),
         (
