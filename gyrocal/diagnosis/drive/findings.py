@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +62,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     What it does not show goes to whichever of the three it speaks least against.
     """
     found: dict[str, Scale] = {}
-    tilt = _tilt(yaw)
+    tilt = _tilt(yaw, truth)
     if truth is not None:
         for name in ("gyro_scale", "wheel_scale"):
             if truth.believed(name):
@@ -98,21 +98,39 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     return found
 
 
-def _tilt(yaw: YawAnswer) -> Scale:
+def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
     """Share of the turns that a gyro on a slope lacks in the mean; 0 where nothing speaks for one.
 
     Of a turn over a slope of angle a, w cos(a cos(heading)) is seen: a^2/4 less, and as much by twice the heading. It must
     hold beside all columns without a name, since a path of right angles turns at the same headings each time.
     """
-    others = [n for n in yaw.gram.names if ":" in n and n not in _TILT]
-    if (
-        _TILT[0] not in yaw.gram.names
-        or stats.chi2.sf(yaw.gram.added([*yaw.chosen, *others], _TILT), 2) > STRANGER_P
-    ):
+    if _TILT[0] not in yaw.gram.names:
+        return Scale(0.0, 0.0)
+    everything = [*yaw.chosen, *(n for n in yaw.gram.names if ":" in n and n not in _TILT)]
+    seen = stats.chi2.sf(yaw.gram.added(everything, _TILT), 2) <= STRANGER_P
+    if not seen and not _lacks_by_heading(yaw, everything, truth):
         return Scale(0.0, 0.0)
     values, covariance = yaw.gram.solve([*yaw.chosen, *_TILT])
     size = float(np.hypot(*values[-2:]))
     return Scale(size, float(np.sqrt(values[-2:] @ covariance[-2:, -2:] @ values[-2:])) / size)
+
+
+def _lacks_by_heading(yaw: YawAnswer, beside: Sequence[str], truth: TruthAnswer | None) -> bool:
+    """Whether what the gyro lacks by the truth goes by twice the heading, rather than not at all.
+
+    The truth tells the size, so that a weak slope shows where its columns alone, without that size, would not.
+    """
+    if truth is None or not truth.believed("gyro_scale") or truth.values["gyro_scale"] > 0.0:
+        return False
+    values, covariance = yaw.gram.solve([*beside, *_TILT])
+    heading = np.linspace(0.0, 2.0 * np.pi, 361)
+    sloped = truth.values["gyro_scale"] * np.stack([np.cos(heading), np.sin(heading)])
+    precision = np.linalg.inv(covariance[-2:, -2:])
+    level, least = (
+        float(np.min(np.einsum("ik,ij,jk->k", away, precision, away)))
+        for away in (values[-2:, None], values[-2:, None] - sloped)
+    )
+    return bool(level - least > 2.0 * np.log(_OUT))
 
 
 def _turns_are_odd(truth: TruthAnswer | None) -> bool:
@@ -348,7 +366,7 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
         "start_stop_slip": Lack(Why.MOMENTS_ONLY),
         "encoder_overcount": Lack(Why.SINGLE_BUMPS),
     }
-    if _tilt(yaw).value > 0.0:
+    if _tilt(yaw, truth).value > 0.0:
         del reasons["robot_tilt"]
     if "slope" not in yaw.laws:
         reasons["bias_temperature"] = Lack(Why.NO_GYRO_TEMPERATURE)

@@ -151,14 +151,15 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
     assert (told_dps != 0.0) == kept
 
 
-def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot) -> None:
+@pytest.mark.parametrize("share", [0.01, 0.0025])
+def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot, share: float) -> None:
     log = drive(Plan("eights", 3.0, 10.0, tick_m=4e-4, truth_m=0.02, truth_every_s=1.0, wheel_noise=0.001), 5)
     heading = np.cumsum(np.radians(log.gyro_dps) / 10.0)
-    lacking = 0.01 * (1.0 + np.cos(2.0 * heading - 0.8))
+    lacking = share * (1.0 + np.cos(2.0 * heading - 0.8))
     told = diagnose_drive("drive.csv", replace(log, gyro_dps=log.gyro_dps * (1.0 - lacking)), resting)
     assert names(told) == ["robot_tilt"]
     tilt = told.diagnosis.effects[0].parameters["amplitude"]
-    assert tilt.interval_95[0] < np.degrees(2.0 * np.sqrt(0.01)) < tilt.interval_95[1]
+    assert tilt.interval_95[0] < np.degrees(2.0 * np.sqrt(share)) < tilt.interval_95[1]
     assert "robot_tilt" not in told.diagnosis.not_testable
     assert told.robot is None
 
