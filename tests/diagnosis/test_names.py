@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.names import Naming
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
@@ -37,6 +39,16 @@ def test_a_shape_is_found_between_the_points_of_its_grid(seed: int) -> None:
     assert law.law.shape["tau_s"] == pytest.approx(420.0, rel=0.05)
     assert law.share == pytest.approx(1.0, abs=0.05)
     assert not found.unnamed
+
+
+@pytest.mark.parametrize(
+    ("warm_up", "drift", "again"), [(0.0, 0.0, 0.5), (0.0, 3.0, 0.953), (2.0, 0.0, 0.119)]
+)
+def test_a_warm_up_comes_again_as_surely_as_it_is_told_from_a_drift(
+    warm_up: float, drift: float, again: float
+) -> None:
+    nearest = {"warm-up": {"warm_up": warm_up, "bias_drift": drift}}
+    assert Naming(cast(Fitted, None), (), nearest=nearest).comes_again == pytest.approx(again, abs=1e-3)
 
 
 def test_the_only_law_of_a_family_names_what_it_only_resembles() -> None:

@@ -368,6 +368,14 @@ def test_mirrored_truth_is_seen_and_correlated_errors_are_no_mirror(resting: Rob
     assert Remark(Said.TRUTH_MIRRORED) in mirrored.diagnosis.notes
 
 
+def test_a_truth_that_stands_still_says_nothing(resting: Robot) -> None:
+    log = drive(Plan("lawn", 2.0, 10.0, truth_m=0.02, tick_m=4e-4), 3)
+    rng = np.random.default_rng(3)
+    stuck_m = [np.where(np.isfinite(log.truth_x_m), 0.005 * rng.normal(size=len(log)), np.nan) for _ in "xy"]
+    stuck = replace(log, truth_x_m=stuck_m[0], truth_y_m=stuck_m[1])
+    assert diagnose_drive("drive.csv", stuck, resting).truth is None
+
+
 def test_truth_in_other_units_is_taken_as_such(resting: Robot) -> None:
     plan = Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05)
     log = drive(plan, 3)
