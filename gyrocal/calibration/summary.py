@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
-from gyrocal.calibration.figure import Figure, interval_said, number
+from gyrocal.calibration.figure import Figure, interval_said, number, plural
 from gyrocal.physics.surface import SHAPE
 from gyrocal.units import DPS_TO_DPH, NORMAL_95
 
@@ -75,7 +75,7 @@ def remarks(c: Calibration) -> tuple[str, ...]:
     lines = [_choice_line(c), *_undetermined_line(c), _scatter_line(c), *_rest_line(c)]
     lines += _odd_rates(c)
     lines.append(
-        f"{len(c.outliers)} outliers, listed and kept in the fit (leave out with --exclude)"
+        f"{len(c.outliers)} {plural(len(c.outliers), '[outlier|outliers]')}, listed and kept in the fit (leave out with --exclude)"
         if c.outliers
         else "no outliers"
     )
@@ -106,8 +106,10 @@ def _undetermined_line(c: Calibration) -> list[str]:
     g, t = (a.ravel() for a in np.meshgrid(np.linspace(*valid.rate_dps, 9), np.linspace(*valid.temp_c, 9)))
     sigma = c.coefficients.sigma_dps(g, t)
     k = int(np.argmax(sigma))
+    count = int((~c.fit.terms).sum())
+    undetermined = plural(count, f"{count} [term|terms]")
     return [
-        f"{int((~c.fit.terms).sum())} terms that the recording does not determine are nothing in the surface and something "
+        f"{undetermined} that the recording does not determine {plural(count, '[is|are]')} nothing in the surface and something "
         f"in its band: ± {dph(NORMAL_95 * float(sigma[k]))} deg/h (95 %) at {g[k]:+.4g} deg/s and {t[k]:.1f} °C, where it is widest"
     ]
 
@@ -202,7 +204,9 @@ def _figure_table(c: Calibration) -> Table:
 
 def _figure_row(before: Figure, after: Figure | None) -> tuple[str, ...]:
     """Name, before, after, unit; noise is the same before and after."""
-    return before.title, said(before), "the same" if after is None else said(after), before.unit
+    first = said(before)
+    same = "-" if first == "-" else "the same"
+    return before.title, first, same if after is None else said(after), before.unit
 
 
 def _without_number(c: Calibration) -> list[str]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.crossval import cross_validate
 from gyrocal.calibration.datasets import DataSets
+from gyrocal.calibration.figure import plural
 from gyrocal.calibration.figures import BeforeAfter, merit_figures
 from gyrocal.calibration.fit import TERMS, SurfaceFit, fit_surface
 from gyrocal.physics.surface import SHAPE
@@ -124,3 +125,10 @@ def test_rates_in_one_order_say_nothing_of_hysteresis() -> None:
     order = np.lexsort((sets.rate_dps, np.repeat(np.arange(7), 11)))
     _, found = figures(with_error(sets.select(order), sets.error_dps[order]))
     assert "was not reached both ways" in found["rate_hysteresis"].before.reason
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(0, "0 rows are left"), (1, "1 row is left"), (12, "12 rows are left")]
+)
+def test_one_is_and_more_are(count: int, said: str) -> None:
+    assert plural(count, f"{count} [row is|rows are] left") == said

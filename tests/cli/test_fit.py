@@ -56,6 +56,14 @@ def test_fit_of_a_table(table: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert coefficients.provenance["counts_per_dps"] == -1000
 
 
+def test_a_figure_without_a_number_has_none_after_compensation_either(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(table, "-o", tmp_path / "c.json", "--counts-per-dps", -1000) == 0
+    (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("angle random walk"))
+    assert row.split() == ["angle", "random", "walk", "-", "-", "deg/√h"]
+
+
 def test_fit_of_a_run_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sets = simulate(np.random.default_rng(2), rates=np.linspace(-100, 100, 7))
     run = write_run(tmp_path / "run", parts_of(sets, np.random.default_rng(3)))
