@@ -102,6 +102,15 @@ def test_smooth_parts_are_free_of_the_surface() -> None:
     assert {p.block for p in staying(means, model.basis.frame, np.arange(12))} >= {"memory", "odd rate"}
 
 
+def test_a_warm_up_is_looked_for_at_the_times_that_the_record_lasts() -> None:
+    t_s = np.linspace(0.0, 1000.0, 60)
+    rate = np.tile([-50.0, 0.0, 50.0], 20)
+    temp = 20.0 + np.sin(t_s / 300.0)
+    means = means_of(series_of_table(DataSetTable(Path("t.csv"), rate, rate, temp, t_s=t_s)))
+    (warm,) = (p for p in full_model(means).parts if p.block == "warm-up")
+    assert [column.driver.numbers for column in warm.columns] == [(150.0,), (300.0,), (600.0,), (1200.0,)]
+
+
 def test_legendre_products_are_powers() -> None:
     rng = np.random.default_rng(1)
     c, u, v = rng.standard_normal(12), 0.3, -0.7
