@@ -44,7 +44,6 @@ class Said(Enum):
     GAPS = auto()
     EMPTY_WHEEL = auto()
     CALIBRATED = auto()
-    NO_GYRO = auto()
     GYRO_BRIDGED = auto()
     GYRO_SPIKES = auto()
     TRUTH_UNIT = auto()

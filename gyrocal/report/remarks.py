@@ -101,7 +101,6 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out",
     Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [counts|count] as no motion of that wheel",
     Said.CALIBRATED: "the gyro was calibrated with the coefficients given",
-    Said.NO_GYRO: "no row has a gyro",
     Said.GYRO_BRIDGED: "{count} [row|rows] without gyro [is|are] bridged by [its|their] neighbours",
     Said.GYRO_SPIKES: "{count} [spike|spikes] of the gyro, up to {largest_dps:.3g} deg/s, [is|are] bridged in the comparison",
     Said.TRUTH_UNIT: "the truth's positions are {times:g} times too large: they are taken in {unit}",

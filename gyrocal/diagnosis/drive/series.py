@@ -164,6 +164,12 @@ def _gyro(
             )
         gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
         notes.append(Remark(Said.CALIBRATED))
+    known = np.isfinite(gyro_dps)
+    if not known.any() or np.ptp(gyro_dps[known]) == 0:
+        said = f"{gyro_dps[known][0]:g}" if known.any() else "empty"
+        raise DataError(
+            f"{source}: gyro_dps is {said} in every row; the gyro is stuck or was not logged. Check its cable."
+        )
     gyro_dps, bridged = _bridged(log.t_s, gyro_dps)
     notes += bridged
     off = gyro_dps - median_filter(gyro_dps, 5, mode="nearest")
@@ -195,8 +201,6 @@ def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[Remark]]:
     known = np.isfinite(gyro_dps)
     if known.all():
         return gyro_dps, []
-    if not known.any():
-        return np.zeros_like(gyro_dps), [Remark(Said.NO_GYRO)]
     bridged = Remark(Said.GYRO_BRIDGED, {"count": int(np.count_nonzero(~known))})
     return np.interp(t_s, t_s[known], gyro_dps[known]), [bridged]
 

@@ -356,6 +356,14 @@ def test_short_and_still_logs_are_refused(robot: Robot) -> None:
         diagnose_drive("still.csv", still, robot)
 
 
+@pytest.mark.parametrize(("value", "said"), [(0.1, "0.1"), (np.nan, "empty")])
+def test_a_gyro_that_says_one_thing_is_refused(robot: Robot, value: float, said: str) -> None:
+    """Before: the robot file was blamed for the track that came of it."""
+    log = simulate(Hidden(), 1)
+    with pytest.raises(DataError, match=f"gyro_dps is {said} in every row"):
+        diagnose_drive("stuck", replace(log, gyro_dps=np.full(log.t_s.size, value)), robot)
+
+
 def test_mirrored_truth_is_seen_and_correlated_errors_are_no_mirror(resting: Robot) -> None:
     plan = Plan("random", 5.0, 10.0, truth_m=0.3, truth_wander_m=0.6)
     log = drive(plan, 7)
