@@ -87,6 +87,14 @@ def test_simulated_noise_is_whitened_to_standard_normal(levels: NoiseLevels) -> 
     assert abs(lagged) < 4.0 / np.sqrt(white.size)
 
 
+def test_the_processes_of_a_longer_record_stay_a_decade_apart() -> None:
+    series = make_series(10)
+    model = NoiseModel(replace(series, t_s=500.0 * series.t_s))
+    later = model.gap_s > 0.0
+    taus = -model.gap_s[later][:, None] / np.log(model.decay[later][:, 1:])
+    np.testing.assert_allclose(taus[0], [20.0, 200.0, 2e3, 2e4, 2e5], rtol=1e-6)
+
+
 def test_fallback_without_numba_is_the_same() -> None:
     model = NoiseModel(make_series(10))
     X = np.random.default_rng(2).standard_normal((model.fresh.size, 3))
