@@ -129,7 +129,8 @@ def name(
     fitted, laws = tied_anew(fitted, laws)
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
-    return Naming(around_itself(shaped), tuple(_mechanisms(named)), left, nearest, input_gain), laws
+    named = _mechanisms(_still_there(named, shaped, left))
+    return Naming(around_itself(shaped), tuple(named), left, nearest, input_gain), laws
 
 
 def _name_blocks(
@@ -196,6 +197,13 @@ def _as_fitted(named: list[Named], before: Fitted, fitted: Fitted) -> list[Named
     """With the shapes and columns that the laws have in the model, which came from one `before` law by law."""
     own = {old.name: law for old, law in zip(before.model.laws, fitted.model.laws, strict=True)}
     return [replace(n, law=own.get(n.law.name, n.law)) for n in named]
+
+
+def _still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) -> list[Named]:
+    """Less those whose smooth parts stood in the model for them, and went when later laws explained as much."""
+    held = [n for n in named if fitted.model.holds(n.law)]
+    stood_for = [n for n in named if n not in held and n.block in worth]
+    return held + [replace(n, gain=min(n.gain, worth[n.block])) for n in stood_for]
 
 
 def _mechanisms(named: list[Named]) -> list[Named]:
