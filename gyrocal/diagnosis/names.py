@@ -129,7 +129,7 @@ def name(
     fitted, laws = tied_anew(fitted, laws)
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
-    named = _mechanisms(_still_there(named, shaped, left))
+    named = _mechanisms(still_there(named, shaped, left))
     return Naming(around_itself(shaped), tuple(named), left, nearest, input_gain), laws
 
 
@@ -199,7 +199,7 @@ def _as_fitted(named: list[Named], before: Fitted, fitted: Fitted) -> list[Named
     return [replace(n, law=own.get(n.law.name, n.law)) for n in named]
 
 
-def _still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) -> list[Named]:
+def still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) -> list[Named]:
     """Less those whose smooth parts stood in the model for them, and went when later laws explained as much."""
     held = [n for n in named if fitted.model.holds(n.law)]
     stood_for = [n for n in named if n not in held and n.block in worth]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.layers import Fitted
-from gyrocal.diagnosis.names import Naming
+from gyrocal.diagnosis.names import Named, Naming, still_there
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.trial.made_up import make_up
@@ -75,6 +76,28 @@ def test_laws_that_are_shaped_beside_each_other_keep_their_names() -> None:
     plays = [n.law for n in found.named if n.law.effect == "thermal_hysteresis"]
     assert sorted(law.shape["width_c"] for law in plays) == pytest.approx([2.2, 6.3], rel=0.1)
     assert {law.name for law in plays} <= {law.name for law in found.fitted.model.laws}
+
+
+def test_a_name_goes_with_the_smooth_parts_that_stood_for_it() -> None:
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+    found = naming_of(5e-3 * np.tanh((temp - 28.0) / 1.5), 0)
+    (law,) = found.named
+    absent = replace(law.law, shape={"order": 4.0, "center_c": 0.0})
+    by_block = Named(absent, "temperature", 50.0, 1.0, {}, 4)
+    gone = Named(absent, "memory", 50.0, 1.0, {}, 4)
+    kept = still_there([law, by_block, gone], found.fitted, {"temperature": 7.0})
+    assert kept[0] is law
+    assert [(n.block, n.gain) for n in kept[1:]] == [("temperature", 7.0)]
+
+
+@pytest.mark.slow
+def test_a_step_is_not_named_a_shape_in_temperature_beside_itself(tmp_path: Path) -> None:
+    """Cubic in temperature until the step was seen: the smooth parts went, and the name had stayed."""
+    made = make_up("layers", 160, 3)
+    found = diagnose(made.write(tmp_path), options=Options(heldout=False))
+    names = {e.effect for e in found.effects}
+    assert "scale_step" in names
+    assert "temperature_order" not in names
 
 
 @pytest.mark.slow
