@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,29 @@ def best_law(
     winner, effect = refits[0]
     rivals = {e.id: loss(f, e) - loss(winner, effect) for f, e in refits[1:]}
     return Winner(effect, winner, rivals, shapes[effect.id])
+
+
+def best_pair(fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial]) -> Fitted | None:
+    """The model with the two laws of one effect that together explain most of what a block did; None of fewer than two.
+
+    One law by itself takes a shape between theirs, beside which no second one is seen.
+
+    Parameters
+    ----------
+    fitted, current : as of `best_law`
+    trials : of one effect, of one column each
+    """
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    model = replace(fitted.model.without(names), laws=current.model.laws)
+    logs = {**current.fit.log_variance, **fitted.fit.log_variance}
+    score, p = fitted.contrasts.precision(model.all, logs)
+    columns = fitted.contrasts.beyond(np.column_stack([t.columns for t in trials])) if trials else np.empty(0)
+    pairs = list(combinations(range(len(trials)), 2))
+    if not pairs:
+        return None
+    gains = [_gain(columns[:, pair], score, p, model.law_variance) for pair in pairs]
+    first, second = (trials[k] for k in pairs[int(np.argmax(gains))])
+    return _with(_with(current, first, logs), second, logs)
 
 
 def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fitted:
