@@ -52,6 +52,15 @@ def test_a_warm_up_comes_again_as_surely_as_it_is_told_from_a_drift(
     assert Naming(cast(Fitted, None), (), nearest=nearest).comes_again == pytest.approx(again, abs=1e-3)
 
 
+def test_a_warm_up_of_two_time_constants_is_two_laws() -> None:
+    """One law by itself takes a constant that is neither, beside which a second one is not seen."""
+    found = naming_of(1e-3 * np.exp(-_T_S / 250.0) + 2e-3 * np.exp(-_T_S / 2700.0), 0)
+    assert {n.law.effect for n in found.named} == {"warm_up"}
+    taus = sorted(n.law.shape["tau_s"] for n in found.named)
+    assert taus == pytest.approx([250.0, 2700.0], rel=0.3)
+    assert not found.unnamed
+
+
 def test_the_only_law_of_a_family_names_what_it_only_resembles() -> None:
     """A glass transition is no power of the temperature, and a shape of it all the same."""
     temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
