@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.changes import STEPS
 from gyrocal.diagnosis.coil import TOLL_NATS, Candidate
+from gyrocal.diagnosis.layers import Fitted, contrasts_of
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.scatter import CERTAIN, Finding, dead_finding, dead_sets
 from gyrocal.diagnosis.series import Series, set_means
-from gyrocal.inference.additive import precision
+from gyrocal.inference.additive import Component, precision
 from gyrocal.physics.sampling import BURSTS
 from gyrocal.units import STDS_PER_MAD
 
@@ -126,14 +127,31 @@ def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:
     best: dict[int, Candidate] = {}
     for c in ranked:
         best.setdefault(sum(change.effect in STEPS for change in c.changes), c)
-    found, score = min(((_alone(c), c.score) for c in best.values()), key=lambda f: f[1] - f[0][1])
-    strays, nats = found
-    few = len(strays) + len(known) <= _most(len(ranked[0].fitted.model.means))
-    return strays if few and score - nats < ranked[0].score else NO_STRAYS
+    strays, gain, beside = min(((*_alone(c), c) for c in best.values()), key=lambda f: f[2].score - f[1])
+    few = len(strays) + len(known) <= _most(len(beside.fitted.model.means))
+    if not len(strays) or not few or beside.score - gain >= ranked[0].score:
+        return NO_STRAYS
+    score = beside.score - _gain(beside.fitted, strays) + _toll(strays, beside.fitted)
+    return strays if score < ranked[0].score else NO_STRAYS
+
+
+def _toll(strays: Strays, fitted: Fitted) -> float:
+    """What a law would pay for as many rows, nats."""
+    return len(strays) * (TOLL_NATS + 0.5 * float(np.log(len(fitted.model.means))))
+
+
+def _gain(fitted: Fitted, strays: Strays) -> float:
+    """Evidence for strays where all else in the model may follow: a walk that had made up for a step cannot pass for noise."""
+    model = fitted.model
+    rows = (model.means.set_index[:, None] == strays.numbers).astype(np.float64)
+    contrasts = contrasts_of(model, designs=(rows,))
+    logs = fitted.fit.log_variance
+    without = contrasts.fit(model.all, logs)
+    return without.nll - contrasts.fit([*model.all, Component("strays", rows)], logs).nll
 
 
 def _alone(candidate: Candidate) -> tuple[Strays, float]:
-    """Rows beside a model that are off by themselves, and what they gain less what a law would pay for them, nats."""
+    """Rows beside a model that are off by themselves, and what they gain about, nats: the level of all noise follows."""
     model = candidate.fitted.model
     means, rows = model.means, len(model.means)
     chosen: list[int] = []
@@ -145,7 +163,7 @@ def _alone(candidate: Candidate) -> tuple[Strays, float]:
     score, p = precision(model.error_dps, flat, model.all, variance)
     off, std = np.empty(0), np.empty(0)
     while len(chosen) <= _most(rows):
-        # Freed of those that were chosen; the level of all noise follows what is left (Student's t, profiled).
+        # Freed of those that were chosen (Student's t, profiled).
         inner = np.linalg.inv(p[np.ix_(chosen, chosen)]) if chosen else np.empty((0, 0))
         own, here = score - p[:, chosen] @ inner @ score[chosen], p - p[:, chosen] @ inner @ p[chosen]
         off, std = inner @ score[chosen], np.sqrt(np.diag(inner))
@@ -157,7 +175,7 @@ def _alone(candidate: Candidate) -> tuple[Strays, float]:
         k = int(np.argmax(gains))
         if gains[k] < _STRAY_NATS:
             break
-        gained += float(gains[k]) - TOLL_NATS - 0.5 * float(np.log(rows))
+        gained += float(gains[k])
         chosen.append(k)
     return Strays(means.set_index[chosen], off, std), gained
 

@@ -72,7 +72,7 @@ def _warm_up() -> dict[str, Any]:
 
 
 def _step() -> dict[str, Any]:
-    return _diagnosed(diagnose(_table(20, step_dps=0.02), options=Options(heldout=False)))
+    return _diagnosed(diagnose(_table(3, step_dps=0.02), options=Options(heldout=False)))
 
 
 def _resonance() -> dict[str, Any]:
