@@ -203,8 +203,18 @@ def load_recording(path: Path, counts_per_dps: float | None = None) -> Recording
 
 
 def _from_table(table: DataSetTable) -> Recording:
-    size = table.rate_dps.size
+    size, std = table.rate_dps.size, table.gyro_std_dps
     unknown = np.full(size, np.nan)
+    if (
+        std is not None
+        and not std.any()
+        and np.ptp(table.rate_dps) > 0
+        and (table.n is None or np.any(table.n > 1))
+    ):
+        # Each of its data sets would pass for one of a gyro that is stuck.
+        raise InputError(
+            f"{table.source}: gyro_std_dps is 0 in every row, by which no data set has a weight. Leave the column out."
+        )
 
     def known(values: Floats | None) -> Floats:
         return unknown if values is None else values

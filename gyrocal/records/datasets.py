@@ -124,8 +124,8 @@ def _check_values(path: Path, columns: dict[str, Floats]) -> None:
 
 
 def _check_plan(path: Path, columns: dict[str, Floats]) -> None:
-    """Refuse a table of several rates that are in another unit, or whose scatter says nothing."""
-    rate, n, std = columns["rate_dps"], columns.get("n"), columns.get("gyro_std_dps")
+    """Refuse a table of several rates that are in another unit."""
+    rate = columns["rate_dps"]
     if np.ptp(rate) == 0:
         return
     fastest = float(np.max(np.abs(rate)))
@@ -133,10 +133,6 @@ def _check_plan(path: Path, columns: dict[str, Floats]) -> None:
         raise InputError(
             f"{path}: the fastest rate_dps is {fastest:.3g}, which no plan of several rates has. Rates are deg/s: "
             "convert rate_dps and gyro_dps."
-        )
-    if std is not None and not std.any() and (n is None or np.any(n > 1)):
-        raise InputError(
-            f"{path}: gyro_std_dps is 0 in every row, which no gyro's scatter is. Leave the column out if it is unknown."
         )
 
 

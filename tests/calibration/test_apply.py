@@ -152,6 +152,14 @@ def test_a_table_of_data_sets_in_counts(tmp_path: Path) -> None:
     )
 
 
+def test_rates_without_noise_are_corrected_like_others(tmp_path: Path) -> None:
+    """What a simulation wrote: of no scatter, and of an output that may be the rate."""
+    write_coefficients(tmp_path / "c.json")
+    (tmp_path / "t.csv").write_text("rate_dps,gyro_dps,temp_c,gyro_std_dps,n\n10,10,20,0,9\n20,20,21,0,9\n")
+    apply_recording(ApplyConfig(tmp_path / "t.csv", tmp_path / "c.json", tmp_path / "out.csv"), quiet)
+    assert np.isfinite(pd.read_csv(tmp_path / "out.csv")["corrected_dps"]).all()
+
+
 def test_the_command(tmp_path: Path) -> None:
     write_coefficients(tmp_path / "c.json", WARM, BENCH)
     run = write_run(tmp_path / "run")

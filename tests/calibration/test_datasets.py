@@ -307,3 +307,10 @@ def test_a_thermometer_that_died_half_way_is_not_replaced(tmp_path: Path) -> Non
 def test_no_temperature_at_all_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="it holds no gyro temperature"):
         load_recording(write_run(tmp_path / "r", parts_without_thermometer(aired=False)))
+
+
+def test_a_scatter_of_zero_throughout_gives_no_weights(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("rate_dps,gyro_dps,temp_c,gyro_std_dps,n\n1,2,3,0,9\n2,2,3,0,9\n")
+    with pytest.raises(InputError, match="gyro_std_dps is 0 in every row, by which no data set has a weight"):
+        load_recording(path)
