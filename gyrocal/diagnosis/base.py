@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.series import Series
+from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
@@ -107,8 +108,14 @@ def fit_surface(series: Series, added_dps: Floats | None = None) -> Base:
         return with_coefficients(surface, terms, now + step)
 
     own = series.gyro_dps - known
-    surface = moved(surface.design(own, series.temp_c)[:, terms], own - series.rate_dps)
-    for _ in range(4):
-        base = simulate(series, surface, terms)
-        surface = moved(base.design, base.residual_dps - known)
-    return simulate(series, surface, terms)
+    at_own = surface.design(own, series.temp_c)[:, terms]
+    first = surface = moved(at_own, own - series.rate_dps)
+    try:
+        for _ in range(4):
+            base = simulate(series, surface, terms)
+            surface = moved(base.design, base.residual_dps - known)
+        return simulate(series, surface, terms)
+    except DataError:
+        # Between the temperatures at which the record turns the surface may be anything, with no output either.
+        left_dps = series.gyro_dps - series.rate_dps - first.error_dps(own, series.temp_c)
+        return Base(first, left_dps, at_own, terms)
