@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
 from gyrocal.diagnosis.laws import Laws, Trial
-from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.physics.effect import Effect
 from gyrocal.units import NORMAL_95
 
@@ -44,9 +44,7 @@ def best_law(
     fitted : the model with the block
     current : the model without it, and with the laws that were found so far
     """
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
-    model = replace(fitted.model.without(names), laws=current.model.laws)
-    logs = {**current.fit.log_variance, **fitted.fit.log_variance}
+    model, logs = _without(fitted, current, block)
     score, p = fitted.contrasts.precision(model.all, logs)
 
     def gain_of(trial: Trial) -> float:
@@ -87,17 +85,22 @@ def best_pair(fitted: Fitted, current: Fitted, block: str, trials: Sequence[Tria
     fitted, current : as of `best_law`
     trials : of one effect, of one column each
     """
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
-    model = replace(fitted.model.without(names), laws=current.model.laws)
-    logs = {**current.fit.log_variance, **fitted.fit.log_variance}
-    score, p = fitted.contrasts.precision(model.all, logs)
-    columns = fitted.contrasts.beyond(np.column_stack([t.columns for t in trials])) if trials else np.empty(0)
-    pairs = list(combinations(range(len(trials)), 2))
-    if not pairs:
+    if len(trials) < 2:
         return None
+    model, logs = _without(fitted, current, block)
+    score, p = fitted.contrasts.precision(model.all, logs)
+    columns = fitted.contrasts.beyond(np.column_stack([t.columns for t in trials]))
+    pairs = list(combinations(range(len(trials)), 2))
     gains = [_gain(columns[:, pair], score, p, model.law_variance) for pair in pairs]
     first, second = (trials[k] for k in pairs[int(np.argmax(gains))])
     return _with(_with(current, first, logs), second, logs)
+
+
+def _without(fitted: Fitted, current: Fitted, block: str) -> tuple[Model, dict[str, float]]:
+    """The model with the laws of `current` in place of a block, and variances (logarithms) that the block leaves it."""
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    model = replace(fitted.model.without(names), laws=current.model.laws)
+    return model, {**current.fit.log_variance, **fitted.fit.log_variance}
 
 
 def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fitted:

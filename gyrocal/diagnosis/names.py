@@ -298,35 +298,15 @@ def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws, worth: fl
     """The laws that explain a block best, those of one mechanism if they do nearly as well."""
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
     best = _alone(fitted, without, block, trials, laws, worth)
-    kinds = sorted(k for k in best.kinds if CATALOGUE[k].search.adds_up)
-    for kind in kinds:
-        own = [t for t in trials if t.effect.id == kind]
-        if len(best.kinds) == 1:
-            return _paired(fitted, without, block, own, laws, best)
-        single = _alone(fitted, without, block, own, laws, worth)
-        single = _paired(fitted, without, block, own, laws, single)
+    for kind in sorted(best.kinds):
+        if len(best.kinds) == 1 or not CATALOGUE[kind].search.adds_up:
+            continue
+        single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws, worth)
         ahead = best.cost - single.cost
         if ahead > 0.0:
             left = single.fitted.nll - (without.nll - worth)
             best = replace(single, near=dict.fromkeys(best.near, left + ahead) | {kind: left})
     return best
-
-
-def _paired(
-    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws, found: _Alone
-) -> _Alone:
-    """Two laws of one effect in place of one, where they explain more by what a second law has to."""
-    if len(found.named) != 1 or found.named[0].law.columns.shape[1] != 1:
-        return found
-    pair = best_pair(fitted, without, block, trials)
-    if pair is None:
-        return found
-    pair = reshaped(pair, laws)
-    gain = found.fitted.nll - pair.nll
-    if gain < GAIN + 0.5 * np.log(len(trials)):
-        return found
-    two = [replace(found.named[0], law=law) for law in pair.model.laws[-2:]]
-    return replace(found, fitted=pair, named=[two[0], replace(two[1], gain=gain)])
 
 
 def _alone(
@@ -360,7 +340,28 @@ def _alone(
             break
         law = Named(best.fitted.model.laws[-1], block, gain, 0.0, best.rivals, best.shapes)
         found = _Alone(best.fitted, [*found.named, law], found.near)
-    return found
+    return _paired(fitted, without, block, trials, laws, found)
+
+
+def _paired(
+    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws, found: _Alone
+) -> _Alone:
+    """Two laws of one effect in place of one, where they explain more by what a second law has to."""
+    if len(found.named) != 1:
+        return found
+    law = found.named[0].law
+    if law.columns.shape[1] != 1 or not CATALOGUE[law.effect].search.adds_up:
+        return found
+    own = [t for t in trials if t.effect.id == law.effect]
+    pair = best_pair(fitted, without, block, own)
+    if pair is None:
+        return found
+    pair = reshaped(pair, laws)
+    gain = found.fitted.nll - pair.nll
+    if gain < GAIN + 0.5 * np.log(len(own)):
+        return found
+    two = [replace(found.named[0], law=one) for one in pair.model.laws[-2:]]
+    return replace(found, fitted=pair, named=[two[0], replace(two[1], gain=gain)])
 
 
 def _of_robot(named: Named) -> bool:

@@ -127,9 +127,9 @@ def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:
     best: dict[int, Candidate] = {}
     for c in ranked:
         best.setdefault(sum(change.effect in STEPS for change in c.changes), c)
-    strays, gain, beside = min(((*_alone(c), c) for c in best.values()), key=lambda f: f[2].score - f[1])
+    strays, _, beside = min(((*_alone(c), c) for c in best.values()), key=lambda f: f[2].score - f[1])
     few = len(strays) + len(known) <= _most(len(beside.fitted.model.means))
-    if not len(strays) or not few or beside.score - gain >= ranked[0].score:
+    if not len(strays) or not few:
         return NO_STRAYS
     score = beside.score - _gain(beside.fitted, strays) + _toll(strays, beside.fitted)
     return strays if score < ranked[0].score else NO_STRAYS
