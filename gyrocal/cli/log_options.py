@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,17 @@ def drive_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def gyro_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `columns`, `topic`, `axis` and `instance`."""
-    return _with(_GYRO, command)
+    """Add the options that say which gyro of a log is meant; the command takes them together, as `choice`."""
+
+    @wraps(command)
+    def choosing(
+        *args: Any, axis: str, instance: int, topic: str | None, columns: Path | None, **others: Any
+    ) -> Any:
+        from gyrocal.records.gyro_log import GyroChoice
+
+        return command(*args, choice=GyroChoice(axis, instance, topic, columns), **others)
+
+    return _with(_GYRO, choosing)
 
 
 def _with(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number, json_option, progress
 from gyrocal.cli.log_options import gyro_options
+
+if TYPE_CHECKING:
+    from gyrocal.records.gyro_log import GyroChoice
 
 
 @click.command("noise")
@@ -50,10 +54,7 @@ def command(
     elevation: float,
     azimuth: float,
     rate_hz: float | None,
-    axis: str,
-    instance: int,
-    topic: str | None,
-    columns: Path | None,
+    choice: GyroChoice,
     as_json: bool,
 ) -> None:
     """Noise and bias of a gyro that stands: RECORD is a run, a CSV with t_s and gyro_dps, a .ulg, a .bin or a bag.
@@ -64,10 +65,8 @@ def command(
     Example: gyrocal noise still.csv --latitude 42.3 --out noise
     """
     from gyrocal.calibration.static import StaticConfig
-    from gyrocal.records.gyro_log import GyroChoice
     from gyrocal.report.noise import examine_noise, noise_rows, noise_sentences
 
-    choice = GyroChoice(axis, instance, topic, columns)
     config = StaticConfig(record, latitude, elevation, azimuth, rate_hz, choice)
     with progress("noise", quiet=as_json) as tell:
         found = examine_noise(config, out, tell)

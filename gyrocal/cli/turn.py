@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number, json_option
 from gyrocal.cli.log_options import gyro_options
+
+if TYPE_CHECKING:
+    from gyrocal.records.gyro_log import GyroChoice
 
 
 @click.command("turn")
@@ -27,10 +31,7 @@ def command(
     log: Path,
     mark_deg: float,
     out: Path | None,
-    axis: str,
-    instance: int,
-    topic: str | None,
-    columns: Path | None,
+    choice: GyroChoice,
     as_json: bool,
 ) -> None:
     """Calibrate a gyro by turning it on a mark: LOG is a CSV with t_s and gyro_dps, a .ulg, a .bin or a bag.
@@ -41,10 +42,9 @@ def command(
 
     Example: gyrocal turn turns.csv --mark-deg 360
     """
-    from gyrocal.records.gyro_log import GyroChoice
     from gyrocal.report.turns import examine_turns, turn_rows, turn_sentence, write_turns
 
-    report = examine_turns(log, mark_deg, GyroChoice(axis, instance, topic, columns))
+    report = examine_turns(log, mark_deg, choice)
     if out is not None:
         write_turns(report, out)
     if as_json:
