@@ -308,4 +308,6 @@ def _open_failed(url: str, error: Exception) -> str:
         return (
             f"{url}: nobody listens there (connection refused). Check the address and that the device is on."
         )
-    return f"{url}: cannot be opened ({text})."
+    if "Inappropriate ioctl" in text or "Is a directory" in text:
+        return f"{url}: is no serial port. Give a device (ls /dev/serial/by-id) or a URL such as socket://host:port."
+    return f"{url}: cannot be opened ({text}). Check the device and its cable, and try again."

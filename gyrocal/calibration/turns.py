@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
+from gyrocal.calibration.figure import plural
 from gyrocal.errors import DataError
 
 Floats = NDArray[np.float64]
@@ -126,8 +127,8 @@ def calibrate_turns(t_s: Floats, gyro_dps: Floats, mark_deg: float = 360.0) -> T
 def _too_few(rests: list[Rest], turns: list[Turn], mark_deg: float) -> str:
     count = sum(turn.used for turn in turns)
     said = (
-        f"{len(rests)} {'rest' if len(rests) == 1 else 'rests'} of {LEAST_REST_S:g} s or more and {count} "
-        f"{'turn' if count == 1 else 'turns'} by a multiple of {mark_deg:g} deg {'is' if len(rests) == 1 else 'are'} found, and three "
+        f"{len(rests)} {plural(len(rests), '[rest|rests]')} of {LEAST_REST_S:g} s or more and {count} "
+        f"{plural(count, '[turn|turns]')} by a multiple of {mark_deg:g} deg {plural(len(rests), '[is|are]')} found, and three "
         "turns are wanted: stand still between the turns, and give the angle of the mark"
     )
     others = [f"{turn.angle_deg:.0f}" for turn in turns if not turn.used]

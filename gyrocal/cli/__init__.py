@@ -17,6 +17,12 @@ from typing import Any, NoReturn
 import click
 
 import gyrocal
+from gyrocal.cli.streams import (
+    drop_what_nobody_reads,
+    ends_when_nobody_reads,
+    open_closed_streams,
+    to_whoever_listens,
+)
 from gyrocal.errors import GyrocalError, InterruptedRunError, exit_code
 
 #: Command name -> (module of this package, one line for --help). In the order of the work.
@@ -60,10 +66,16 @@ class LazyGroup(click.Group):
         command: click.Command = module.command
         return command
 
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """Read the options; `--help` is printed here."""
+        with ends_when_nobody_reads():
+            return super().make_context(*args, **kwargs)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; Ctrl-C (and SIGTERM, see `main`) unwinds it, so that temporary files are removed."""
         try:
-            return super().invoke(ctx)
+            with ends_when_nobody_reads():
+                return super().invoke(ctx)
         except KeyboardInterrupt as error:
             raise InterruptedRunError("interrupted; nothing was left half-written. Run it again.") from error
 
@@ -94,8 +106,6 @@ def main(arguments: list[str] | None = None) -> None:
         # --debug may stand anywhere, since it is added to a command that has just failed.
         gyrocal_command(args=[word for word in given if word != "--debug"], prog_name="gyrocal")
     except GyrocalError as error:
-        from gyrocal.cli.console import to_whoever_listens
-
         with to_whoever_listens():
             if debug:
                 traceback.print_exc()
@@ -105,24 +115,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _as_a_program(debug: bool) -> None:
     """What holds for the process, and not for a caller within Python: signals, and how a bug is said."""
-    _open_closed_streams()
+    open_closed_streams()
     signal.signal(signal.SIGTERM, _terminated)
-    atexit.register(_drop_what_nobody_reads)
+    atexit.register(drop_what_nobody_reads)
     if not debug:
         sys.excepthook = _say_bug
-
-
-def _open_closed_streams() -> None:
-    """Lead to nowhere what was closed before the program began: else a port gets its number, and what is printed there."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
-
-
-def _drop_what_nobody_reads() -> None:
-    from gyrocal.cli.console import drop_what_nobody_reads
-
-    drop_what_nobody_reads()
 
 
 def _terminated(number: int, frame: FrameType | None) -> NoReturn:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from gyrocal.cli.acquired import duration, show_plan, show_summary
-from gyrocal.cli.console import Report, emit_json, json_option, progress, to_whoever_listens
+from gyrocal.cli.console import Report, emit_json, json_option, progress
+from gyrocal.cli.streams import to_whoever_listens
 from gyrocal.errors import IncompleteError
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def command(
     Example: gyrocal acquire quick --simulate --seed 7 --out run
     """
     from gyrocal.bench import session
+    from gyrocal.calibration.figure import plural
 
     if out is None and not dry_run:
         raise click.UsageError("Missing option '--out'.")
@@ -81,8 +83,9 @@ def command(
             show_summary(out or Path(), summary)
     if not summary.complete:
         lost = summary.failed + summary.skipped
+        failed, skipped = len(summary.failed), len(summary.skipped)
         msg = (
-            f"{out}: {len(summary.failed)} segments failed and {len(summary.skipped)} were skipped, the first of them "
+            f"{out}: {failed} {plural(failed, '[segment|segments]')} failed and {skipped} {plural(skipped, '[was|were]')} skipped, the first of them "
             f"{lost[0]}; the bench is safe. Look into the journal for why, and use --resume for what was skipped."
         )
         raise IncompleteError(msg)

@@ -53,8 +53,10 @@ def show_plan(profile: Profile, plan: Plan, as_json: bool) -> None:
 
 def show_summary(out: Path, s: Summary) -> None:
     """What was recorded, and what was not."""
+    from gyrocal.calibration.figure import plural
+
     click.echo(
-        f"{out}: {s.recorded} segments recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
+        f"{out}: {s.recorded} {plural(s.recorded, '[segment|segments]')} recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
         f"{len(s.skipped)} skipped" + (f" ({s.before} of them before this start)." if s.before else ".")
     )
     click.echo(

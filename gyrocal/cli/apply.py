@@ -48,6 +48,7 @@ def command(
     Example: gyrocal apply run --coefficients fog.json -o corrected.csv
     """
     from gyrocal.calibration.apply import FLAGS, ApplyConfig, apply_recording
+    from gyrocal.calibration.figure import plural
     from gyrocal.cli.console import emit_json, progress
 
     config = ApplyConfig(recording, coefficients, output, counts_per_dps, force_sensor, overwrite)
@@ -58,7 +59,8 @@ def command(
         return
     flagged = ", ".join(f"{n} {FLAGS[bit]}" for bit, n in applied.flagged.items() if n)
     click.echo(
-        f"{output}: {applied.rows} rows of {applied.segments} segments corrected; "
+        f"{output}: {applied.rows} {plural(applied.rows, '[row|rows]')} of "
+        f"{applied.segments} {plural(applied.segments, '[segment|segments]')} corrected; "
         f"{applied.flagged_rows} flagged{f' ({flagged})' if flagged else ''}."
     )
     if applied.terms:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,29 +35,6 @@ def finite_number(_ctx: click.Context, _param: click.Parameter, value: float | N
 _RULES = 3
 #: Shares done at which a piped progress says a line.
 _PLAIN_STEP = 0.25
-
-
-@contextmanager
-def to_whoever_listens() -> Iterator[None]:
-    """Print within; where nobody reads it any more (a viewer that was killed, a closed terminal) it is lost, and no more."""
-    try:
-        yield
-    except OSError:
-        drop_what_nobody_reads()
-
-
-def drop_what_nobody_reads() -> None:
-    """Send the rest of what a broken stdout or stderr still holds to nowhere: else it changes the exit code at the end."""
-    for stream in (sys.stdout, sys.stderr):
-        if stream is None:  # closed before the program began
-            continue
-        try:
-            stream.flush()
-        except (OSError, ValueError):
-            with suppress(OSError, ValueError):
-                nowhere = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(nowhere, stream.fileno())
-                os.close(nowhere)
 
 
 def emit_json(data: Mapping[str, Any]) -> None:

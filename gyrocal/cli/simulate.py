@@ -53,6 +53,7 @@ def drive(
 
     Example: gyrocal simulate drive --runs 5 --seed 7 --out drives
     """
+    from gyrocal.calibration.figure import plural
     from gyrocal.cli.console import emit_json
     from gyrocal.navigation.drives import DriveRequest, simulate_to_directory
 
@@ -61,7 +62,7 @@ def drive(
         emit_json(note)
         return
     click.echo(
-        f"{out}: {len(note['runs'])} logs of the {path_name}, robot.toml and simulation.json "
+        f"{out}: {len(note['runs'])} {plural(len(note['runs']), '[log|logs]')} of the {path_name}, robot.toml and simulation.json "
         f"(unit {unit_seed}, seed {seed}, {note['day']['temp_c']:.1f} °C)."
     )
     click.echo(f"Next: gyrocal replay {out}/*.csv --robot {out}/robot.toml --coefficients C --out replay")

@@ -30,6 +30,7 @@ def command(run: Path, as_json: bool) -> None:
       gyrocal status run
     """
     from gyrocal.bench.status import read_status
+    from gyrocal.calibration.figure import plural
 
     s = read_status(run)
     if as_json:
@@ -38,8 +39,8 @@ def command(run: Path, as_json: bool) -> None:
     click.echo(f"{run} {_SEEN[s.state]}" + (f" ({s.reason})" if s.reason else "") + ".")
     done = s.recorded + s.unsettled + s.failed
     click.echo(
-        f"{done} segments sealed, {s.steps} steps planned: {s.recorded} ok, {s.unsettled} unsettled, {s.failed} failed; "
-        f"{s.retried} attempts failed."
+        f"{done} {plural(done, '[segment|segments]')} sealed, {s.steps} {plural(s.steps, '[step|steps]')} planned: {s.recorded} ok, "
+        f"{s.unsettled} unsettled, {s.failed} failed; {s.retried} {plural(s.retried, '[attempt|attempts]')} failed."
     )
     if s.now:
         click.echo(f"Recording {s.now}.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.figure import plural
 from gyrocal.calibration.scale import copies
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
@@ -60,7 +61,7 @@ def series_of_table(table: DataSetTable) -> Series:
     n = table.rate_dps.size
     if n < FEWEST_ROWS:
         raise DataError(
-            f"{table.source.name}: has {n} {'row' if n == 1 else 'rows'}; a diagnosis needs at least {FEWEST_ROWS}. "
+            f"{table.source.name}: has {n} {plural(n, '[row|rows]')}; a diagnosis needs at least {FEWEST_ROWS}. "
             "Record longer."
         )
     t_s: Floats = SURROGATE_PERIOD_S * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s

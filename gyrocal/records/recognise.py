@@ -79,7 +79,9 @@ def other_text(path: Path, first_line: str) -> str:
 
 
 def not_a_run(path: Path) -> str:
-    """What a directory without ``run.json`` holds that could have been meant."""
+    """What a file, or a directory without ``run.json``, is, and what of it could have been meant."""
+    if not path.is_dir():
+        return "is a file, and a run directory is wanted here. Give the directory that `acquire` wrote."
     inside = sorted(
         entry
         for entry in path.iterdir()

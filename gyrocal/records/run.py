@@ -230,7 +230,7 @@ def read_run(path: Path) -> Run:
         No ``run.json``, another schema, no sensor, or a damaged journal.
     """
     source = path / "run.json"
-    if path.is_dir() and not source.exists():
+    if path.exists() and not source.exists():
         with reading(path):
             raise InputError(f"{path}: {not_a_run(path)}")
     head = parse_json(read_text(source), str(source), "The file may be truncated.")

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
+from gyrocal.calibration.figure import plural
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.files import write_atomically
 from gyrocal.report import style
@@ -158,8 +159,8 @@ def _page(
         ),
     ]
     page = Page(
-        title=f"Blind trial: {config.trials} runs of {config.profile}",
-        verdict=f"Of {found.trials} single hidden effects {found.hits} were named first; of {wrong.trials} runs with nothing hidden {wrong.hits} were given a name.",
+        title=f"Blind trial: {config.trials} {plural(config.trials, '[run|runs]')} of {config.profile}",
+        verdict=f"Of {found.trials} single hidden {plural(found.trials, '[effect|effects]')} {found.hits} {plural(found.hits, '[was|were]')} named first; of {wrong.trials} {plural(wrong.trials, '[run|runs]')} with nothing hidden {wrong.hits} {plural(wrong.hits, '[was|were]')} given a name.",
         key_figures=key,
         remarks=[
             _CAVEAT,

@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.calibration.figure import interval_said, number
+from gyrocal.calibration.figure import interval_said, number, plural
 from gyrocal.calibration.fleet import ALARM_RATE, LEAST_UNITS, Fleet
 from gyrocal.records.files import finite
 from gyrocal.records.output import write_directory
@@ -104,7 +104,9 @@ def fleet_sentence(fleet: Fleet) -> str:
     """The answer in one sentence."""
     good = len(fleet.units) - len(fleet.failed)
     out = sorted({o.serial for o in fleet.outlying})
-    parts = [f"{good} of {len(fleet.units)} recordings are fitted"]
+    parts = [
+        f"{good} of {len(fleet.units)} {plural(len(fleet.units), '[recording is|recordings are]')} fitted"
+    ]
     if _few(fleet):
         parts.append(f"who is out of line can be told of {LEAST_UNITS} units or more")
     elif out:
@@ -146,7 +148,7 @@ def _page(fleet: Fleet, png: bytes | None) -> Page:
     )
     model = next((u.model for u in fleet.units if u.model), "")
     return Page(
-        title=f"{len(fleet.units)} units{' of ' + model if model else ''}",
+        title=f"{len(fleet.units)} {plural(len(fleet.units), '[unit|units]')}{' of ' + model if model else ''}",
         verdict=fleet_sentence(fleet),
         key_figures=[
             ("Units", str(len(fleet.units))),

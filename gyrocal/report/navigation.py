@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
+from gyrocal.calibration.figure import plural
 from gyrocal.fusion import STATES, Coefficients
 from gyrocal.navigation.align import METHODS
 from gyrocal.navigation.replay import LogReplay
@@ -259,13 +260,13 @@ def _length(value_m: float) -> str:
 
 def verdict(replays: Sequence[LogReplay], table: Table) -> str:
     """The result in words: first whether the filter holds and pays, then the table's means."""
-    mean = table.means[-1].errors_m
+    mean, count = table.means[-1].errors_m, len(table.rows)
     if table.measure == "none":
-        count = len(table.rows)
-        replayed = "1 log" if count == 1 else f"{count} logs"
-        return f"{filter_sentence(replays)} {replayed} replayed; {MEASURES['none']}."
+        return (
+            f"{filter_sentence(replays)} {count} {plural(count, '[log|logs]')} replayed; {MEASURES['none']}."
+        )
     sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
-    text = f"{filter_sentence(replays)} Mean {MEASURES[table.measure]} of {len(table.rows)} {'logs' if len(table.rows) > 1 else 'log'}: {', '.join(sizes)}."
+    text = f"{filter_sentence(replays)} Mean {MEASURES[table.measure]} of {count} {plural(count, '[log|logs]')}: {', '.join(sizes)}."
     factors = [
         f"{v:.3g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
     ]

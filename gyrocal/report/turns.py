@@ -74,7 +74,9 @@ def examine_turns(log: Path, mark_deg: float, choice: GyroChoice | None = None) 
 def turn_sentence(found: TurnCalibration) -> str:
     """The answer in one sentence."""
     used = sum(turn.used for turn in found.turns)
-    parts = [f"{used} turns between {len(found.rests)} rests: scale factor error {_said(found.scale)}"]
+    parts = [
+        f"{used} turns between {len(found.rests)} {plural(len(found.rests), '[rest|rests]')}: scale factor error {_said(found.scale)}"
+    ]
     if found.asymmetry is not None:
         parts.append(f"asymmetry {_said(found.asymmetry)}")
     parts.append(f"bias {_said(found.bias)}")

@@ -10,12 +10,13 @@ import pytest
 from click.testing import CliRunner
 
 from gyrocal.bench.capture import decode_capture
+from gyrocal.bench.clock import RealClock
 from gyrocal.bench.gyros import ascii_line, ecore2000, kvh_frame, vn100
-from gyrocal.bench.probe import identify
+from gyrocal.bench.probe import identify, probe_port
 from gyrocal.bench.registry import GYROS
 from gyrocal.bench.virtual.endpoints import TcpEndpoint
 from gyrocal.cli import gyrocal_command
-from gyrocal.errors import InputError
+from gyrocal.errors import DeviceError, InputError
 from gyrocal.records.raw import RawWriter
 
 OPTIONS: dict[str, object] = {
@@ -28,6 +29,12 @@ def sent(kind: str, count: int = 50) -> bytes:
     gyro = GYROS[kind]
     options = OPTIONS.get(kind) or gyro.options()
     return b"\r\n" + b"".join(gyro.encode(0.5 * i, 20.0, i, options) for i in range(count))
+
+
+@pytest.mark.parametrize("path", ["/dev/null", "/"])
+def test_what_is_no_port_is_told_with_what_to_give(path: str) -> None:
+    with pytest.raises(DeviceError, match=r"is no serial port\. Give a device .* or a URL"):
+        probe_port(path, None, RealClock(), 0.1)
 
 
 @pytest.mark.parametrize("kind", GYROS)

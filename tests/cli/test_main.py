@@ -75,6 +75,19 @@ def test_streams_that_were_closed_before_are_no_bug(closed: str) -> None:
     assert subprocess.run(["/bin/sh", "-c", command], check=False).returncode == 0
 
 
+@pytest.mark.skipif(os.name != "posix", reason="pipes of a shell")
+@pytest.mark.parametrize("words", ["--help", "fit --help", "profile"])
+def test_a_pipe_that_was_closed_ends_silently_as_in_unix_tools(words: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "gyrocal", *words.split()], stdout=writer, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writer)
+    assert done.stderr == b""
+    assert done.returncode == 128 + signal.SIGPIPE
+
+
 def test_no_option_that_is_a_number_takes_nan_or_an_endless_one() -> None:
     numbers = 0
     for name in COMMANDS:

@@ -38,6 +38,7 @@ UNPLACED = f"{SAMPLE}: is a directory without run.json, so it is no run of the b
         (["fit", DRIVE.parent / "robot.toml", "-o", "c.json"], "is a profile or a robot file (TOML)"),
         (["fit", SAMPLE / "turns.csv", "-o", "c.json"], "`noise` takes it if the gyro stands"),
         (["fit", SAMPLE / "squares.csv", "-o", "c.json"], "`umbmark` takes it"),
+        (["status", TABLE], f"{TABLE}: is a file, and a run directory is wanted here. Give the directory that `acquire` wrote."),
         (["noise", SAMPLE / "turns.csv"], "the gyro turns in it, at up to"),
     ],
 )  # fmt: skip
