@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
-from gyrocal.diagnosis.laws import Laws, Trial
+from gyrocal.diagnosis.laws import Laws, Trial, likeliest
 from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.physics.effect import Effect
 from gyrocal.units import NORMAL_95
@@ -49,9 +49,7 @@ def best_law(
 
     def gain_of(trial: Trial) -> float:
         beyond = fitted.contrasts.beyond(trial.columns)
-        if _unphysical(trial.effect, beyond, score, p):
-            return -np.inf
-        return _gain(beyond, score, p, model.law_variance)
+        return _gain(beyond, score, p, model.law_variance) - _unlikely(trial.effect, beyond, score, p)
 
     best: dict[str, tuple[float, Trial]] = {}
     shapes: dict[str, int] = {}
@@ -133,16 +131,18 @@ def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Tri
     return best
 
 
-def _unphysical(effect: Effect, columns: Floats, score: Floats, p: Floats) -> bool:
-    """Whether a law would need a sign, or a size beyond doubt, that physics does not know."""
+def _unlikely(effect: Effect, columns: Floats, score: Floats, p: Floats) -> float:
+    """What a law loses by the amplitude that it would need, nats: without end by a sign or a size that physics does not know."""
     along = columns.T @ score
     if effect.positive and float(np.sum(along)) < 0.0:
-        return True
-    if along.size > 1:
-        return False
+        return np.inf
     information = float(np.sum(columns * (p @ columns)))
-    most = effect.parameter("amplitude").high
-    return bool(abs(along[0]) - most * information > NORMAL_95 * np.sqrt(max(information, 0.0)))
+    if along.size > 1 or information <= 0.0:
+        return 0.0
+    size, std = float(along[0]) / information, information**-0.5
+    if abs(size) - effect.parameter("amplitude").high > NORMAL_95 * std:
+        return np.inf
+    return 0.0 if effect.search.natural is None else 0.5 * likeliest(effect, size, std)[1]
 
 
 def _gain(columns: Floats, score: Floats, p: Floats, variance: float) -> float:

@@ -22,7 +22,7 @@ from gyrocal.diagnosis.intervals import (
     profile_interval,
     shapes_within,
 )
-from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.laws import Laws, likeliest
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.within import Pattern
@@ -84,13 +84,12 @@ class _Beside:
         along = b / size if b.size == 2 else np.ones(1)
         std = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
         loss = -float(columns.T @ self.score @ b)
-        known = self.effect.parameter("amplitude")
-        bounded = float(np.clip(size, known.low, known.high))
         if not std:
-            return Point(0.0, bounded, float("inf"))
+            return Point(0.0, size, float("inf"))
+        amplitude, lost = likeliest(self.effect, size, std)
         beyond = columns - self.surface @ (self.surface.T @ columns)
         unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
-        return Point(loss + ((size - bounded) / std) ** 2, bounded, std, unit_dps)
+        return Point(loss + lost, amplitude, std, unit_dps)
 
 
 @dataclass(frozen=True)

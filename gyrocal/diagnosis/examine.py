@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import errors_of_each_rate, present, settle_direction
+from gyrocal.diagnosis.blocks import REPLACED, errors_of_each_rate, present, settle_direction
 from gyrocal.diagnosis.coil import Candidate, TableSearch, averaged
-from gyrocal.diagnosis.jumps import with_jumps
+from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
@@ -23,6 +23,8 @@ from gyrocal.inference.additive import Component, Solution
 
 Floats = NDArray[np.float64]
 
+#: Blocks that follow the temperature, and with it the order of the plan.
+_FOLLOWING = ("memory", "temperature")
 #: Where the variances of smooth parts start a second time: low, so that what passes is tried first.
 _LOW_START = -9.0
 
@@ -89,7 +91,7 @@ def examine(series: Series, level: float) -> Examination:
     whole, _ = settle_direction(alive(fit_twice(full)))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
     passes = wandering(full)
-    jumped, jumps = with_jumps(whole, passes, laws)
+    jumped, jumps = _with_jumps(whole, passes, laws)
     if jumps:
         jumped, _ = settle_direction(jumped)
     settled, worth = present(errors_of_each_rate(jumped, draws_of(full)))
@@ -116,6 +118,18 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(both)) if joint else ()
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth), aside)
+
+
+def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple[Fitted, list[Jump]]:
+    """The model with the jumps that are there: beside what follows the temperature, or in place of it.
+
+    A plan goes through temperatures in turn: what is smooth in temperature can follow what happened at an instant.
+    """
+    jumped, jumps = with_jumps(whole, passes, laws)
+    following = [n for n, b in whole.model.blocks.items() if b in _FOLLOWING]
+    plain, instead = with_jumps(whole.refit(whole.model.without(following)), passes, laws)
+    more = len(instead) - len(jumps)
+    return (plain, instead) if instead and plain.nll <= jumped.nll + REPLACED + more else (jumped, jumps)
 
 
 def draws_of(full: Model) -> Component | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
@@ -28,6 +29,8 @@ Floats = NDArray[np.float64]
 GAIN = 8.0
 #: Columns that are nothing at these rows, as a share of the largest.
 _NOTHING = 1e-12
+#: The least share of its natural amplitude that a law may have.
+_LEAST_NATURAL = 1e-3
 #: Rounds in which the surface and the laws that act through it follow each other.
 _TIES = 2
 
@@ -87,6 +90,24 @@ def wanted(effect: Effect) -> bool:
     if effect in (FIT_DIRECTION, BIAS_STEP):
         return False
     return search.by_columns and not search.draws and not search.twin_of and effect.seen_in not in within
+
+
+def likeliest(effect: Effect, size: float, std: float) -> tuple[float, float]:
+    """The amplitude that physics knows, of a law that fits best at this one, and by how much that raises the residual sum of squares."""
+    known, natural = effect.parameter("amplitude"), effect.search.natural
+    if natural is None:
+        amplitude = float(np.clip(size, known.low, known.high))
+        return amplitude, ((size - amplitude) / std) ** 2
+
+    expected, spread = natural
+
+    def lost(logarithm: float) -> float:
+        off = (logarithm - np.log(expected)) / spread
+        return float(((size - np.exp(logarithm)) / std) ** 2 + off**2)
+
+    bounds = float(np.log(_LEAST_NATURAL * expected)), float(np.log(known.high))
+    found = minimize_scalar(lost, bounds=bounds, method="bounded")
+    return float(np.exp(found.x)), float(found.fun)
 
 
 def laws_of(means: Means, surface: Surface) -> Laws:

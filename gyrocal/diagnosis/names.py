@@ -41,6 +41,8 @@ _DROPPED = 4.0
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
+#: Block whose laws may be narrower than its smooth parts.
+_SHARP = "odd rate"
 #: Laws of one block. A search ends by what they gain; only the plays of a hysteresis without a corner ever were as many.
 _MOST_LAWS = 3
 
@@ -126,6 +128,8 @@ def name(
         fitted, left = present(fitted, laws) if found else (fitted, left)
         fitted, left, instead = _instead(fitted, left, named, passes, laws)
         named += instead
+    fitted, unseen = _unseen(fitted, named, laws)
+    named += unseen
     fitted, laws = tied_anew(fitted, laws)
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
@@ -180,6 +184,19 @@ def _instead(
         if mine and both.nll <= fitted.nll + REPLACED + len(more) + len(mine):
             return *present(both, laws), [*more, *mine]
     return fitted, worth, []
+
+
+def _unseen(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
+    """The model with a law of the rate that no smooth part is like enough to show, as a dead zone between two rates is."""
+    if any(CATALOGUE[n.law.effect].family == BLOCKS[_SHARP].family for n in named):
+        return fitted, []
+    trials = [t for e in effects_of(_SHARP) for t in laws.trials(e)]
+    best = best_law(fitted, fitted, _SHARP, trials, laws)
+    gain = 0.0 if best is None else fitted.nll - best.fitted.nll
+    if best is None or gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
+        return fitted, []
+    law = best.fitted.model.laws[-1]
+    return best.fitted, [Named(law, _SHARP, gain, 1.0, best.rivals, best.shapes)]
 
 
 def _with_laws(fitted: Fitted, more: Sequence[Law]) -> Fitted:

@@ -324,7 +324,13 @@ SAGNAC_SINE = Effect(
     reference="Lefevre, The Fiber-Optic Gyroscope: open-loop response",
     runtime=True,
     error_dps=memoryless(_sagnac_sine),
-    search=Search(grid=_phases, refined=("phase_rad_per_dps",), requires=(many_rates,)),
+    search=Search(
+        grid=_phases,
+        refined=("phase_rad_per_dps",),
+        requires=(many_rates,),
+        # An open loop puts out the sine and nothing beside it; half and double are one sigma off.
+        natural=(1.0, 0.7),
+    ),
     c_text=CText(_sagnac_sine_c, (_SINE_LOSS,)),
 )
 

@@ -79,6 +79,9 @@ class Search:
         Another effect to what a hand must do to tell the two apart, where no profile can.
     prior_nats : float
         Evidence it starts with. What claims no mechanism starts below a law.
+    natural : tuple of float, optional
+        The amplitude that physics leads one to expect, and the standard deviation of its logarithm about that: without it
+        a shape that does next to nothing beyond the surface may have any amplitude.
     draws : bool
         The amplitudes of its columns are independent draws of one size, not parameters each.
     by_columns : bool
@@ -99,6 +102,7 @@ class Search:
     alike_without: Mapping[str, str] = field(default_factory=dict)
     told_apart: Mapping[str, str] = field(default_factory=dict)
     prior_nats: float = 0.0
+    natural: tuple[float, float] | None = None
     draws: bool = False
     by_columns: bool = True
     scatters: bool = False

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.examine import fit_twice, wandering
+from gyrocal.diagnosis.examine import examine, fit_twice, wandering
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, laws_of
 from gyrocal.diagnosis.layers import full_model, surface_of
@@ -42,3 +43,18 @@ def test_a_walk_is_no_jump() -> None:
     for seed in range(3):
         steps = np.random.default_rng([7, seed]).standard_normal(_SETS)
         assert not jumps_in(4e-4 * np.cumsum(steps), seed)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_jump_between_temperatures_is_none_of_what_follows_the_temperature(seed: int) -> None:
+    """Each temperature once, out and back: a hysteresis and a shape in temperature can follow the jump together."""
+    rng = np.random.default_rng(seed)
+    temp = np.repeat([-7.0, 11.0, 31.0, 49.0, 41.0, 22.0], 15)
+    t = _PERIOD_S * np.arange(temp.size, dtype=np.float64)
+    gyro = 0.01 + np.where(temp.size / 2 <= np.arange(temp.size), 3e-3, 0.0)
+    gyro += 4e-4 * rng.standard_normal(temp.size)
+    temp += 0.1 * rng.standard_normal(temp.size)
+    table = DataSetTable(Path("soaks.csv"), np.zeros(temp.size), gyro, temp, t_s=t)
+    found = examine(series_of_table(table), 0.01).naming
+    assert [n.law.effect for n in found.named] == ["bias_step"]
+    assert not found.unnamed

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
+from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.names import Named, Naming, still_there
@@ -124,3 +125,34 @@ def test_smooth_parts_do_not_stand_in_for_the_surface(tmp_path: Path) -> None:
     found = examine(series_of(made.write(tmp_path)), 0.01)
     assert [n.law.effect for n in found.naming.named] == ["supply_voltage"]
     assert sum(found.naming.unnamed.values()) < 5.0
+
+
+def test_a_dead_zone_between_two_rates_is_seen_by_its_law_alone() -> None:
+    """No smooth part is as narrow: what is not looked for as a law would pass for noise."""
+    rng = np.random.default_rng(5)
+    sizes = np.array([0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 5.0, 20.0, 50.0, 100.0])
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 4)
+    error = np.where(np.abs(rate) < 0.03, -rate, 0.0) + 1e-3 * rng.standard_normal(rate.size)
+    temp = 25.0 + 0.02 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("low.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size))
+    (law,) = examine(series_of_table(table), 0.01).naming.named
+    assert law.law.effect == "dead_zone"
+    assert 0.02 < law.law.shape["width_dps"] < 0.05
+
+
+def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:
+    """Beyond a cubic its phase and its share are traded: 5e-4 of the sine at three radians would do as well."""
+    rng = np.random.default_rng(2)
+    rate = np.tile(np.linspace(-100.0, 100.0, 21), 8)
+    k = 0.45 / 100.0
+    error = np.sin(k * rate) / k - rate + 1e-3 * rng.standard_normal(rate.size)
+    temp = 25.0 + 0.02 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("open.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size))
+    found = examine(series_of_table(table), 0.01)
+    (law,) = [n.law for n in found.naming.named if n.law.effect == "sagnac_sine"]
+    assert law.shape["phase_rad_per_dps"] == pytest.approx(k, rel=0.3)
+    estimates = of_law(found.naming.fitted, law, found.laws, []).parameters
+    low, high = estimates["amplitude"].interval_95
+    assert low < 1.0 < high
+    low, high = estimates["phase_rad_per_dps"].interval_95
+    assert low < k < high
