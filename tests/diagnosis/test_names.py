@@ -134,7 +134,9 @@ def test_a_dead_zone_between_two_rates_is_seen_by_its_law_alone() -> None:
     rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 4)
     error = np.where(np.abs(rate) < 0.03, -rate, 0.0) + 1e-3 * rng.standard_normal(rate.size)
     temp = 25.0 + 0.02 * rng.standard_normal(rate.size)
-    table = DataSetTable(Path("low.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size))
+    table = DataSetTable(
+        Path("low.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size, dtype=np.float64)
+    )
     (law,) = examine(series_of_table(table), 0.01).naming.named
     assert law.law.effect == "dead_zone"
     assert 0.02 < law.law.shape["width_dps"] < 0.05
@@ -147,7 +149,9 @@ def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() 
     k = 0.45 / 100.0
     error = np.sin(k * rate) / k - rate + 1e-3 * rng.standard_normal(rate.size)
     temp = 25.0 + 0.02 * rng.standard_normal(rate.size)
-    table = DataSetTable(Path("open.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size))
+    table = DataSetTable(
+        Path("open.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size, dtype=np.float64)
+    )
     found = examine(series_of_table(table), 0.01)
     (law,) = [n.law for n in found.naming.named if n.law.effect == "sagnac_sine"]
     assert law.shape["phase_rad_per_dps"] == pytest.approx(k, rel=0.3)
