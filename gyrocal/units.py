@@ -1,4 +1,6 @@
-"""Constants with their units. One definition each, used everywhere."""
+"""Constants with their units, and how a count is said. One definition each, used everywhere."""
+
+import re
 
 #: Seconds in an hour, minutes in an hour, seconds in a minute.
 S_PER_H = 3600.0
@@ -26,3 +28,10 @@ NORMAL_95 = 1.959963984540054
 
 #: Standard deviations of a normal law in its median absolute deviation.
 STDS_PER_MAD = 1.4826
+
+_FORMS = re.compile(r"\[([^][|]*)\|([^][|]*)\]")
+
+
+def plural(count: int, text: str) -> str:
+    """`text` said of so many: of each ``[one|more]`` the part that fits."""
+    return _FORMS.sub(r"\1" if count == 1 else r"\2", text)

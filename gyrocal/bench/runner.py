@@ -20,7 +20,7 @@ from gyrocal.bench.safety import Contact, Interlocks, StopRequests, kept_safe
 from gyrocal.bench.watching import Progress, SteadyWatch, Summary, Watch
 from gyrocal.errors import DeviceError, IncompleteError, OutputError
 from gyrocal.records.journal import RunWriter, SegmentWriter
-from gyrocal.units import S_PER_MIN
+from gyrocal.units import S_PER_MIN, plural
 
 #: Long segments are written this often; the gyro's case, minutes behind the air, moves by less than 0.5 deg C meanwhile.
 _SLOW_DRAIN_S = 10.0
@@ -96,8 +96,8 @@ class Runner:
                 self._note("aborted", reason=str(error), error=type(error).__name__)
             s = self.summary
             self._watch.say(
-                f"Until then {s.recorded} segments were recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
-                f"{len(s.skipped)} skipped, and {len(s.retried)} attempts done again."
+                f"Until then {s.recorded} {plural(s.recorded, '[segment was|segments were]')} recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
+                f"{len(s.skipped)} skipped, and {len(s.retried)} {plural(len(s.retried), '[attempt|attempts]')} done again."
             )
             raise
         finally:
@@ -164,7 +164,10 @@ class Runner:
             self._not_kept += self._lookout.drain().t_s.size
         lost, self._not_kept = self._not_kept + self._tally.n, 0
         self._note("attempt_failed", id=step.id, reason=reason, attempts_left=left, samples_not_kept=lost)
-        self._watch.say(f"failed: {step.describe()}: {reason}" + (f" ({left} attempts left)" if left else ""))
+        self._watch.say(
+            f"failed: {step.describe()}: {reason}"
+            + (f" ({left} {plural(left, '[attempt|attempts]')} left)" if left else "")
+        )
         if left:
             self.summary.retried.append(f"{step.describe()}: {reason}")
 

@@ -17,7 +17,6 @@ from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.covariance import PARTS
 from gyrocal.calibration.crossval import CrossValidation
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
-from gyrocal.calibration.figure import plural
 from gyrocal.calibration.figures import BeforeAfter, merit_figures
 from gyrocal.calibration.fit import SurfaceFit, Weights, rms
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
@@ -34,7 +33,7 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.physics.surface import Direction
 from gyrocal.records.csvio import read_header
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, plural
 
 Floats = NDArray[np.float64]
 

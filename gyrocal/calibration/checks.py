@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal.calibration.datasets import DataSets, Recording
-from gyrocal.calibration.figure import plural
 from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
 from gyrocal.calibration.groups import distinct
-from gyrocal.calibration.scale import copied_text, copies, gross_row, odd_columns
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER
+from gyrocal.records.scale import copied_text, copies, gross_row, odd_columns
+from gyrocal.units import plural
 
 #: Least span of temperature, °C, that a calibration over temperature means anything for.
 LEAST_TEMPERATURE_SPAN_C = 3.0

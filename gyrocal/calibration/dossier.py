@@ -14,13 +14,13 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
-from gyrocal.calibration.figure import Figure, plural
+from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.noise import noise_figures
 from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.records.files import reading
 from gyrocal.records.instruments import day_of, expired
-from gyrocal.units import DPS_TO_DPH, NORMAL_95
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, plural
 
 #: ``open``: the interval reaches over the limit, so that the measurement cannot tell.
 Judgement = Literal["pass", "fail", "open", "not tested"]

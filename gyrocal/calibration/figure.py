@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 
 #: Value, and both ends of its 95 % interval.
 Interval = tuple[float, float, float]
-_FORMS = re.compile(r"\[([^][|]*)\|([^][|]*)\]")
 
 
 def number(value: float) -> str:
@@ -17,11 +15,6 @@ def number(value: float) -> str:
     if value == 0.0 or not 1e-4 <= abs(value) < 1e8:
         return f"{value:.4g}"
     return f"{value:,.{max(3 - math.floor(math.log10(abs(value))), 0)}f}"
-
-
-def plural(count: int, text: str) -> str:
-    """`text` said of so many: of each ``[one|more]`` the part that fits."""
-    return _FORMS.sub(r"\1" if count == 1 else r"\2", text)
 
 
 def interval_said(low: float, high: float) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
-from gyrocal.calibration.figure import Figure, interval_said, number, plural
+from gyrocal.calibration.figure import Figure, interval_said, number
 from gyrocal.physics.surface import SHAPE
-from gyrocal.units import DPS_TO_DPH, NORMAL_95
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
-from gyrocal.calibration.figure import plural
 from gyrocal.errors import DataError
+from gyrocal.units import plural
 
 Floats = NDArray[np.float64]
 

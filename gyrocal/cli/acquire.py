@@ -64,7 +64,7 @@ def command(
     Example: gyrocal acquire quick --simulate --seed 7 --out run
     """
     from gyrocal.bench import session
-    from gyrocal.calibration.figure import plural
+    from gyrocal.units import plural
 
     if out is None and not dry_run:
         raise click.UsageError("Missing option '--out'.")

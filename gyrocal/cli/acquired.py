@@ -53,7 +53,7 @@ def show_plan(profile: Profile, plan: Plan, as_json: bool) -> None:
 
 def show_summary(out: Path, s: Summary) -> None:
     """What was recorded, and what was not."""
-    from gyrocal.calibration.figure import plural
+    from gyrocal.units import plural
 
     click.echo(
         f"{out}: {s.recorded} {plural(s.recorded, '[segment|segments]')} recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "

@@ -48,8 +48,8 @@ def command(
     Example: gyrocal apply run --coefficients fog.json -o corrected.csv
     """
     from gyrocal.calibration.apply import FLAGS, ApplyConfig, apply_recording
-    from gyrocal.calibration.figure import plural
     from gyrocal.cli.console import emit_json, progress
+    from gyrocal.units import plural
 
     config = ApplyConfig(recording, coefficients, output, counts_per_dps, force_sensor, overwrite)
     with progress("apply", quiet=as_json) as report:

@@ -53,9 +53,9 @@ def drive(
 
     Example: gyrocal simulate drive --runs 5 --seed 7 --out drives
     """
-    from gyrocal.calibration.figure import plural
     from gyrocal.cli.console import emit_json
     from gyrocal.navigation.drives import DriveRequest, simulate_to_directory
+    from gyrocal.units import plural
 
     note = simulate_to_directory(DriveRequest(out, seed, unit_seed, runs, direction))
     if as_json:

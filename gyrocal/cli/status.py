@@ -30,7 +30,7 @@ def command(run: Path, as_json: bool) -> None:
       gyrocal status run
     """
     from gyrocal.bench.status import read_status
-    from gyrocal.calibration.figure import plural
+    from gyrocal.units import plural
 
     s = read_status(run)
     if as_json:

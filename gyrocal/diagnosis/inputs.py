@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from gyrocal.calibration.scale import (
+from gyrocal.diagnosis.remarks import Note, Remark, Said
+from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.table_series import FEWEST_ROWS
+from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.records.scale import (
     Odd,
     copied_text,
     gross_row,
@@ -11,11 +16,6 @@ from gyrocal.calibration.scale import (
     output_scale,
     stray_rows,
 )
-from gyrocal.diagnosis.remarks import Note, Remark, Said
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.table_series import FEWEST_ROWS
-from gyrocal.errors import DataError
-from gyrocal.fusion.coefficients import Coefficients
 
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1

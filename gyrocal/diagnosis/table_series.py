@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.calibration.figure import plural
-from gyrocal.calibration.scale import copies
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -24,7 +22,8 @@ from gyrocal.errors import DataError
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.smooth import Frame
 from gyrocal.records.datasets import DataSetTable
-from gyrocal.units import STDS_PER_MAD
+from gyrocal.records.scale import copies
+from gyrocal.units import STDS_PER_MAD, plural
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -94,8 +94,7 @@ def replay_log(
         calibration that this log leaves for most of its rows.
     """
     found = survey(source.name, source.blocks())
-    check(found, robot.wheel_separation_m)
-    notes = list(found.notes())
+    notes = [*check(found, robot.wheel_separation_m), *found.notes()]
     conditions = _possible(found, robot, coefficients, notes)
     equipped = {
         c.calibrated: equip(source, robot, kind, coefficients if c.calibrated else None, power_on_t_s)

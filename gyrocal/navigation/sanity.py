@@ -35,6 +35,9 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     own, told = path[known, :2], truth[known, :2]
     if own.shape[0] < 10:
         return None
+    fault = gyro_fault(path[known, 2], truth[known, 2])
+    if fault is not None:
+        return fault
     unit_m = truth_unit_m(own, told)
     if unit_m != 1.0:
         return f"the truth's positions are {1.0 / unit_m:g} times the path's: they are in {UNITS[unit_m]}. State their unit in a mapping with --columns."
@@ -78,6 +81,14 @@ def _mirrored(own: Floats, told: Floats) -> str | None:
 def _misfit(own: Floats, told: Floats) -> float:
     aligned = np.stack(align_positions(own, told).apply(own[:, 0], own[:, 1]), axis=1)
     return float(np.sqrt(np.mean(np.sum((aligned - told) ** 2, axis=1))))
+
+
+def gyro_fault(own_deg: Floats, told_deg: Floats) -> str | None:
+    """What is wrong with a gyro whose headings turn as the truth's do in radians; None where nothing is."""
+    known = np.isfinite(told_deg)
+    if not in_radians(np.unwrap(told_deg[known], period=360.0), own_deg[known]):
+        return None
+    return "by the truth the robot turns 57.3 times as far as by the gyro: gyro_dps is in rad/s. Write it in deg/s, or state its unit in a mapping with --columns."
 
 
 def in_radians(own_deg: Floats, told: Floats) -> bool:

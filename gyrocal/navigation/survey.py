@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from gyrocal.errors import DataError
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
-from gyrocal.units import RAD_TO_DEG
+from gyrocal.records.scale import WORST_SCALE, odd_temperature
+from gyrocal.units import RAD_TO_DEG, plural
 
 Floats = NDArray[np.float64]
 
@@ -104,12 +105,12 @@ class Survey:
     def notes(self) -> tuple[str, ...]:
         """What was found and bridged, in words."""
         found = (
-            (self.bad_gyro, "row", "without a gyro sample"),
-            (self.bad_encoder, "row", "without an encoder sample"),
-            (self.duplicates, "row", "with the time of the row before"),
-            (self.gaps, "gap", "of more than 5 usual steps"),
+            (self.bad_gyro, "[row|rows] without a gyro sample"),
+            (self.bad_encoder, "[row|rows] without an encoder sample"),
+            (self.duplicates, "[row|rows] with the time of the row before"),
+            (self.gaps, "[gap|gaps] of more than 5 usual steps"),
         )
-        said = [*self.said, *(f"{n} {one}{'s' if n > 1 else ''} {what}" for n, one, what in found if n)]
+        said = [*self.said, *(f"{n} {plural(n, what)}" for n, what in found if n)]
         if self.usual_dt_s > SLOW_S:
             said.append(
                 f"a row every {self.usual_dt_s:.2g} s: how the robot turned between two rows is lost, and with it accuracy of the path; log every {SLOW_S:g} s or closer"
@@ -245,20 +246,34 @@ def _widen(span: tuple[float, float], values: Floats) -> tuple[float, float]:
     )
 
 
-def check(found: Survey, wheel_separation_m: float) -> None:
-    """Refuse a log whose channels cannot be right.
+def check_cells(name: str, rows: int, bad_gyro: int, bad_encoder: int, temp_c: Floats) -> None:
+    """Refuse a log of many empty cells, or with temperatures (the known ones, at least the extremes) that no gyro has.
+
+    Raises
+    ------
+    DataError
+    """
+    for bad, what in ((bad_gyro, "gyro_dps"), (bad_encoder, "left or right distance")):
+        if bad > _MAX_BAD_SHARE * rows:
+            msg = f"{name}: {what} is empty in {bad} of {rows} rows; up to {_MAX_BAD_SHARE:.0%} can be bridged. Repair the log."
+            raise DataError(msg)
+    odd = odd_temperature(temp_c) if temp_c.size else None
+    if odd is not None:
+        raise DataError(f"{name}: {odd.what}. {odd.remedy}.")
+
+
+def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
+    """Refuse a log whose channels cannot be right, and say what is doubtful.
 
     Raises
     ------
     DataError
         Nothing moves, no turns, a channel that is stuck, saturated or mostly empty, encoders and gyro that
-        disagree in sign or unit.
+        disagree in sign or unit, temperatures that no gyro has.
     """
     name = found.source
-    for bad, what in ((found.bad_gyro, "gyro_dps"), (found.bad_encoder, "left or right distance")):
-        if bad > _MAX_BAD_SHARE * found.rows:
-            msg = f"{name}: {what} is empty in {bad} of {found.rows} rows; up to {_MAX_BAD_SHARE:.0%} can be bridged. Repair the log."
-            raise DataError(msg)
+    temp_c = np.array(found.temp_c if found.temp_rows else ())
+    check_cells(name, found.rows, found.bad_gyro, found.bad_encoder, temp_c)
     if found.duration_s <= 0:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
     if found.max_speed_mps > (_MAX_VEHICLE_MPS if found.speed_only else _MAX_SPEED_MPS):
@@ -266,8 +281,7 @@ def check(found: Survey, wheel_separation_m: float) -> None:
         msg = f"{name}: the encoders say {found.max_speed_mps:.3g} m/s; {what} since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
         raise DataError(msg)
     _check_stuck(found, wheel_separation_m)
-    if not found.speed_only:
-        _check_turns(found, wheel_separation_m)
+    return () if found.speed_only else _check_turns(found, wheel_separation_m)
 
 
 def _check_stuck(found: Survey, separation_m: float) -> None:
@@ -307,7 +321,7 @@ def _check_both_encoders(found: Survey) -> None:
         raise DataError(msg)
 
 
-def _check_turns(found: Survey, separation_m: float) -> None:
+def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:
     name = found.source
     left, right, gyro = (sliding(found, v, WINDOW_S) for v in (found.left_m, found.right_m, found.gyro_deg))
     encoder = (right - left) / separation_m * RAD_TO_DEG
@@ -333,6 +347,11 @@ def _check_turns(found: Survey, separation_m: float) -> None:
         cause = "rad/s logged as deg/s" if ratio < 1 else "a rate in deg/s converted twice"
         msg = f"{name}: the gyro turns {ratio:.3g} times as far as the encoders; a factor near 57.3 is {cause}, any other a wrong wheel_separation_m or metres_per_tick. State the units in a mapping with --columns."
         raise DataError(msg)
+    if 1.0 / WORST_SCALE < ratio < WORST_SCALE:
+        return ()
+    return (
+        f"the gyro turns {ratio:.2g} times as far as the encoders: wheels that skid, a wrong wheel_separation_m or metres_per_tick, or a gyro of another scale; `diagnose --robot` looks which",
+    )
 
 
 def sliding(found: Survey, sums: Floats, window_s: float, delay_s: float = 0.0) -> Floats:

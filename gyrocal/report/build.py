@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 import gyrocal
-from gyrocal.calibration.figure import plural
 from gyrocal.calibration.residuals import ALARM_RATE
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.report import tables
@@ -18,7 +17,7 @@ from gyrocal.report.gather import Material, Progress, gather
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.scatter import scatter_statements
 from gyrocal.report.style import render
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, plural
 
 
 @dataclass(frozen=True)

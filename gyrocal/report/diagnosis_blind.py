@@ -12,13 +12,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.calibration.figure import plural
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.files import write_atomically
 from gyrocal.report import style
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.trial.blind import BlindConfig, Trial
 from gyrocal.trial.summary import NOTHING, BlindSummary, summarise
+from gyrocal.units import plural
 
 _CAVEAT = (
     "The virtual bench and the finder share the formulas of the effects: this proves less than recordings made by "

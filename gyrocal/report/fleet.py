@@ -14,12 +14,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.calibration.figure import interval_said, number, plural
+from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.fleet import ALARM_RATE, LEAST_UNITS, Fleet
 from gyrocal.records.files import finite
 from gyrocal.records.output import write_directory
 from gyrocal.report import style
 from gyrocal.report.page import Page, Picture, Table, render_page
+from gyrocal.units import plural
 
 #: Figures a picture shows: those of a gyro, not its coefficients.
 _LISTED = 40

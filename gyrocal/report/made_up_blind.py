@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gyrocal
-from gyrocal.calibration.figure import plural
 from gyrocal.records.files import write_atomically
 from gyrocal.report.page import Page, Table, render_page
 from gyrocal.trial.blind import BlindConfig
 from gyrocal.trial.opened import Opened
 from gyrocal.trial.tally import Tally, tally
+from gyrocal.units import plural
 
 _ABOUT = (
     "The recordings are made by code that shares no formula with the finder. The second run is of the same gyro on "

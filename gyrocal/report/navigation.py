@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gyrocal
-from gyrocal.calibration.figure import plural
 from gyrocal.fusion import STATES, Coefficients
 from gyrocal.navigation.align import METHODS
 from gyrocal.navigation.replay import LogReplay
@@ -33,6 +32,7 @@ from gyrocal.report.navigation_figures import (
 from gyrocal.report.page import Page, Picture, render_page
 from gyrocal.report.page import Table as PageTable
 from gyrocal.report.style import render
+from gyrocal.units import plural
 
 #: Schema of summary.json.
 SCHEMA = "gyrocal-replay/1"

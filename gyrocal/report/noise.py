@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from gyrocal.calibration.course import Course
-from gyrocal.calibration.figure import Figure, plural
+from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.static import StaticConfig, StaticFigures, examine_static
 from gyrocal.calibration.summary import said
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.report import style
 from gyrocal.report.figures_noise import allan_deviation
-from gyrocal.units import DPS_TO_DPH, S_PER_H
+from gyrocal.units import DPS_TO_DPH, S_PER_H, plural
 
 
 def examine_noise(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from gyrocal.calibration.figure import plural
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
+from gyrocal.units import plural
 
 
 def _stray_sets(sets: Sequence[int]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from gyrocal.calibration.figure import interval_said, number, plural
+from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.turns import Figure as Figured
 from gyrocal.calibration.turns import Floats, TurnCalibration, calibrate_turns
 from gyrocal.errors import DataError, InputError
@@ -20,6 +20,7 @@ from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import read_robot
 from gyrocal.report import style
+from gyrocal.units import plural
 
 _CURVE_POINTS = 6000
 _SQUARES = ("direction", "x_m", "y_m")

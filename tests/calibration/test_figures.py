@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.crossval import cross_validate
 from gyrocal.calibration.datasets import DataSets
-from gyrocal.calibration.figure import plural
 from gyrocal.calibration.figures import BeforeAfter, merit_figures
 from gyrocal.calibration.fit import TERMS, SurfaceFit, fit_surface
 from gyrocal.physics.surface import SHAPE
+from gyrocal.units import plural
 from tests.report.examples import examined
 
 TEMPS_C = np.array([-10.0, 10, 30, 50, 40, 20, 0])

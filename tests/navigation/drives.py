@@ -65,6 +65,10 @@ BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         _with(gyro_dps=lambda b: np.full(len(b), 0.25)),
         "gyro_dps is 0.25 in every row while the encoders turn",
     ),
+    "kelvin": (
+        _with(gyro_temp_c=lambda b: b.gyro_temp_c + 273.15),
+        "no gyro works so hot. Convert them if they are in kelvin",
+    ),
     "gyro sticks half-way": (
         _with(gyro_dps=lambda b: np.where(b.t_s > 80, 0.25, b.gyro_dps)),
         "gyro_dps does not change for 97 s of 177 s; the gyro is stuck.",

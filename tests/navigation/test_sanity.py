@@ -28,6 +28,16 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         lambda b: replace(b, truth_heading_deg=np.radians(b.truth_heading_deg)),
         "heading is in radians",
     ),
+    "gyro in rad/s beside a speed": (
+        lambda b: replace(
+            b,
+            left_m=0.5 * (b.left_m + b.right_m),
+            right_m=0.5 * (b.left_m + b.right_m),
+            speed_only=True,
+            gyro_dps=np.radians(b.gyro_dps),
+        ),
+        "gyro_dps is in rad/s",
+    ),
 }
 
 

@@ -57,6 +57,16 @@ def test_bad_logs_are_refused(name: str) -> None:
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize(("factor", "said"), [(0.5, True), (1.0, False), (2.0, True)])
+def test_turns_that_no_sound_robot_file_makes_are_said(factor: float, said: bool) -> None:
+    log = drive()
+    found = survey("log", [replace(log, gyro_dps=factor * log.gyro_dps)])
+    assert (
+        any("times as far as the encoders" in note for note in check(found, robot().wheel_separation_m))
+        is said
+    )
+
+
 def test_a_sound_log_passes() -> None:
     check(survey("log", [drive()]), robot().wheel_separation_m)
 

@@ -10,7 +10,8 @@ from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries, Floats
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.navigation.sanity import UNITS, in_radians, truth_unit_m
+from gyrocal.errors import DataError
+from gyrocal.navigation.sanity import UNITS, gyro_fault, in_radians, truth_unit_m
 from gyrocal.units import RAD_TO_DEG
 
 _NONE = (float("nan"), float("nan"))
@@ -60,11 +61,20 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
 
 
 def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
-    """The log with the truth in metres and degrees, and what was wrong with it."""
+    """The log with the truth in metres and degrees, and what was wrong with it.
+
+    Raises
+    ------
+    DataError
+        By the truth the gyro is in rad/s; where the wheels tell turns, `wrong_gyro` has seen it.
+    """
     notes: list[Remark] = []
     if not series.has_truth:
         return series, notes
     path = reckon(series, Figures())
+    fault = gyro_fault(RAD_TO_DEG * path.heading_rad, series.truth_heading_deg)
+    if fault is not None:
+        raise DataError(f"{series.source}: {fault}")
     known = np.isfinite(series.truth_x_m + series.truth_y_m)
     own = np.column_stack([path.at_m.real, path.at_m.imag])[known]
     unit_m = truth_unit_m(own, np.column_stack([series.truth_x_m, series.truth_y_m])[known])

@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.navigation.survey import check_cells
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
 from gyrocal.units import DEG_TO_RAD, STDS_PER_MAD
@@ -127,6 +128,10 @@ def drive_series(
         raise DataError(
             f"{source}: {long:.0f} s are too short to compare encoders and gyro; log at least {_LEAST_S:g} s."
         )
+    no_gyro, no_wheel = (
+        int(np.count_nonzero(~np.isfinite(v))) for v in (log.gyro_dps, log.left_m + log.right_m)
+    )
+    check_cells(source, t_s.size, no_gyro, no_wheel, log.gyro_temp_c[np.isfinite(log.gyro_temp_c)])
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * float(np.median(dt_s[1:]))
     notes: list[Note] = []
@@ -165,10 +170,9 @@ def _gyro(
         gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
         notes.append(Remark(Said.CALIBRATED))
     known = np.isfinite(gyro_dps)
-    if not known.any() or np.ptp(gyro_dps[known]) == 0:
-        said = f"{gyro_dps[known][0]:g}" if known.any() else "empty"
+    if np.ptp(gyro_dps[known]) == 0:
         raise DataError(
-            f"{source}: gyro_dps is {said} in every row; the gyro is stuck or was not logged. Check its cable."
+            f"{source}: gyro_dps is {gyro_dps[known][0]:g} in every row; the gyro is stuck or was not logged. Check its cable."
         )
     gyro_dps, bridged = _bridged(log.t_s, gyro_dps)
     notes += bridged

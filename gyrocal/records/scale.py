@@ -131,13 +131,13 @@ def odd_columns(
             (
                 Odd(copied_text(copied, rate_dps.size), "Remove the copies") if twice else None,
                 odd_output(rate_dps, gyro_dps, ideal=ideal),
-                _odd_temperature(temp_c),
+                odd_temperature(temp_c),
             ),
         )
     )
 
 
-def _odd_temperature(temp_c: Floats) -> Odd | None:
+def odd_temperature(temp_c: Floats) -> Odd | None:
     """What is wrong with temperatures that no gyro has; None if they can be one's."""
     low_c, high_c = float(np.min(temp_c)), float(np.max(temp_c))
     if low_c >= _COLDEST_C and high_c <= _HOTTEST_C:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.calibration.scale import gross_row, odd_output, output_scale
+from gyrocal.records.scale import gross_row, odd_output, output_scale
 
 RATE = np.tile(np.linspace(-100.0, 100.0, 11), 4)
 
