@@ -18,7 +18,8 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from gyrocal.errors import DataError
-from gyrocal.units import plural
+from gyrocal.inference.rounding import mean_error
+from gyrocal.units import NORMAL_95, plural
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ class Turn:
     Attributes
     ----------
     angle_deg : what the gyro integrates to, less the bias of the rests around it
-    std_deg : of that, from the gyro's white noise and the bias between the rests
+    std_deg : of that, from the gyro's white noise and a bias that walks between the rests as it does from rest to rest
     true_deg : the multiple of the mark's angle next to it
     used : False where `angle_deg` is too far from any multiple; `remark` says so
     """
@@ -89,7 +90,7 @@ class TurnCalibration:
     ----------
     scale : scale factor error, output over true less 1, ppm, the mean of both directions
     asymmetry : counter-clockwise less clockwise, ppm; None with turns in one direction only
-    bias : mean of the rests, deg/s; its interval from their scatter
+    bias : mean of the rests, deg/s; its interval from their scatter and from what rounding may hide
     stop_std_deg : how well the stops are on their marks, estimated from the turns themselves
     """
 
@@ -115,13 +116,18 @@ def calibrate_turns(t_s: Floats, gyro_dps: Floats, mark_deg: float = 360.0) -> T
         No rests, fewer than three turns between them, or no turn near a multiple of `mark_deg`.
     """
     dt_s = np.diff(t_s, prepend=t_s[0] - float(np.median(np.diff(t_s))))
+    step_dps = _step(gyro_dps)
     rests = find_rests(t_s, gyro_dps)
     turns = _turns(t_s, gyro_dps, dt_s, rests, mark_deg)
     used = [turn.used for turn in turns]
     if sum(used) < 3:
         raise DataError(_too_few(rests, turns, mark_deg))
-    scale, asymmetry, stop_std_deg = _fit(turns)
-    return TurnCalibration(scale, asymmetry, _bias(rests), stop_std_deg, tuple(rests), tuple(turns))
+    scatter_dps = [float(np.std(gyro_dps[(t_s >= r.start_s) & (t_s < r.end_s)])) for r in rests]
+    hidden_dps = mean_error(step_dps, float(np.median(scatter_dps)))
+    scale, asymmetry, stop_std_deg = _fit(turns, hidden_dps)
+    return TurnCalibration(
+        scale, asymmetry, _bias(rests, hidden_dps), stop_std_deg, tuple(rests), tuple(turns)
+    )
 
 
 def _too_few(rests: list[Rest], turns: list[Turn], mark_deg: float) -> str:
@@ -167,15 +173,33 @@ def find_rests(t_s: Floats, gyro_dps: Floats) -> list[Rest]:
 def _rests_where(quiet: NDArray[np.bool_], t_s: Floats, gyro_dps: Floats) -> list[Rest]:
     """Stretches of quiet windows that are long enough."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
-    rests = []
+    rests, step_dps = [], _step(gyro_dps)
     for first, last in edges.reshape(-1, 2):
         start, end = t_s[0] + first * WINDOW_S + _MARGIN_S, t_s[0] + last * WINDOW_S - _MARGIN_S
         inside = (t_s >= start) & (t_s < end)
         if (last - first) * WINDOW_S >= LEAST_REST_S and np.count_nonzero(inside) > 2:
             x = gyro_dps[inside]
-            error = float(np.std(np.diff(x))) / math.sqrt(2.0 * x.size)
+            # What a step of the output hides at rest, it adds in the turn: a twelfth of its square.
+            error = math.hypot(float(np.std(np.diff(x))) / math.sqrt(2.0), step_dps / math.sqrt(12.0))
+            error /= math.sqrt(x.size)
             rests.append(Rest(float(start), float(end), float(np.mean(x)), error))
     return rests
+
+
+def _step(gyro_dps: Floats) -> float:
+    """The least that the output changes by, deg/s."""
+    moved = np.abs(np.diff(gyro_dps))
+    return float(np.min(moved, where=moved > 0.0, initial=np.inf))
+
+
+def _walk(rests: list[Rest]) -> float:
+    """How fast the bias walks, (deg/s)^2/s, by what the rests differ beyond their noise."""
+    steps = [
+        ((b.mean_dps - a.mean_dps) ** 2 - a.std_error_dps**2 - b.std_error_dps**2)
+        / (0.5 * (b.start_s + b.end_s - a.start_s - a.end_s))
+        for a, b in itertools.pairwise(rests)
+    ]
+    return max(float(np.mean(steps)), 0.0) if steps else 0.0
 
 
 def _densest(x: Floats) -> float:
@@ -190,7 +214,7 @@ def _densest(x: Floats) -> float:
 
 
 def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_deg: float) -> list[Turn]:
-    turns = []
+    turns, walk = [], _walk(rests)
     for before, after in itertools.pairwise(rests):
         # From the middle of one rest to the middle of the next, so that nothing of the turn is cut off.
         start, end = 0.5 * (before.start_s + before.end_s), 0.5 * (after.start_s + after.end_s)
@@ -210,7 +234,7 @@ def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_
                 before.end_s,
                 after.start_s,
                 angle,
-                math.sqrt(bias_std**2 + noise * length),
+                math.sqrt(bias_std**2 + noise * length + walk * length**3 / 12.0),
                 true,
                 float(np.max(np.abs(rate))),
                 used,
@@ -220,22 +244,25 @@ def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_
     return turns
 
 
-def _fit(turns: list[Turn]) -> tuple[Figure, Figure | None, float]:
+def _fit(turns: list[Turn], hidden_dps: float) -> tuple[Figure, Figure | None, float]:
     """Scale and asymmetry by generalised least squares; the scatter of the stops by its posterior.
 
-    Neighbouring turns share a stop, so the covariance of the differences of angles is tridiagonal.
+    Neighbouring turns share a stop, so the covariance of the differences of angles is tridiagonal. By how much rounding
+    may make every rest wrong, `hidden_dps`, every turn is wrong for as long as it lasts.
     """
     used = np.flatnonzero([turn.used for turn in turns])
     true = np.array([turns[i].true_deg for i in used])
     y = np.array([turns[i].angle_deg - turns[i].true_deg for i in used])
     own = np.array([turns[i].std_deg for i in used]) ** 2
+    rounded = hidden_dps * np.array([turns[i].end_s - turns[i].start_s for i in used])
+    known = np.diag(own) + np.outer(rounded, rounded)
     D = np.zeros((len(turns), len(turns) + 1))
     D[np.arange(len(turns)), np.arange(len(turns))] = -1.0
     D[np.arange(len(turns)), np.arange(len(turns)) + 1] = 1.0
     stops = (D @ D.T)[np.ix_(used, used)]
     both = np.any(true > 0) and np.any(true < 0) and true.size >= 4
     X = np.column_stack([true, np.abs(true)]) if both else true[:, None]
-    fits = [_gls(X, y, np.diag(own) + s**2 * stops) for s in _STOPS_DEG]
+    fits = [_gls(X, y, known + s**2 * stops) for s in _STOPS_DEG]
     logs = np.array([fit[2] for fit in fits])
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
@@ -268,8 +295,9 @@ def _gls(X: Floats, y: Floats, V: Floats) -> tuple[Floats, Floats, float]:
     return c, np.diag(np.linalg.inv(N)), log
 
 
-def _bias(rests: list[Rest]) -> Figure:
+def _bias(rests: list[Rest], hidden_dps: float) -> Figure:
     means = np.array([rest.mean_dps for rest in rests])
     half = float(stats.t.ppf(0.975, means.size - 1) * np.std(means, ddof=1) / math.sqrt(means.size))
+    half = math.hypot(half, NORMAL_95 * hidden_dps)
     mean = float(np.mean(means))
     return Figure(mean, mean - half, mean + half, "deg/s")

@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 #: Runs in each direction below which a mean has no honest scatter.
 LEAST_RUNS = 3
 _DRAWS = 20_000
+#: Newton steps, each of which leaves a few per cent; no corner and no leg is off by more, rad.
+_STEPS, _MOST_RAD = 4, 0.6
 
 
 @dataclass(frozen=True)
@@ -95,17 +97,31 @@ def _means(rng: np.random.Generator, runs: Floats) -> Floats:
     return np.asarray(runs.mean(axis=0) + error * rng.standard_t(n - 1, (_DRAWS, 2)))
 
 
-def _corrections(cw: Floats, ccw: Floats, side_m: float, separation_m: float) -> Floats:
+def _corrections(cw_m: Floats, ccw_m: Floats, side_m: float, separation_m: float) -> Floats:
     """E_d, E_b, left and right scale, separation, shape (m, 5).
 
     A corner that falls short by alpha and a leg that bends by beta end a square at -2 L alpha and 2 L beta off, to
-    first order, with the signs that follow; both coordinates are averaged, as the reference recommends.
+    first order, with the signs that follow; both coordinates are averaged, as the reference recommends. Here that is
+    a step of Newton's: what the square so bent still leaves is corrected again, for to first order the track alone is
+    wrong by a tenth of its correction, several times its scatter.
     """
-    x_cw, y_cw, x_ccw, y_ccw = cw[:, 0], cw[:, 1], ccw[:, 0], ccw[:, 1]
-    alpha = 0.5 * ((x_cw + x_ccw) / (-4.0 * side_m) + (y_cw - y_ccw) / (-4.0 * side_m))
-    beta = 0.5 * ((x_cw - x_ccw) / (-4.0 * side_m) + (y_cw + y_ccw) / (-4.0 * side_m))
-    bend = 2.0 * np.sin(0.5 * beta) * separation_m / side_m  # separation over the radius of the bent leg
-    ratio = (1.0 + 0.5 * bend) / (1.0 - 0.5 * bend)
+    alpha = beta = np.zeros(len(cw_m))
+    for _ in range(_STEPS):
+        x_cw, y_cw = (cw_m - _end(-1, alpha, beta, side_m)).T
+        x_ccw, y_ccw = (ccw_m - _end(1, alpha, beta, side_m)).T
+        alpha = alpha - (x_cw + x_ccw + y_cw - y_ccw) / (8.0 * side_m)
+        beta = beta - (x_cw - x_ccw + y_cw + y_ccw) / (8.0 * side_m)
+        alpha, beta = (np.clip(angle, -_MOST_RAD, _MOST_RAD) for angle in (alpha, beta))
     track = (0.5 * np.pi) / (0.5 * np.pi - alpha)
+    bend = beta * separation_m * track / side_m  # separation over the radius of the bent leg
+    ratio = (1.0 + 0.5 * bend) / (1.0 - 0.5 * bend)
     left, right = 2.0 / (ratio + 1.0), 2.0 / (1.0 / ratio + 1.0)
     return np.column_stack([ratio, track, 1.0 / left - 1.0, 1.0 / right - 1.0, separation_m * track])
+
+
+def _end(direction: int, alpha: Floats, beta: Floats, side_m: float) -> Floats:
+    """Where a square of bent legs and wrong corners ends, shape (m, 2)."""
+    leg = side_m * np.sinc(0.5 * beta / np.pi) * np.exp(0.5j * beta)
+    turn = np.exp(1j * (beta + direction * (0.5 * np.pi - alpha)))
+    end = leg * (1.0 + turn + turn**2 + turn**3)
+    return np.column_stack([end.real, end.imag])
