@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,17 @@ def test_it_prints_whole(certificate: Path, tmp_path: Path) -> None:
     words, outside = printed_words(certificate / "certificate.html", tmp_path)
     assert outside == 0
     assert {"figure", "before", "after", "unit", "limit", "definition", "sample"} <= set(words)
+
+
+@needs_pdftotext
+def test_every_sheet_says_of_what_it_is_and_that_it_was_simulated(certificate: Path) -> None:
+    command = ["pdftotext", "-layout", str(certificate / "certificate.pdf"), "-"]
+    *sheets, _ = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split("\f")
+    assert len(sheets) > 1
+    for number, sheet in enumerate(sheets, start=1):
+        assert "SIMULATED: NOTHING WAS MEASURED" in sheet
+        assert "serial number virtual-1" in sheet
+        assert f"{number} of {len(sheets)}" in sheet
 
 
 def test_a_unit_beyond_its_limits_has_an_exit_code_of_its_own(
