@@ -1,4 +1,4 @@
-"""Directories that a command fills step by step, and what is said when it is interrupted."""
+"""Directories that a command fills step by step, and what is said when it is interrupted or the disk is full."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gyrocal.errors import InterruptedRunError
+from gyrocal.errors import InterruptedRunError, OutputError
 
 
 @contextmanager
@@ -17,4 +17,11 @@ def filling(out: Path) -> Iterator[None]:
     except (InterruptedRunError, KeyboardInterrupt) as error:
         raise InterruptedRunError(
             f"interrupted; {out} holds what was done until then, which nothing carries on. Remove it and run it again."
+        ) from error
+    except OutputError as error:
+        if not isinstance(error.__cause__, OSError) or not out.is_dir():
+            raise
+        raise OutputError(
+            f"{out}: cannot write all of it ({error.__cause__.strerror}); it holds what was done until then, which nothing carries on. "
+            "Remove it, and free some space or choose another place."
         ) from error

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from gyrocal.cli.console import emit_json, emit_table, progress
 from gyrocal.cli.filling import filling
-from gyrocal.errors import InterruptedRunError
+from gyrocal.errors import InterruptedRunError, OutputError
+from gyrocal.records.files import raise_output_error
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,3 +127,15 @@ def test_an_interrupted_demo_or_trial_promises_no_resume(error: BaseException) -
         str(caught.value)
         == "interrupted; demo holds what was done until then, which nothing carries on. Remove it and run it again."
     )
+
+
+def test_a_full_disk_in_a_demo_or_trial_promises_no_resume(tmp_path: Path) -> None:
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(OutputError) as caught, filling(tmp_path):
+        raise_output_error(tmp_path / "run", full, "what was sealed is kept. Carry on with --resume")
+    assert str(caught.value) == (
+        f"{tmp_path}: cannot write all of it (No space left on device); it holds what was done until then, which nothing "
+        "carries on. Remove it, and free some space or choose another place."
+    )
+    with pytest.raises(OutputError, match="exists and holds files"), filling(tmp_path):
+        raise OutputError(f"{tmp_path}: exists and holds files.")
