@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 _ITERATIONS = 40
 #: Step of the difference gradients, of logarithms, and what counts as no progress, of -2 log likelihood.
 _STEP, _CONVERGED = 1e-3, 1e-3
+#: How far to either side of the maximum its width is looked at, of what a level may be off by beforehand.
+_LOOKED = 0.5
 #: Stands for the loss of levels that no matrix can be made of; larger than any loss.
 _IMPOSSIBLE = 1e12
 
@@ -182,7 +184,7 @@ def restricted_loss(field: MarkovField, y: Floats, columns: Floats) -> float:
 
 def restricted_maximum(
     field_of: Callable[[Floats], MarkovField], y: Floats, columns: Floats, prior: Floats, spread: Floats
-) -> Floats:
+) -> tuple[Floats, Floats]:
     """Logarithms of the noise's levels that maximise the restricted likelihood times a normal prior.
 
     Parameters
@@ -195,7 +197,8 @@ def restricted_maximum(
 
     Returns
     -------
-    ndarray, shape (p,)
+    logs, left : ndarray, shape (p,)
+        The logarithms, and the standard deviation that is left to each beside the others.
     """
     # Columns of unit size: only their span matters, and the Gram matrix stays well conditioned.
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -215,4 +218,7 @@ def restricted_maximum(
         bounds=limits,
         options={"maxiter": _ITERATIONS, "eps": _STEP, "ftol": _CONVERGED / max(abs(loss(prior)), 1.0)},
     )
-    return np.asarray(found.x)
+    steps = _LOOKED * np.diag(spread)
+    rises = [0.5 * (loss(found.x + h) + loss(found.x - h)) - found.fun for h in steps]
+    left = [min(_LOOKED * s / max(rise, 1e-9) ** 0.5, s) for s, rise in zip(spread, rises, strict=True)]
+    return np.asarray(found.x), np.array(left)

@@ -75,12 +75,15 @@ def test_levels_are_found() -> None:
         one = np.ones((n, 1))
         return MarkovField(np.array([1e-6]), one, walk * one, 0 * one, one, np.full(n, white))
 
-    found = []
+    found, left = [], []
     for seed in range(40):
         rng = np.random.default_rng([seed, 5])
         y = np.cumsum(rng.normal(size=n)) * np.exp(truth[1]) + np.exp(truth[0]) * rng.normal(size=n)
-        found.append(restricted_maximum(field_of, y, np.ones((n, 1)), truth + 0.7, np.full(2, 3.0)))
+        logs, spread = restricted_maximum(field_of, y, np.ones((n, 1)), truth + 0.7, np.full(2, 1.0))
+        found.append(logs)
+        left.append(spread)
     mean, std = np.mean(found, axis=0), np.std(found, axis=0)
     # Four standard errors: one false alarm in 8000 runs.
     assert np.all(np.abs(mean - truth) < 4 * std / np.sqrt(40))
     assert np.all(std < 0.3)
+    assert np.mean(left, axis=0) == pytest.approx(std, rel=0.5)

@@ -156,7 +156,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     series, notes = wrong_truth(series)
     yaw = examine_yaw(series)
     first = figures_of(series, yaw, {}, None)
-    truth = ask_truth(series, replace(first, bias_from_rest=False), yaw.estimate("bias")[1], yaw.model.noise)
+    truth = ask_truth(series, replace(first, bias_from_rest=False), yaw.motion_bias, yaw.model.noise)
     if truth is not None and truth.mirrored:
         notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = scales(yaw, truth)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal.diagnosis.drive.search import YawAnswer, known_before
+from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import Bools, Floats, Ints
 from gyrocal.diagnosis.drive.yaw import Gram, gram_of
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -59,7 +59,7 @@ def _fold(yaw: YawAnswer) -> Ints:
 def _grams(yaw: YawAnswer) -> list[Gram]:
     """Inner products of the laws, for each fold without its intervals."""
     columns = {n: yaw.laws[n].column for n in yaw.chosen}
-    fold, model, known = _fold(yaw), yaw.model, known_before(yaw.model.frame.series)
+    fold, model, known = _fold(yaw), yaw.model, yaw.known
     return [
         gram_of(replace(model, left_out=np.where(fold == k, _LEFT_OUT, model.left_out)), columns).knowing(
             known

@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.findings import Scale
 from gyrocal.diagnosis.drive.laws import KINDS, reference_temp_c
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import YawAnswer, known_before
+from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.errors import ProfileError
@@ -91,11 +91,17 @@ def figures_of(
 
 
 def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
-    """Constant bias and its standard deviation, deg/s; with what the truth adds."""
+    """Constant bias and its standard deviation, deg/s; with what the truth adds.
+
+    The truth shows the bias in motion, of which a step from rest to motion is a part.
+    """
     value, std = yaw.estimate("bias")
     if truth is None or truth.mirrored:
         return value, std
-    return value + truth.values["gyro_bias"], min(std, truth.stds["gyro_bias"])
+    known = yaw.motion_bias
+    share = known.shared / known.std_dps**2
+    told = max(known.std_dps**2 - truth.stds["gyro_bias"] ** 2, 0.0)
+    return value + share * truth.values["gyro_bias"], float(np.sqrt(std**2 - share**2 * told))
 
 
 def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
@@ -107,7 +113,7 @@ def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     """
     bias, std = bias_of(yaw, truth)
     series = yaw.model.frame.series
-    given, granted = known_before(series).get("bias", (series.robot.parameters.gyro.bias_dps, np.inf))
+    given, granted = yaw.known.get("bias", (series.robot.parameters.gyro.bias_dps, np.inf))
     if "initial_std.gyro_bias_dps" in series.robot.given:
         return bias
     # What the drive says by itself, without what was granted.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from gyrocal.diagnosis.drive.reckoning import Complexes, Floats, Reckoned
+from gyrocal.diagnosis.drive.search import MotionBias
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD
@@ -17,6 +18,8 @@ Ints = NDArray[np.int64]
 
 #: Cells of time in each of which the gyro's noise makes one turn: two to a knot of the truth.
 _CELLS = 300
+#: What the encoders add to the error of the bias found by them at the least, of the gyro's part of its variance.
+_LEAST_REST = 1e-2
 #: Memory of what wanders in the truth, s.
 _WANDER_S = 60.0
 
@@ -45,15 +48,15 @@ class Knots:
         return np.asarray(np.bincount(self.at, seen) / self.count)
 
 
-def stacked(knots: Knots, positions: Complexes, headings: Floats) -> Floats:
-    """Positions and, where the truth has them, headings one below the other."""
-    parts = [positions.real, positions.imag]
-    return np.concatenate([*parts, headings] if knots.heading is not None else parts)
+def stacked(knots: Knots, positions: Complexes, headings: Floats, bias: float = 0.0) -> Floats:
+    """Positions and, where the truth has them, headings one below the other; last the bias that is known beforehand."""
+    parts = [positions.real, positions.imag, *([headings] if knots.heading is not None else [])]
+    return np.append(np.concatenate(parts), bias)
 
 
 @dataclass(frozen=True)
 class PathNoise:
-    """Parts of the covariance of positions and headings.
+    """Parts of the covariance of positions, headings and the known bias, stacked.
 
     `turned` is what a turn within each cell between `edges_s` does to them, `kernel` the covariance of these turns.
     """
@@ -101,8 +104,8 @@ def cell_edges_s(knots: Knots, path: Reckoned) -> Floats:
     return np.linspace(path.t_s[0], path.t_s[-1], min(_CELLS, 2 * knots.count.size) + 1)
 
 
-def path_noise(knots: Knots, path: Reckoned, noise: YawNoise) -> PathNoise:
-    """Covariance of positions and headings by its parts, for a path and the levels of its noise."""
+def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias) -> PathNoise:
+    """Covariance of positions, headings and known bias by its parts, for a path and the levels of its noise."""
     begin, edges = path.t_s[0], cell_edges_s(knots, path)
     width = float(edges[1] - edges[0])
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -112,7 +115,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise) -> PathNoise:
     after = np.clip((knots.t_s[:, None] - edges[None, :-1]) / width, 0.0, 1.0)
     # The part of a turn within a cell acts from that turn on.
     turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
-    turn = _blocks(knots, turned, after)
+    turn = np.vstack([_blocks(knots, turned, after), bias.weight_between(edges)])
     lag = np.abs(middle[:, None] - middle[None, :])
     since = middle - begin
     rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
@@ -121,19 +124,23 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise) -> PathNoise:
     way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
     ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
     along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
+    gyro = turn @ kernel @ turn.T
+    # The path follows the same gyro: taken for independent, both would swear to one noise. What else the bias found is off
+    # by is the encoders', of which the path has nothing.
+    gyro[-1, -1] = max(bias.std_dps**2, (1.0 + _LEAST_REST) * gyro[-1, -1])
     k = knots.count.size
     one = 1.0 / knots.count
     fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / _WANDER_S)
-    zero = np.zeros((k, k))
+    zero, last = np.zeros((k, k)), np.zeros((1, 1))
     parts = 3 if knots.heading is not None else 2
     return PathNoise(
         turn,
         kernel,
-        turn @ kernel @ turn.T + 1e-12 * np.eye(parts * k),
-        noise.slip_m_per_rt_m**2 * (along @ along.T),
-        linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2)),
-        linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2)),
-        linalg.block_diag(zero, zero, np.diag(one) + 0.1 * fade) if parts == 3 else None,
+        gyro + 1e-12 * np.eye(gyro.shape[0]),
+        noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, last),
+        linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2), last),
+        linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2), last),
+        linalg.block_diag(zero, zero, np.diag(one) + 0.1 * fade, last) if parts == 3 else None,
     )
 
 

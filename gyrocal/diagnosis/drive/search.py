@@ -46,6 +46,32 @@ _PARTS = 24
 
 
 @dataclass(frozen=True)
+class MotionBias:
+    """What the heading difference knows of the bias in motion, and how the gyro's noise has moved that.
+
+    Attributes
+    ----------
+    std_dps : float
+        Standard deviation.
+    shared : float
+        Covariance with the constant bias, (deg/s)^2.
+    t_s, weight : ndarray, shape (m,)
+        Ends of the intervals, and what 1 rad that the gyro falls short by in each adds to the bias found, deg/s.
+    """
+
+    std_dps: float
+    shared: float
+    t_s: Floats
+    weight: Floats
+
+    def weight_between(self, edges_s: Floats) -> Floats:
+        """Mean weight of the turns between edges."""
+        ends_s = np.concatenate([edges_s[:1], self.t_s])
+        whole = np.concatenate([[0.0], np.cumsum(self.weight * np.diff(ends_s))])
+        return np.asarray(np.diff(np.interp(edges_s, ends_s, whole)) / np.diff(edges_s))
+
+
+@dataclass(frozen=True)
 class YawAnswer:
     """Laws of the heading difference.
 
@@ -58,6 +84,7 @@ class YawAnswer:
     strangers : coordinate -> (gain, degrees of freedom, p-value) of columns without a name
     odd : coordinates located by them
     ahead_s, window_s : delay and window of the encoders that were taken out before the fit
+    known : what was known of coefficients beforehand: mean and standard deviation of each
     """
 
     model: YawModel
@@ -71,6 +98,7 @@ class YawAnswer:
     ahead_s: float
     window_s: float
     gram: Gram
+    known: Mapping[str, tuple[float, float]]
 
     def estimate(self, name: str) -> tuple[float, float]:
         """Value and standard deviation of a law's coefficient, SI; a delay with what was taken out before."""
@@ -81,6 +109,17 @@ class YawAnswer:
     def law_rad(self, name: str) -> Floats:
         """What a law adds to the difference in each interval."""
         return np.asarray(self.values[self.chosen.index(name)] * self.laws[name].column)
+
+    @property
+    def motion_bias(self) -> MotionBias:
+        """The bias in motion, constant and step together, as the heading difference knows it."""
+        parts = [self.chosen.index(n) for n in ("bias", "step") if n in self.chosen]
+        shared = self.covariance[parts].sum(axis=0)
+        columns = np.column_stack([self.laws[n].column for n in self.chosen])
+        weight = self.model.given(columns).inverse() @ shared
+        return MotionBias(
+            float(np.sqrt(shared[parts].sum())), float(shared[parts[0]]), self.model.frame.nodes.t_s, weight
+        )
 
     @property
     def left_rad(self) -> Floats:
@@ -143,9 +182,12 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     known = known_before(series)
     free = tuple(gram_of(model, columns, flicker_floor=floor) for floor in (False, True))
     grams = tuple(gram.knowing(known) for gram in free)
-    chosen = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
-    late = _delay_gain(grams[0], chosen, ahead_s)
-    chosen = _selected(grams, chosen, list(laws), late)
+    least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
+    late = _delay_gain(grams[0], least, ahead_s)
+    chosen = _selected(grams, least, list(laws), late)
+    if (wider := _widened(series, known, free[0], chosen)) != known:
+        known, grams = wider, tuple(gram.knowing(wider) for gram in free)
+        chosen = _selected(grams, least, list(laws), late)
     wheels = _wheels(frame, model, everything, chosen, known)
     if wheels:
         everything |= wheels
@@ -169,7 +211,18 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     if uneven[2] < STRANGER_P:
         odd["time"], located = uneven, tuple(dict.fromkeys([*located, "time"]))
     return YawAnswer(
-        model, everything, tuple(chosen), values, covariance, named, odd, located, ahead_s, window_s, grams[0]
+        model,
+        everything,
+        tuple(chosen),
+        values,
+        covariance,
+        named,
+        odd,
+        located,
+        ahead_s,
+        window_s,
+        grams[0],
+        known,
     )
 
 
@@ -184,6 +237,22 @@ def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
     if series.robot.static_s == 0:
         known["bias"] = (series.robot.parameters.gyro.bias_dps, max(std["gyro_bias_dps"], 1e-9))
     return known
+
+
+def _widened(
+    series: DriveSeries, known: Mapping[str, tuple[float, float]], free: Gram, chosen: Sequence[str]
+) -> dict[str, tuple[float, float]]:
+    """What is known beforehand, with a bias as large as the drive makes likeliest where no robot file limits it.
+
+    Held to what is usual, a bias that is larger would become wheels that differ.
+    """
+    if "bias" not in known or "initial_std.gyro_bias_dps" in series.robot.given:
+        return dict(known)
+    mean, std = known["bias"]
+    values, covariance = free.knowing({n: k for n, k in known.items() if n != "bias"}).solve(chosen)
+    at = list(chosen).index("bias")
+    likeliest = (values[at] - mean) ** 2 - covariance[at, at]
+    return {**known, "bias": (mean, float(np.sqrt(max(likeliest, std**2))))}
 
 
 def _rough_bias_dps(series: DriveSeries) -> float:

@@ -2,7 +2,8 @@
 
 The error of a reckoned path is no noise of single positions: an error of the heading moves all that follows. The path
 is linearised, and its covariance is what the gyro's noise (white, 1/f, walk) and the wheels' slip make of it, beside a
-truth whose own noise is white and wandering; what the heading difference knows of the bias comes in as one more row.
+truth whose own noise is white and wandering; what the heading difference knows of the bias comes in as one more row,
+whose error is in part the noise of the same gyro.
 """
 
 from __future__ import annotations
@@ -15,8 +16,15 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
-from gyrocal.diagnosis.drive.path_noise import Knots, PathNoise, cell_edges_s, path_noise, stacked
+from gyrocal.diagnosis.drive.path_noise import (
+    Knots,
+    PathNoise,
+    cell_edges_s,
+    path_noise,
+    stacked,
+)
 from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, laid_on, reckon
+from gyrocal.diagnosis.drive.search import MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD
@@ -159,7 +167,8 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         "clock": stacked(knots, -knots.mean(speed), -knots.mean(rate)),
         "lever_ahead": stacked(knots, knots.mean(ahead), flat),
         "lever_left": stacked(knots, knots.mean(1j * ahead), flat),
-        "gyro_bias": by(-DEG_TO_RAD * (path.t_s - path.t_s[0]), nothing),
+        "gyro_bias": by(-DEG_TO_RAD * (path.t_s - path.t_s[0]), nothing)
+        + stacked(knots, 0.0 * one, flat, 1.0),
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
     }
@@ -239,7 +248,7 @@ class _Problem:
         return values / size, covariance / np.outer(size, size), loss
 
 
-def _problem(knots: Knots, base: Reckoned, state: _State, bias_std_dps: float, noise: YawNoise) -> _Problem:
+def _problem(knots: Knots, base: Reckoned, state: _State, bias: MotionBias, noise: YawNoise) -> _Problem:
     path = _reckoned(knots, base, state)
     apart = knots.position - knots.mean(path.at_m)
     headings = np.zeros(knots.count.size)
@@ -248,7 +257,6 @@ def _problem(knots: Knots, base: Reckoned, state: _State, bias_std_dps: float, n
         headings = headings - 2 * np.pi * np.round(np.median(headings) / (2 * np.pi))
     v = state.values
     known = {
-        "gyro_bias": (-v["gyro_bias"], bias_std_dps),
         "gyro_scale": (-v["gyro_scale"], _SCALE),
         "wheel_scale": (-v["wheel_scale"], _SCALE),
         "clock": (0.0, _CLOCK_S),
@@ -256,11 +264,11 @@ def _problem(knots: Knots, base: Reckoned, state: _State, bias_std_dps: float, n
         "lever_left": (0.0, _LEVER_M),
         "bias_slope": (-v["bias_slope"], _SLOPE),
     }
-    spread = path_noise(knots, path, noise)
-    residual = stacked(knots, apart, headings)
+    spread = path_noise(knots, path, noise, bias)
+    residual = stacked(knots, apart, headings, -v["gyro_bias"])
     if state.strayed is not None:
-        # As noise about zero again.
-        residual = residual + spread.turned @ state.strayed
+        # As noise about zero again; the bias known beforehand has not been moved.
+        residual[:-1] += spread.turned[:-1] @ state.strayed
     return _Problem(residual, _columns(knots, path), known, spread)
 
 
@@ -292,7 +300,7 @@ def _first_levels(knots: Knots) -> Floats:
 
 
 def _laid(
-    knots: Knots, base: Reckoned, bias_std_dps: float, noise: YawNoise
+    knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise
 ) -> tuple[_State, _Problem, Floats, float]:
     """Gauss and Newton over growing parts of the drive, then levels and path in turn."""
     logs = _first_levels(knots)
@@ -305,10 +313,10 @@ def _laid(
         if horizon == _HORIZONS[0]:
             a, b = at[near] - at[near].mean(), knots.position[near] - knots.position[near].mean()
             state = replace(state, turn=float(np.angle(np.vdot(a, b))))
-        keep = np.tile(near, 3 if knots.heading is not None else 2)
+        keep = np.concatenate([np.tile(near, 3 if knots.heading is not None else 2), [True]])
         last = horizon == _HORIZONS[-1]
         for round_ in range(4 if last else 2):
-            problem = _problem(knots, base, state, bias_std_dps, noise)
+            problem = _problem(knots, base, state, bias, noise)
             part = problem if last else problem.cut(keep)
             if last and round_ in (0, 2):
                 logs = _levels(part, logs if round_ else _first_levels(knots))
@@ -319,32 +327,30 @@ def _laid(
             if last:
                 left = part.residual - np.column_stack([*part.columns.values()]) @ values
                 state = replace(state, strayed=part.noise.strayed(left, logs))
-    return state, _problem(knots, base, state, bias_std_dps, noise), logs, loss
+    return state, _problem(knots, base, state, bias, noise), logs, loss
 
 
-def ask_truth(
-    series: DriveSeries, figures: Figures, bias_std_dps: float, noise: YawNoise
-) -> TruthAnswer | None:
+def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: YawNoise) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
     Parameters
     ----------
     figures : Figures
         What the heading difference has found, taken out first.
-    bias_std_dps : float
-        How well that knows the bias.
+    bias : MotionBias
+        How well that knows the bias in motion.
     """
     base = reckon(series, figures)
     knots = _knots(series, base)
     if knots is None or np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
-    state, problem, logs, _ = _laid(knots, base, bias_std_dps, noise)
+    state, problem, logs, _ = _laid(knots, base, bias, noise)
     mirrored = False
     miss = _miss(knots, problem, logs)
     if miss > _ODD * float(np.std(knots.position)):
         other = replace(knots, seen=np.conj(knots.seen), position=np.conj(knots.position), heading=None)
-        turned = _laid(other, base, bias_std_dps, noise)
-        plain = _laid(replace(knots, heading=None), base, bias_std_dps, noise)
+        turned = _laid(other, base, bias, noise)
+        plain = _laid(replace(knots, heading=None), base, bias, noise)
         missed = _miss(other, turned[1], turned[2])
         mirrored = plain[3] - turned[3] > _MIRRORED_BY and miss > _MIRRORED_BETTER * missed
     return replace(_answer(knots, base, state, problem, logs), mirrored=mirrored)

@@ -25,8 +25,12 @@ from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS,
 
 Floats = NDArray[np.float64]
 
-#: 1/f noise that is usual for an angle random walk of one deg/sqrt(h), deg/h: one log cannot measure it.
-_FLICKER_DPH_PER_ARW = 25.0
+#: 1/f noise, as the Allan deviation shows it, that is usual for an angle random walk of one deg/sqrt(h), deg/h: one log
+#: cannot measure it.
+_FLOOR_DPH_PER_ARW = 25.0
+#: The same as Gauss-Markov parts a decade apart: each has the variance h ln 10 of a decade of the density h / f, whose
+#: Allan variance is 2 h ln 2.
+_FLICKER_PER_FLOOR = float(np.sqrt(np.log(10.0) / (2.0 * np.log(2.0))))
 #: Walk of the bias, in standard deviations of the 1/f noise over its longest memory.
 _WALK_PER_FLICKER = 0.3
 #: Standard deviations of the levels' logarithms beforehand.
@@ -41,7 +45,7 @@ _LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, _NEIGHBOURS = 5.0, 2
 #: The bias of a single log is judged by 1/f noise of at least so many times what is usual.
-FLICKER_FLOOR = 1.4
+FLICKER_FLOOR = 1.1
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,8 @@ class YawNoise:
 
 def usual_flicker_dps(arw_dps_per_rt_hz: float) -> float:
     """1/f noise that goes with an angle random walk, of each Gauss-Markov bias."""
-    return _FLICKER_DPH_PER_ARW * DPH_TO_DPS * arw_dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+    floor_dps = _FLOOR_DPH_PER_ARW * DPH_TO_DPS * arw_dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+    return _FLICKER_PER_FLOOR * floor_dps
 
 
 def usual_noise(series: DriveSeries) -> YawNoise:
@@ -258,9 +263,13 @@ def _levels(frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out:
 
     prior = np.log([getattr(usual, n) for n in names.values()])
     spread = np.array([_SPREAD[n] for n in names])
-    return noise_of(
-        restricted_maximum(lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread)
+    logs, left = restricted_maximum(
+        lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread
     )
+    # A log cannot measure its 1/f noise, and the variance of a bias goes by the square: taken as its mean over all levels
+    # that are possible, not as that of the likeliest one.
+    logs[list(names).index("flicker")] += left[list(names).index("flicker")] ** 2
+    return noise_of(logs)
 
 
 def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:

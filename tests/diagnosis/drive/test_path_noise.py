@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.path_noise import Knots, path_noise, stacked
 from gyrocal.diagnosis.drive.reckoning import Reckoned
+from gyrocal.diagnosis.drive.search import MotionBias
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD
@@ -61,12 +62,16 @@ def test_each_part_is_what_draws_of_it_scatter_by() -> None:
     path = _path()
     knots = _knots(path)
     quiet = YawNoise(_ARW_DPS, _SLIP, 0.0, 0.0, 0.0, 0.0, 0.0)
-    parts = path_noise(knots, path, quiet)
+    # A bias of the second half of the drive: its error is that of the path's turns there.
+    weight = np.where(path.t_s > 60.0, 20.0, 0.0)
+    parts = path_noise(knots, path, quiet, MotionBias(0.0, 0.0, path.t_s, weight))
     none, no_heading = np.zeros(_ROWS), np.zeros(knots.count.size)
     by_gyro, by_way, by_truth = [], [], []
     for _ in range(_DRAWS):
-        turned = np.cumsum(DEG_TO_RAD * _ARW_DPS * np.sqrt(_DT_S) * rng.standard_normal(_ROWS))
-        by_gyro.append(stacked(knots, knots.mean(path.moved_by(turned, none)), knots.mean(turned)))
+        turns = DEG_TO_RAD * _ARW_DPS * np.sqrt(_DT_S) * rng.standard_normal(_ROWS)
+        turned = np.cumsum(turns)
+        moved = knots.mean(path.moved_by(turned, none))
+        by_gyro.append(stacked(knots, moved, knots.mean(turned), float(weight @ turns)))
         way = _SLIP * np.sqrt(0.5 * path.way_m) * rng.standard_normal(_ROWS)
         by_way.append(stacked(knots, knots.mean(path.moved_by(none, way)), no_heading))
         seen = rng.standard_normal(_ROWS) + 1j * rng.standard_normal(_ROWS)
@@ -80,7 +85,7 @@ def test_a_bias_that_wanders_turns_the_path_as_its_processes_do() -> None:
     path = _path()
     knots = _knots(path)
     noise = YawNoise(0.0, _SLIP, 0.0, 0.0, _FLICKER_DPS, 0.0, 0.0)
-    parts = path_noise(knots, path, noise)
+    parts = path_noise(knots, path, noise, MotionBias(0.0, 0.0, path.t_s, np.zeros(_ROWS)))
     lag = np.abs(path.t_s[:, None] - path.t_s[None, :])
     kernel = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * _FLICKER_DPS**2
     kernel = kernel + noise.walk_dps_per_rt_s**2 * np.minimum(path.t_s[:, None], path.t_s[None, :])
