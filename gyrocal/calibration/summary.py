@@ -11,11 +11,14 @@ from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
 from gyrocal.calibration.figure import Figure, interval_said, number
 from gyrocal.physics.surface import SHAPE
+from gyrocal.records.scale import stray_rows
 from gyrocal.units import DPS_TO_DPH, NORMAL_95, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
 _LISTED = 12
+#: A surface that makes the error smaller by less does not follow what is wrong; then up to this share of the data sets may be off.
+_NO_HELP, _MOST_STRAY = 2.0, 0.4
 _PPM = 1e6
 
 #: Coordinates of the structure tests, in words.
@@ -61,8 +64,30 @@ def verdict(c: Calibration) -> str:
     )
     what = "bias over temperature" if c.config.bias_only else "error"
     return (
-        f"{what} {dph(c.before_dps)} -> {dph(c.after_dps)} deg/h rms, {c.factor:.3g} times smaller; "
-        f"{floor}; {structure}"
+        f"{what} {dph(c.before_dps)} -> {dph(c.after_dps)} deg/h rms, {_times(c.factor)}; "
+        f"{floor}; {structure}{_stray_part(c)}"
+    )
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.3g} times smaller" if factor >= 1.0 else f"{1.0 / factor:.3g} times larger"
+
+
+def _stray_part(c: Calibration) -> str:
+    """Data sets that were mixed up: what they are off by goes into the surface, and spoils it at every rate."""
+    sets = c.fit.sets
+    most = {"most": _MOST_STRAY} if c.factor < _NO_HELP else {}
+    stray = stray_rows(sets.rate_dps, sets.gyro_dps, **most)
+    if c.config.bias_only or not stray.size:
+        return ""
+    listed = "; ".join(sets.describe(row) for row in stray[:_LISTED]) + (
+        "; ..." if stray.size > _LISTED else ""
+    )
+    ids = ",".join(str(sets.segment[row]) for row in stray)
+    far = plural(stray.size, f"{stray.size} of {len(sets)} data sets [is|are] far off the line of the others")
+    return (
+        f". Do not use it: {far} ({listed}). Look whether rows were swapped, or the sign or unit of some is another, and "
+        f"repair them or leave them out with --exclude {ids}"
     )
 
 

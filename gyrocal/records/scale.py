@@ -71,17 +71,18 @@ def output_scale(rate_dps: Floats, gyro_dps: Floats) -> float:
     return float(np.median((gyro[half:] - gyro[: rate.size - half])[apart] / step[apart]))
 
 
-def stray_rows(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.int64]:
+def stray_rows(rate_dps: Floats, gyro_dps: Floats, most: float = _MOST_STRAY) -> NDArray[np.int64]:
     """Rows that are off the straight line of the others by a share of the largest rate that no nonlinearity has beside them.
 
-    Rates that were mixed up, mostly. None where more than a tenth are, for then it is the gyro that does it.
+    Rates that were mixed up, mostly. None where more than the share `most` are: where that is a tenth, it is the gyro that
+    does it. More may be looked for where no surface follows them.
     """
     scale, largest = output_scale(rate_dps, gyro_dps), float(np.max(np.abs(rate_dps), initial=0.0))
     if not np.isfinite(scale):
         return np.empty(0, dtype=np.int64)
     off = gyro_dps - scale * rate_dps
     off = np.abs(off - np.median(off))
-    usual = float(np.quantile(off, 1.0 - _MOST_STRAY))
+    usual = float(np.quantile(off, 1.0 - most))
     return np.flatnonzero((off > _STRAY_SHARE * largest) & (off > _STRAY_TIMES * usual))
 
 

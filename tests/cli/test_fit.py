@@ -56,6 +56,27 @@ def test_fit_of_a_table(table: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert coefficients.provenance["counts_per_dps"] == -1000
 
 
+@pytest.mark.parametrize("turned", [[3], [2, 7, 9, 15, 20, 24]])
+def test_rows_of_another_sign_are_told_with_what_to_leave_out(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], turned: list[int]
+) -> None:
+    """Before: an error "0.9 times smaller", and outliers at most, which many hide."""
+    head, *rows = table.read_text().split()
+    for number in turned:
+        rate, counts, temp = rows[number - 1].split(",")
+        rows[number - 1] = f"{rate},{-float(counts)},{temp}"
+    path = tmp_path / "turned.csv"
+    path.write_text("\n".join([head, *rows]) + "\n")
+    assert call(path, "-o", tmp_path / "c.json", "--counts-per-dps", -1000) == 0
+    line = capsys.readouterr().out.splitlines()[0]
+    assert "times larger" in line
+    assert f"Do not use it: {len(turned)} of 27 data sets" in line
+    assert f"--exclude {','.join(map(str, turned))}." in line
+    left_out = ("--exclude", ",".join(map(str, turned)))
+    assert call(path, "-o", tmp_path / "d.json", "--counts-per-dps", -1000, *left_out) == 0
+    assert "Do not" not in capsys.readouterr().out
+
+
 def test_a_figure_without_a_number_has_none_after_compensation_either(
     table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
