@@ -323,9 +323,9 @@ class _Likelihood:
         square = np.bincount(self.owner, squared, minlength=logs.size).astype(np.float64)
         # Below the diagonal the inverse, above it zeros.
         below = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0]
-        trace[self.dense] = 2.0 * self.halves @ below.T.ravel()
+        trace[self.dense] = 2.0 * (self.halves @ below.T.ravel())
         pulled = (self.halves.reshape(-1, self.left.size) @ weighted).reshape(-1, self.left.size)
-        square[self.dense] = 2.0 * pulled @ weighted
+        square[self.dense] = 2.0 * (pulled @ weighted)
         return value, np.exp(logs), trace, square
 
 
