@@ -55,6 +55,7 @@ class Said(Enum):
     MISSING_ROWS = auto()
     WHEEL_TURN = auto()
     ENCODERS_LATE = auto()
+    SAMPLES_OF_ROWS = auto()
     TURNS_INWARD = auto()
     BIAS_IN_MOTION = auto()
     BIAS_NO_REST = auto()

@@ -29,6 +29,8 @@ _TILT_STDS = 3.0
 _TILT = ("heading:2", "heading:3")
 #: A scale that the truth knows to less than this is said to be not testable: no maker is as far off.
 _KNOWN = 0.02
+#: A delay this near to half a row, of a row, is that of samples: thinned to one and two rows a second they were within it.
+_HALF_A_ROW = 0.2
 #: Noise above what the robot file says by more than this is no noise of that kind.
 _NOISY = 4.0
 #: Scales that make the same ratio of encoder turn to gyro turn.
@@ -216,6 +218,8 @@ def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
     parameters = {"amplitude": estimate(law.effect, value, std)}
     units = {p.name: p.unit for p in DRIVE_CATALOGUE[law.effect].parameters}
     parameters |= {n: _exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
+    if name == "delay" and _half_a_row(value, yaw.model.frame.series):
+        seen = Remark(Said.SAMPLES_OF_ROWS)
     if name == "delay" and yaw.window_s > 0:
         parameters["encoder_window_s"] = _exact(yaw.window_s, "s")
     return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
@@ -225,6 +229,12 @@ def _said(name: str, value: float) -> Remark | None:
     """What is said of a law of some size where it is named."""
     said = KINDS[name].said or (KINDS[name].said_below_zero if value < 0 else None)
     return None if said is None else Remark(said)
+
+
+def _half_a_row(delay_s: float, series: DriveSeries) -> bool:
+    """Whether the gyro is early by half a row, as its sample at the end of a row is of the mean over it."""
+    row_s = float(np.median(series.dt_s[1:]))
+    return abs(delay_s + 0.5 * row_s) < _HALF_A_ROW * row_s
 
 
 def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import missing_rows, uneven_clock
@@ -319,6 +320,27 @@ def test_ticks_of_each_wheel_are_told() -> None:
         counted = np.diff(np.round(np.cumsum(log.left_m) / tick_m), prepend=0.0) * tick_m
         # As a log in metres has it: rounded to a tenth of a micrometre.
         assert tick_size(np.round(counted, 7)) == pytest.approx(tick_m, rel=1e-4)
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_gyro_that_is_sampled_where_a_row_should_be_a_mean_is_told(resting: Robot, sampled: bool) -> None:
+    log = drive(Plan(shape="random", minutes=4.0), 3)
+    rows, every = log.t_s.size // 20, 20
+
+    def by_row(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return values[: rows * every].reshape(rows, every)
+
+    gyro = by_row(log.gyro_dps)
+    slow = replace(
+        cut(log, slice(every - 1, rows * every, every)),
+        left_m=by_row(log.left_m).sum(axis=1),
+        right_m=by_row(log.right_m).sum(axis=1),
+        gyro_dps=gyro[:, -1] if sampled else gyro.mean(axis=1),
+    )
+    told = [
+        e for e in diagnose_drive("drive.csv", slow, resting).diagnosis.effects if e.effect == "gyro_delay"
+    ]
+    assert [e.seen for e in told] == ([Remark(Said.SAMPLES_OF_ROWS)] if sampled else [])
 
 
 def test_gaps_and_jitter_are_found() -> None:
