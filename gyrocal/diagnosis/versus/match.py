@@ -12,7 +12,7 @@ from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.units import STDS_PER_MAD
+from gyrocal.units import RAD_TO_DEG, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,6 +28,8 @@ _IN_ORDER = 0.5
 _MOST_CELLS = 2e7
 #: A ramp or soak has a partner that takes as long, up to this share and so many seconds.
 _DURATION_SHARE, _DURATION_S = 0.05, 5.0
+#: Largest rates that differ by the factor of a unit, to this share, are in that unit.
+_SAME_UNIT = 0.15
 
 
 @dataclass(frozen=True)
@@ -143,8 +145,12 @@ def match(real: Series, simulated: Series) -> Match:
     if len(difference) < FEWEST_ROWS:
         raise DataError(
             f"{real.name} and {simulated.name}: {kept.size} of {len(a)} data sets of the recording have a partner in the "
-            f"simulation (the same rate, and a temperature within {_TEMP_C:g} °C), which is too little to compare. Simulate "
-            "the rates and temperatures of the recording."
+            f"simulation (the same rate, and a temperature within {_TEMP_C:g} °C), which is too little to compare. "
+            + (
+                "The rates of the simulation look like rad/s: write rates and outputs in deg/s."
+                if _in_radians(a.rate_dps, b.rate_dps)
+                else "Simulate the rates and temperatures of the recording."
+            )
         )
     temp = a.temp_c[lonely]
     return Match(
@@ -159,6 +165,12 @@ def match(real: Series, simulated: Series) -> Match:
         tuple(np.unique(np.round(a.rate_dps[lonely], 3)).tolist()),
         (float(temp.min()), float(temp.max())) if lonely.size else (),
     )
+
+
+def _in_radians(real_dps: Floats, simulated_dps: Floats) -> bool:
+    """Whether the simulation's rates are those of the recording in rad/s, by the largest of both."""
+    largest, simulated = float(np.max(np.abs(real_dps))), float(np.max(np.abs(simulated_dps)))
+    return abs(simulated * RAD_TO_DEG - largest) < _SAME_UNIT * largest
 
 
 def _sets_of(series: Series) -> _Sets:

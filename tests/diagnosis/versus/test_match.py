@@ -97,6 +97,14 @@ def test_what_does_not_overlap_is_refused() -> None:
         match(real(), other)
 
 
+def test_a_simulation_in_rad_per_s_is_told_as_that() -> None:
+    t, rate, temp = plan()
+    radians = np.radians(rate), np.radians(SURFACE.output_dps(rate, temp))
+    other = series_of_table(table("sim.csv", t, *radians, temp))
+    with pytest.raises(DataError, match="look like rad/s: write rates and outputs in deg/s"):
+        match(real(), other)
+
+
 def test_a_run_is_matched_row_by_row() -> None:
     """Sample run against itself ten seconds later: every row of every segment, ramps too, and nothing between them."""
     run = series_of(Path(__file__).parents[3] / "sample_data" / "run")
