@@ -50,6 +50,8 @@ _CANCELLED_NATS = 2.0
 _FIRST_NATS = 1.0
 #: Models of so many sets of laws are fitted beside smooth parts, and without the laws that those can stand for.
 _BESIDE_SMOOTH = 3
+#: Block of smooth shapes in temperature: they pay what a law pays.
+SHAPES = "temperature"
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
@@ -58,7 +60,7 @@ _SPREAD_NATS, _MOST_SPREAD = 2.5, 20
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model of a table: `score` is its negative log evidence with what its laws pay, nats."""
+    """A model of a table: `score` is its negative log evidence with what its laws and shapes pay, nats."""
 
     coil: Coil
     changes: tuple[Change, ...]
@@ -91,13 +93,19 @@ class TableSearch:
         """Laws beside the coil's lag."""
         return Changes(self.base.means, self.base.basis.frame)
 
-    def run(self) -> list[Candidate]:
-        """All models that were fitted, the best first."""
+    def run(self, near: Sequence[Candidate] = ()) -> list[Candidate]:
+        """All models that were fitted, the best first.
+
+        Parameters
+        ----------
+        near : models of another search that this one begins with, in place of coils of all kinds
+        """
         first = self.fit(None, (), None)
-        coils: list[Coil] = [None]
-        if np.ptp(self.base.means.series.history.temp_c) > 1.0:
+        coils: list[Coil] = [None, *dict.fromkeys(c.coil for c in near if c.coil is not None)]
+        if not near and np.ptp(self.base.means.series.history.temp_c) > 1.0:
             coils += [(a, tau) for tau in _FIRST_LAGS_S for a in _FIRST_SHARES]
         beam = [self.fit(None, (change,), first) for change in self.best_lasting(first)]
+        beam += [self.fit(c.coil, c.changes, first) for c in near]
         for coil in coils:
             alone = self.fit(coil, (), first)
             beam.append(alone)
@@ -113,6 +121,17 @@ class TableSearch:
         self._spread()
         return sorted(self.known.values(), key=lambda c: c.score)
 
+    def less_shapes(self) -> TableSearch:
+        """The search over models without smooth shapes in temperature, which compare with these.
+
+        Where each temperature comes once, a shape in temperature can follow any step and any memory, and beside it no
+        other law is seen.
+        """
+        shapes = [p.name for p in self.base.parts if p.block == SHAPES]
+        parts = tuple(p for p in self.base.parts if p.block != SHAPES)
+        base = replace(self.base.without(shapes), parts=parts)
+        return TableSearch(base, _contrasts={None: self._contrasts[None]})
+
     def beside_smooth(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """The best models, and those with their steps alone, beside smooth parts of temperature's history and of time.
 
@@ -122,10 +141,7 @@ class TableSearch:
         parts = [p for p in remembering(self.base.means) if all(c.rate == Factor() for c in p.columns)]
         if not parts:
             return []
-        of_laws: dict[object, Candidate] = {}
-        for c in ranked:
-            of_laws.setdefault((c.coil is None, frozenset(c.effects)), c)
-        chosen = {(c.coil, c.changes): c for c in [*of_laws.values()][:_BESIDE_SMOOTH]}
+        chosen = {(c.coil, c.changes): c for c in best_of_each(ranked)[:_BESIDE_SMOOTH]}
         for c in [*chosen.values()]:
             steps = tuple(change for change in c.changes if change.effect in STEPS)
             for key in ((None, steps), (c.coil, steps)):
@@ -273,6 +289,7 @@ class TableSearch:
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
         paid = _ODD_NATS * sum(not change.plain for change in changes)
+        paid += TOLL_NATS * any(p.block == SHAPES for p in self.base.parts)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
@@ -284,6 +301,14 @@ class TableSearch:
 def _best(candidates: list[Candidate]) -> list[Candidate]:
     different = {(c.coil, c.changes): c for c in candidates}
     return sorted(different.values(), key=lambda c: c.score)[:_BEAM]
+
+
+def best_of_each(ranked: Sequence[Candidate]) -> list[Candidate]:
+    """The best of each set of laws, with a coil's lag or without."""
+    found: dict[object, Candidate] = {}
+    for c in ranked:
+        found.setdefault((c.coil is None, frozenset(c.effects)), c)
+    return [*found.values()]
 
 
 def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:

@@ -8,10 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import REPLACED, errors_of_each_rate, present, settle_direction
-from gyrocal.diagnosis.coil import Candidate, TableSearch, averaged
+from gyrocal.diagnosis.blocks import (
+    ABSENT,
+    REPLACED,
+    errors_of_each_rate,
+    evidence,
+    present,
+    settle_direction,
+)
+from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, Candidate, TableSearch, averaged, best_of_each
 from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import Laws, laws_of
+from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming, name
@@ -25,6 +32,8 @@ Floats = NDArray[np.float64]
 
 #: Blocks that follow the temperature, and with it the order of the plan.
 _FOLLOWING = ("memory", "temperature")
+#: Models of a table that a search without shapes in temperature begins with.
+_BEGUN_WITH = 6
 #: Where the variances of smooth parts start a second time: low, so that what passes is tried first.
 _LOW_START = -9.0
 
@@ -105,6 +114,14 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     ranked = search.run()
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
+    smooth = search.beside_smooth(ranked)
+    shapes, plain = np.inf, list[Candidate]()
+    if evidence(ranked[0].fitted, SHAPES)[0] > ABSENT:
+        less = search.less_shapes()
+        plain = less.run(best_of_each(ranked)[:_BEGUN_WITH])
+        smooth = sorted([*smooth, *less.beside_smooth(plain)], key=lambda c: c.score)
+        shapes = plain[0].score - ranked[0].score + TOLL_NATS
+        ranked = sorted([*ranked, *plain], key=lambda c: c.score)
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
     drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
     first = ranked[0].fitted
@@ -112,8 +129,10 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
     settled, worth = present(settle_direction(best)[0])
     beside = replace(settled.model, components={**settled.model.components, **drifting})
-    naming, laws = name(settled.refit(beside), worth, laws)
-    smooth = search.beside_smooth(ranked)
+    # What models without shapes in temperature explain as well has no name.
+    bar = GAIN + 0.5 * np.log(sum(len(laws.trials(e)) for e in effects_of(SHAPES)) or 1)
+    sure = {b: nats for b, nats in worth.items() if b != SHAPES or shapes >= bar}
+    naming, laws = name(settled.refit(beside), sure, laws)
     both = sorted([*ranked, *smooth], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(both)) if joint else ()

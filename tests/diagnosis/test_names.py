@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.names import Named, Naming, still_there
 from gyrocal.diagnosis.table_series import series_of_table
@@ -160,3 +161,25 @@ def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() 
     assert low < 1.0 < high
     low, high = estimates["phase_rad_per_dps"].interval_95
     assert low < k < high
+
+
+def test_what_the_bias_remembers_is_no_shape_in_temperature_where_each_comes_once() -> None:
+    """A hysteresis without corners, no play: a cubic in temperature follows it nearly as well as laws of memory do."""
+    rng = np.random.default_rng(0)
+    rates = np.array([0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0])
+    soaks = [39.0, 6.0, 50.0, -5.0, 28.0, 17.0]
+    state, states, before = 0.0, [], soaks[0]
+    for soak in soaks:
+        way = np.linspace(before, soak, 50)
+        for t, step in zip(way[1:], np.diff(way), strict=True):
+            state += 0.13 * abs(step) * (np.tanh((t - 12.0) / 19.0) - state)
+        states.append(state)
+        before = soak
+    temp, rate = np.repeat(soaks, rates.size), np.tile(rates, len(soaks))
+    error = 0.02 + 3e-5 * rate + 4e-3 * (temp - 20.0) / 30.0 + 5e-3 * np.repeat(states, rates.size)
+    error += 3e-4 * rng.standard_normal(rate.size)
+    temp += 0.05 * rng.standard_normal(rate.size)
+    t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
+    found = examine(series_of_table(DataSetTable(Path("soaks.csv"), rate, rate + error, temp, t_s=t_s)), 0.01)
+    assert not found.naming.named
+    assert found.naming.unnamed["temperature"] > GAIN, "it is modelled all the same"
