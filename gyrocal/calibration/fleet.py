@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -164,7 +164,8 @@ def measure_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> Fl
     if len(config.recordings) < 2:
         raise DataError("One recording is given, and a fleet has two at least: give more, or use `fit`.")
     refuse_twice(config.recordings)
-    each = configs(config.recordings, config.counts_per_dps)
+    # One set of terms for all: where each unit has those that predict it best, equal units have unlike coefficients.
+    each = [replace(one, paper=True) for one in configs(config.recordings, config.counts_per_dps)]
     with _workers(config) as executor:
         return compare_units(list(measure_all(config.recordings, each, executor, tell)))
 

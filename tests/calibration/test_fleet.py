@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.calibrate import FitConfig
-from gyrocal.calibration.fleet import Unit, compare_units, measure_all, rosner
+from gyrocal.calibration.fleet import (
+    FleetConfig,
+    Unit,
+    compare_units,
+    measure,
+    measure_all,
+    measure_fleet,
+    rosner,
+)
 from gyrocal.errors import DataError
+from gyrocal.physics.surface import Surface
 from tests.report.examples import SURFACE
 
 
@@ -79,18 +88,30 @@ def test_a_recording_that_cannot_be_fitted_does_not_stop_the_others(tmp_path: Pa
     assert {s.figure for s in fleet.spreads} >= {"c00 [deg/s]", "residual_rms [deg/h]"}
 
 
+def test_units_are_compared_in_the_same_terms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before: each in those that predict it best, so that 310 of 400 fleets of ten equal units had one out of line."""
+    few = Surface(
+        np.array([[0.02, 0.01, 0.0], [-1.0, 0.3, 0.0], [0.0] * 3, [0.0] * 3]), 0.0, 100.0, 20.0, 30.0
+    )
+    paths = [write_table(tmp_path / f"unit{seed}.csv", seed, few) for seed in (1, 2)]
+    assert any(0.0 in [x for x, _ in measure(path, FitConfig()).figures.values()] for path in paths)
+    monkeypatch.setattr("gyrocal.calibration.fleet._workers", lambda config: ThreadPoolExecutor(1))
+    for unit in measure_fleet(FleetConfig(tuple(paths)), lambda share, what: None).units:
+        assert 0.0 not in [x for x, _ in unit.figures.values()]
+
+
 def test_no_recording_that_can_be_fitted_is_an_error() -> None:
     with pytest.raises(DataError, match="None of the 1 recordings can be fitted; the first says: broken"):
         compare_units([Unit("a", "", "", "", {}, "broken")])
 
 
-def write_table(path: Path, seed: int) -> Path:
+def write_table(path: Path, seed: int, surface: Surface = SURFACE) -> Path:
     """A table of data sets of a gyro near `SURFACE`."""
     rng = np.random.default_rng(seed)
     temps = np.repeat([-10.0, 10, 30, 50, 40, 20, 0], 11)
     rates = np.concatenate([rng.permutation(np.linspace(-100, 100, 11)) for _ in range(7)])
     temps = temps + rng.normal(0, 0.1, temps.size)
-    gyro = SURFACE.output_dps(rates, temps) + rng.normal(0, 1e-3, rates.size)
+    gyro = surface.output_dps(rates, temps) + rng.normal(0, 1e-3, rates.size)
     rows = [
         f"{w:.4f},{g:.6f},{t:.3f},{30 * k}"
         for k, (w, g, t) in enumerate(zip(rates, gyro, temps, strict=True))
