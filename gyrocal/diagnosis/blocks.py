@@ -13,7 +13,7 @@ from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.inference.additive import Component
 
 #: Blocks whose removal costs less, nats, are not there.
-ABSENT = 2.5
+_ABSENT = 2.5
 #: What is simpler stands for what it replaces where it explains no worse than by this, nats.
 REPLACED = 2.0
 #: Blocks that a wrong direction of the surface looks like.
@@ -118,12 +118,12 @@ def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str,
     """The model less the blocks that are not there, and what each of the others is worth."""
     while True:
         found = {b: evidence(fitted, b, laws) for b in sorted(set(fitted.model.blocks.values()))}
-        weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < ABSENT)
+        weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
         if not weak:
             return around_itself(fitted), {b: gain for b, (gain, _) in found.items()}
         # The weakest at once, so that one of two that share a pattern stays.
         fitted = found[weak[0][1]][1]
         for _, block in weak[1:]:
             gain, without = evidence(fitted, block, laws)
-            if gain < ABSENT:
+            if gain < _ABSENT:
                 fitted = without

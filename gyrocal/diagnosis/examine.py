@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import (
-    ABSENT,
     REPLACED,
     errors_of_each_rate,
     evidence,
@@ -115,12 +114,12 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
     smooth = search.beside_smooth(ranked)
-    shapes, plain = np.inf, list[Candidate]()
-    if evidence(ranked[0].fitted, SHAPES)[0] > ABSENT:
+    shapes = evidence(ranked[0].fitted, SHAPES)[0]
+    if shapes > GAIN:
         less = search.less_shapes()
         plain = less.run(best_of_each(ranked)[:_BEGUN_WITH])
         smooth = sorted([*smooth, *less.beside_smooth(plain)], key=lambda c: c.score)
-        shapes = plain[0].score - ranked[0].score + TOLL_NATS
+        shapes = min(shapes, plain[0].score - ranked[0].score + TOLL_NATS)
         ranked = sorted([*ranked, *plain], key=lambda c: c.score)
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
     drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
