@@ -200,7 +200,7 @@ def _write_versus(
     found = replace(answer.diagnosis, surface=None, improved=None, notes=(*said, *answer.diagnosis.notes))
     drawn = figures(found)
     provenance = _provenance(config) | {"coefficients": "none", "simulation": simulation.name}
-    files |= diagnosis_files(found, drawn, provenance, progress, more)
+    files |= diagnosis_files(found, drawn, provenance, progress, more, said[0])
     write_directory(config.out, files)
     progress(1.0, "")
     return DiagnoseResult(found, config.out, tuple(files), said, tuple(more))
@@ -252,8 +252,9 @@ def diagnosis_files(
     provenance: Mapping[str, str],
     progress: Progress,
     more: Sequence[Table] = (),
+    verdict: str = "",
 ) -> dict[str, bytes | str]:
-    """Name to contents of everything that a diagnosis writes; `more`: tables that stand first on the page."""
+    """Name to contents of everything that a diagnosis writes; `more` and `verdict` as of `diagnosis_page`."""
     files: dict[str, bytes | str] = {
         "diagnosis.json": json.dumps(document(diagnosis), indent=1, sort_keys=True, allow_nan=False) + "\n"
     }
@@ -272,7 +273,7 @@ def diagnosis_files(
         png = style.render(figure, "png")
         files[f"figures/{picture.name}.png"] = png
         pictures.append(replace(picture, png=png))
-    files["diagnosis.html"] = diagnosis_page(diagnosis, pictures, provenance, more)
+    files["diagnosis.html"] = diagnosis_page(diagnosis, pictures, provenance, more, verdict)
     return files
 
 

@@ -133,14 +133,22 @@ def diagnosis_page(
     pictures: Sequence[Picture],
     provenance: Mapping[str, str],
     more: Sequence[Table] = (),
+    verdict: str = "",
 ) -> str:
-    """HTML of the diagnosis, self-contained; `more`: tables that stand first."""
+    """HTML of the diagnosis, self-contained.
+
+    Parameters
+    ----------
+    more : tables that stand first
+    verdict : what stands above all, where it is not the diagnosis's own
+    """
+    verdict = verdict or verdict_sentence(diagnosis)
     # The verdict stands above them, and what cannot be tested has its table at the end.
-    elsewhere = {verdict_sentence(diagnosis), *not_testable_sentences(diagnosis)}
+    elsewhere = {verdict, *not_testable_sentences(diagnosis)}
     remarks = [s for s in plain_sentences(diagnosis) if s not in elsewhere]
     page = Page(
         title=f"Diagnosis of {diagnosis.recording}",
-        verdict=verdict_sentence(diagnosis),
+        verdict=verdict,
         key_figures=_key_figures(diagnosis),
         remarks=remarks,
         pictures=pictures,

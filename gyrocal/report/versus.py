@@ -34,14 +34,13 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
 
 
 def told(found: Versus) -> tuple[str, ...]:
-    """The answer in sentences: partners, clocks, what the law brings."""
-    sentences = _partners(found.match)
+    """The answer in sentences: what the law brings, partners, clocks."""
+    sentences = ["The data sets are too few to leave some out; whether the law helps is not known."]
+    if found.comparison is not None:
+        sentences = [_gain(found.comparison)]
+    sentences += _partners(found.match)
     if found.match.clock is not None:
         sentences.append(_clock(found.match.clock))
-    if found.comparison is None:
-        sentences.append("The data sets are too few to leave some out; whether the law helps is not known.")
-    else:
-        sentences.append(_gain(found.comparison))
     return tuple(sentences)
 
 

@@ -49,6 +49,9 @@ def test_it_says_who_was_matched_and_what_the_law_brings(answered: tuple[Path, R
         "156 of 156 data sets have a partner in the simulation, matched by rate, temperature, order and time"
         in said.stdout
     )
+    assert said.stdout.lstrip("- ").startswith("Left out, 156 data sets differ from the simulation by")
+    page = (out / "diagnosis.html").read_text(encoding="utf-8")
+    assert page.partition('class="verdict')[2].partition(">")[2].startswith("Left out, 156 data sets differ")
     assert "clock is 30.000 ± 0.000 s ahead of the recording's" in said.stdout
     assert "scale_asymmetry" in said.stdout
     law = json.loads((out / "law.json").read_text(encoding="utf-8"))
