@@ -50,7 +50,7 @@ _CANCELLED_NATS = 2.0
 _FIRST_NATS = 1.0
 #: Models of so many sets of laws are fitted beside smooth parts, and without the laws that those can stand for.
 _BESIDE_SMOOTH = 3
-#: Block of smooth shapes in temperature: they pay what a law pays.
+#: Block of smooth shapes in temperature.
 SHAPES = "temperature"
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
@@ -60,7 +60,7 @@ _SPREAD_NATS, _MOST_SPREAD = 2.5, 20
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model of a table: `score` is its negative log evidence with what its laws and shapes pay, nats."""
+    """A model of a table: `score` is its negative log evidence with what its laws pay, nats."""
 
     coil: Coil
     changes: tuple[Change, ...]
@@ -289,7 +289,6 @@ class TableSearch:
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
         paid = _ODD_NATS * sum(not change.plain for change in changes)
-        paid += TOLL_NATS * any(p.block == SHAPES for p in self.base.parts)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.blocks import (
     REPLACED,
     errors_of_each_rate,
-    evidence,
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, Candidate, TableSearch, averaged, best_of_each
+from gyrocal.diagnosis.coil import SHAPES, Candidate, TableSearch, averaged, best_of_each
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
@@ -113,14 +112,6 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     ranked = search.run()
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
-    smooth = search.beside_smooth(ranked)
-    shapes = evidence(ranked[0].fitted, SHAPES)[0]
-    if shapes > GAIN:
-        less = search.less_shapes()
-        plain = less.run(best_of_each(ranked)[:_BEGUN_WITH])
-        smooth = sorted([*smooth, *less.beside_smooth(plain)], key=lambda c: c.score)
-        shapes = min(shapes, plain[0].score - ranked[0].score + TOLL_NATS)
-        ranked = sorted([*ranked, *plain], key=lambda c: c.score)
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
     drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
     first = ranked[0].fitted
@@ -128,14 +119,26 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
     settled, worth = present(settle_direction(best)[0])
     beside = replace(settled.model, components={**settled.model.components, **drifting})
-    # What models without shapes in temperature explain as well has no name.
-    bar = GAIN + 0.5 * np.log(sum(len(laws.trials(e)) for e in effects_of(SHAPES)) or 1)
-    sure = {b: nats for b, nats in worth.items() if b != SHAPES or shapes >= bar}
-    naming, laws = name(settled.refit(beside), sure, laws)
+    naming, laws = name(settled.refit(beside), _beyond_doubt(worth, search, ranked, laws), laws)
+    smooth = search.beside_smooth(ranked)
     both = sorted([*ranked, *smooth], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(both)) if joint else ()
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth), aside)
+
+
+def _beyond_doubt(
+    worth: Mapping[str, float], search: TableSearch, ranked: Sequence[Candidate], laws: Laws
+) -> dict[str, float]:
+    """The blocks that may have a name: of shapes in temperature beside other laws, what laws alone do not explain as well."""
+    best = ranked[0]
+    if SHAPES not in worth or not (best.coil or best.changes):
+        return dict(worth)
+    least = GAIN + 0.5 * np.log(max(1, sum(len(laws.trials(e)) for e in effects_of(SHAPES))))
+    shapes = worth[SHAPES]
+    if shapes > least:
+        shapes = search.less_shapes().run(best_of_each(ranked)[:_BEGUN_WITH])[0].score - best.score
+    return {block: nats for block, nats in worth.items() if block != SHAPES or shapes > least}
 
 
 def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple[Fitted, list[Jump]]:
