@@ -29,7 +29,8 @@ _TILT_STDS = 3.0
 _TILT = ("heading:2", "heading:3")
 #: A scale that the truth knows to less than this is said to be not testable: no maker is as far off.
 _KNOWN = 0.02
-#: A delay this near to half a row, of a row, is that of samples: thinned to one and two rows a second they were within it.
+#: A delay this near to half a row, of a row, may be that of samples: drives thinned to one and two rows a second came within
+#: 0.1, a noisier one within 0.2. How often a true delay falls there was not measured.
 _HALF_A_ROW = 0.2
 #: Noise above what the robot file says by more than this is no noise of that kind.
 _NOISY = 4.0
