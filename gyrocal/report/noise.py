@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
@@ -17,6 +18,9 @@ from gyrocal.records.output import check_output, write_directory
 from gyrocal.report import style
 from gyrocal.report.figures_noise import allan_deviation
 from gyrocal.units import DPS_TO_DPH, S_PER_H, plural
+
+#: Neighbouring means of the course that are so many times as far apart as is usual have a gap between them.
+_GAP = 3.0
 
 
 def examine_noise(
@@ -77,11 +81,18 @@ def course_of(course: Course) -> Picture:
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.0)
     axes = figure.add_subplot()
     hours = (course.t_s - course.t_s[0]) / S_PER_H
-    axes.plot(hours, course.gyro_dps * DPS_TO_DPH, color=style.BLUE, linewidth=0.8, label="output")
+    # Where the gyro did not stand nothing is known: no line goes across.
+    apart = np.diff(hours)
+    gaps = np.flatnonzero(apart > _GAP * np.median(apart)) + 1 if apart.size else np.empty(0, dtype=np.int64)
+    hours = np.insert(hours, gaps, np.nan)
+    drawn: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 1.5}
+    output_dph = np.insert(course.gyro_dps * DPS_TO_DPH, gaps, np.nan)
+    axes.plot(hours, output_dph, color=style.BLUE, label="output", **drawn)
     axes.set_xlabel("Time, h")
     axes.set_ylabel("Output, deg/h")
     if np.isfinite(course.temp_c).any():
         beside = axes.twinx()
-        beside.plot(hours, course.temp_c, color=style.ORANGE, linewidth=0.8, label="temperature")
+        temp_c = np.insert(course.temp_c, gaps, np.nan)
+        beside.plot(hours, temp_c, color=style.ORANGE, label="temperature", **drawn)
         beside.set_ylabel("Temperature, °C")
     return figure
