@@ -39,13 +39,8 @@ def command(
 
     Example: gyrocal certify run1 run2 run3 --out certificate
     """
-    from gyrocal.report.certificate import (
-        CertifyConfig,
-        certificate_sentence,
-        figure_rows,
-        to_json,
-        write_certificate,
-    )
+    from gyrocal.commands.certify import CertifyConfig, write_certificate
+    from gyrocal.report.certificate import certificate_sentence, figure_rows, to_json
 
     with progress("certify", quiet=as_json) as tell:
         dossier = write_certificate(CertifyConfig(runs, out, limits, counts_per_dps, pdf), tell)

@@ -65,7 +65,8 @@ def command(
     Example: gyrocal noise still.csv --latitude 42.3 --out noise
     """
     from gyrocal.calibration.static import StaticConfig
-    from gyrocal.report.noise import examine_noise, noise_rows, noise_sentences
+    from gyrocal.commands.noise import examine_noise
+    from gyrocal.report.noise import noise_rows, noise_sentences
 
     config = StaticConfig(record, latitude, elevation, azimuth, rate_hz, choice)
     with progress("noise", quiet=as_json) as tell:

@@ -39,7 +39,7 @@ def command(
 
     Example: gyrocal report run --coefficients fog.json --out report
     """
-    from gyrocal.report.build import ReportConfig, write_report
+    from gyrocal.commands.report import ReportConfig, write_report
 
     config = ReportConfig(recording, coefficients, out, counts_per_dps, force_sensor)
     with progress("report", quiet=as_json) as tell:

@@ -42,7 +42,8 @@ def command(
 
     Example: gyrocal turn turns.csv --mark-deg 360
     """
-    from gyrocal.report.turns import examine_turns, turn_rows, turn_sentence, write_turns
+    from gyrocal.commands.turn import examine_turns, write_turns
+    from gyrocal.report.turns import turn_rows, turn_sentence
 
     report = examine_turns(log, mark_deg, choice)
     if out is not None:

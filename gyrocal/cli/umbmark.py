@@ -40,7 +40,8 @@ def command(runs: Path, robot: Path, side_m: float, seed: int, as_json: bool) ->
     """
     from dataclasses import asdict
 
-    from gyrocal.report.turns import examine_squares, square_rows
+    from gyrocal.commands.turn import examine_squares
+    from gyrocal.report.turns import square_rows
 
     found = examine_squares(runs, robot, side_m, seed)
     if as_json:

@@ -12,11 +12,12 @@ from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.bench.watching import Progress as BenchProgress
 from gyrocal.calibration.calibrate import FitConfig, calibrate
 from gyrocal.commands.replay import ReplayRequest, replay_to_directory
+from gyrocal.commands.report import ReportConfig, write_report
 from gyrocal.navigation.drives import DriveRequest, simulate_to_directory
 from gyrocal.physics.gyro import rd2100_unit
 from gyrocal.records.files import write_atomically
 from gyrocal.records.output import check_output
-from gyrocal.report.build import ReportConfig, ReportResult, write_report
+from gyrocal.report.build import ReportResult
 from gyrocal.report.truth import TruthComparison, compare_with_truth
 
 #: Share done, 0 to 1, and what is being done.

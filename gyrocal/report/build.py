@@ -9,26 +9,14 @@ from typing import Any
 import numpy as np
 
 import gyrocal
+from gyrocal.calibration.material import Material, Progress
 from gyrocal.calibration.residuals import ALARM_RATE
-from gyrocal.records.output import check_output, write_directory
 from gyrocal.report import tables
 from gyrocal.report.drawings import DRAWINGS
-from gyrocal.report.gather import Material, Progress, gather
 from gyrocal.report.page import Page, Picture, Table, render_page
-from gyrocal.report.scatter import scatter_statements
+from gyrocal.report.scatter import scatter_statements, signed_scatter
 from gyrocal.report.style import render
 from gyrocal.units import DPS_TO_DPH, plural
-
-
-@dataclass(frozen=True)
-class ReportConfig:
-    """What to draw, with what, and where to write it."""
-
-    recording: Path
-    coefficients: Path
-    out: Path
-    counts_per_dps: float | None = None
-    force_sensor: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,18 +48,10 @@ class ReportResult:
         }
 
 
-def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
-    """Draw everything that the recording carries and write it to ``config.out``.
-
-    Raises
-    ------
-    InputError, DataError, CoefficientError, OutputError
-        Nothing is written then.
-    """
-    check_output(config.out)
-    material = gather(
-        config.recording, config.coefficients, config.counts_per_dps, config.force_sensor, progress
-    )
+def report_files(
+    material: Material, out: Path, progress: Progress
+) -> tuple[ReportResult, dict[str, bytes | str]]:
+    """Draw everything that the recording carries: the result, and name to contents of what goes to `out`."""
     pictures: list[Picture] = []
     files: dict[str, bytes | str] = {}
     for number, drawing in enumerate(DRAWINGS):
@@ -87,11 +67,9 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
     page = _page(material, pictures)
     files |= {f"tables/{table.name}.csv": table.csv for table in [*page.lead, *page.tables]}
     files["report.html"] = render_page(page)
-    write_directory(config.out, files)
-    progress(1.0, "")
     data = material.data
-    return ReportResult(
-        out=config.out,
+    result = ReportResult(
+        out=out,
         verdict=page.verdict,
         before_dps=material.before_dps,
         after_dps=material.after_dps,
@@ -101,6 +79,7 @@ def write_report(config: ReportConfig, progress: Progress) -> ReportResult:
         missing=tuple((p.name, p.missing) for p in pictures if not p.png),
         remarks=(*page.remarks, *(f"Note: {note}" for note in page.quality)),
     )
+    return result, files
 
 
 def _page(m: Material, pictures: list[Picture]) -> Page:
@@ -191,8 +170,9 @@ def _tables(m: Material) -> list[Table]:
         tables.data_set_table(m.recording.source, data),
         tables.residual_table(data, m.reasons),
     ]
-    if m.signed is not None:
-        found.append(tables.scatter_table(m.signed, m.tested))
+    signed = signed_scatter(m.data)
+    if signed is not None:
+        found.append(tables.scatter_table(signed, m.tested))
     if m.noise.points:
         found.append(tables.allan_table(m.noise))
     return found

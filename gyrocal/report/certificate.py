@@ -6,18 +6,14 @@ import json
 import logging
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gyrocal
-from gyrocal.calibration.calibrate import configs
-from gyrocal.calibration.dossier import Dossier, Row, compile_dossier, read_limits, unit_run
+from gyrocal.calibration.dossier import Dossier, Row
+from gyrocal.calibration.material import Material
 from gyrocal.calibration.summary import said, verdict
 from gyrocal.errors import InputError
-from gyrocal.records.output import check_output, write_directory
 from gyrocal.report.drawings import DRAWINGS
-from gyrocal.report.gather import examine
 from gyrocal.report.page import Page, Picture, Table, Tone, render_page
 from gyrocal.report.style import render
 
@@ -25,55 +21,23 @@ from gyrocal.report.style import render
 _SHOWN = ("figure_1", "figure_3b", "residual_map", "allan_deviation")
 
 
-@dataclass(frozen=True)
-class CertifyConfig:
-    """Runs of one unit in the order in which they were made, limits, and where to write."""
-
-    runs: tuple[Path, ...]
-    out: Path
-    limits: Path | None = None
-    counts_per_dps: float | None = None
-    pdf: bool = False
-
-
-def write_certificate(config: CertifyConfig, tell: Callable[[float, str], None]) -> Dossier:
-    """Fit every run, compile the dossier, write it to ``config.out``.
-
-    Raises
-    ------
-    InputError, DataError, ProfileError, OutputError
-        Nothing is written then.
-    """
-    check_output(config.out)
-    limits = read_limits(config.limits) if config.limits else {}
-    runs = []
-    each = configs(config.runs, config.counts_per_dps)
-    for number, (path, how) in enumerate(zip(config.runs, each, strict=True)):
-        tell(0.7 * number / len(config.runs), path.name)
-        runs.append(unit_run(path, how))
-    dossier = compile_dossier(runs, limits, str(config.limits))
-    tell(0.75, "pictures")
-    pictures = _pictures(dossier)
-    text = render_page(certificate_page(dossier, pictures))
+def certificate_files(
+    dossier: Dossier, newest: Material, pdf: bool, tell: Callable[[float, str], None]
+) -> dict[str, bytes | str]:
+    """Name to contents of what is written; `newest` is the newest run with its own coefficients."""
+    text = render_page(certificate_page(dossier, _pictures(newest)))
     files: dict[str, bytes | str] = {
         "certificate.html": text,
         "certificate.json": json.dumps(to_json(dossier), indent=1) + "\n",
         "coefficients.json": dossier.runs[-1].calibration.coefficients.to_text(),
     }
-    if config.pdf:
+    if pdf:
         tell(0.9, "PDF")
         files["certificate.pdf"] = _pdf(text)
-    write_directory(config.out, files)
-    tell(1.0, "")
-    return dossier
+    return files
 
 
-def _pictures(dossier: Dossier) -> list[Picture]:
-    """Pictures of the newest run with its own coefficients."""
-    newest = dossier.runs[-1].calibration
-    material = examine(
-        newest.recording, newest.coefficients, newest.fit.scatter, False, lambda share, what: None
-    )
+def _pictures(material: Material) -> list[Picture]:
     pictures = []
     for drawing in DRAWINGS:
         if drawing.name in _SHOWN:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
+from gyrocal.calibration.material import Material
 from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run
-from gyrocal.report.gather import Material
+from gyrocal.report.scatter import signed_scatter
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,10 @@ def _over_rate(draw: Callable[[Material], Figure]) -> Callable[[Material], Figur
 
 
 def _scatter(m: Material) -> Figure | str:
-    if m.signed is None:
+    signed = signed_scatter(m.data)
+    if signed is None:
         return "No three rates were measured four times or more: scatter cannot be told from shape."
-    return figures_residual.scatter_figure(m.signed, m.tested)
+    return figures_residual.scatter_figure(signed, m.tested)
 
 
 def _allan(m: Material) -> Figure | str:

@@ -10,9 +10,9 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
+from gyrocal.calibration.corrected import Examined
 from gyrocal.physics.surface import Surface
 from gyrocal.report import style
-from gyrocal.report.data import Examined
 from gyrocal.report.levels import Floats, Level, levels
 from gyrocal.units import DPS_TO_DPH
 

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from gyrocal.calibration.corrected import Floats
 from gyrocal.calibration.figure import Interval
 from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.report import style
-from gyrocal.report.data import Floats
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH
 
 #: Flat part of the Allan deviation over the bias instability B: sqrt(2 ln 2 / pi) (IEEE 952, annex C).

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from gyrocal.calibration.corrected import Examined
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.report import style
-from gyrocal.report.data import Examined
 from gyrocal.report.levels import Floats, Level, cell_edges, levels
 from gyrocal.report.scatter import TREND_RATES, SignedScatter, odd_rates, usual_trend
 from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H

@@ -8,10 +8,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from gyrocal.calibration.corrected import Floats, Timeline
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.surface import SHAPE
 from gyrocal.report import style
-from gyrocal.report.data import Floats, Timeline
 from gyrocal.units import S_PER_H
 
 _FILLS = {"unsettled": (style.ORANGE, 0.25, "///"), "failed": ("#444444", 0.35, "xxx")}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +10,8 @@ from matplotlib.figure import Figure as Picture
 
 from gyrocal.calibration.course import Course
 from gyrocal.calibration.figure import Figure
-from gyrocal.calibration.static import StaticConfig, StaticFigures, examine_static
+from gyrocal.calibration.static import StaticFigures
 from gyrocal.calibration.summary import said
-from gyrocal.records.output import check_output, write_directory
 from gyrocal.report import style
 from gyrocal.report.figures_noise import allan_deviation
 from gyrocal.units import DPS_TO_DPH, S_PER_H, plural
@@ -23,31 +20,16 @@ from gyrocal.units import DPS_TO_DPH, S_PER_H, plural
 _GAP = 3.0
 
 
-def examine_noise(
-    config: StaticConfig, out: Path | None, progress: Callable[[float, str], None]
-) -> StaticFigures:
-    """Examine a record, and write what was found to `out` if it is given.
-
-    Raises
-    ------
-    InputError, DataError, OutputError
-        Nothing is written then.
-    """
-    if out is not None:
-        check_output(out)
-    found = examine_static(config, progress)
-    if out is not None:
-        progress(0.9, "pictures")
-        files: dict[str, bytes | str] = {
-            "noise.json": json.dumps(found.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n",
-            "course.png": style.render(course_of(found.course), "png"),
-        }
-        if found.noise.points:
-            files["allan_deviation.png"] = style.render(allan_deviation(found.noise), "png")
-            files["allan_deviation.svg"] = style.render(allan_deviation(found.noise), "svg")
-        write_directory(out, files)
-    progress(1.0, "")
-    return found
+def noise_files(found: StaticFigures) -> dict[str, bytes | str]:
+    """Name to contents of what `gyrocal noise --out` writes."""
+    files: dict[str, bytes | str] = {
+        "noise.json": json.dumps(found.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n",
+        "course.png": style.render(course_of(found.course), "png"),
+    }
+    if found.noise.points:
+        files["allan_deviation.png"] = style.render(allan_deviation(found.noise), "png")
+        files["allan_deviation.svg"] = style.render(allan_deviation(found.noise), "svg")
+    return files
 
 
 def noise_rows(found: StaticFigures) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from gyrocal.calibration.corrected import Examined, Floats
 from gyrocal.calibration.residuals import ALARM_RATE, ScatterByRate
-from gyrocal.report.data import Examined, Floats
 from gyrocal.report.levels import levels
 
 #: Data sets at one rate below which its scatter is not estimated.

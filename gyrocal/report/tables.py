@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.corrected import Examined, Floats
 from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.fusion.coefficients import Coefficients, Noise
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.datasets import DataSetTable, format_data_sets
-from gyrocal.report.data import Examined, Floats
 from gyrocal.report.levels import levels
 from gyrocal.report.page import Table
 from gyrocal.report.scatter import SignedScatter

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,18 +11,12 @@ from matplotlib.figure import Figure
 
 from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.turns import Figure as Figured
-from gyrocal.calibration.turns import Floats, TurnCalibration, calibrate_turns
-from gyrocal.errors import DataError, InputError
-from gyrocal.navigation.umbmark import Umbmark, umbmark
-from gyrocal.records.csvio import read_columns, read_header, require_columns
-from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
-from gyrocal.records.output import check_output, write_directory
-from gyrocal.records.robot import read_robot
+from gyrocal.calibration.turns import Floats, TurnCalibration
+from gyrocal.navigation.umbmark import Umbmark
 from gyrocal.report import style
 from gyrocal.units import plural
 
 _CURVE_POINTS = 6000
-_SQUARES = ("direction", "x_m", "y_m")
 
 
 @dataclass(frozen=True)
@@ -38,38 +31,6 @@ class TurnReport:
     def to_json(self) -> dict[str, Any]:
         """``gyrocal-turns/1``."""
         return {"schema": "gyrocal-turns/1", **asdict(self.found), "notes": list(self.notes)}
-
-
-def examine_turns(log: Path, mark_deg: float, choice: GyroChoice | None = None) -> TurnReport:
-    """Read a log of samples and calibrate by its turns.
-
-    Raises
-    ------
-    InputError, DataError
-        A log that cannot be read, or without three turns between rests.
-    """
-    blocks = list(iterate_gyro_log(log, choice))
-    numbers = np.concatenate([np.full(len(b), b.segment) for b in blocks])
-    t_s, gyro = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("t_s", "gyro_dps"))
-    notes = [note for block in blocks for note in block.notes]
-    longest = np.bincount(numbers).argmax()
-    if np.any(numbers != longest):
-        beyond = int(np.count_nonzero(numbers != longest))
-        notes.append(
-            plural(beyond, f"{beyond} [sample|samples] beyond a step of the clock [is|are] left out")
-        )
-    missing = ~np.isfinite(gyro)
-    if np.any(missing & (numbers == longest)):
-        empty = int(np.count_nonzero(missing & (numbers == longest)))
-        notes.append(plural(empty, f"{empty} empty [sample is|samples are] bridged by the next one"))
-    use = (numbers == longest) & ~missing
-    if np.count_nonzero(use) < 2:
-        raise DataError(f"{log}: has no samples to look for turns in.")
-    try:
-        found = calibrate_turns(t_s[use], gyro[use], mark_deg)
-    except DataError as error:
-        raise DataError(f"{log}: {error}") from error
-    return TurnReport(found, t_s[use], gyro[use], tuple(notes))
 
 
 def turn_sentence(found: TurnCalibration) -> str:
@@ -105,16 +66,14 @@ def turn_rows(found: TurnCalibration) -> tuple[tuple[str, ...], list[tuple[str, 
     return ("from s", "to s", "gyro deg", "true deg", "fastest deg/s", ""), rows
 
 
-def write_turns(report: TurnReport, out: Path) -> None:
-    """JSON and picture into the new directory `out`."""
-    check_output(out)
+def turn_files(report: TurnReport) -> dict[str, bytes | str]:
+    """Name to contents of what `gyrocal turn --out` writes."""
     figure = turn_picture(report)
-    files: dict[str, bytes | str] = {
+    return {
         "turns.json": json.dumps(report.to_json(), indent=1) + "\n",
         "turns.png": style.render(figure, "png"),
         "turns.svg": style.render(figure, "svg"),
     }
-    write_directory(out, files)
 
 
 @style.styled
@@ -148,32 +107,6 @@ def turn_picture(report: TurnReport) -> Figure:
     below.set_xlabel("true angle of the turn, deg (counter-clockwise positive)")
     below.set_ylabel("gyro less true, deg")
     return figure
-
-
-def examine_squares(runs: Path, robot: Path, side_m: float, seed: int) -> Umbmark:
-    """Read return errors and correct the robot file's figures.
-
-    Parameters
-    ----------
-    runs : CSV with ``direction, x_m, y_m``: +1 counter-clockwise, -1 clockwise; measured less believed end position
-
-    Raises
-    ------
-    InputError, ProfileError, DataError
-        A file that cannot be read, another direction, or too few runs.
-    """
-    header = read_header(runs)
-    require_columns(runs, header, _SQUARES, _SQUARES)
-    table = read_columns(runs, header)
-    points = np.column_stack([table["x_m"], table["y_m"]])
-    for row, values in enumerate(np.column_stack([table["direction"], points])):
-        if abs(values[0]) != 1.0 or not np.isfinite(values).all():
-            shown = ", ".join(f"{v:g}" for v in values)
-            raise InputError(
-                f"{runs}, line {row + 2}: holds {shown}; wanted are a direction of 1 or -1 and two distances in metres."
-            )
-    ccw = table["direction"] > 0
-    return umbmark(points[~ccw], points[ccw], side_m, read_robot(robot).wheel_separation_m, seed)
 
 
 def square_rows(found: Umbmark) -> list[tuple[str, str, str, str]]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.corrected import Examined
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.physics.surface import Surface
-from gyrocal.report.data import Examined
 
 Floats = NDArray[np.float64]
 

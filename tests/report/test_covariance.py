@@ -8,9 +8,9 @@ import numpy as np
 
 from gyrocal.calibration.covariance import projection
 from gyrocal.calibration.fit import fit_surface
+from gyrocal.calibration.material import residual_covariance
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.report.figures_residual import level_means
-from gyrocal.report.gather import residual_covariance
 from gyrocal.report.levels import levels
 from gyrocal.units import NORMAL_95
 from tests.report.examples import SURFACE, grid

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Path3DCollection
 
 from gyrocal.calibration import figure
+from gyrocal.calibration.corrected import Span, Timeline
 from gyrocal.calibration.noise import AllanPoints, NoiseFigures
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, style
-from gyrocal.report.data import Span, Timeline
 from gyrocal.report.scatter import signed_scatter
 from tests.report.examples import SURFACE, examined, grid
 

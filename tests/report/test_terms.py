@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gyrocal.calibration.datasets import load_recording
+from gyrocal.calibration.material import Material, gather
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion import Compensator, Term, load_coefficients
-from gyrocal.report.gather import Material, gather
 
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 SHUPE = Term("shupe", {"amplitude": {"value": 5.0, "std": 1.0, "unit": "mdeg/s per degC/min"}}, True)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.calibration.material import gather
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.report.build import plain_text
-from gyrocal.report.gather import gather
 from gyrocal.report.tables import coefficient_table
 
 

@@ -1,4 +1,4 @@
-"""A recording and its coefficients, read, compared and tested: what figures and tables are made of."""
+"""A recording corrected with coefficients, and what is left tested: the material of a report's figures and tables."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy import linalg
 from gyrocal.calibration.checks import MOST_DATA_SETS
 from gyrocal.calibration.choice import BIAS, PAPER, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
+from gyrocal.calibration.corrected import Examined, Floats, Timeline, read_course
 from gyrocal.calibration.covariance import Scatter
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
@@ -20,8 +21,6 @@ from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.report.data import Examined, Floats, Timeline, read_course
-from gyrocal.report.scatter import SignedScatter, signed_scatter
 
 #: Share done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]
@@ -53,7 +52,6 @@ class Material:
     data: Examined
     reasons: dict[int, str]
     timeline: Timeline | None
-    signed: SignedScatter | None
     tested: ScatterByRate | None
     noise: NoiseFigures
     before_dps: float
@@ -122,7 +120,6 @@ def examine(
         data=data,
         reasons=reasons,
         timeline=timeline,
-        signed=signed_scatter(data),
         tested=tested,
         noise=noise_figures(recording),
         before_dps=_rms_about_line(sets, 0 if one_rate else 1),

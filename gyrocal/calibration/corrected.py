@@ -1,4 +1,4 @@
-"""What the figures show, gathered once: data sets with what the coefficients leave, and the run's course in time."""
+"""Data sets with what the coefficients leave of them, and a run's course in time."""
 
 from __future__ import annotations
 
