@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, Field, asdict, dataclass, fields
 from typing import Any
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.gyros import ascii_line, dsp3000, ecore2000, kvh_frame, vn100
 from gyrocal.bench.gyros.codec import Decoder, Frame
-from gyrocal.bench.registry import GYROS
+from gyrocal.bench.registry import GYROS, OWN_GYROS
 from gyrocal.bench.transport import SerialTransport, Transport
 
 #: A kind is believed when at least so many frames decode and no more than this share of the bytes is left over.
@@ -28,11 +28,23 @@ def _candidates() -> dict[str, Decoder]:
         "vn100": vn100.Vn100Decoder(),
         "kvh-dsp3000": dsp3000.Dsp3000Decoder(),
         "kvh-ecore2000": ecore2000.ECore2000Decoder(ecore2000.Options(lsb_dps=1.0)),
+        **_added(),
         # Last: any line that begins with a number is one of these.
         "ascii-line": ascii_line.AsciiLineDecoder(
             ascii_line.Options(pattern=r"(?P<rate>[-+]?\d+\.?\d*)\b.*")
         ),
     }
+
+
+def _added() -> dict[str, Decoder]:
+    """Decoders of the gyros that other packages add, where their options can all be left out."""
+    kinds = {name: GYROS[name] for name in GYROS.keys() - OWN_GYROS}
+    needed = {n for n, k in kinds.items() if any(_must_be_given(f) for f in fields(k.options))}
+    return {name: kinds[name].decoder(kinds[name].options()) for name in sorted(kinds.keys() - needed)}
+
+
+def _must_be_given(option: Field[Any]) -> bool:
+    return option.init and option.default is MISSING and option.default_factory is MISSING
 
 
 @dataclass(frozen=True)

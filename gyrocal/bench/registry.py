@@ -32,57 +32,56 @@ def _encode_ascii(
     return ascii_line.encode(options, rate=rate_dps, temp=temp_c, status=status, sequence=sequence)
 
 
-GYROS: dict[str, GyroKind] = extended(
-    "gyrocal.gyros",
-    GyroKind,
-    {
-        "kvh-ecore2000": GyroKind(ecore2000.Options, ecore2000.ECore2000Decoder, _encode_ecore, 9600, False),
-        "kvh-dsp3000": GyroKind(
-            dsp3000.Options,
-            dsp3000.Dsp3000Decoder,
-            lambda rate_dps, temp_c, count, options, good=True: dsp3000.encode(
-                rate_dps, valid=good, options=options
-            ),
-            38400,
-            False,
-            # No acknowledgement exists, so the mode command goes out three times.
-            (dsp3000.COMMAND_RATE * 3,),
+_GYROS = {
+    "kvh-ecore2000": GyroKind(ecore2000.Options, ecore2000.ECore2000Decoder, _encode_ecore, 9600, False),
+    "kvh-dsp3000": GyroKind(
+        dsp3000.Options,
+        dsp3000.Dsp3000Decoder,
+        lambda rate_dps, temp_c, count, options, good=True: dsp3000.encode(
+            rate_dps, valid=good, options=options
         ),
-        "kvh-frame-a": GyroKind(
-            kvh_frame.Options,
-            kvh_frame.KvhFrameDecoder,
-            lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
-                rate_dps, temp_c, count, options, valid=good
-            ),
-            921600,
-            True,
+        38400,
+        False,
+        # No acknowledgement exists, so the mode command goes out three times.
+        (dsp3000.COMMAND_RATE * 3,),
+    ),
+    "kvh-frame-a": GyroKind(
+        kvh_frame.Options,
+        kvh_frame.KvhFrameDecoder,
+        lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
+            rate_dps, temp_c, count, options, valid=good
         ),
-        "kvh-frame-b": GyroKind(
-            kvh_frame.Options,
-            kvh_frame.KvhFrameDecoder,
-            lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
-                rate_dps,
-                temp_c,
-                count,
-                options,
-                time_us=round(count * 1e6 / options.data_rate_hz),
-                valid=good,
-            ),
-            921600,
-            True,
+        921600,
+        True,
+    ),
+    "kvh-frame-b": GyroKind(
+        kvh_frame.Options,
+        kvh_frame.KvhFrameDecoder,
+        lambda rate_dps, temp_c, count, options, good=True: kvh_frame.encode(
+            rate_dps,
+            temp_c,
+            count,
+            options,
+            time_us=round(count * 1e6 / options.data_rate_hz),
+            valid=good,
         ),
-        "vn100": GyroKind(
-            vn100.Options,
-            vn100.Vn100Decoder,
-            lambda rate_dps, temp_c, count, options, good=True: vn100.encode(rate_dps, temp_c, options),
-            115200,
-            True,
-            (vn100.command("VNWRG,06,19"),),
-            at_once=False,
-        ),
-        "ascii-line": GyroKind(ascii_line.Options, ascii_line.AsciiLineDecoder, _encode_ascii, 115200, True),
-    },
-)
+        921600,
+        True,
+    ),
+    "vn100": GyroKind(
+        vn100.Options,
+        vn100.Vn100Decoder,
+        lambda rate_dps, temp_c, count, options, good=True: vn100.encode(rate_dps, temp_c, options),
+        115200,
+        True,
+        (vn100.command("VNWRG,06,19"),),
+        at_once=False,
+    ),
+    "ascii-line": GyroKind(ascii_line.Options, ascii_line.AsciiLineDecoder, _encode_ascii, 115200, True),
+}
+#: Gyros that gyrocal itself knows.
+OWN_GYROS = frozenset(_GYROS)
+GYROS: dict[str, GyroKind] = extended("gyrocal.gyros", GyroKind, _GYROS)
 
 TABLES: dict[str, TableKind] = extended(
     "gyrocal.tables",

@@ -156,3 +156,20 @@ def test_the_page_for_packages_is_a_package(tmp_path: Path) -> None:
     refused = run({**environment, "PYTHONPATH": str(ROOT)}, *words)
     assert refused.returncode != 0
     assert effect in refused.stderr
+
+
+def test_the_gyro_of_the_page_is_recognised_on_a_port(tmp_path: Path) -> None:
+    page = (ROOT / "gyrocal" / "physics" / "extending.md").read_text(encoding="utf-8")
+    gyro = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)[1]
+    (entry,) = re.findall(r"`(my-line = .*?)`", page)
+    environment = install(tmp_path, "[gyrocal.gyros]\n" + entry.replace(chr(34), "") + "\n")
+    (tmp_path / "myline.py").write_text(gyro, encoding="utf-8")
+    code = (
+        "from gyrocal.bench.probe import identify\n"
+        "from gyrocal.bench.registry import GYROS\n"
+        "sent = [(0.02 * k, GYROS['my-line'].encode(0.1 * k, 25.0, k, None)) for k in range(100)]\n"
+        "print(identify(sent, 2.0, 115200).verdict)\n"
+    )
+    done = run(environment, "-c", code)
+    assert done.stdout.startswith("my-line: "), done.stderr
+    assert "with temperature" in done.stdout
