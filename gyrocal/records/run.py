@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -32,6 +32,9 @@ OUTCOMES = ("ok", "unsettled", "failed")
 _CHUNK_ROWS = 500_000
 _RESTORE = "The journal is append-only: restore it."
 
+#: Averages that are longer than this times the spacing of their rows would share samples, and their 1/f noise would
+#: not have a covariance; a jitter of the clock is less.
+_OVERLAPPING = 1.3
 #: No number of a run is larger; it also keeps infinity and integers that no float holds out.
 _LARGEST = 1e15
 
@@ -356,7 +359,21 @@ def _read_journal(
             named[record.file] = number
             sealed[record.id] = record
     notes += _incomplete(path, events, sealed.values())
-    return tuple(sorted(sealed.values(), key=lambda r: (r.t_start_s, r.id))), tuple(events)
+    records = [_own_averaging(record) for record in sealed.values()]
+    if changed := sum(a is not b for a, b in zip(sealed.values(), records, strict=True)):
+        notes.append(
+            f"journal.jsonl says of {changed} of {len(records)} segments that a row averages over longer (averaging_s) than rows lie "
+            "apart; their spacing is taken instead"
+        )
+    return tuple(sorted(records, key=lambda r: (r.t_start_s, r.id))), tuple(events)
+
+
+def _own_averaging(record: SegmentRecord) -> SegmentRecord:
+    """A record without an averaging time that its own rows contradict: other loggers write the length of the segment there."""
+    said_s, span_s = record.averaging_s, record.t_end_s - record.t_start_s
+    if said_s is None or (said_s > 0 and (record.n - 1) * said_s <= _OVERLAPPING * span_s) or record.n < 2:
+        return record
+    return replace(record, averaging_s=None)
 
 
 def announced(path: Path, events: Sequence[Mapping[str, Any]]) -> Iterator[SegmentRecord]:

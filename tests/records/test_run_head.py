@@ -136,6 +136,19 @@ def test_files_that_the_journal_does_not_name_are_counted(tmp_path: Path) -> Non
     )
 
 
+@pytest.mark.parametrize(("said_s", "taken"), [(0.1, True), (0.12, True), (10.0, False), (0.0, False)])
+def test_a_row_averages_over_no_more_than_rows_lie_apart(tmp_path: Path, said_s: float, taken: bool) -> None:
+    """Other loggers write the length of the whole segment."""
+    segment = SEGMENT | {"t_start_s": 5.0, "t_end_s": 14.9, "n": 100, "averaging_s": said_s}
+    run = read_run(write(tmp_path, json.dumps(HEAD), journal(segment)))
+    assert run.segments[0].averaging_s == (said_s if taken else None)
+    said = [note for note in run.notes if "averaging_s" in note]
+    assert said == [
+        "journal.jsonl says of 1 of 1 segments that a row averages over longer (averaging_s) than rows lie apart; "
+        "their spacing is taken instead"
+    ] * (not taken)
+
+
 @pytest.mark.parametrize("file", ["data/a.csv", "data/./a.csv"])
 def test_two_lines_of_one_file_are_refused(tmp_path: Path, file: str) -> None:
     run = write(tmp_path, json.dumps(HEAD), journal(SEGMENT, OTHER | {"file": file}))
