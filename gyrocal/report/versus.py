@@ -10,6 +10,7 @@ from gyrocal.diagnosis.versus.match import Clock, Match
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.report.words import decimals, estimate_text, fixed, listed, parameter_words, range_text
+from gyrocal.units import plural
 
 LAW_JSON, LAW_PYTHON = "law.json", "law.py"
 
@@ -83,6 +84,8 @@ def _gain(c: Comparison) -> str:
         f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
         f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
     )
+    if c.beyond:
+        what += f" {c.beyond} more {plural(c.beyond, '[lies|lie] beyond the rates or temperatures of the others and [is|are] not judged')}."
     if c.helps:
         return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
     return f"{what} That is no sure gain, so no {LAW_PYTHON} is written."

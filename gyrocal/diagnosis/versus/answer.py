@@ -29,8 +29,13 @@ Ints = NDArray[np.int64]
 
 SCHEMA = "gyrocal-law/1"
 
-#: Neighbouring data sets are left out together, in so many blocks, every second of which is held out at a time.
-_BLOCKS = 10
+#: Neighbouring data sets are left out together, in so many blocks, a fifth of which is held out at a time: without
+#: half of them few plans have a temperature on either side of those left out.
+_BLOCKS, _FOLDS = 10, 5
+#: Others enclose a rate or a temperature where they come as near, as a share of all they span: plans are met no better.
+_NEAR = 0.02
+#: So many sets at least tell something of a law.
+_FEWEST = 5
 #: Draws of the blocks for the interval of the gain.
 _DRAWS = 2000
 #: Coefficients of the surface, row-major over the orders of rate and temperature.
@@ -45,14 +50,16 @@ class Comparison:
     ----------
     interval_95 : tuple of float
         Of the drop, by a bootstrap of whole blocks.
-    sets : int
-        Data sets left out in turn.
+    sets, beyond : int
+        Data sets left out in turn, and those whose rate or temperature the others do not enclose: these are not
+        judged, since no surface knows beyond its data.
     """
 
     before_dps: float
     after_dps: float
     interval_95: tuple[float, float]
     sets: int
+    beyond: int
 
     @property
     def helps(self) -> bool:
@@ -66,6 +73,7 @@ class Comparison:
             "rms_after_dps": self.after_dps,
             "drop_interval_95_dps": list(self.interval_95),
             "sets": self.sets,
+            "sets_beyond": self.beyond,
             "helps": self.helps,
         }
 
@@ -200,29 +208,45 @@ def left_by(law: Coefficients, difference: Series, part: Series | None = None) -
 
 
 def compare(matched: Match, options: Options) -> Comparison | None:
-    """Two-fold: the law of every second block of data sets, on the blocks between; and the other way round."""
+    """The law without some blocks of data sets, on those of these sets whose rate and temperature the others enclose."""
     difference = matched.difference
     simulated = matched.surface.output_dps(difference.rate_dps, difference.temp_c)
     numbers, plain = set_means(difference, difference.gyro_dps - simulated)
     block = np.arange(numbers.size) * _BLOCKS // max(numbers.size, 1)
     after = np.full(numbers.size, np.nan)
-    for side in (0, 1):
-        held = block % 2 == side
+    for fold in range(_FOLDS):
+        held = block % _FOLDS == fold
         known = ~np.isin(difference.set_index, numbers[held])
         try:
             part = difference.take(known)
             law = law_of(diagnose(part, None, replace(options, heldout=False)), part)
         except DataError:
             return None
-        after[held] = set_means(difference, left_by(law, difference, part))[1][held]
-    rng = np.random.default_rng(options.seed)
-    squares = np.array([[np.sum(x[block == k] ** 2) for k in range(_BLOCKS)] for x in (plain, after)])
-    sizes = np.bincount(block, minlength=_BLOCKS)
-    drawn = rng.integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
-    rms = np.sqrt(squares[:, drawn].sum(axis=2) / sizes[drawn].sum(axis=1))
+        judged = held & np.isin(numbers, difference.set_index[_enclosed(difference, known)])
+        after[judged] = set_means(difference, left_by(law, difference, part))[1][judged]
+    judged = np.isfinite(after)
+    if np.sum(judged) < _FEWEST:
+        return None
+    sizes, *squares = (
+        np.bincount(block[judged], x, minlength=_BLOCKS)
+        for x in (np.ones(judged.sum()), plain[judged] ** 2, after[judged] ** 2)
+    )
+    drawn = np.random.default_rng(options.seed).choice(
+        np.flatnonzero(sizes), (_DRAWS, np.count_nonzero(sizes))
+    )
+    rms = np.sqrt(np.stack(squares)[:, drawn].sum(axis=2) / sizes[drawn].sum(axis=1))
     low, high = np.quantile(rms[0] - rms[1], [0.025, 0.975])
-    before, left = (float(np.sqrt(np.mean(x**2))) for x in (plain, after))
-    return Comparison(before, left, (float(low), float(high)), int(numbers.size))
+    before, left = (float(np.sqrt(np.mean(x[judged] ** 2))) for x in (plain, after))
+    return Comparison(before, left, (float(low), float(high)), int(np.sum(judged)), int(np.sum(~judged)))
+
+
+def _enclosed(difference: Series, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows between the lowest and the highest rate and temperature of the data sets that are known, shape (n,)."""
+    inside = np.ones(len(difference), dtype=bool)
+    for x in (difference.rate_dps, difference.temp_c):
+        low, high = np.min(x[known & difference.is_set]), np.max(x[known & difference.is_set])
+        inside &= (x >= low - _NEAR * (high - low)) & (x <= high + _NEAR * (high - low))
+    return inside
 
 
 def _valid_json(difference: Series) -> dict[str, Any]:
