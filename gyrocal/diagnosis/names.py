@@ -346,9 +346,13 @@ def _alone(
         if not found.named:
             behind = {best.effect.id: 0.0, **best.rivals}
             found = replace(found, near={e: worth - gain + more for e, more in behind.items()})
-        if gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
+        least = GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats
+        if gain < least:
             break
         another = found.named and best.effect.id not in found.kinds
+        if another and reshaped(found.fitted, laws).nll - reshaped(best.fitted, laws).nll < least:
+            # It mends no more than the shape that the first one had on the grid.
+            break
         told_apart = min(best.rivals.values(), default=np.inf) > ALIKE_NATS
         left = worth - (without.nll - best.fitted.nll)
         enough = left <= REPLACED + len(found.named) + 1 or gain >= _SECOND * worth

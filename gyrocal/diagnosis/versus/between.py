@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.laws import GAIN
+from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.series import set_means
 from gyrocal.diagnosis.versus.answer import Versus, left_by
+from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.spread import Spread, spread_between
 from gyrocal.physics.catalogue import CATALOGUE
@@ -81,10 +83,16 @@ def between_to_json(answers: Sequence[Versus], found: Sequence[Between]) -> dict
 
 
 def between(answers: Sequence[Versus]) -> list[Between]:
-    """Compare the parameters of two or more recordings; what differs most comes first."""
-    rows = [("surface", name, e) for name, e in _surface_terms(answers).items()]
-    for effect in dict.fromkeys(e.effect for a in answers for e in a.diagnosis.effects):
-        rows += [(effect, name, e) for name, e in _effect_parameters(answers, effect).items()]
+    """Compare the parameters of two or more recordings; what differs most comes first.
+
+    Amplitudes mean the same only beside the same laws: those that all recordings together need. A recording in which
+    others were found is fitted again with them.
+    """
+    laws = _common_laws(answers)
+    fitted = [_fit_beside(a, laws, answers) for a in answers]
+    rows = [("surface", name, e) for name, e in _surface_terms(answers, fitted).items()]
+    for effect in [*laws, *(e for e in _all_named(answers) if not _is_law(e))]:
+        rows += [(effect, name, e) for name, e in _effect_parameters(answers, fitted, effect).items()]
     compared = []
     for of, name, estimates in rows:
         known = [e for e in estimates if e is not None and 0 < e.std < np.inf]
@@ -98,7 +106,42 @@ def between(answers: Sequence[Versus]) -> list[Between]:
     return sorted(judged, key=lambda b: b.spread.p_value)
 
 
-def _surface_terms(answers: Sequence[Versus]) -> dict[str, list[Estimate | None]]:
+@dataclass(frozen=True)
+class _Fit:
+    """A recording beside the laws of all: surface, and amplitudes by effect."""
+
+    law: Coefficients
+    amplitudes: Mapping[str, Estimate]
+
+
+def _fit_beside(answer: Versus, laws: Sequence[str], answers: Sequence[Versus]) -> _Fit:
+    """The recording's own answer where these laws are what it found; else surface and amplitudes fitted to its data sets."""
+    found = {e.effect: e.parameters.get("amplitude") for e in answer.diagnosis.effects if _is_law(e.effect)}
+    if set(found) == set(laws) and not any(isinstance(t, SmoothTerm) for t in answer.law.terms):
+        return _Fit(answer.law, {e: a for e, a in found.items() if a is not None})
+    left, X = _set_design(answer, laws, answers)
+    values, *_ = np.linalg.lstsq(X, left, rcond=1e-10)
+    rest = left - X @ values
+    variance = float(rest @ rest) / max(left.size - X.shape[1], 1)
+    covariance = variance * np.linalg.pinv(X.T @ X)
+    terms = carried_terms(answer.match.difference)
+    coefficients = answer.law.surface.coefficients_dps.copy()
+    coefficients.ravel()[terms] += values[: terms.size]
+    of_surface = np.zeros((coefficients.size, coefficients.size))
+    of_surface[np.ix_(terms, terms)] = covariance[: terms.size, : terms.size]
+    law = replace(
+        answer.law,
+        surface=replace(answer.law.surface, coefficients_dps=coefficients),
+        covariance_dps2=of_surface,
+    )
+    stds = np.sqrt(np.diag(covariance)[terms.size :])
+    sizes = zip(laws, values[terms.size :].tolist(), stds.tolist(), strict=True)
+    return _Fit(
+        law, {e: Estimate.normal(v, s, CATALOGUE[e].parameter("amplitude").unit) for e, v, s in sizes}
+    )
+
+
+def _surface_terms(answers: Sequence[Versus], fitted: Sequence[_Fit]) -> dict[str, list[Estimate | None]]:
     """Terms of what each recording's surface has beyond the simulation's, over the rates and temperatures of all."""
     differences = [a.match.difference for a in answers]
     top = min(float(np.max(np.abs(d.rate_dps))) for d in differences) or 1.0
@@ -115,11 +158,11 @@ def _surface_terms(answers: Sequence[Versus]) -> dict[str, list[Estimate | None]
     terms = sorted(set.intersection(*carried))
     to_terms = np.linalg.pinv(design[:, terms])
     found: dict[str, list[Estimate | None]] = {}
-    for a in answers:
-        here = a.law.surface.output_dps(rate, temp) - a.match.surface.output_dps(rate, temp)
+    for a, fit in zip(answers, fitted, strict=True):
+        here = fit.law.surface.output_dps(rate, temp) - a.match.surface.output_dps(rate, temp)
         values = to_terms @ here
-        over = to_terms @ a.law.surface.output_design(rate, temp)
-        stds = np.sqrt(np.maximum(np.diag(over @ a.law.covariance_dps2 @ over.T), 0.0))
+        over = to_terms @ fit.law.surface.output_design(rate, temp)
+        stds = np.sqrt(np.maximum(np.diag(over @ fit.law.covariance_dps2 @ over.T), 0.0))
         for term, value, std in zip(terms, values.tolist(), stds.tolist(), strict=True):
             i, j = divmod(term, SHAPE[1])
             scale, unit = (1e6 / top, "ppm") if i == 1 else (1e3, "mdeg/s")
@@ -135,48 +178,97 @@ def _term_name(i: int, j: int, frame: Surface) -> str:
     return f"{what}, {('', 'change', 'curvature')[j]} over {frame.temp_scale_c:.3g} degC"
 
 
-def _effect_parameters(answers: Sequence[Versus], effect_id: str) -> dict[str, list[Estimate | None]]:
-    """Parameters of an effect in each recording; where it was not named, its amplitude at the shape of the others."""
+def _named(answer: Versus, effect_id: str) -> NamedEffect | None:
+    return next((e for e in answer.diagnosis.effects if e.effect == effect_id), None)
+
+
+def _all_named(answers: Sequence[Versus]) -> list[str]:
+    return list(dict.fromkeys(e.effect for a in answers for e in a.diagnosis.effects))
+
+
+def _is_law(effect_id: str) -> bool:
+    """Whether an effect is a function of what is known of each data set, times an amplitude."""
     effect = CATALOGUE[effect_id]
-    named = [next((e for e in a.diagnosis.effects if e.effect == effect_id), None) for a in answers]
-    units = {p.name: p.unit for p in effect.parameters if not p.choice}
+    sized = any(p.name == "amplitude" for p in effect.parameters)
+    return sized and effect.search.by_columns and not effect.search.draws
+
+
+def _effect_parameters(
+    answers: Sequence[Versus], fitted: Sequence[_Fit], effect_id: str
+) -> dict[str, list[Estimate | None]]:
+    """Parameters of an effect in each recording, where it was named; its amplitude in all of them."""
+    named = [_named(a, effect_id) for a in answers]
     found: dict[str, list[Estimate | None]] = {}
-    for name, unit in units.items():
-        estimates = [None if e is None else e.parameters.get(name) for e in named]
-        if any(e is not None and e.unit == unit for e in estimates):
-            found[name] = estimates
-    shape = {name: _pooled(estimates) for name, estimates in found.items() if name != "amplitude"}
-    if "amplitude" in found and set(shape) == set(units) - {"amplitude"} and not _drawn(effect_id):
-        found["amplitude"] = [
-            e or _amplitude_of(a, effect_id, shape) for e, a in zip(found["amplitude"], answers, strict=True)
-        ]
+    for p in CATALOGUE[effect_id].parameters:
+        own = [None if e is None else e.parameters.get(p.name) for e in named]
+        if p.name == "amplitude":
+            own = [f.amplitudes.get(effect_id, e) for f, e in zip(fitted, own, strict=True)]
+        if not p.choice and any(e is not None and e.unit == p.unit for e in own):
+            found[p.name] = own
     return found
 
 
-def _drawn(effect_id: str) -> bool:
-    return CATALOGUE[effect_id].search.draws or not CATALOGUE[effect_id].search.by_columns
+def _common_laws(answers: Sequence[Versus]) -> list[str]:
+    """Laws that all recordings together need beside surfaces of their own, of those that were named in any.
+
+    One by one, by what they explain in all: what was named otherwise in one of them explains nothing more beside.
+    """
+    open_laws = [
+        e
+        for e in _all_named(answers)
+        if _is_law(e) and all(_column(a, e, answers) is not None for a in answers)
+    ]
+    taken: list[str] = []
+    nats = _log_likelihood(answers, taken)
+    while open_laws:
+        each = {e: _log_likelihood(answers, [*taken, e]) for e in open_laws}
+        best = max(each, key=lambda e: each[e])
+        if each[best] - nats < GAIN:
+            break
+        taken.append(best)
+        open_laws.remove(best)
+        nats = each[best]
+    return taken
+
+
+def _log_likelihood(answers: Sequence[Versus], laws: Sequence[str]) -> float:
+    """Of surfaces and laws beside white noise of any size, less half a nat times log n for each amplitude (Schwarz)."""
+    total = 0.0
+    for a in answers:
+        left, X = _set_design(a, laws, answers)
+        rest = left - X @ np.linalg.lstsq(X, left, rcond=1e-10)[0]
+        total -= 0.5 * left.size * float(np.log(rest @ rest)) + 0.5 * len(laws) * float(np.log(left.size))
+    return total
+
+
+def _set_design(answer: Versus, laws: Sequence[str], answers: Sequence[Versus]) -> tuple[Floats, Floats]:
+    """Means over the data sets: what the surface alone leaves, and columns of its terms and the laws."""
+    difference = answer.match.difference
+    left = set_means(difference, left_by(replace(answer.law, terms=()), difference))[1]
+    rate, temp = (set_means(difference, v)[1] for v in (difference.rate_dps, difference.temp_c))
+    surface = answer.law.surface.output_design(rate, temp)[:, carried_terms(difference)]
+    columns = [_column(answer, e, answers) for e in laws]
+    return left, np.column_stack([surface, *(c for c in columns if c is not None)])
+
+
+def _column(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> Floats | None:
+    """A law of amplitude one at the data sets of a recording, at its own shape or that of the others; None without a shape."""
+    effect, difference = CATALOGUE[effect_id], answer.match.difference
+    own = _named(answer, effect_id)
+    known = [own] if own is not None else [e for a in answers if (e := _named(a, effect_id)) is not None]
+    shape: dict[str, float] = {}
+    for p in effect.parameters:
+        estimates = [e.parameters.get(p.name) for e in known]
+        if p.name == "amplitude" or (p.choice and not any(estimates)):
+            continue
+        if not any(estimates):
+            return None
+        shape[p.name] = _pooled(estimates)
+    unit = effect.unit_dps(conditions_of(difference), shape, answer.law.surface)
+    return set_means(difference, unit)[1]
 
 
 def _pooled(estimates: Sequence[Estimate | None]) -> float:
     known = [e for e in estimates if e is not None]
     weight = np.array([1.0 / max(e.std, 1e-9) ** 2 for e in known])
     return float(weight @ np.array([e.value for e in known]) / weight.sum())
-
-
-def _amplitude_of(answer: Versus, effect_id: str, shape: Mapping[str, float]) -> Estimate | None:
-    """Amplitude of a law beside the surface in a recording in which it was not named, from the means of the sets."""
-    effect, difference = CATALOGUE[effect_id], answer.match.difference
-    bare = replace(answer.law, terms=tuple(t for t in answer.law.terms if not isinstance(t, SmoothTerm)))
-    column = effect.unit_dps(conditions_of(difference), dict(shape), answer.law.surface)
-    left, x = (set_means(difference, v)[1] for v in (left_by(bare, difference), column))
-    rate, temp = (set_means(difference, v)[1] for v in (difference.rate_dps, difference.temp_c))
-    surface = answer.law.surface.design(rate, temp)[:, carried_terms(difference)]
-    beyond = x - surface @ np.linalg.lstsq(surface, x, rcond=1e-10)[0]
-    square = float(beyond @ beyond)
-    free = left.size - surface.shape[1] - 1
-    if square <= 1e-12 * float(x @ x) or free < 1:
-        return None
-    value = float(beyond @ left) / square
-    rest = left - surface @ np.linalg.lstsq(surface, left, rcond=1e-10)[0] - value * beyond
-    std = float(np.sqrt(rest @ rest / free / square))
-    return Estimate.normal(value, std, effect.parameter("amplitude").unit)
