@@ -252,23 +252,26 @@ def _set_design(answer: Versus, laws: Sequence[str], answers: Sequence[Versus]) 
 
 
 def _column(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> Floats | None:
-    """A law of amplitude one at the data sets of a recording, at its own shape or that of the others; None without a shape."""
+    """A law of amplitude one at the data sets of a recording, shape (sets,); None where no recording tells its shape.
+
+    At the shape of all, since amplitudes at different ones say nothing; at its own where shapes differ, as instants do.
+    """
     effect, difference = CATALOGUE[effect_id], answer.match.difference
+    named = [e for a in answers if (e := _named(a, effect_id)) is not None]
     own = _named(answer, effect_id)
-    known = [own] if own is not None else [e for a in answers if (e := _named(a, effect_id)) is not None]
     shape: dict[str, float] = {}
     for p in effect.parameters:
-        estimates = [e.parameters.get(p.name) for e in known]
-        if p.name == "amplitude" or (p.choice and not any(estimates)):
+        estimates = [x for e in named if (x := e.parameters.get(p.name)) is not None]
+        if p.name == "amplitude" or (p.choice and not estimates):
             continue
-        if not any(estimates):
+        if not estimates:
             return None
-        shape[p.name] = _pooled(estimates)
-    unit = effect.unit_dps(conditions_of(difference), shape, answer.law.surface)
-    return set_means(difference, unit)[1]
-
-
-def _pooled(estimates: Sequence[Estimate | None]) -> float:
-    known = [e for e in estimates if e is not None]
-    weight = np.array([1.0 / max(e.std, 1e-9) ** 2 for e in known])
-    return float(weight @ np.array([e.value for e in known]) / weight.sum())
+        stds = np.array([max(e.std, 1e-9) for e in estimates])
+        all_of_them = spread_between(np.array([e.value for e in estimates]), stds) if stds.size > 1 else None
+        apart = all_of_them is not None and all_of_them.p_value < _LEVEL
+        shape[p.name] = (
+            own.parameters[p.name].value
+            if apart and own is not None
+            else float(np.average([e.value for e in estimates], weights=stds**-2))
+        )
+    return set_means(difference, effect.unit_dps(conditions_of(difference), shape, answer.law.surface))[1]
