@@ -56,21 +56,24 @@ def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
+    half_dps = MDPS * p["amplitude"]
+    if c.gyro_dps is None and surface is not None and p.get("of_output"):
+        return np.asarray(-half_dps * _output_sign(c, surface))
     if c.gyro_dps is None:
-        return np.asarray(-MDPS * p["amplitude"] * _cut_sign(c, p, surface))
-    step_dps = 2.0 * MDPS * p["amplitude"]
+        # What is less than a step is cut away whole: there means lose half of themselves on the average, and not
+        # half a step, which a gyro at rest never had.
+        return np.clip(-0.5 * c.rate_dps, -half_dps, half_dps)
+    step_dps = 2.0 * half_dps
     if step_dps == 0.0:
         return np.zeros(len(c))
     return np.asarray(np.trunc(c.gyro_dps / step_dps) * step_dps - c.gyro_dps)
 
 
-def _cut_sign(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    """Sign of what is cut: of the rate, or (``of_output``) of the output, whose sign at rest is that of the bias.
+def _output_sign(c: Conditions, surface: Surface) -> Floats:
+    """Sign of the output that is cut, at rest that of the bias.
 
     In a row that is a mean, the samples' noise lets it have that sign only so often.
     """
-    if surface is None or not p.get("of_output"):
-        return np.sign(c.rate_dps)
     output = c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
     noise = c.sample_std_dps
     return erf(output / (np.sqrt(2.0) * noise)) if noise > 0 else np.sign(output)
@@ -194,7 +197,8 @@ def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 
 
 def _truncation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
-    return f"{n(MDPS * p['amplitude'])} * (@real@)((w < 0) - (w > 0))"
+    half = MDPS * p["amplitude"]
+    return f"fmax@f@({n(-half)}, fmin@f@({n(half)}, {n(-0.5)} * w))"
 
 
 def _sagnac_sine_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
@@ -290,7 +294,7 @@ DEAD_ZONE = Effect(
 TRUNCATION = Effect(
     id="truncation",
     family="rate shape",
-    equation="e = -k sign(w), k = q/2",
+    equation="e = -k sign(w), k = q/2; e = -w/2 below a step, on the average",
     statement="The output is cut toward zero instead of rounded, which leaves half a step of either sign.",
     parameters=(amplitude("mdeg/s", 1000.0, 1.5, "half the output's step", positive=True),),
     needs=("rate_dps",),
