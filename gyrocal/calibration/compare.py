@@ -11,6 +11,7 @@ from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.pooled import repeatability
 from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError
 from gyrocal.inference.multiple import holm
@@ -36,6 +37,11 @@ class Change:
     low: float | None
     high: float | None
     p_value: float
+
+    @property
+    def repeatability(self) -> Figure:
+        """How much the figure differs from run to run, beyond the error within them."""
+        return repeatability(self.figures)
 
     @property
     def changed(self) -> bool:

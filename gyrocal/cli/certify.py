@@ -18,7 +18,8 @@ from gyrocal.errors import OutOfLimitsError
 @click.option(
     "--limits",
     type=click.Path(path_type=Path),
-    help='TOML: FIGURE = { most = NUMBER } (before compensation) or { most = NUMBER, state = "after" }; pass or fail.',
+    help="TOML: FIGURE = { most = NUMBER } (its size; or least), { low = NUMBER, high = NUMBER } (with its sign; or one of "
+    'them), with state = "after" for that after compensation; pass or fail.',
 )
 @click.option("--counts-per-dps", type=float, help="Nominal scale of tables in gyro_counts, sign included.")
 @click.option("--pdf", is_flag=True, help="Also write certificate.pdf (needs the extra gyrocal[pdf]).")

@@ -16,8 +16,9 @@ from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, p
 def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool) -> None:
     """Compare RUNS of one unit, in the order in which they were made: repeatability, before and after a repair.
 
-    Every figure of every run, the change from the first to the last with its 95 % interval, and whether it is more
-    than noise (1 % false alarms over all figures together).
+    Every figure of every run, of three or more the standard deviation from run to run beyond the error within them, the
+    change from the first to the last with its 95 % interval, and whether it is more than noise (1 % false alarms over
+    all figures together).
 
     Example: gyrocal compare before after
     """

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gyrocal.calibration.calibrate import configs
-from gyrocal.calibration.dossier import Dossier, compile_dossier, read_limits, unit_run
+from gyrocal.calibration.dossier import Dossier, compile_dossier, unit_run
+from gyrocal.calibration.limits import read_limits
 from gyrocal.calibration.material import Material, examine
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.report.certificate import certificate_files

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import logging
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gyrocal
-from gyrocal.calibration.dossier import Dossier, Row
+from gyrocal.calibration.dossier import Dossier
+from gyrocal.calibration.limits import Row
 from gyrocal.calibration.material import Material
 from gyrocal.calibration.summary import said, verdict
 from gyrocal.errors import InputError
@@ -59,18 +60,29 @@ def certificate_sentence(dossier: Dossier) -> tuple[str, Tone]:
 def _verdict(dossier: Dossier) -> tuple[str, Tone]:
     limited = [row for row in dossier.rows if row.judgement is not None]
     fit = f"Newest run: {verdict(dossier.runs[-1].calibration)}."
+    parts = []
     if dossier.failed:
-        names = ", ".join(row.known.title for row in dossier.failed)
-        return f"FAIL: beyond the limit with all of its uncertainty: {names}. {fit}", "bad"
+        parts.append(f"FAIL: beyond the limit with all of its uncertainty: {_names(dossier.failed)}.")
     if dossier.undecided:
-        names = ", ".join(row.known.title for row in dossier.undecided)
-        return (
-            f"NOT DECIDED: the measurement cannot tell whether the limit is kept: {names}. {fit}",
-            "warning",
-        )
+        parts.append(f"NOT DECIDED: {_undecided(dossier)}.")
+    if parts:
+        return " ".join([*parts, fit]), "bad" if dossier.failed else "warning"
     if limited:
         return f"PASS: all {len(limited)} limits are kept with all of their uncertainty. {fit}", "good"
     return f"CALIBRATED; no limits were given. {fit}", "plain"
+
+
+def _undecided(dossier: Dossier) -> str:
+    """Where the measurement does not carry a judgement, and where there is none."""
+    groups = {
+        "the uncertainty reaches over the limit": [r for r in dossier.undecided if r.judgement == "open"],
+        "not tested": [r for r in dossier.undecided if r.judgement == "not tested"],
+    }
+    return "; ".join(f"{what}: {_names(rows)}" for what, rows in groups.items() if rows)
+
+
+def _names(rows: Sequence[Row]) -> str:
+    return ", ".join(row.known.title for row in rows)
 
 
 def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:

@@ -21,17 +21,19 @@ def changes_sentence(changes: Sequence[Change]) -> str:
 def change_rows(
     changes: Sequence[Change], names: Sequence[str]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Columns and rows: a figure a row, a run a column, then the change."""
+    """Columns and rows: a figure a row, a run a column, how they differ where they are three or more, then the change."""
+    several = len(names) > 2
     rows = [
         (
             f"{c.figures[0].title}, {c.figures[0].unit}",
             *(said(f) for f in c.figures),
+            *([said(c.repeatability)] if several else []),
             _change(c),
             "changed" if c.changed else "",
         )
         for c in changes
     ]
-    return ("figure", *names, "last less first", ""), rows
+    return ("figure", *names, *(["run to run (sd)"] if several else []), "last less first", ""), rows
 
 
 def blank_sentences(changes: Sequence[Change], names: Sequence[str]) -> list[str]:
@@ -59,6 +61,7 @@ def to_json(changes: Sequence[Change], names: Sequence[str]) -> dict[str, Any]:
         "figures": {
             c.figures[0].name: {
                 "runs": [f.to_json() for f in c.figures],
+                "repeatability": c.repeatability.to_json(),
                 "change": c.change,
                 "interval_95": None if c.change is None else [c.low, c.high],
                 "p_value": c.p_value,

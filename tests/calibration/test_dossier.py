@@ -10,10 +10,13 @@ import pytest
 
 from gyrocal.calibration.calibrate import FitConfig
 from gyrocal.calibration.compare import compare_runs
-from gyrocal.calibration.dossier import Limit, Row, _judged, compile_dossier, pooled, read_limits, unit_run
+from gyrocal.calibration.dossier import compile_dossier, unit_run
 from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.limits import Limit, Row, judged, read_limits
+from gyrocal.calibration.pooled import pooled, repeatability
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.report.certificate import certificate_sentence
+from gyrocal.report.compare import change_rows
 from tests.calibration.test_fleet import write_table
 
 
@@ -52,21 +55,95 @@ def test_what_only_one_run_tells_from_noise_is_bounded() -> None:
     [(1.0, 0.5, "pass"), (-1.0, 0.5, "pass"), (1.8, 0.5, "open"), (-3.0, 0.5, "fail"), (3.0, 1.5, "open")],
 )
 def test_guard_band(value: float, half: float, judgement: str) -> None:
-    assert _judged(Row(figure(value, half), None), Limit(2.0)).judgement == judgement
+    assert judged(Row(figure(value, half), None), Limit(2.0)).judgement == judgement
 
 
 def test_a_bound_passes_and_a_reason_is_not_tested() -> None:
     bound = replace(figure(0, 0), value=None, low=None, high=1.0, reason="not told from noise")
-    assert _judged(Row(bound, None), Limit(2.0)).judgement == "pass"
-    assert _judged(Row(replace(bound, high=None), None), Limit(2.0)).judgement == "not tested"
+    assert judged(Row(bound, None), Limit(2.0)).judgement == "pass"
+    assert judged(Row(replace(bound, high=None), None), Limit(2.0)).judgement == "not tested"
+
+
+def test_a_bound_beyond_the_limit_decides_nothing() -> None:
+    bound = replace(figure(0, 0), value=None, low=None, high=3.0, reason="not told from noise")
+    assert judged(Row(bound, None), Limit(2.0)).judgement == "open"
+    assert judged(Row(bound, None), Limit(low=-4.0)).judgement == "pass"
+    assert judged(Row(bound, None), Limit(low=-2.0, high=4.0)).judgement == "open"
+
+
+@pytest.mark.parametrize(
+    ("limit", "judgement", "said"),
+    [
+        (Limit(low=-2.0, high=5.0), "pass", "-2 ≤ x ≤ 5 deg/h"),
+        (Limit(low=-5.0, high=0.0), "fail", "-5 ≤ x ≤ 0 deg/h"),
+        (Limit(low=1.0), "open", "x ≥ 1 deg/h"),
+        (Limit(high=1.0), "open", "x ≤ 1 deg/h"),
+        (Limit(least=0.2), "pass", "|x| ≥ 0.2 deg/h"),
+        (Limit(least=2.0), "fail", "|x| ≥ 2 deg/h"),
+        (Limit(most=5.0, least=1.0), "open", "1 ≤ |x| ≤ 5 deg/h"),
+    ],
+)
+def test_limits_of_one_and_of_two_sides(limit: Limit, judgement: str, said: str) -> None:
+    row = judged(Row(figure(1.0, 0.5), None), limit)
+    assert (row.judgement, row.limit) == (judgement, said)
+
+
+@pytest.mark.parametrize("truth", [2.0, -2.0])
+@pytest.mark.parametrize("limit", [Limit(2.0), Limit(low=-2.0, high=2.0), Limit(least=2.0)])
+def test_at_its_limit_a_unit_passes_and_fails_once_in_forty(truth: float, limit: Limit) -> None:
+    rng = np.random.default_rng(3)
+    values = truth + rng.normal(0, 0.5, 4000)
+    found = [judged(Row(figure(v, 0.98), None), limit).judgement for v in values]
+    # 4000 at 2.5 %: 71 is undershot, or 132 overshot, once in a thousand each.
+    assert 71 <= found.count("pass") <= 132
+    assert 71 <= found.count("fail") <= 132
+
+
+@pytest.mark.parametrize("runs", [2, 3, 6])
+@pytest.mark.parametrize("between", [0.0, 0.3, 1.0, 4.0])
+def test_repeatability_holds_what_runs_differ_by_beyond_their_own_errors(runs: int, between: float) -> None:
+    rng = np.random.default_rng(5)
+    held = told = 0
+    for _ in range(400):
+        found = repeatability([figure(t + rng.normal(0, 1.0), 1.96) for t in rng.normal(3.0, between, runs)])
+        held += (found.low or 0.0) <= between <= (found.high or 0.0)
+        told += found.value is not None
+    # 400 at 95 %: 363 is undershot once in a thousand. Bounds hold more often than that.
+    assert held >= 363
+    # 400 at 2.5 %: 21 is overshot once in a thousand.
+    assert between > 0.0 or told <= 21
 
 
 def test_limits_are_read_strictly(tmp_path: Path) -> None:
     path = tmp_path / "limits.toml"
     path.write_text('bias = { most = 3.0, state = "after" }\n')
-    assert read_limits(path) == {"bias": Limit(3.0, "after")}
-    path.write_text("bias = { less = 3.0 }\n")
-    with pytest.raises(ProfileError, match=r"limits.toml: bias is \{'less': 3.0\}; wanted is"):
+    assert read_limits(path) == {"bias": Limit(3.0, state="after")}
+    path.write_text("bias = { low = -3, high = 0.5 }\nmaximum_rate_tested = { least = 100 }\n")
+    assert read_limits(path) == {"bias": Limit(low=-3.0, high=0.5), "maximum_rate_tested": Limit(least=100.0)}
+    path.write_text("# bias = { most = 3.0 }\n")
+    with pytest.raises(ProfileError, match=r"limits.toml: holds no limit"):
+        read_limits(path)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "{ less = 3.0 }",
+        "{ most = -1 }",
+        "{ most = true }",
+        "{ most = inf }",
+        "{ most = 3, low = -1 }",
+        "{ low = 2, high = 1 }",
+        "{ least = 0 }",
+        '{ most = 3, state = "later" }',
+        '{ state = "after" }',
+        "3.0",
+    ],
+)
+def test_what_is_no_limit_is_refused(tmp_path: Path, entry: str) -> None:
+    path = tmp_path / "limits.toml"
+    path.write_text(f"bias = {entry}\n")
+    with pytest.raises(ProfileError, match=r"limits.toml: bias is .*; wanted is"):
         read_limits(path)
 
 
@@ -94,7 +171,9 @@ def test_runs_become_one_dossier(tmp_path: Path) -> None:
     dossier = compile_dossier(runs, {"bias": Limit(1e6)}, "limits.toml")
     rows = {row.known.name: row for row in dossier.rows}
     assert rows["bias"].judgement == "pass"
-    assert rows["bias_repeatability"].known.value is not None
+    repeated = rows["bias_repeatability"].known
+    assert repeated.value is None
+    assert repeated.reason.startswith("not told from the error within the runs: less than")
     assert rows["maximum_rate_tested"].known.value == pytest.approx(100.0)
     assert rows["residual"].before is None
     assert any(text.startswith("angle random walk: a table of data sets") for text in dossier.not_tested)
@@ -106,6 +185,11 @@ def test_runs_become_one_dossier(tmp_path: Path) -> None:
         compile_dossier(runs, {"bais": Limit(1.0)}, "limits.toml")
     changes = compare_runs([run.calibration for run in runs])
     assert not any(change.changed for change in changes)
+    columns, cells = change_rows(changes, ["one", "two", "three"])
+    assert columns == ("figure", "one", "two", "three", "run to run (sd)", "last less first", "")
+    (bias,) = (row for row in cells if row[0] == "bias, deg/h")
+    assert bias[4].startswith("< ")
+    assert "run to run (sd)" not in change_rows(changes[:2], ["one", "two"])[0]
 
 
 def test_what_has_a_bound_was_tested(tmp_path: Path) -> None:
