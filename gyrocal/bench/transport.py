@@ -74,7 +74,6 @@ class SerialTransport:
         url: str,
         baud: int,
         *,
-        rtscts: bool = False,
         tap: Callable[[bytes, bytes], None] | None = None,
         attend: Attend = nobody_asks,
     ):
@@ -84,7 +83,7 @@ class SerialTransport:
         self._lock = _lock_network_port(url)
         try:
             self._port = serial.serial_for_url(
-                url, baudrate=baud, timeout=_LOOK_S, write_timeout=_WRITE_S, rtscts=rtscts, do_not_open=True
+                url, baudrate=baud, timeout=_LOOK_S, write_timeout=_WRITE_S, do_not_open=True
             )
             if "://" not in url:
                 # A log viewer left open on the port steals bytes; only tty devices know the lock.

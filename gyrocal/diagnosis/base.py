@@ -70,14 +70,6 @@ def with_coefficients(surface: Surface, terms: Ints, values: Floats) -> Surface:
     return replace(surface, coefficients_dps=c.reshape(SHAPE))
 
 
-def raised(surface: Surface, constant_dps: float, share: float = 0.0) -> Surface:
-    """The surface with a constant and a share of the rate more."""
-    c = surface.coefficients_dps.copy()
-    c[0, 0] += constant_dps + share * surface.rate_center_dps
-    c[1, 0] += share * surface.rate_scale_dps
-    return replace(surface, coefficients_dps=c)
-
-
 def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Base:
     """Recording minus what `surface` predicts at the recorded rates and temperatures."""
     terms = carried_terms(series) if terms is None else terms
@@ -86,14 +78,13 @@ def simulate(series: Series, surface: Surface, terms: Ints | None = None) -> Bas
     return Base(surface, series.gyro_dps - output, design, terms)
 
 
-def fit_surface(series: Series, added_dps: Floats | None = None) -> Base:
+def fit_surface(series: Series) -> Base:
     """Surface by weighted least squares in gyro output (paper eq. 5): the start of everything else.
 
     The first round takes the recorded output for the regressors, as the paper does, which holds however nonlinear
     the gyro is; in the others they are evaluated at the predicted output, which is not noisy.
     """
     surface, terms = blank_surface(series), carried_terms(series)
-    known = np.zeros(len(series)) if added_dps is None else added_dps
     weight = 1.0 / series.white_std_dps
     scale_dps = float(np.max(np.abs(series.rate_dps))) or 100.0
     stiff = np.diag((terms % SHAPE[1] > 0) / (_CHANGE_WITH_TEMPERATURE * scale_dps))
@@ -107,13 +98,13 @@ def fit_surface(series: Series, added_dps: Floats | None = None) -> Base:
         )[0]
         return with_coefficients(surface, terms, now + step)
 
-    own = series.gyro_dps - known
+    own = series.gyro_dps
     at_own = surface.design(own, series.temp_c)[:, terms]
     first = surface = moved(at_own, own - series.rate_dps)
     try:
         for _ in range(4):
             base = simulate(series, surface, terms)
-            surface = moved(base.design, base.residual_dps - known)
+            surface = moved(base.design, base.residual_dps)
         return simulate(series, surface, terms)
     except DataError:
         # Between the temperatures at which the record turns the surface may be anything, with no output either.

@@ -20,8 +20,6 @@ _RISE_95 = 3.841
 _RISE_INSTANT_95 = 7.352
 #: Shapes are refined over these factors either way, in turn, at so many points each.
 REFINED_OVER, REFINED_AT = (1.5, 1.12), 7
-#: Losses that differ by less are the same to the last digits.
-_TIE = 1e-3
 #: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.
 _SHAPES, _NEAR_END = 15, 0.005
 #: Width of a 95 % interval in standard deviations of a Gaussian.
@@ -36,21 +34,8 @@ class Profile:
     std: float
 
 
-def descend(
-    loss: Callable[[float], float], start: float, reach: float, candidates: Floats | None = None
-) -> float:
-    """Least loss within a ratio `reach` of a positive start, or among candidates."""
-    if candidates is not None:
-        values = np.array([loss(float(x)) for x in candidates])
-        best = int(np.argmin(values))
-        # Instants that the record cannot tell apart are one: its middle stands for it.
-        first = last = best
-        while first > 0 and values[first - 1] < values[best] + _TIE:
-            first -= 1
-        while last < values.size - 1 and values[last + 1] < values[best] + _TIE:
-            last += 1
-        middle = 0.5 * float(candidates[first] + candidates[last])
-        return middle if values[best] < loss(start) + _TIE else start
+def descend(loss: Callable[[float], float], start: float, reach: float) -> float:
+    """Least loss within a ratio `reach` of a positive start."""
     low, high = np.log(start / reach), np.log(start * reach)
     found = minimize_scalar(
         lambda x: loss(float(np.exp(x))),

@@ -54,7 +54,7 @@ class Projection:
         return float(np.sum(along**2 / values[kept])), int(kept.sum())
 
 
-def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projection:
+def project(gram: Floats, model: Ints) -> Projection:
     """Project a model out of a Gram matrix whose row 0 is the record.
 
     Parameters
@@ -62,16 +62,10 @@ def project(gram: Floats, model: Ints, mixtures: Floats | None = None) -> Projec
     gram : ndarray, shape (1 + p, 1 + p)
     model : ndarray of int
         Column numbers (from 0, the record not counted); may be collinear.
-    mixtures : ndarray, shape (p, m), optional
-        Further model columns, as mixtures of the columns.
     """
     norm = np.diag(gram).copy()
     cross = gram[model + 1]
     inner = cross[:, model + 1]
-    if mixtures is not None and mixtures.size:
-        mixed = mixtures.T @ gram[1:]
-        inner = np.block([[inner, mixed[:, model + 1].T], [mixed[:, model + 1], mixed[:, 1:] @ mixtures]])
-        cross = np.concatenate([cross, mixed])
     if cross.size:
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         values, vectors = np.linalg.eigh(inner / np.outer(scale, scale))

@@ -361,7 +361,7 @@ def _expected_jitter(model: NoiseModel, yX: Floats, peak: Floats) -> Floats:
     return np.concatenate([peak[:1], [np.log(share @ grid / share.sum())], peak[2:]])
 
 
-def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels | None = None) -> Likelihood:
+def estimate_levels(model: NoiseModel, y: Floats, X: Floats) -> Likelihood:
     """Noise levels by restricted maximum likelihood, with the columns of X as unknown mean.
 
     Parameters
@@ -369,13 +369,8 @@ def estimate_levels(model: NoiseModel, y: Floats, X: Floats, start: NoiseLevels 
     y : ndarray, shape (n,)
     X : ndarray, shape (n, p)
         May be nearly collinear; a small ridge takes care of it.
-    start : NoiseLevels, optional
-        Where to begin; a few evaluations suffice from a good start. A walk is only estimated where it has one.
     """
     yX = np.column_stack([y, X])
-    if start is not None:
-        first = _ratios(start, model)
-        return _climb(model, yX, first if start.walk else first[:2], 0.3)
     jitters = np.log([3e-6, 1e-4]) if model.turns else [np.log(1e-9)]
     trials = [np.array([a, b]) for a in np.log([0.05, 0.3, 2.0]) for b in jitters]
     return _climb(model, yX, max(trials, key=lambda r: _evaluate(model, r, yX).reml), 0.7)

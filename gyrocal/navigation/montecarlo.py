@@ -144,9 +144,9 @@ def unit_of(world: World, unit_seed: int) -> GyroModel:
     )
 
 
-def simulate_and_replay(world: World, seed: int, unit_seed: int | None = None) -> list[LogReplay]:
+def simulate_and_replay(world: World, seed: int) -> list[LogReplay]:
     """One experiment: bench run of a unit, drives of a robot with it, every run in four conditions."""
-    model = unit_of(world, seed if unit_seed is None else unit_seed)
+    model = unit_of(world, seed)
     coefficients = calibrate_unit(model, np.random.default_rng([seed, _STREAM_BENCH]))
     robot = simulated_robot_file(world)
     return [

@@ -19,8 +19,8 @@ CW, CCW = -1, 1
 
 #: Standard deviation of 1/f noise of instability 1 in a decade of frequency (its density is 1 / (2 pi f)).
 _PER_DECADE = (np.log(10.0) / (2.0 * np.pi)) ** 0.5
-#: Length of a run, s.
-_RUN_S = 180.0
+#: Length of a run, and of a row of its log, s.
+_RUN_S, _STEP_S = 180.0, 0.1
 
 #: Names of the random streams of an experiment: what is drawn for one purpose never shifts another.
 _STREAM_ROBOT, _STREAM_DAY, _STREAM_RUN = 1, 2, 3
@@ -114,9 +114,7 @@ def simulate_experiment(
     *,
     runs: int = 5,
     directions: tuple[int, ...] = (CW, CCW),
-    motion: Motion | None = None,
     static_s: float = 10.0,
-    sample_rate_hz: float = 10.0,
 ) -> list[SimulatedRun]:
     """Drive the square `runs` times in each direction; the same seed gives the same logs.
 
@@ -127,14 +125,13 @@ def simulate_experiment(
     seed : int
         Of everything random in the drives; each run has a stream of its own.
     """
-    motion = motion or Motion()
-    dt_s = 1.0 / sample_rate_hz
-    paths = {d: drive(square_via_points(motion, d), motion, dt_s, static_s) for d in directions}
+    motion = Motion()
+    paths = {d: drive(square_via_points(motion, d), motion, _STEP_S, static_s) for d in directions}
     result = []
     for direction in directions:
         for k in range(runs):
             rng = np.random.default_rng([seed, _STREAM_RUN, direction + 1, k])
-            log = simulate_log(paths[direction], model, robot, day, rng, dt_s)
+            log = simulate_log(paths[direction], model, robot, day, rng, _STEP_S)
             name = f"{'ccw' if direction == CCW else 'cw'}{k + 1}"
             result.append(SimulatedRun(name, direction, log, robot.spread.metres_per_tick))
     return result

@@ -35,8 +35,6 @@ PURPOSES: Mapping[str, tuple[str, ...]] = {
     "temperature": ("sensor_msgs/msg/Temperature",),
     "truth": (*_POSES, "sensor_msgs/msg/NavSatFix", *_TRANSFORMS),
 }
-#: Axes of the IMU that the robot may turn about, and the sign that makes counter-clockwise positive.
-AXES = ("x", "y", "z", "-x", "-y", "-z")
 _REQUIRED = ("imu", "wheels")
 _FLUSH_MESSAGES = 20_000
 #: Correlations with the turns of the wheels, second by second, of an axis that they are not on, and are on.

@@ -25,7 +25,7 @@ class Reading:
     topics : mapping
         Of a bag: purpose to topic.
     axis : str
-        Of a bag: the axis of its IMU that the robot turns about, one of `bags.AXES`.
+        Of a bag: the axis of its IMU that the robot turns about: x, y or z; a minus before it makes counter-clockwise positive.
     """
 
     columns: Path | None = None

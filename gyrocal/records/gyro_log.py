@@ -22,8 +22,6 @@ from gyrocal.records.static_log import StaticBlock, cut_at_steps, iterate_static
 from gyrocal.records.timeline import Timeline, usual_step
 from gyrocal.units import RAD_TO_DEG
 
-#: Axes that a gyro of an autopilot may be asked for; a minus turns the sign.
-AXES = ("x", "y", "z", "-x", "-y", "-z")
 #: PX4: topics that hold rates in rad/s, the one nearest to the sensor first, and their fields.
 _PX4 = (
     ("sensor_gyro", {"x": "x", "y": "y", "z": "z"}),
@@ -46,7 +44,7 @@ class GyroChoice:
     Attributes
     ----------
     axis : str
-        Of a log with three axes: one of `AXES`.
+        Of a log with three axes: x, y or z; a minus before it turns the sign.
     instance : int
         Of an autopilot's log: which of its gyros, from 0.
     topic : str, optional

@@ -137,16 +137,15 @@ class Run:
     notes: tuple[str, ...]
     compensated: Any = None
 
-    def segment(self, record: SegmentRecord, *, verify: bool = True) -> Segment:
-        """Read one segment whole; `verify` compares its sha256 with the journal.
+    def segment(self, record: SegmentRecord) -> Segment:
+        """Read one segment whole, once its sha256 is that of the journal.
 
         Raises
         ------
         InputError
             Missing, edited, truncated, or malformed segment file, or time going backwards in it.
         """
-        if verify:
-            self.verify(record)
+        self.verify(record)
         parts = list(self.iterate_segment(record))
         if len(parts) == 1:
             return parts[0]

@@ -204,10 +204,10 @@ def _visit(rates: Floats, plan: str, rng: np.random.Generator) -> Floats:
     return np.asarray(rates)
 
 
-def _temperatures(frame: Frame, rng: np.random.Generator, count: int = 0, reach: float = 0.95) -> Floats:
+def _temperatures(frame: Frame, rng: np.random.Generator, count: int = 0) -> Floats:
     """Stops of the chamber: up through the range, and down between the stops of the way up."""
     count = count or int(rng.integers(5, 8))
-    way_up = np.linspace(-reach, reach, count - count // 3)
+    way_up = np.linspace(-0.95, 0.95, count - count // 3)
     way_down = 0.5 * (way_up[1:] + way_up[:-1])[::-1][: count // 3]
     jitter = rng.uniform(-0.05, 0.0, size=count)
     return np.asarray(frame.centre_c + frame.half_range_c * (np.concatenate([way_up, way_down]) + jitter))

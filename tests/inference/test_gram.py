@@ -44,16 +44,6 @@ def test_a_captured_column_gains_nothing_and_a_double_counts_once() -> None:
     assert given.block(np.array([4, 5]))[0] == pytest.approx(given.block(np.array([4]))[0], rel=1e-5)
 
 
-def test_mixtures_are_projected_out_like_columns() -> None:
-    columns, gram = make_gram(np.random.default_rng(2))
-    mixtures = np.zeros((9, 1))
-    mixtures[[3, 5], 0] = 1.0, -2.0
-    given = project(gram, np.array([0]), mixtures)
-    X = np.column_stack([columns[:, 1], columns[:, 4] - 2.0 * columns[:, 6]])
-    left = columns[:, 0] - X @ np.linalg.lstsq(X, columns[:, 0], rcond=None)[0]
-    assert given.rss == pytest.approx(float(left @ left))
-
-
 def test_holm_by_hand() -> None:
     p = np.array([0.001, 0.02, 0.012, 0.5])
     np.testing.assert_array_equal(holm(p) <= 0.05, [True, True, True, False])

@@ -69,8 +69,6 @@ class TruthAnswer:
         Of `INTERESTS`.
     before_m, after_m : float
         Rms distance of the reckoned path from the truth, with the frame laid on it: as it came, and with these out.
-    white_m, wander_m : float
-        Noise of the truth.
     odd : mapping
         Coordinate -> p-value of structure that nothing here explains.
     nearer : tuple of str
@@ -84,8 +82,6 @@ class TruthAnswer:
     covariance: Floats
     before_m: float
     after_m: float
-    white_m: float
-    wander_m: float
     odd: Mapping[str, float]
     headings: bool
     nearer: tuple[str, ...] = ()
@@ -392,8 +388,6 @@ def _answer(knots: Knots, base: Reckoned, state: _State, problem: _Problem, logs
         covariance[np.ix_(at, at)],
         _apart(knots, base),
         _miss(knots, problem, logs),
-        float(np.exp(0.5 * logs[1])),
-        float(np.exp(0.5 * logs[2])),
         odd,
         knots.heading is not None,
         tuple(n for n in INTERESTS[1:] if apart[n] < apart["gyro_bias"]),

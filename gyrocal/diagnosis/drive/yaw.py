@@ -40,6 +40,8 @@ _WALK = "angle_random_walk_deg_per_rt_h"
 _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
 _LEAST_TICK_M, _STILL = 1e-6, 1e-5
+#: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
+_REST_MEAN_S = 0.1
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
 _LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
@@ -107,9 +109,9 @@ def _white_is_open(series: DriveSeries) -> bool:
     return series.differential and not told and _white_at_rest(series) is None
 
 
-def _white_at_rest(series: DriveSeries, spacing_s: float = 0.1) -> float | None:
+def _white_at_rest(series: DriveSeries) -> float | None:
     """White noise of the gyro, deg/s per sqrt(Hz), from neighbouring means at rest; None without rest."""
-    every = max(1, round(spacing_s / max(float(np.median(series.dt_s[1:])), 1e-6)))
+    every = max(1, round(_REST_MEAN_S / max(float(np.median(series.dt_s[1:])), 1e-6)))
     rest = np.flatnonzero(series.resting)
     runs = np.split(rest, np.flatnonzero(np.diff(rest) > 1) + 1)
     squares = []
