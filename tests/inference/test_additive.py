@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import binom, norm
+from scipy.stats import binom, multivariate_normal, norm
 
 from gyrocal.inference.additive import MOST_DIRECTIONS, Component, Contrasts, precision, solve, widened
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
@@ -221,3 +221,19 @@ def test_a_model_of_noise_alone_is_fitted_without_a_word(capfd: pytest.CaptureFi
     found = Contrasts(y, flat).fit([white])
     assert found.variance["white"] == pytest.approx(float(np.var(y, ddof=1)), rel=0.05)
     assert capfd.readouterr() == ("", "")
+
+
+def test_fits_beside_other_flat_columns_are_compared_by_their_evidence() -> None:
+    """As under a prior so wide that only its constant is left, which as many columns share."""
+    rng = np.random.default_rng(9)
+    n = 30
+    y, own = rng.standard_normal(n), rng.standard_normal((n, 2))
+    parts = [
+        Component("part", own, held=0.5, expected=True),
+        Component("white", covariance=np.eye(n), held=0.8, expected=True),
+    ]
+    flats = [scale * rng.standard_normal((n, 3)) for scale in (1.0, 20.0)]
+    noise = 0.5 * own @ own.T + 0.8 * np.eye(n)
+    wide = [-multivariate_normal(np.zeros(n), noise + 1e4 * x @ x.T).logpdf(y) for x in flats]
+    found = [Contrasts(y, x).fit(parts).nll for x in flats]
+    assert found[1] - found[0] == pytest.approx(wide[1] - wide[0], abs=1e-3)
