@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis import jumps
 from gyrocal.diagnosis.examine import examine, fit_twice, wandering
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, laws_of
@@ -37,6 +38,17 @@ def test_a_jump_is_found_at_its_instant() -> None:
     assert found.law.effect == "bias_step"
     assert abs(found.law.shape["at_s"] - 39.5 * _PERIOD_S) <= 0.5 * _PERIOD_S
     assert found.rivals["bias_drift"] > GAIN
+
+
+def test_instants_that_were_tried_are_paid_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The evidence of the best of many instants counts less by the logarithm of the root of their number."""
+    step_dps = np.where(np.arange(_SETS) >= 40, 3e-3, 0.0)
+    (found,) = jumps_in(step_dps, 1)
+    paid = 0.5 * np.log(found.trials)
+    monkeypatch.setattr(jumps, "GAIN", found.gain - 1.05 * paid)
+    assert len(jumps_in(step_dps, 1)) == 1
+    monkeypatch.setattr(jumps, "GAIN", found.gain - 0.5 * paid)
+    assert not jumps_in(step_dps, 1)
 
 
 def test_a_walk_is_no_jump() -> None:

@@ -9,6 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.given import without_terms
+from gyrocal.diagnosis.result import Diagnosis
+from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable
 from tests.diagnosis.test_engine import make_table
@@ -30,8 +33,16 @@ def at_rest(added_dps: NDArray[np.float64], timed: bool = True) -> DataSetTable:
     return DataSetTable(Path("rest.csv"), np.zeros(_SETS), gyro, temp, t_s=_T_S if timed else None)
 
 
-def test_a_pattern_without_a_name_is_placed_and_its_correction_makes_another_run_better() -> None:
-    found = diagnose(rippled(0), options=Options(heldout=False))
+@pytest.fixture(scope="module")
+def ripple() -> Diagnosis:
+    """The diagnosis of one such table."""
+    return diagnose(rippled(0), options=Options(heldout=False))
+
+
+def test_a_pattern_without_a_name_is_placed_and_its_correction_makes_another_run_better(
+    ripple: Diagnosis,
+) -> None:
+    found = ripple
     assert found.verdict == "unexplained"
     assert found.effects == ()
     (part,) = found.unnamed
@@ -50,6 +61,19 @@ def test_a_pattern_without_a_name_is_placed_and_its_correction_makes_another_run
         for c in (found.surface, found.improved)
     )
     assert after < 0.5 * before
+
+
+def test_what_a_file_has_in_smooth_terms_is_taken_off_before_another_run_is_examined(
+    ripple: Diagnosis,
+) -> None:
+    assert ripple.improved is not None
+    again = series_of_table(rippled(1))
+    left = without_terms(again, ripple.improved)
+    surface = ripple.improved.surface
+    own, bare = (
+        float(np.std(surface.rate_dps(s.gyro_dps, s.temp_c) - again.rate_dps)) for s in (left, again)
+    )
+    assert own < 0.5 * bare
 
 
 @pytest.mark.parametrize(
