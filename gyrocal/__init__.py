@@ -15,7 +15,8 @@ Rooms       ``physics`` (catalogue of effects), ``fusion`` (runtime of a robot),
             ``bench`` (table, chamber, gyro), ``inference`` (noise, likelihoods, tests), ``calibration`` (fit),
             ``navigation`` (drive logs), ``diagnosis`` (missing physics), ``planning`` (the next experiment),
             ``trial`` (hidden physics with sealed answers), ``report`` (prose and pictures), ``commands`` (what the
-            long ones run), ``cli`` (options and printing); beside them ``units``, ``errors`` and ``extensions`` (what other packages add).
+            long ones run), ``cli`` (options and printing); beside them ``units``, ``errors``, ``extensions`` (what other packages add) and
+            ``workers`` (processes).
             ``tests/test_architecture.py`` holds who may import whom.
 """
 

@@ -22,7 +22,7 @@ from gyrocal.physics.drive import DRIVE_CATALOGUE
 PACKAGE = Path(__file__).parents[1] / "gyrocal"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-_BASE = {"units", "errors", "extensions"}
+_BASE = {"units", "errors", "extensions", "workers"}
 _TOOLS = {"physics", "fusion", "records"}
 _EXPERTS = {"bench", "inference", "calibration", "navigation", "diagnosis", "planning", "trial"}
 #: design.md, "Rooms": room -> rooms that it may import (its own always).
@@ -30,6 +30,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "units": set(),
     "errors": set(),
     "extensions": {"errors"},
+    "workers": set(),
     "physics": _BASE,
     "fusion": _BASE | {"physics"},
     # The keys of the robot file are the fields that the runtime takes.
@@ -50,6 +51,7 @@ LIGHT_ROOMS: dict[str, set[str]] = {
     "units": set(),
     "errors": set(),
     "extensions": set(),
+    "workers": set(),
     "physics": {"numpy", "numba"},
     "fusion": {"numpy", "numba"},
 }

@@ -21,6 +21,7 @@ from gyrocal.errors import DataError, DeviceError, GyrocalError, InputError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
 from gyrocal.units import DPS_TO_DPH, NORMAL_95
+from gyrocal.workers import deaf_to_interrupts
 
 Floats = NDArray[np.float64]
 
@@ -173,8 +174,12 @@ def measure_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> Fl
 @contextmanager
 def _workers(config: FleetConfig) -> Iterator[Executor]:
     if config.dask is None:
-        with ProcessPoolExecutor(config.jobs or os.cpu_count()) as pool:
+        pool = ProcessPoolExecutor(config.jobs or os.cpu_count())
+        try:
             yield pool
+        finally:
+            # Of an interrupted fleet nobody waits for the rest.
+            pool.shutdown(cancel_futures=True)
         return
     try:
         from dask.distributed import Client
@@ -198,7 +203,10 @@ def measure_all(
     tell: Callable[[float, str], None],
 ) -> Iterator[Unit]:
     """Fit every recording as its entry of `each` says, on the workers of `executor`; units come as they are done."""
-    waiting = {executor.submit(measure, path, config): path for path, config in zip(paths, each, strict=True)}
+    with deaf_to_interrupts():
+        waiting = {
+            executor.submit(measure, path, config): path for path, config in zip(paths, each, strict=True)
+        }
     for done, future in enumerate(as_completed(waiting), start=1):
         tell(done / len(paths), waiting[future].name)
         yield future.result()

@@ -100,7 +100,12 @@ class NoiseFigures:
 
 #: Name, unit, definition, and the factor from the root of the model's coefficient to the figure.
 _PARTS = (
-    ("quantisation", "arcsec", "Q of the part 3 Q²/τ² of the Allan variance", 3600.0 / np.sqrt(3.0)),
+    (
+        "quantisation",
+        "arcsec",
+        "Q of the part 3 Q²/τ² of the Allan variance, less what a low-pass takes off it",
+        3600.0 / np.sqrt(3.0),
+    ),
     ("angle_random_walk", "deg/√h", "N of the part N²/τ", 1.0 / DEG_PER_RT_H_TO_DPS_PER_RT_HZ),
     ("bias_instability", "deg/h", "B of the flat part (2 ln 2/π) B²", DPS_TO_DPH / np.sqrt(FLICKER)),
     ("rate_random_walk", "deg/h/√h", "K of the part K² τ/3", 60.0 * DPS_TO_DPH * np.sqrt(3.0)),

@@ -18,7 +18,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from gyrocal.errors import DataError
-from gyrocal.inference.rounding import mean_error
+from gyrocal.inference.rounding import least_noise, mean_error
 from gyrocal.units import NORMAL_95, plural
 
 Floats = NDArray[np.float64]
@@ -122,8 +122,9 @@ def calibrate_turns(t_s: Floats, gyro_dps: Floats, mark_deg: float = 360.0) -> T
     used = [turn.used for turn in turns]
     if sum(used) < 3:
         raise DataError(_too_few(rests, turns, mark_deg))
-    scatter_dps = [float(np.std(gyro_dps[(t_s >= r.start_s) & (t_s < r.end_s)])) for r in rests]
-    hidden_dps = mean_error(step_dps, float(np.median(scatter_dps)))
+    at_rest = [gyro_dps[(t_s >= r.start_s) & (t_s < r.end_s)] for r in rests]
+    noise_dps = least_noise([np.unique(x, return_counts=True) for x in at_rest], step_dps)
+    hidden_dps = mean_error(step_dps, math.hypot(noise_dps, step_dps / math.sqrt(12.0)))
     scale, asymmetry, stop_std_deg = _fit(turns, hidden_dps)
     return TurnCalibration(
         scale, asymmetry, _bias(rests, hidden_dps), stop_std_deg, tuple(rests), tuple(turns)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
@@ -36,6 +35,7 @@ from gyrocal.navigation.track import CONDITIONS
 from gyrocal.physics.gyro import GyroModel, rd2100_unit
 from gyrocal.physics.surface import Surface
 from gyrocal.records.robot import Robot, robot_of
+from gyrocal.workers import deaf_to_interrupts
 
 Floats = NDArray[np.float64]
 
@@ -233,12 +233,14 @@ def _map(
     ended, alive = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(min(workers, len(seeds)), context, _end_with_parent, (ended,))
     with pool, alive:
-        yield from pool.map(function, seeds, chunksize=4)
+        with deaf_to_interrupts():
+            waiting = [pool.submit(function, seed) for seed in seeds]
+        for future in waiting:
+            yield future.result()
 
 
 def _end_with_parent(ended: Connection) -> None:
     """Let this process end when its parent closes the other end of the pipe or dies, whatever it was killed by."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends the others
     Thread(target=_end_at, args=(ended,), daemon=True).start()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.inference.rounding import mean_error, slope_error
+from gyrocal.inference.rounding import least_noise, mean_error, slope_error
 
 
 @pytest.mark.parametrize("noise_steps", [0.3, 0.4, 0.5])
@@ -22,3 +22,25 @@ def test_the_mean_is_off_by_as_much_at_most(noise_steps: float) -> None:
 def test_it_goes_with_the_step() -> None:
     assert mean_error(0.02, 0.01) == pytest.approx(0.02 * mean_error(1.0, 0.5))
     assert slope_error(0.02, 0.01) == pytest.approx(slope_error(1.0, 0.5))
+
+
+@pytest.mark.parametrize("noise_steps", [0.3, 0.5, 1.0])
+@pytest.mark.parametrize("place", [0.0, 0.25, 0.5])
+def test_the_noise_below_steps_is_told_by_how_often_each_comes(noise_steps: float, place: float) -> None:
+    rng = np.random.default_rng(2)
+    below = 0
+    for _ in range(60):
+        rounded = np.round(rng.normal(place, noise_steps, 2000))
+        least = least_noise([np.unique(rounded, return_counts=True)], 1.0)
+        below += least <= noise_steps
+    # 60 at 95 %: 51 is undershot once in a thousand.
+    assert below >= 51
+
+
+def test_a_toggling_output_says_nothing_of_its_noise() -> None:
+    """Its scatter is half a step, which had been taken for noise enough."""
+    rng = np.random.default_rng(2)
+    toggling = np.round(rng.normal(0.5, 0.1, 2000))
+    toggling[7] = 5.0
+    assert np.std(toggling) > 0.45
+    assert least_noise([np.unique(toggling, return_counts=True)], 1.0) == 0.0
