@@ -12,7 +12,13 @@ import pytest
 
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.scatter import dead_sets, outlier_findings, step_findings, variance_places
+from gyrocal.diagnosis.scatter import (
+    clock_findings,
+    dead_sets,
+    outlier_findings,
+    step_findings,
+    variance_places,
+)
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.diagnosis.strays import set_aside
 from gyrocal.diagnosis.table_series import series_of_table
@@ -230,3 +236,19 @@ def test_two_stretches_of_more_scatter_share_its_excess() -> None:
     y[690:720] *= 5.0
     (place,) = variance_places(series, WHITE, LEVELS, y, 0.01)
     assert place.share == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("ppm", "std_ppm", "named"), [(80.0, 2.0, True), (80.0, 30.0, False), (15.0, 0.1, False)]
+)
+def test_a_sample_clock_is_off_where_that_is_beyond_doubt_and_beyond_a_crystal(
+    ppm: float, std_ppm: float, named: bool
+) -> None:
+    series = series_of_table(make_log(n=100))
+    raw = replace(series.raw, interval_ratio=1e-6 * ppm, interval_ratio_std=1e-6 * std_ppm)
+    found = clock_findings(replace(series, raw=raw))
+    assert [f.effect for f in found] == (["time_base"] if named else [])
+    if found:
+        low, high = found[0].parameters["amplitude"].interval_95
+        assert (low, high) == pytest.approx((ppm - 1.96 * std_ppm, ppm + 1.96 * std_ppm), rel=1e-3)
+        assert found[0].p_value < 1e-12

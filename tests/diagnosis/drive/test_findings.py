@@ -1,0 +1,103 @@
+"""From fits to names: what a truth, a robot file and the noise of a drive say of each other."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.drive import findings
+from gyrocal.diagnosis.drive.search import YawAnswer
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer
+from gyrocal.diagnosis.remarks import Said
+
+
+def truth(gyro: float, wheels: float, std: float) -> TruthAnswer:
+    """A truth that knows the scales of gyro and wheels independently of each other."""
+    values = dict.fromkeys(INTERESTS, 0.0) | {"gyro_scale": gyro, "wheel_scale": wheels}
+    known = SimpleNamespace(
+        values=values, stds=dict.fromkeys(INTERESTS, std), covariance=std**2 * np.eye(3), mirrored=False
+    )
+    return cast(TruthAnswer, known)
+
+
+def series(**robot: Any) -> DriveSeries:
+    """A log of which only the robot file is asked for."""
+    return cast(DriveSeries, SimpleNamespace(robot=SimpleNamespace(**robot), differential=True))
+
+
+def yaw(**fields: Any) -> YawAnswer:
+    """An answer with some of its fields."""
+    return cast(YawAnswer, SimpleNamespace(**fields))
+
+
+@pytest.mark.parametrize(
+    ("gyro", "wheels", "best"),
+    [(0.0, 0.02, "wheel_scale"), (1.0 / 1.02 - 1.0, 0.0, "gyro_scale"), (0.0, 0.0, "track")],
+)
+def test_a_truth_says_which_scale_makes_the_ratio_of_the_headings(
+    gyro: float, wheels: float, best: str
+) -> None:
+    against = findings._against(0.02, 1e-4, truth(gyro, wheels, 1e-3))
+    assert min(against, key=lambda n: against[n]) == best
+    assert against[best] < 1e-6
+    # Each of the others is off by about twenty standard deviations of the truth in one figure or two.
+    assert sorted(against.values())[1] == pytest.approx(400.0, rel=0.1)
+    assert findings._against(0.02, 1e-4, None) == dict.fromkeys(against, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("times", "given", "said"), [(5.0, True, True), (3.0, True, False), (5.0, False, False)]
+)
+def test_noise_far_above_that_of_the_robot_file_is_a_place(times: float, given: bool, said: bool) -> None:
+    usual = SimpleNamespace(slip_m_per_rt_m=0.01, turn=0.1)
+    noise = SimpleNamespace(slip_m_per_rt_m=0.01 * times, turn=0.1)
+    keys = ("noise.wheel_slip_m_per_rt_m", "noise.turn_slip_deg_per_rt_deg") if given else ()
+    places = findings._noisy(series(given=keys), yaw(model=SimpleNamespace(noise=noise, usual=usual)))
+    assert [p.coordinate for p in places] == (["speed"] if said else [])
+    assert [p.times_given for p in places] == pytest.approx([times] if said else [])
+    assert all(p.remains for p in places)
+
+
+@pytest.mark.parametrize(
+    ("away_stds", "static_s", "found"), [(6.0, 0.0, True), (3.0, 0.0, False), (6.0, 8.0, False)]
+)
+def test_a_bias_beyond_what_the_robot_file_grants_is_named_where_no_rest_takes_it_off(
+    away_stds: float, static_s: float, found: bool
+) -> None:
+    granted = 0.01
+    robot = series(
+        static_s=static_s,
+        initial_std={"gyro_bias_dps": granted},
+        parameters=SimpleNamespace(gyro=SimpleNamespace(bias_dps=0.5)),
+    )
+    answer = findings._unexpected_bias(robot, yaw(estimate=lambda name: (0.5 + away_stds * granted, 1e-3)))
+    assert (answer is not None) == found
+    if answer is not None:
+        gain, effect = answer
+        assert gain == pytest.approx((away_stds * granted / 1e-3) ** 2)
+        assert effect.effect == "gyro_bias"
+        assert effect.seen is not None
+        assert effect.seen.said is Said.BIAS_NO_REST
+
+
+@pytest.mark.parametrize(("std", "known"), [(0.01, True), (0.03, False)])
+def test_a_truth_that_knows_a_scale_poorly_is_said_to_be_poor(std: float, known: bool) -> None:
+    log = yaw(laws={"slope": 0, "step": 0}, gram=SimpleNamespace(names=()))
+    reasons = findings.not_testable(series(), log, truth(0.0, 0.0, std))
+    assert ("gyro_scale" not in reasons) == known
+
+
+@pytest.mark.parametrize(("scale", "tilted"), [(-0.02, True), (-0.005, False), (0.02, False)])
+def test_a_gyro_that_reads_far_too_little_may_be_tilted(scale: float, tilted: bool) -> None:
+    found = findings._of_scale(
+        "gyro_scale",
+        findings.Scale(scale, 1e-3),
+        series(initial_std={"gyro_scale": 4e-3}),
+        yaw(estimate=lambda name: (0.0, 1e-3)),
+        cast(TruthAnswer, SimpleNamespace(**vars(truth(scale, 0.0, 1e-3)), believed=lambda name: True)),
+    )
+    assert ("robot_tilt" in [a.effect for a in found.alternatives]) == tilted
