@@ -6,7 +6,7 @@ Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a tab
             behind its readings), ``columns`` (what a record gives the laws), ``base`` (what the surface alone predicts),
             ``inputs`` (what is refused or said), ``given`` (what a file that came along has already),
             ``scatter`` (bursts, steps, clocks and a dead gyro, that no mean shows), ``strays`` (data sets that are set aside).
-Layers      ``examine`` leads: ``within`` and ``within_shapes`` (patterns inside data sets), ``means`` (a row a data set),
+Layers      ``examine`` leads: ``within`` (patterns inside data sets), ``means`` (a row a data set),
             ``parts`` (what a calibration may contain), ``layers`` (all of it in one model, all variances at once),
             ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil``, ``changes``.
 Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
@@ -14,8 +14,7 @@ Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest``
 Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
             ``correction`` (with what stays), both as coefficient files, the latter weighed by ``fresh_run``;
             ``residual`` (what is left row by row), ``locate`` (where), ``answer`` and ``untimed`` (names as records).
-Records     ``result`` (all that is answered, and its JSON), ``remarks`` (what is said beside the numbers),
-            ``powers`` (of Legendre products, for a file).
+Records     ``result`` (all that is answered, and its JSON), ``remarks`` (what is said beside the numbers).
 
 Words: a *part* is some columns with one variance, a *block* the parts that are kept or dropped together (`parts.BLOCKS`), a
 *component* either of these or a random process, as the model takes it; a *law* is an effect of the catalogue at some shape, in

@@ -13,8 +13,7 @@ from gyrocal.diagnosis.blocks import around_itself, evidence
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
-from gyrocal.diagnosis.parts import BLOCKS, PASSING, SURFACE, Part, passing, polynomials
-from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.diagnosis.parts import BLOCKS, PASSING, SURFACE, Part, legendre_to_powers, passing, polynomials
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution

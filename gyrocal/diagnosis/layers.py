@@ -18,11 +18,11 @@ from gyrocal.diagnosis.parts import (
     Part,
     design_at,
     frame_of,
+    legendre_to_powers,
     passing,
     slope_by_temperature,
     staying,
 )
-from gyrocal.diagnosis.powers import legendre_to_powers
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
 from gyrocal.physics.rate import ROUNDS

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.means import Means
@@ -185,6 +186,13 @@ class Basis:
         else:
             own = self.at(part.columns) - self.surface() @ polynomials(part.columns, self.frame)
         return Component(part.name, own * np.array(part.weights), expected=part.block == "surface")
+
+
+def legendre_to_powers() -> Floats:
+    """Coefficients of ``u^i v^j`` from those of ``P_i(u) P_j(v)``, row-major, shape (12, 12): for a file."""
+    powers = [np.pad(legendre.leg2poly(np.eye(n + 1)[n]), (0, SHAPE[0] - n - 1)) for n in range(SHAPE[0])]
+    rate = np.array(powers).T
+    return np.kron(rate, rate[: SHAPE[1], : SHAPE[1]])
 
 
 def design_at(rate_dps: Floats, temp_c: Floats, frame: Frame) -> Floats:

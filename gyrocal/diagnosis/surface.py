@@ -19,8 +19,7 @@ from gyrocal.diagnosis.correction import file_without_surface
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import design_at, passing
-from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.diagnosis.parts import design_at, legendre_to_powers, passing
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.additive import solve
 from gyrocal.physics.surface import SHAPE, Surface

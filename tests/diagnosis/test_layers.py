@@ -14,8 +14,7 @@ from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import fit_twice
 from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.parts import SURFACE, polynomials, staying
-from gyrocal.diagnosis.powers import legendre_to_powers
+from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers, polynomials, staying
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import patterns
