@@ -31,6 +31,8 @@ _UNIT_BORDER = RAD_TO_DEG**0.5
 #: Faster than any robot that this is for, and than any vehicle with one speed.
 _MAX_SPEED_MPS, _MAX_VEHICLE_MPS = 30.0, 100.0
 _MAX_BAD_SHARE = 0.05
+#: No robot turns so fast for a twentieth of a drive, not even in degrees that were converted twice: 55 turns a second.
+_FASTEST_DPS, _FASTEST_SHARE = 20_000.0, 0.05
 #: A gyro with coarse bits repeats itself by chance: 5 equal rows at the extreme came up once in 4,000 sound logs.
 _SATURATED_ROWS = 10
 _STUCK_S = 2.0
@@ -246,8 +248,15 @@ def _widen(span: tuple[float, float], values: Floats) -> tuple[float, float]:
     )
 
 
-def check_cells(name: str, rows: int, bad_gyro: int, bad_encoder: int, temp_c: Floats) -> None:
-    """Refuse a log of many empty cells, or with temperatures (the known ones, at least the extremes) that no gyro has.
+def check_cells(
+    name: str, rows: int, bad_gyro: int, bad_encoder: int, gyro_dps: Floats, temp_c: Floats
+) -> None:
+    """Refuse a log of many empty cells, rates that no robot has, or temperatures that no gyro has.
+
+    Parameters
+    ----------
+    gyro_dps : the known rates, or means over bins
+    temp_c : the known temperatures, at least the extremes
 
     Raises
     ------
@@ -257,6 +266,10 @@ def check_cells(name: str, rows: int, bad_gyro: int, bad_encoder: int, temp_c: F
         if bad > _MAX_BAD_SHARE * rows:
             msg = f"{name}: {what} is empty in {bad} of {rows} rows; up to {_MAX_BAD_SHARE:.0%} can be bridged. Repair the log."
             raise DataError(msg)
+    fast_dps = float(np.quantile(np.abs(gyro_dps), 1.0 - _FASTEST_SHARE)) if gyro_dps.size else 0.0
+    if fast_dps > _FASTEST_DPS:
+        msg = f"{name}: gyro_dps is beyond {fast_dps:,.0f} deg/s in a twentieth of the drive, and no robot turns so fast: it is in deg/h, or in counts. Write it in deg/s, or state its unit in a mapping with --columns."
+        raise DataError(msg)
     odd = odd_temperature(temp_c) if temp_c.size else None
     if odd is not None:
         raise DataError(f"{name}: {odd.what}. {odd.remedy}.")
@@ -273,7 +286,7 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     """
     name = found.source
     temp_c = np.array(found.temp_c if found.temp_rows else ())
-    check_cells(name, found.rows, found.bad_gyro, found.bad_encoder, temp_c)
+    check_cells(name, found.rows, found.bad_gyro, found.bad_encoder, found.gyro_deg / BIN_S, temp_c)
     if found.duration_s <= 0:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
     if found.max_speed_mps > (_MAX_VEHICLE_MPS if found.speed_only else _MAX_SPEED_MPS):
@@ -344,8 +357,12 @@ def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:
         msg = f"{name}: encoder and gyro turns have nothing in common (correlation {correlation:.2f} over {WINDOW_S:g} s windows): one of them is stuck, or they are not of one robot or not of one clock. Check the log."
         raise DataError(msg)
     if not 1.0 / _UNIT_BORDER < ratio < _UNIT_BORDER:
-        cause = "rad/s logged as deg/s" if ratio < 1 else "a rate in deg/s converted twice"
-        msg = f"{name}: the gyro turns {ratio:.3g} times as far as the encoders; a factor near 57.3 is {cause}, any other a wrong wheel_separation_m or metres_per_tick. State the units in a mapping with --columns."
+        cause = (
+            "near 57.3 is rad/s logged as deg/s"
+            if ratio < 1
+            else "near 57.3 is a rate in deg/s converted twice, one near 3,600 deg/h logged as deg/s"
+        )
+        msg = f"{name}: the gyro turns {ratio:.3g} times as far as the encoders; a factor {cause}, any other a wrong wheel_separation_m or metres_per_tick. State the units in a mapping with --columns."
         raise DataError(msg)
     if 1.0 / WORST_SCALE < ratio < WORST_SCALE:
         return ()

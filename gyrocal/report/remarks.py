@@ -54,7 +54,7 @@ def _clock(ppm: float) -> str:
 
 
 def _gyro_column(unit: str, inverted: bool) -> str:
-    what = {"": "", "rad/s": "in rad/s", "twice": "converted to degrees twice"}[unit]
+    what = {"": "", "rad/s": "in rad/s", "deg/h": "in deg/h", "twice": "converted to degrees twice"}[unit]
     turned = "with the sign inverted, or left and right wheel are swapped" if inverted else ""
     said = " and ".join(text for text in (what, turned) if text)
     return f"The gyro column is {said} (its turns over those of the encoders)."

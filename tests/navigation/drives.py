@@ -118,6 +118,10 @@ BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         _with(gyro_dps=lambda b: np.radians(b.gyro_dps)),
         "a factor near 57.3 is rad/s logged as deg/s",
     ),
+    "gyro in deg/h": (
+        _with(gyro_dps=lambda b: 3600.0 * b.gyro_dps),
+        "no robot turns so fast: it is in deg/h, or in counts.",
+    ),
     "gyro converted twice": (
         _with(gyro_dps=lambda b: np.degrees(b.gyro_dps)),
         "a factor near 57.3 is a rate in deg/s converted twice",

@@ -12,7 +12,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.errors import DataError
 from gyrocal.navigation.sanity import UNITS, gyro_fault, in_radians, truth_unit_m
-from gyrocal.units import RAD_TO_DEG
+from gyrocal.units import DPH_TO_DPS, RAD_TO_DEG
 
 _NONE = (float("nan"), float("nan"))
 #: A factor this near to a wrong unit (on a log scale: a factor of 3) is one; nothing physical comes near.
@@ -48,7 +48,7 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     if min(see, sgg) <= 0 or seg**2 < _COMMON * see * sgg:
         return series, None
     ratio = float(np.sign(seg) * np.sqrt(sgg / see))
-    units = ((RAD_TO_DEG, "rad/s"), (1.0 / RAD_TO_DEG, "twice"), (1.0, ""))
+    units = ((RAD_TO_DEG, "rad/s"), (1.0 / RAD_TO_DEG, "twice"), (DPH_TO_DPS, "deg/h"), (1.0, ""))
     factor, unit = min(units, key=lambda unit: abs(np.log(abs(ratio) * unit[0])))
     right_way = not unit and ratio > 0
     if right_way or not 1 / _UNIT_FACTOR < abs(ratio) * factor < _UNIT_FACTOR:

@@ -131,7 +131,8 @@ def drive_series(
     no_gyro, no_wheel = (
         int(np.count_nonzero(~np.isfinite(v))) for v in (log.gyro_dps, log.left_m + log.right_m)
     )
-    check_cells(source, t_s.size, no_gyro, no_wheel, log.gyro_temp_c[np.isfinite(log.gyro_temp_c)])
+    gyro_dps, temp_c = (v[np.isfinite(v)] for v in (log.gyro_dps, log.gyro_temp_c))
+    check_cells(source, t_s.size, no_gyro, no_wheel, gyro_dps, temp_c)
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * float(np.median(dt_s[1:]))
     notes: list[Note] = []
