@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gyrocal
@@ -20,6 +20,9 @@ from gyrocal.report.style import render
 
 #: Pictures of a certificate, of those of a report.
 _SHOWN = ("figure_1", "figure_3b", "residual_map", "allan_deviation")
+
+#: The judgements of a table.
+_TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "open": "warning", "not tested": "warning"}
 
 
 def certificate_files(
@@ -89,7 +92,7 @@ def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:
     """The page: identity and verdict, figures, pictures, what was not tested, limits of the data, provenance."""
     sentence, tone = certificate_sentence(dossier)
     serial = dossier.identity["Serial number"]
-    table = Table("figures", "Figures, with 95 % intervals", *figure_rows(dossier), csv="")
+    table = Table("figures", "Figures, with 95 % intervals", *figure_rows(dossier), csv="", tones=_TONES)
     untested = Table("not_tested", "Not tested", ("what",), [(text,) for text in dossier.not_tested], csv="")
     return Page(
         title=f"Certificate of calibration: {dossier.identity['Gyro']}, serial number {serial}",
@@ -113,7 +116,7 @@ def certificate_page(dossier: Dossier, pictures: list[Picture]) -> Page:
 def figure_rows(dossier: Dossier) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Columns and rows of the table of figures."""
     limited = any(row.judgement for row in dossier.rows)
-    columns = ("figure", "before", "after", "unit", *(("limit", "verdict") if limited else ()))
+    columns = ("figure", *(("verdict", "limit") if limited else ()), "before", "after", "unit")
     return columns, [_cells(row, limited) for row in dossier.rows]
 
 
@@ -121,8 +124,8 @@ def _cells(row: Row, limited: bool) -> tuple[str, ...]:
     known = row.known
     before = "does not apply" if row.before is None else said(row.before)
     after = said(row.after) if row.after is not None else "-" if before == "-" else "the same"
-    judged = (row.limit.replace(f" {known.unit}", ""), row.judgement or "") if limited else ()
-    return (known.title, before, after, known.unit, *judged)
+    judged = (row.judgement or "", row.limit.replace(f" {known.unit}", "")) if limited else ()
+    return (known.title, *judged, before, after, known.unit)
 
 
 def _definitions(dossier: Dossier) -> Table:

@@ -17,6 +17,10 @@ _LONGEST = 40
 _NUMBER = re.compile(r"[-−+±<>~≈ ]*[\d.,e-]+( to [-−]?[\d.,e-]+)?( *%)?( \([-−+<\d.,e to]*\))?")
 
 
+#: How a verdict is meant, told by word and colour: blue where nothing is judged.
+Tone = Literal["plain", "good", "warning", "bad"]
+
+
 @dataclass(frozen=True)
 class Picture:
     """A figure of the page: its PNG, or the reason why the record carries none."""
@@ -44,6 +48,8 @@ class Table:
     csv: str
     note: str = ""
     on_page: bool = True
+    #: How a cell is meant, by what stands in it.
+    tones: Mapping[str, Tone] = field(default_factory=dict)
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -56,10 +62,6 @@ def _class(cells: Sequence[str]) -> str:
         return "long"
     numbers = [cell for cell in cells if _NUMBER.fullmatch(cell)]
     return ("interval" if any(" to " in cell for cell in numbers) else "") if numbers else "words"
-
-
-#: How a verdict is meant, told by word and colour: blue where nothing is judged.
-Tone = Literal["plain", "good", "warning", "bad"]
 
 
 @dataclass(frozen=True)

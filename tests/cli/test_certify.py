@@ -51,6 +51,17 @@ def test_it_fits_the_screen(certificate: Path, width_px: int, tmp_path: Path) ->
 
 
 @needs_chromium
+def test_its_figures_need_no_scrolling_on_a_wide_screen(certificate: Path, tmp_path: Path) -> None:
+    page = (certificate / "certificate.html").read_text(encoding="utf-8")
+    assert '<td class="words toned good">pass</td>' in page
+    path = tmp_path / "page.html"
+    # A table that scrolls is made one that runs over.
+    path.write_text(page.replace("overflow-x: auto;", ""), encoding="utf-8")
+    seen = look(path, 1400, tmp_path)
+    assert seen.wide_px <= seen.given_px
+
+
+@needs_chromium
 @needs_pdftotext
 def test_it_prints_whole(certificate: Path, tmp_path: Path) -> None:
     words, outside = printed_words(certificate / "certificate.html", tmp_path)
