@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 @click.command("noise")
 @click.argument("record", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="New directory for noise.json and the pictures.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="New directory for the page, its pictures and noise.json."
+)
 @click.option(
     "--latitude",
     type=click.FloatRange(-90, 90),
@@ -78,4 +80,4 @@ def command(
     click.echo("")
     emit_list(noise_sentences(found))
     if out is not None:
-        click.echo(f"\nAllan deviation, course of the record and noise.json: {out}")
+        click.echo(f"\nPictures and numbers: open {out / 'noise.html'}")

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     show_default=True,
     help="Every turn ends at a multiple of this angle.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="New directory for turns.json and the picture.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="New directory for the page, its picture and turns.json."
+)
 @gyro_options
 @json_option
 def command(
@@ -55,3 +57,5 @@ def command(
     click.echo("")
     emit_table(*turn_rows(report.found))
     emit_list(report.notes)
+    if out is not None:
+        click.echo(f"\nPictures and numbers: open {out / 'turns.html'}")

@@ -6,30 +6,76 @@ import json
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure as Picture
+from matplotlib.figure import Figure as Drawing
 
+import gyrocal
 from gyrocal.calibration.course import Course
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.static import StaticFigures
 from gyrocal.calibration.summary import said
 from gyrocal.report import style
 from gyrocal.report.figures_noise import allan_deviation
+from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.units import DPS_TO_DPH, S_PER_H, plural
 
 #: Neighbouring means of the course that are so many times as far apart as is usual have a gap between them.
 _GAP = 3.0
 
 
+#: What the answer names first, where the record carries it.
+_FIRST = ("angle_random_walk", "bias_instability", "mean_bias")
+
+
 def noise_files(found: StaticFigures) -> dict[str, bytes | str]:
     """Name to contents of what `gyrocal noise --out` writes."""
+    course = style.render(course_of(found.course), "png")
     files: dict[str, bytes | str] = {
         "noise.json": json.dumps(found.to_json(), indent=1, sort_keys=True, allow_nan=False) + "\n",
-        "course.png": style.render(course_of(found.course), "png"),
+        "course.png": course,
     }
+    pictures = [
+        Picture("course", "Course of the record", "Output in means, without what is not rest.", course)
+    ]
     if found.noise.points:
-        files["allan_deviation.png"] = style.render(allan_deviation(found.noise), "png")
-        files["allan_deviation.svg"] = style.render(allan_deviation(found.noise), "svg")
-    return files
+        curve = allan_deviation(found.noise)
+        files["allan_deviation.png"] = drawn = style.render(curve, "png")
+        files["allan_deviation.svg"] = style.render(curve, "svg")
+        caption = found.noise.fit_statement or found.noise.statement
+        pictures.insert(0, Picture("allan", "Allan deviation", f"{caption[:1].upper()}{caption[1:]}.", drawn))
+    return files | {"noise.html": render_page(noise_page(found, pictures))}
+
+
+def noise_page(found: StaticFigures, pictures: list[Picture]) -> Page:
+    """The page: what is known of the noise, figures, pictures, and what each figure is or why there is none."""
+    columns, rows, title = noise_rows(found)
+    every = _figures(found)
+    what = [(f.title, f.reason or f.definition, f.method, f.sample) for f in every]
+    return Page(
+        title=f"A gyro at rest: {found.source.name}",
+        verdict=noise_sentence(found),
+        key_figures=[(f.title, f"{said(f)} {f.unit}") for f in every if f.name in _FIRST],
+        remarks=found.warnings,
+        pictures=pictures,
+        lead=[Table("figures", title, columns, rows, csv="")],
+        tables=[
+            Table("what", "What they are", ("figure", "what, or why not", "method", "sample"), what, csv="")
+        ],
+        quality=found.notes,
+        tone="warning" if found.warnings else "plain",
+        provenance={"Record": str(found.source), "Software": f"gyrocal {gyrocal.__version__}"},
+        beside="noise.json holds everything with all digits.",
+    )
+
+
+def noise_sentence(found: StaticFigures) -> str:
+    """The answer in one sentence."""
+    every = {f.name: f for f in _figures(found)}
+    parts = [
+        f"{f.title} {said(f)} {f.unit}" if f.high is not None else f"no {f.title} ({f.reason})"
+        for f in (every[name] for name in _FIRST)
+    ]
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def noise_rows(found: StaticFigures) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
@@ -58,7 +104,7 @@ def noise_sentences(found: StaticFigures) -> list[str]:
 
 
 @style.styled
-def course_of(course: Course) -> Picture:
+def course_of(course: Course) -> Drawing:
     """Output over the record in means, and the temperature where it is known."""
     figure = style.new_figure(style.TWO_COLUMNS_IN, 3.0)
     axes = figure.add_subplot()

@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+import gyrocal
 from gyrocal.calibration.figure import interval_said, number
 from gyrocal.calibration.turns import Figure as Figured
 from gyrocal.calibration.turns import Floats, TurnCalibration
 from gyrocal.navigation.umbmark import Umbmark
 from gyrocal.report import style
+from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.units import plural
 
 _CURVE_POINTS = 6000
+#: Which bias is meant: a gyro whose bias walks has one for each rest.
+_BIAS = "mean bias of the rests"
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ def turn_sentence(found: TurnCalibration) -> str:
     ]
     if found.asymmetry is not None:
         parts.append(f"asymmetry {_said(found.asymmetry)}")
-    parts.append(f"bias {_said(found.bias)}")
+    parts.append(f"{_BIAS} {_said(found.bias)}")
     parts.append(f"the stops are off their marks by {found.stop_std_deg:.2g} deg")
     return ", ".join(parts) + "."
 
@@ -69,11 +73,36 @@ def turn_rows(found: TurnCalibration) -> tuple[tuple[str, ...], list[tuple[str, 
 def turn_files(report: TurnReport) -> dict[str, bytes | str]:
     """Name to contents of what `gyrocal turn --out` writes."""
     figure = turn_picture(report)
+    png = style.render(figure, "png")
     return {
+        "turns.html": render_page(turn_page(report, png)),
         "turns.json": json.dumps(report.to_json(), indent=1) + "\n",
-        "turns.png": style.render(figure, "png"),
+        "turns.png": png,
         "turns.svg": style.render(figure, "svg"),
     }
+
+
+def turn_page(report: TurnReport, png: bytes) -> Page:
+    """The page: figures, picture, the turns one by one, and what was left out."""
+    found = report.found
+    figures = [("scale factor error", found.scale), ("asymmetry", found.asymmetry), (_BIAS, found.bias)]
+    used = len([turn for turn in found.turns if turn.used])
+    return Page(
+        title="A gyro turned on a mark",
+        verdict=turn_sentence(found),
+        key_figures=[(name, "turn both ways for it" if f is None else _said(f)) for name, f in figures],
+        remarks=[
+            "The bias is the mean of what the gyro says at the rests, earth rate within it; where it walks from rest to rest, that "
+            "of another time is another."
+        ],
+        pictures=[
+            Picture("turns", "Rests and turns", "Above the log, below what each turn is off; 95 % bars.", png)
+        ],
+        tables=[Table("turns", f"{used} turns used", *turn_rows(found), csv="")],
+        quality=report.notes,
+        provenance={"Software": f"gyrocal {gyrocal.__version__}"},
+        beside="turns.json holds everything with all digits.",
+    )
 
 
 @style.styled

@@ -249,8 +249,12 @@ def test_the_command_prints_and_writes(tmp_path: Path) -> None:
         "allan_deviation.png",
         "allan_deviation.svg",
         "course.png",
+        "noise.html",
         "noise.json",
     ]
+    page = (out / "noise.html").read_text(encoding="utf-8")
+    assert '<p class="verdict plain">Angle random walk ' in page
+    assert "no bias instability" not in page
     written = json.loads((out / "noise.json").read_text())
     assert written["schema"] == "gyrocal-noise/1"
     assert written["figures"]["angle_random_walk"]["interval_95"][0] > 0

@@ -33,6 +33,9 @@ def test_turn_says_and_writes(log: Path, tmp_path: Path) -> None:
     data = json.loads((out / "turns.json").read_text())
     assert data["scale"]["low"] < 3000 < data["scale"]["high"]
     assert (out / "turns.png").read_bytes().startswith(b"\x89PNG")
+    page = (out / "turns.html").read_text(encoding="utf-8")
+    assert "mean bias of the rests" in page
+    assert "Rests and turns" in page
 
 
 def test_turn_reads_logs_of_others(log: Path, tmp_path: Path) -> None:
