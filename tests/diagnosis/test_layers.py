@@ -15,6 +15,7 @@ from gyrocal.diagnosis.examine import fit_twice
 from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers, polynomials, staying
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import patterns
@@ -198,6 +199,14 @@ def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_aga
         since = later if found is warmed else None
         left = Compensator(file).evaluate(later, gyro, temp, since).rate_dps
         np.testing.assert_allclose(left, 0.0, atol=8e-4)
+
+
+def test_it_is_said_where_it_is_open_whether_a_change_since_power_on_comes_again() -> None:
+    """A slow warm-up in noise is half a drift; one that is over within the record is none."""
+    t: Floats = 60.0 * np.arange(120, dtype=np.float64)
+    for change, is_open in ((3e-3 * np.exp(-t / 4000.0), True), (5e-3 * np.exp(-t / 900.0), False)):
+        said = [n for n in at_rest(change, t).notes if isinstance(n, Remark)]
+        assert (Said.OPEN_SINCE_POWER_ON in [n.said for n in said]) == is_open
 
 
 def test_a_transient_of_two_time_constants_is_a_warm_up_and_no_drift() -> None:
