@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -129,7 +130,9 @@ def test_an_interrupted_demo_or_trial_promises_no_resume(error: BaseException) -
     )
 
 
-def test_a_full_disk_in_a_demo_or_trial_promises_no_resume(tmp_path: Path) -> None:
+def test_a_full_disk_in_a_demo_or_trial_promises_no_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with pytest.raises(OutputError) as caught, filling(tmp_path):
         raise_output_error(tmp_path / "run", full, "what was sealed is kept. Carry on with --resume")
@@ -137,5 +140,8 @@ def test_a_full_disk_in_a_demo_or_trial_promises_no_resume(tmp_path: Path) -> No
         f"{tmp_path}: cannot write all of it (No space left on device); it holds what was done until then, which nothing "
         "carries on. Remove it, and free some space or choose another place."
     )
+    monkeypatch.setattr(tempfile, "tempdir", "/elsewhere")
+    with pytest.raises(OutputError, match=r"^/elsewhere: .* name another place in TMPDIR"), filling(tmp_path):
+        raise OutputError("/elsewhere/trial0: cannot be written") from full
     with pytest.raises(OutputError, match="exists and holds files"), filling(tmp_path):
         raise OutputError(f"{tmp_path}: exists and holds files.")
