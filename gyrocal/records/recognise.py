@@ -82,6 +82,11 @@ def not_a_run(path: Path) -> str:
     """What a file, or a directory without ``run.json``, is, and what of it could have been meant."""
     if not path.is_dir():
         return "is a file, and a run directory is wanted here. Give the directory that `acquire` wrote."
+    if (path / "metadata.yaml").exists():
+        return (
+            "is a ROS bag and no run of the bench: `noise` takes it if the gyro stands, `turn` if it was turned on a mark, `replay` "
+            "and `diagnose --robot` if it is a drive."
+        )
     inside = sorted(
         entry
         for entry in path.iterdir()

@@ -57,3 +57,10 @@ def test_the_wrong_file_is_named(
     assert said in line
     assert ended.value.code in (3, 4, 6)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_ros_bag_is_told_as_that(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    with pytest.raises(SystemExit):
+        main(["certify", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert f"{tmp_path}: is a ROS bag and no run of the bench: `noise` takes it" in capsys.readouterr().err
