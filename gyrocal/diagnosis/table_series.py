@@ -82,7 +82,7 @@ def series_of_table(table: DataSetTable) -> Series:
     course_c = history.temp_at(times)
     if (
         step_c > _COARSEST_C
-        or (not step_c and _missed(read, course_c))
+        or _missed(read, course_c, step_c)
         or _scatter_is_real(rate, gyro, read, course_c)
     ):
         history = history.as_read(times, read)
@@ -108,9 +108,13 @@ def series_of_table(table: DataSetTable) -> Series:
     )
 
 
-def _missed(read_c: Floats, course_c: Floats) -> bool:
-    """Whether a smooth course misses readings by more than they scatter: a plan that leaps from temperature to temperature."""
+def _missed(read_c: Floats, course_c: Floats, step_c: float) -> bool:
+    """Whether a smooth course misses readings by more than they scatter: a plan that leaps from temperature to temperature.
+
+    By more, too, than they are rounded: the last digits of a file are steps as those of a thermometer are.
+    """
     scatter_c = STDS_PER_MAD * float(np.median(np.abs(np.diff(read_c)))) / np.sqrt(2.0)
+    scatter_c = max(scatter_c, step_c / np.sqrt(12.0))
     off_c = STDS_PER_MAD * float(np.median(np.abs(read_c - course_c)))
     return bool(off_c > _MISSED * scatter_c > 0.0)
 
