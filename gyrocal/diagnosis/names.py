@@ -350,8 +350,13 @@ def _alone(
         if gain < least:
             break
         another = found.named and best.effect.id not in found.kinds
-        if another and reshaped(found.fitted, laws).nll - reshaped(best.fitted, laws).nll < least:
-            # It mends no more than the shape that the first one had on the grid.
+        bends = BLOCKS[block].family == BIAS_DRIFT.family
+        if (
+            another
+            and not bends
+            and reshaped(found.fitted, laws).nll - reshaped(best.fitted, laws).nll < least
+        ):
+            # It mends no more than the shape that the first one had on the grid; in time the first would bend into it.
             break
         told_apart = min(best.rivals.values(), default=np.inf) > ALIKE_NATS
         left = worth - (without.nll - best.fitted.nll)
