@@ -35,6 +35,8 @@ _SINCE_ON = next(kind for kind, d in DRIVERS.items() if d.channel == "since_powe
 _STEP = 0.2
 #: Standard deviation of the bumps: in rate as a share of the range, in scaled temperature, in asinh(u/0.001).
 _RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
+#: Bumps in rate from rest to the largest: nearer to each other than they are wide, so that none falls between.
+_RATE_BUMPS = 13
 #: Powers of temperature beyond the surface's own, of bias and scale factor each; bumps follow what is no power.
 _TEMP_ORDERS = 3
 #: Time constants of what remembers temperature and of what warms up, s: sums of exponentials an octave apart follow
@@ -46,8 +48,8 @@ _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 _WARMER_C = 0.01
 #: Memories of the processes whose sum is 1/f noise, s: a decade apart it is so to some percent.
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
-#: Fewer temperatures say nothing of their history, degC.
-_LEAST_SPAN_C = 0.5
+#: Fewer temperatures say nothing of their history, degC, and fewer than so many times these of shapes in temperature.
+_LEAST_SPAN_C, _SHAPED = 0.5, 4.0
 #: Rates that differ by less are one: tables repeat theirs closer.
 _SAME_RATE_DPS = 0.01
 #: Of more rates none has data sets enough to tell an error of its own from what is smooth.
@@ -252,7 +254,7 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
     span_c = float(np.ptp(means.series.history.temp_c))
     if turning:
         found += _of_rate(frame)
-    if span_c > 4.0 * _LEAST_SPAN_C:
+    if span_c > _SHAPED * _LEAST_SPAN_C:
         found += _of_temperature(frame, turning)
     if memory:
         found += remembering(means)
@@ -280,7 +282,7 @@ def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[flo
 def _of_rate(frame: Frame) -> list[Part]:
     falling = tuple(_STEP**k for k in range(4))
     found = []
-    centers = frame.rate_scale_dps * np.arange(13) / 12.0
+    centers = frame.rate_scale_dps * np.arange(_RATE_BUMPS) / (_RATE_BUMPS - 1.0)
     near_zero = np.arange(0.0, np.arcsinh(1e3), _NEAR_ZERO_BUMP)
     for parity, block, orders, first in (
         ("odd", "odd rate", (5, 7, 9, 11), 1),

@@ -38,6 +38,8 @@ _SUPPLY_S = 7.0
 #: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
 #: a Gaussian gives one in 5e8.
 OUTLIER_SIGMAS = 6.0
+#: Samples are judged by so many robust spreads of what the median of five leaves: that median takes part of the noise with it.
+_OF_MEDIAN = 1.25
 #: Fewest isolated outliers that are bursts; fewer are left out with a note.
 FEWEST_OUTLIERS = 3
 #: A supply that changes less shows no dependence on it, V.
@@ -51,6 +53,8 @@ _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
 #: can be told from that rounding.
 _OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
+#: Distances up to this many times the least are one step; of less than this share of the rounding they are none.
+_ONE_STEP, _NO_STEP = 1.5, 0.1
 #: Stand-in for the time between data sets where a table has no time stamps.
 SURROGATE_PERIOD_S = 20.0
 
@@ -261,16 +265,16 @@ def outliers(gyro: Floats) -> Bools:
     local = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     deviation = gyro - local
     # At either end there are neighbours on one side only: a straight line through them, whose noise is sqrt(6)
-    # times a sample's where the median's is about 1.25 times, so that a decay after a step is no outlier.
+    # times a sample's where the median's is a little more than one, so that a decay after a step is no outlier.
     ends = np.array([0, -1])
     inner, second = gyro[[1, -2]], gyro[[2, -3]]
-    deviation[ends] = (gyro[ends] - 2.0 * inner + second) * 1.25 / np.sqrt(6.0)
+    deviation[ends] = (gyro[ends] - 2.0 * inner + second) * _OF_MEDIAN / np.sqrt(6.0)
     # The median of five takes part of the noise with it; the robust spread of what is left sets the scale.
     spread = (
         STDS_PER_MAD * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
     )
     return (
-        np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * 1.25 * spread)
+        np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * _OF_MEDIAN * spread)
         if spread > 0
         else np.zeros(gyro.size, bool)
     )
@@ -439,10 +443,10 @@ def lattice(values: Floats) -> float | None:
     if distinct.size < _LATTICE_VALUES or values.size < _LATTICE_SAMPLES:
         return None
     gaps = np.diff(distinct)
-    gaps = gaps[gaps > 0.1 * _ROUNDED]
+    gaps = gaps[gaps > _NO_STEP * _ROUNDED]
     if gaps.size < _LATTICE_VALUES - 1:
         return None
-    small = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    small = float(np.median(gaps[gaps < _ONE_STEP * gaps.min()]))
     multiples = gaps / small
     off = np.abs(multiples - np.round(multiples))
     if np.mean(off < _OFF_LATTICE + _ROUNDED / small) < _ON_LATTICE or small < _LEAST_LATTICE:

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: A data set this many times farther off than 95 % of all others is not of this recording; no more than this share is.
-_GROSS, _MOST_SHARE = 8.0, 0.03
+_GROSS, _MOST_SHARE, _ALL_OTHERS = 8.0, 0.03, 0.95
 #: Fewer data sets show no single one beside the twelve terms of a surface; the robust fit settles in so many rounds.
 _FEWEST_SETS, _ROUNDS = 30, 30
 #: What a data set by itself must explain, nats: five standard deviations, which of 171 rows of white noise one does in 10,000
@@ -110,7 +110,7 @@ def gross_strays(series: Series) -> Strays:
         spread = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
         weight = np.sqrt(1.0 / (1.0 + (left / (2.0 * spread)) ** 2))
     size = np.abs(left)
-    bad = size > _GROSS * float(np.quantile(size, 0.95))
+    bad = size > _GROSS * float(np.quantile(size, _ALL_OTHERS))
     if not bad.any() or bad.sum() > _most(numbers.size):
         return NO_STRAYS
     return Strays(numbers[bad], left[bad], np.full(int(bad.sum()), spread))

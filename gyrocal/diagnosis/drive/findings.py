@@ -34,6 +34,8 @@ _KNOWN = 0.02
 _HALF_A_ROW = 0.2
 #: Noise above what the robot file says by more than this is no noise of that kind.
 _NOISY = 4.0
+#: A ratio of turns is the track's unless another cause is likelier by more than this (3 to 1): of the three it is known least.
+_LIKELIER = 2.0 * float(np.log(3.0))
 #: Scales that make the same ratio of encoder turn to gyro turn.
 _RATIO = frozenset({"skid_slip", "gyro_scale", "wheel_scale"})
 
@@ -94,7 +96,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         best = min(against, key=lambda n: against[n])
         # Beside a slip law the constant is a part of that law's shape.
         slipping = any(n.startswith("slip_") for n in yaw.named)
-        if slipping or against["track"] <= against[best] + 2 * np.log(3.0):
+        if slipping or against["track"] <= against[best] + _LIKELIER:
             best = "track"
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
         found[best] = Scale(value, std)

@@ -30,7 +30,7 @@ _LEAST_TEMP_SPAN_C = 0.5
 #: A bias at rest of its own is looked for where the log begins with a rest this long, s.
 _LEAST_REST_S = 5.0
 #: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
-_TEMP_SMOOTH_S = 10.0
+_TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE = 10.0, 0.1
 #: Speeds for the shape of a law are means over this time, s: in a turn the outer wheel goes further and slips more, so
 #: that a node's speed shares noise with the difference of its turns, and a slow robot's looks like slip by speed.
 _SPEED_SMOOTH_S = 0.5
@@ -125,7 +125,7 @@ def temperature_c(series: DriveSeries) -> Floats | None:
         return None
     temp = np.interp(series.t_s, series.t_s[known], series.temp_c[known])
     whole = np.cumsum(temp * series.dt_s)
-    smooth_s = min(_TEMP_SMOOTH_S, 0.1 * series.duration_s)
+    smooth_s = min(_TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE * series.duration_s)
     begin = np.maximum(series.t_s - 0.5 * smooth_s, series.t_s[0])
     end = np.minimum(series.t_s + 0.5 * smooth_s, series.t_s[-1])
     return np.asarray(

@@ -20,8 +20,8 @@ Ints = NDArray[np.int64]
 _CELLS = 300
 #: What the encoders add to the error of the bias found by them at the least, of the gyro's part of its variance.
 _LEAST_REST = 1e-2
-#: Memory of what wanders in the truth, s.
-_WANDER_S = 60.0
+#: Memory of what wanders in the truth, s; of its headings this share of the variance does.
+_WANDER_S, _WANDERING = 60.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias) 
         noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, last),
         linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2), last),
         linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2), last),
-        linalg.block_diag(zero, zero, np.diag(one) + 0.1 * fade, last) if parts == 3 else None,
+        linalg.block_diag(zero, zero, np.diag(one) + _WANDERING * fade, last) if parts == 3 else None,
     )
 
 

@@ -20,8 +20,9 @@ Ints = NDArray[np.int64]
 #: Two sets may be partners up to this difference of rate (and share of it) and of temperature; what is left of the
 #: difference is bridged by the simulation's own error surface.
 _RATE_DPS, _RATE_SHARE, _TEMP_C = 0.05, 0.005, 3.0
-#: Differences at which partners are half as welcome: of temperature, and of time once the clocks are known.
-_TEMP_SCALE_C, _LEAST_TIME_SCALE_S = 1.0, 10.0
+#: Differences at which partners are half as welcome: of temperature, and of time once the clocks are known, at least, and in
+#: what the clocks leave.
+_TEMP_SCALE_C, _LEAST_TIME_SCALE_S, _TIME_SCALE = 1.0, 10.0, 3.0
 #: The order of the sets counts where at least this share of the shorter of the two finds partners in it.
 _IN_ORDER = 0.5
 #: Larger products of sets are matched by rate and temperature alone: the table of the order would not fit.
@@ -134,7 +135,7 @@ def match(real: Series, simulated: Series) -> Match:
     clock = None
     if in_order and real.has_time and simulated.has_time and left.size > 2:
         clock = _clock(a.start_s[left], b.start_s[right])
-        scale = max(3.0 * clock.left_s, _LEAST_TIME_SCALE_S)
+        scale = max(_TIME_SCALE * clock.left_s, _LEAST_TIME_SCALE_S)
         expected = a.start_s + clock.offset_s + 1e-6 * clock.drift_ppm * a.start_s
         apart = (b.start_s[None, :] - expected[:, None]) / scale
         left, right, in_order = _partners(a, b, likeness / (1.0 + apart**2))
