@@ -31,6 +31,8 @@ import numpy as np
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.versus.answer import versus
+from gyrocal.diagnosis.versus.between import between
 from gyrocal.records.datasets import read_data_sets
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.run import read_run
@@ -39,11 +41,14 @@ from gyrocal.trial.second import corrected_rms_dps
 from tests.diagnosis.drive.fleet import Plan, again, drive
 from tests.diagnosis.drive.score import diagnosed, metres, plans, robot_file
 from tests.diagnosis.test_frozen import QUICK, differences, rounded
+from tests.diagnosis.versus.tables import SURFACE, plan, table
 
 PACKAGE = Path(__file__).parents[2] / "gyrocal"
 #: What recordings of either kind do not read, by folder or file of `gyrocal/diagnosis`.
 ONLY_TABLES = ("coil.py", "changes.py", "fresh_run.py", "lag_posterior.py", "table_series.py", "untimed.py")
-ONLY_DRIVES = "drive/"
+ONLY_DRIVES, ONLY_VERSUS = "drive/", "versus/"
+#: Share of the data sets that a simulation has, of those that are compared with one.
+_SIMULATED = 0.9
 #: Kind, seed and number of made-up recordings, and effect, d' and trial of made-up drives.
 RECORDINGS = (("layers", 102, 1), ("layers", 101, 0), ("nulls", 101, 0))
 TABLES = (("layers", 101, 0), ("layers", 103, 0))
@@ -133,9 +138,32 @@ class Outcome:
 
 def _small(constant: Constant) -> Iterator[dict[str, Any]]:
     """Documents of the frozen recordings that may depend on a constant, one by one."""
+    if constant.file.startswith(ONLY_VERSUS):
+        # Sets are left out, which costs most, by the constants of one file alone.
+        yield rounded(_units_against_a_simulation(heldout=constant.file == "versus/answer.py"))
+        return
     names = SMALL_DRIVES if constant.file.startswith(ONLY_DRIVES) else SMALL
     for name in names:
         yield rounded(QUICK[name]())
+
+
+def _units_against_a_simulation(*, heldout: bool) -> dict[str, Any]:
+    """Two units, one with a warm-up, against a simulation on another clock that lacks their asymmetry and some sets."""
+    t, rate, temp = plan(8)
+    rng = np.random.default_rng(0)
+    there, kept = 200.0 + t * (1 + 1e-4) + rng.normal(0, 0.3, t.size), rng.random(t.size) < _SIMULATED
+    output = SURFACE.output_dps(rate, temp + 0.3)
+    sim = series_of_table(table("sim.csv", *(x[kept] for x in (there, rate, output, temp + 0.3))))
+    answers = []
+    for warm_dps in (0.0, 0.02):
+        gyro = SURFACE.output_dps(rate, temp) + 5e-4 * np.maximum(rate, 0.0) + warm_dps * np.exp(-t / 900.0)
+        gyro += rng.normal(0, 3e-4, t.size)
+        answers.append(
+            versus(series_of_table(table("real.csv", t, rate, gyro, temp)), sim, Options(heldout=heldout))
+        )
+    documents = [a.to_json() for a in answers]
+    names = [{"effect": e.effect} for a in answers for e in a.diagnosis.effects]
+    return {"effects": names, "laws": documents, "between": [b.to_json() for b in between(answers)]}
 
 
 def _changes(usual: dict[str, Any], now: dict[str, Any]) -> str:
@@ -238,12 +266,17 @@ def main() -> None:
             click.echo(line)
         return
     known = {row["constant"] for row in rows}
-    usual: dict[tuple[bool, bool], list[Any]] = {}
+    usual: dict[tuple[bool | str, ...], list[Any]] = {}
     for constant in constants():
         wanted = any(word in constant.key for word in options.only.split(","))
-        if constant.key in known or constant.file.startswith("versus/") or not wanted:
+        compared = constant.file.startswith(ONLY_VERSUS)
+        if constant.key in known or not wanted or (compared and not options.small):
             continue
-        kind = constant.file.startswith(ONLY_DRIVES), constant.file in ONLY_TABLES
+        kind = (
+            constant.file.startswith(ONLY_DRIVES),
+            constant.file in ONLY_TABLES,
+            compared and constant.file,
+        )
         if kind not in usual:
             usual[kind] = list(_small(constant)) if options.small else outcomes(constant)
         row = _measured(constant, usual[kind], small=options.small)

@@ -23,8 +23,9 @@ _RATE_DPS, _RATE_SHARE, _TEMP_C = 0.05, 0.005, 3.0
 #: Differences at which partners are half as welcome: of temperature, and of time once the clocks are known, at least, and in
 #: what the clocks leave.
 _TEMP_SCALE_C, _LEAST_TIME_SCALE_S, _TIME_SCALE = 1.0, 10.0, 3.0
-#: The order of the sets counts where at least this share of the shorter of the two finds partners in it.
-_IN_ORDER = 0.5
+#: The order of the sets counts where at least this share of those that can have a partner finds one in it: of three rates
+#: drawn anew at each temperature two thirds still follow each other, of nine less than half.
+_IN_ORDER = 0.8
 #: Larger products of sets are matched by rate and temperature alone: the table of the order would not fit.
 _MOST_CELLS = 2e7
 #: A ramp or soak has a partner that takes as long, up to this share and so many seconds.
@@ -207,7 +208,8 @@ def _likeness(a: _Sets, b: _Sets) -> Floats:
 def _partners(a: _Sets, b: _Sets, likeness: Floats) -> tuple[Ints, Ints, bool]:
     if likeness.size <= _MOST_CELLS:
         left, right = _in_order(likeness)
-        if left.size >= _IN_ORDER * min(len(a), len(b)):
+        possible = min(np.count_nonzero(likeness.any(axis=axis)) for axis in (0, 1))
+        if left.size >= _IN_ORDER * possible:
             return left, right, True
     best = np.argmax(likeness, axis=1)
     left = np.flatnonzero(likeness[np.arange(len(a)), best] > 0)

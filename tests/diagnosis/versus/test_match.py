@@ -76,6 +76,21 @@ def test_another_order_is_matched_by_rate_and_temperature() -> None:
     np.testing.assert_allclose(lacking, 3e-4 * np.maximum(m.difference.rate_dps, 0.0), atol=1e-6)
 
 
+def test_rates_that_are_drawn_anew_at_each_temperature_are_matched_by_what_they_are() -> None:
+    """Half of them follow each other by chance: matched in order, the other half would have no partner."""
+    rng = np.random.default_rng(0)
+    levels = np.linspace(-10.0, 50.0, 6)
+    sets = []
+    for name in ("real.csv", "sim.csv"):
+        rate = np.concatenate([rng.permutation(RATES) for _ in levels])
+        temp = np.repeat(levels, RATES.size)
+        t = 60.0 * np.arange(rate.size) + 1000.0 * np.repeat(np.arange(levels.size), RATES.size)
+        sets.append(series_of_table(table(name, t, rate, SURFACE.output_dps(rate, temp), temp)))
+    m = match(*sets)
+    assert not m.in_order
+    assert m.matched_sets == m.sets
+
+
 def test_noise_of_both_counts() -> None:
     t, rate, temp = plan()
     gyro = SURFACE.output_dps(rate, temp)
