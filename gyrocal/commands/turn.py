@@ -31,17 +31,15 @@ def examine_turns(log: Path, mark_deg: float, choice: GyroChoice | None = None) 
     numbers = np.concatenate([np.full(len(b), b.segment) for b in blocks])
     t_s, gyro = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("t_s", "gyro_dps"))
     notes = [note for block in blocks for note in block.notes]
-    longest = np.bincount(numbers).argmax()
-    if np.any(numbers != longest):
-        beyond = int(np.count_nonzero(numbers != longest))
+    here = numbers == np.bincount(numbers).argmax()
+    if beyond := int(np.count_nonzero(~here)):
         notes.append(
             plural(beyond, f"{beyond} [sample|samples] beyond a step of the clock [is|are] left out")
         )
-    missing = ~np.isfinite(gyro)
-    if np.any(missing & (numbers == longest)):
-        empty = int(np.count_nonzero(missing & (numbers == longest)))
+    known = np.isfinite(gyro)
+    if empty := int(np.count_nonzero(here & ~known)):
         notes.append(plural(empty, f"{empty} empty [sample is|samples are] bridged by the next one"))
-    use = (numbers == longest) & ~missing
+    use = here & known
     if np.count_nonzero(use) < 2:
         raise DataError(f"{log}: has no samples to look for turns in.")
     try:

@@ -361,7 +361,7 @@ def _read_journal(
     records = [_own_averaging(record) for record in sealed.values()]
     if changed := sum(a is not b for a, b in zip(sealed.values(), records, strict=True)):
         notes.append(
-            f"journal.jsonl says of {changed} of {len(records)} segments that a row averages over longer (averaging_s) than rows lie "
+            f"journal.jsonl says of {changed} of {len(records)} segments an averaging_s that is none, or longer than rows lie "
             "apart; their spacing is taken instead"
         )
     return tuple(sorted(records, key=lambda r: (r.t_start_s, r.id))), tuple(events)

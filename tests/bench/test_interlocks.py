@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +31,10 @@ TABLE, CHAMBER = TableReading(1.0, 30.0, 90.0), ChamberReading(1.0, 20.0, 20.0, 
 def interlocks() -> Interlocks:
     """Of the tiny profile, which tolerates 5 degC beyond each range and a tenth above the highest rate."""
     return Interlocks(tiny_profile(safe__gyro_margin_c=5.0), LIMITS)
+
+
+def trips_if(trips: bool, said: str) -> AbstractContextManager[Any]:
+    return pytest.raises(InterlockError, match=said) if trips else nullcontext()
 
 
 @pytest.mark.parametrize(
@@ -81,12 +86,8 @@ def test_what_trips(
     ],
 )
 def test_a_gyro_that_does_not_follow(table_dps: float, gyro_dps: float, trips: bool) -> None:
-    locks = interlocks()
-    if not trips:
-        locks.check_gyro_follows(1.0, table_dps, gyro_dps)
-        return
-    with pytest.raises(InterlockError, match="the gyro said"):
-        locks.check_gyro_follows(1.0, table_dps, gyro_dps)
+    with trips_if(trips, "the gyro said"):
+        interlocks().check_gyro_follows(1.0, table_dps, gyro_dps)
 
 
 @pytest.mark.parametrize(
@@ -94,9 +95,5 @@ def test_a_gyro_that_does_not_follow(table_dps: float, gyro_dps: float, trips: b
     [(10.0, 9.0, False), (10.0, 0.0, True), (-10.0, 0.0, True), (4.0, 0.0, False)],
 )
 def test_a_thermometer_that_does_not_move(chamber_c: float, gyro_c: float, trips: bool) -> None:
-    locks = interlocks()
-    if not trips:
-        locks.check_thermometer(1.0, chamber_c, gyro_c)
-        return
-    with pytest.raises(InterlockError, match="frozen"):
-        locks.check_thermometer(1.0, chamber_c, gyro_c)
+    with trips_if(trips, "frozen"):
+        interlocks().check_thermometer(1.0, chamber_c, gyro_c)

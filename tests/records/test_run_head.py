@@ -144,7 +144,7 @@ def test_a_row_averages_over_no_more_than_rows_lie_apart(tmp_path: Path, said_s:
     assert run.segments[0].averaging_s == (said_s if taken else None)
     said = [note for note in run.notes if "averaging_s" in note]
     assert said == [
-        "journal.jsonl says of 1 of 1 segments that a row averages over longer (averaging_s) than rows lie apart; "
+        "journal.jsonl says of 1 of 1 segments an averaging_s that is none, or longer than rows lie apart; "
         "their spacing is taken instead"
     ] * (not taken)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.base import carried_terms
+from gyrocal.diagnosis.base import carried_terms, with_coefficients
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.result import Estimate, NamedEffect
@@ -23,6 +23,7 @@ from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 SCHEMA = "gyrocal-between/1"
 
@@ -88,8 +89,9 @@ def between(answers: Sequence[Versus]) -> list[Between]:
     Amplitudes mean the same only beside the same laws: those that all recordings together need. A recording in which
     others were found is fitted again with them.
     """
-    laws = _common_laws(answers)
-    fitted = [_fit_beside(a, laws, answers) for a in answers]
+    sets = [_sets_of(a, answers) for a in answers]
+    laws = _common_laws(sets)
+    fitted = [_fit_beside(a, laws, s) for a, s in zip(answers, sets, strict=True)]
     rows = [("surface", name, e) for name, e in _surface_terms(answers, fitted).items()]
     for effect in [*laws, *(e for e in _all_named(answers) if not _is_law(e))]:
         rows += [(effect, name, e) for name, e in _effect_parameters(answers, fitted, effect).items()]
@@ -114,26 +116,49 @@ class _Fit:
     amplitudes: Mapping[str, Estimate]
 
 
-def _fit_beside(answer: Versus, laws: Sequence[str], answers: Sequence[Versus]) -> _Fit:
+@dataclass(frozen=True)
+class _Sets:
+    """Data sets of a recording: what the surface alone leaves of their means, columns of its terms, and of each law."""
+
+    left_dps: Floats
+    surface: Floats
+    terms: Ints
+    laws: Mapping[str, Floats]
+
+    def design(self, laws: Sequence[str]) -> Floats:
+        """Columns of the surface and of these laws."""
+        return np.column_stack([self.surface, *(self.laws[e] for e in laws)])
+
+
+def _sets_of(answer: Versus, answers: Sequence[Versus]) -> _Sets:
+    """With the columns of all laws that were named in any recording and whose shape one of them tells."""
+    difference = answer.match.difference
+    rate, temp = (set_means(difference, v)[1] for v in (difference.rate_dps, difference.temp_c))
+    columns = {e: _column(answer, e, answers) for e in _all_named(answers) if _is_law(e)}
+    terms = carried_terms(difference)
+    return _Sets(
+        set_means(difference, left_by(replace(answer.law, terms=()), difference))[1],
+        answer.law.surface.output_design(rate, temp)[:, terms],
+        terms,
+        {e: column for e, column in columns.items() if column is not None},
+    )
+
+
+def _fit_beside(answer: Versus, laws: Sequence[str], sets: _Sets) -> _Fit:
     """The recording's own answer where these laws are what it found; else surface and amplitudes fitted to its data sets."""
     found = {e.effect: e.parameters.get("amplitude") for e in answer.diagnosis.effects if _is_law(e.effect)}
     if set(found) == set(laws) and not any(isinstance(t, SmoothTerm) for t in answer.law.terms):
         return _Fit(answer.law, {e: a for e, a in found.items() if a is not None})
-    left, X = _set_design(answer, laws, answers)
+    left, X, terms = sets.left_dps, sets.design(laws), sets.terms
     values, *_ = np.linalg.lstsq(X, left, rcond=1e-10)
     rest = left - X @ values
     variance = float(rest @ rest) / max(left.size - X.shape[1], 1)
     covariance = variance * np.linalg.pinv(X.T @ X)
-    terms = carried_terms(answer.match.difference)
-    coefficients = answer.law.surface.coefficients_dps.copy()
-    coefficients.ravel()[terms] += values[: terms.size]
-    of_surface = np.zeros((coefficients.size, coefficients.size))
+    before = answer.law.surface
+    now = before.coefficients_dps.ravel()[terms] + values[: terms.size]
+    of_surface = np.zeros((before.coefficients_dps.size, before.coefficients_dps.size))
     of_surface[np.ix_(terms, terms)] = covariance[: terms.size, : terms.size]
-    law = replace(
-        answer.law,
-        surface=replace(answer.law.surface, coefficients_dps=coefficients),
-        covariance_dps2=of_surface,
-    )
+    law = replace(answer.law, surface=with_coefficients(before, terms, now), covariance_dps2=of_surface)
     stds = np.sqrt(np.diag(covariance)[terms.size :])
     sizes = zip(laws, values[terms.size :].tolist(), stds.tolist(), strict=True)
     return _Fit(
@@ -208,20 +233,16 @@ def _effect_parameters(
     return found
 
 
-def _common_laws(answers: Sequence[Versus]) -> list[str]:
+def _common_laws(sets: Sequence[_Sets]) -> list[str]:
     """Laws that all recordings together need beside surfaces of their own, of those that were named in any.
 
     One by one, by what they explain in all: what was named otherwise in one of them explains nothing more beside.
     """
-    open_laws = [
-        e
-        for e in _all_named(answers)
-        if _is_law(e) and all(_column(a, e, answers) is not None for a in answers)
-    ]
+    open_laws = [e for e in sets[0].laws if all(e in s.laws for s in sets)]
     taken: list[str] = []
-    nats = _log_likelihood(answers, taken)
+    nats = _log_likelihood(sets, taken)
     while open_laws:
-        each = {e: _log_likelihood(answers, [*taken, e]) for e in open_laws}
+        each = {e: _log_likelihood(sets, [*taken, e]) for e in open_laws}
         best = max(each, key=lambda e: each[e])
         if each[best] - nats < GAIN:
             break
@@ -231,24 +252,14 @@ def _common_laws(answers: Sequence[Versus]) -> list[str]:
     return taken
 
 
-def _log_likelihood(answers: Sequence[Versus], laws: Sequence[str]) -> float:
+def _log_likelihood(sets: Sequence[_Sets], laws: Sequence[str]) -> float:
     """Of surfaces and laws beside white noise of any size, less half a nat times log n for each amplitude (Schwarz)."""
     total = 0.0
-    for a in answers:
-        left, X = _set_design(a, laws, answers)
+    for s in sets:
+        left, X = s.left_dps, s.design(laws)
         rest = left - X @ np.linalg.lstsq(X, left, rcond=1e-10)[0]
         total -= 0.5 * left.size * float(np.log(rest @ rest)) + 0.5 * len(laws) * float(np.log(left.size))
     return total
-
-
-def _set_design(answer: Versus, laws: Sequence[str], answers: Sequence[Versus]) -> tuple[Floats, Floats]:
-    """Means over the data sets: what the surface alone leaves, and columns of its terms and the laws."""
-    difference = answer.match.difference
-    left = set_means(difference, left_by(replace(answer.law, terms=()), difference))[1]
-    rate, temp = (set_means(difference, v)[1] for v in (difference.rate_dps, difference.temp_c))
-    surface = answer.law.surface.output_design(rate, temp)[:, carried_terms(difference)]
-    columns = [_column(answer, e, answers) for e in laws]
-    return left, np.column_stack([surface, *(c for c in columns if c is not None)])
 
 
 def _column(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> Floats | None:

@@ -181,6 +181,13 @@ def is_named(law: str, names: set[str]) -> bool:
     return bool(names & (_TWINS if law in _TWINS else {law}))
 
 
+def judged(pair: Pair, found: Versus) -> tuple[list[bool], list[bool]]:
+    """Of each strong law whether it is named, and of each name whether it is wrong."""
+    names = {e.effect for e in found.diagnosis.effects}
+    right = [is_named(n, names) for n, d in pair.hidden.items() if d >= _D_PRIMES[0]]
+    return right, [not any(is_named(h, {n}) for h in pair.hidden) for n in names]
+
+
 def main() -> None:
     """Print a line a pair, and the sums."""
     parser = argparse.ArgumentParser()
@@ -191,11 +198,9 @@ def main() -> None:
     for seed in range(options.first, options.last + 1):
         pair = make_pair(seed)
         found = answer(pair)
-        names = {e.effect for e in found.diagnosis.effects}
-        strong = [n for n, d in pair.hidden.items() if d >= _D_PRIMES[0]]
-        right = sum(is_named(n, names) for n in strong)
-        wrong = {n for n in names if not any(is_named(h, {n}) for h in pair.hidden)}
-        counts += [right, len(strong), len(wrong), len(names), found.helps, 1]
+        names = [e.effect for e in found.diagnosis.effects]
+        right, wrong = judged(pair, found)
+        counts += [sum(right), len(right), sum(wrong), len(wrong), found.helps, 1]
         told = ", ".join(f"{n} {d:.0f}" for n, d in pair.hidden.items())
         left = found.comparison and (1e3 * found.comparison.before_dps, 1e3 * found.comparison.after_dps)
         click.echo(
