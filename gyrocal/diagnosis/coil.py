@@ -32,6 +32,8 @@ _SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
 _LAGS_S = tuple(np.geomspace(*LAG_BOUNDS_S, 18).round(1).tolist())
 #: Of these, with which a search begins.
 _FIRST_SHARES, _FIRST_LAGS_S = _SHARES[1::2] + _SHARES[-1:], _LAGS_S[3:16:3]
+#: The coil has been through this share of the range of temperatures: of the rest nobody knows what it would do.
+_REACHED = 0.7
 #: What is the surface's, or is freed of it.
 _AT_COIL = ("surface", "temperature")
 #: Laws of time and memory beside the lag: four and more trade their shares freely on the tables that were made up.
@@ -103,7 +105,8 @@ class TableSearch:
         first = self.fit(None, (), None)
         coils: list[Coil] = [None, *dict.fromkeys(c.coil for c in near if c.coil is not None)]
         if not near and np.ptp(self.base.means.series.history.temp_c) > 1.0:
-            coils += [(a, tau) for tau in _FIRST_LAGS_S for a in _FIRST_SHARES]
+            lags = [(a, tau) for tau in _FIRST_LAGS_S for a in _FIRST_SHARES]
+            coils += [lag for lag in lags if self._reached(lag)]
         beam = [self.fit(None, (change,), first) for change in self.best_lasting(first)]
         beam += [self.fit(c.coil, c.changes, first) for c in near]
         for coil in coils:
@@ -277,12 +280,19 @@ class TableSearch:
         coil, changes = candidate.coil, candidate.changes
         if coil is not None:
             share, tau_s = coil
-            yield from (((near, tau_s), changes) for near in neighbours(_SHARES, share))
-            yield from (((share, near), changes) for near in neighbours(_LAGS_S, tau_s))
+            lags = [(a, tau_s) for a in neighbours(_SHARES, share)]
+            lags += [(share, tau) for tau in neighbours(_LAGS_S, tau_s)]
+            yield from ((lag, changes) for lag in filter(self._reached, lags))
         for k, change in enumerate(changes):
             others = changes[:k] + changes[k + 1 :]
             for near in self.changes.neighbours(change):
                 yield coil, tuple(sorted({*others, near}))
+
+    def _reached(self, coil: tuple[float, float]) -> bool:
+        """Whether the coil has been through most of the temperatures that its sensor has."""
+        m, (share, tau_s) = self.base.means, coil
+        coil_c = m.temp_c + share * (m.series.history.lagged_at(tau_s, m.t_s) - m.temp_c)
+        return bool(np.ptp(coil_c) >= _REACHED * np.ptp(m.temp_c))
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         """What the laws of a model pay, nats: a coil's time constant its prior too, a normal one of its logarithm."""
@@ -313,9 +323,11 @@ def best_of_each(ranked: Sequence[Candidate]) -> list[Candidate]:
 def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
     """The models worth averaging over, with their weights.
 
-    With a warm-up or without, as the best one: a robot that need not know when it was switched on shall not have to.
+    With a warm-up or without, as most of the weight is: a robot that need not know when it was switched on shall not
+    have to.
     """
-    close = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
-    near = [c for c in close if c.warms_up == candidates[0].warms_up]
+    near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
     weight = np.exp([candidates[0].score - c.score for c in near])
-    return list(zip((weight / weight.sum()).tolist(), near, strict=True))
+    warm = np.array([c.warms_up for c in near], dtype=np.bool_)
+    kept = np.flatnonzero(warm == (weight @ warm > 0.5 * weight.sum()))
+    return [(float(weight[k] / weight[kept].sum()), near[k]) for k in kept]

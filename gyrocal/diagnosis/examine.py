@@ -14,7 +14,7 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.coil import SHAPES, Candidate, TableSearch, averaged, best_of_each
+from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, Candidate, TableSearch, averaged, best_of_each
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
@@ -123,8 +123,24 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     smooth = search.beside_smooth(ranked)
     both = sorted([*ranked, *smooth], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
-    near = tuple(averaged(both)) if joint else ()
+    near = tuple(averaged(both)) if joint or naming.named else ()
+    idle = [n for n in drifting if n not in settled.model.components]
+    by_law = _by_law(ranked[0], naming, idle)
+    if naming.named and by_law.score < both[0].score:
+        near = ((1.0, by_law),)
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth), aside)
+
+
+def _by_law(best: Candidate, naming: Naming, idle: Sequence[str]) -> Candidate:
+    """The best model with what was named in place of its smooth parts, and what each law pays.
+
+    Parameters
+    ----------
+    idle : components that names had to stand beside, which else are not there
+    """
+    fitted = naming.fitted.refit(naming.fitted.model.without(idle))
+    paid = sum(TOLL_NATS + 0.5 * float(np.log(max(1, n.trials))) for n in naming.named)
+    return replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)
 
 
 def _beyond_doubt(

@@ -35,8 +35,11 @@ _SINCE_ON = next(kind for kind, d in DRIVERS.items() if d.channel == "since_powe
 _STEP = 0.2
 #: Standard deviation of the bumps: in rate as a share of the range, in scaled temperature, in asinh(u/0.001).
 _RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
-#: Bumps in rate from rest to the largest: nearer to each other than they are wide, so that none falls between.
-_RATE_BUMPS = 13
+#: Bumps in rate from rest to the largest, and in temperature from the lowest to the highest: nearer to each other than they
+#: are wide, so that none falls between.
+_RATE_BUMPS, _TEMP_BUMPS = 13, 11
+#: Share of their places that a record has to have visited.
+_VISITED = 0.7
 #: Powers of temperature beyond the surface's own, of bias and scale factor each; bumps follow what is no power.
 _TEMP_ORDERS = 3
 #: Time constants of what remembers temperature and of what warms up, s: sums of exponentials an octave apart follow
@@ -253,9 +256,9 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
     turning = _turns(means)
     span_c = float(np.ptp(means.series.history.temp_c))
     if turning:
-        found += _of_rate(frame)
+        found += _of_rate(means, frame)
     if span_c > _SHAPED * _LEAST_SPAN_C:
-        found += _of_temperature(frame, turning)
+        found += _of_temperature(means, frame, turning)
     if memory:
         found += remembering(means)
         warm = tuple(
@@ -279,38 +282,61 @@ def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[flo
     return Part(name, block, columns, weights or (1.0,) * len(columns))
 
 
-def _of_rate(frame: Frame) -> list[Part]:
-    falling = tuple(_STEP**k for k in range(4))
+def _apart(coordinate: Floats, spacing: float) -> int:
+    """How many places the record has visited, that bumps of this spacing can tell from each other."""
+    return int(np.unique(np.round(coordinate / spacing)).size)
+
+
+def _of_rate(means: Means, frame: Frame) -> list[Part]:
+    """Shapes in rate that the visited rates can tell from each other.
+
+    As many as there are rates, the surface's included: more of them go through every one, and between two of them anywhere.
+    """
     found = []
-    centers = frame.rate_scale_dps * np.arange(_RATE_BUMPS) / (_RATE_BUMPS - 1.0)
+    spacing = frame.rate_scale_dps / (_RATE_BUMPS - 1.0)
+    sizes = np.abs(means.rate_dps)
+    visited = _apart(sizes[sizes > 0.0], spacing)
+    centers = spacing * np.arange(_RATE_BUMPS)
     near_zero = np.arange(0.0, np.arcsinh(1e3), _NEAR_ZERO_BUMP)
     for parity, block, orders, first in (
-        ("odd", "odd rate", (5, 7, 9, 11), 1),
-        ("even", "even rate", (4, 6, 8, 10), 0),
+        ("odd", "odd rate", range(5, min(2 * visited, 12), 2), 1),
+        ("even", "even rate", range(4, min(2 * visited + 1, 11), 2), 0),
     ):
-        found.append(_part(f"{parity} orders", block, tuple(Column(_legendre(n)) for n in orders), falling))
-        width = _RATE_BUMP * frame.rate_scale_dps
-        bumps = [Factor(f"{parity}_bump", (float(c), width)) for c in centers[first:]]
-        found.append(_part(f"{parity} bumps", block, tuple(map(Column, bumps))))
+        columns = tuple(Column(_legendre(n)) for n in orders)
+        falling = tuple(_STEP**k for k in range(len(columns)))
+        found.append(_part(f"{parity} orders", block, columns, falling))
+        if visited > _VISITED * _RATE_BUMPS:
+            width = _RATE_BUMP * frame.rate_scale_dps
+            bumps = [Factor(f"{parity}_bump", (float(c), width)) for c in centers[first:]]
+            found.append(_part(f"{parity} bumps", block, tuple(map(Column, bumps))))
         bumps = [Factor(f"{parity}_asinh_bump", (float(c), _NEAR_ZERO_BUMP)) for c in near_zero[first:]]
         found.append(_part(f"{parity} near zero", block, tuple(map(Column, bumps))))
         with_t = tuple(Column(_legendre(n), _legendre(j)) for n in orders[:2] for j in (1, 2))
-        found.append(_part(f"{parity} orders by temperature", block, with_t, (1.0, 1.0, _STEP, _STEP)))
+        weights = (1.0, 1.0, _STEP, _STEP)[: len(with_t)]
+        found.append(_part(f"{parity} orders by temperature", block, with_t, weights))
     found.append(_part("absolute rate", "even rate", (Column(Factor("absolute")),)))
-    return found
+    return [part for part in found if part.columns]
 
 
-def _of_temperature(frame: Frame, turning: bool) -> list[Part]:
-    centers = frame.temp_center_c + frame.temp_scale_c * np.linspace(-1.0, 1.0, 11)
-    bumps = [Factor("bump", (float(c), _TEMP_BUMP * frame.temp_scale_c)) for c in centers]
-    orders = [_legendre(n) for n in range(SHAPE[1], SHAPE[1] + _TEMP_ORDERS)]
-    falling = tuple(_STEP**k for k in range(_TEMP_ORDERS))
+def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
+    """The same in temperature, of the bias and, at the temperatures at which it turned, of the scale factor."""
     found = []
+    spacing = 2.0 * frame.temp_scale_c / (_TEMP_BUMPS - 1.0)
     for target, rate in (("bias", Factor()), ("scale", _LINEAR)) if turning else (("bias", Factor()),):
-        powers = tuple(Column(rate, n) for n in orders)
+        told = means.rate_dps != 0.0 if target == "scale" else np.ones(len(means), dtype=np.bool_)
+        visited = _apart(means.temp_c[told] - frame.temp_center_c, spacing)
+        powers = tuple(
+            Column(rate, _legendre(n)) for n in range(SHAPE[1], min(SHAPE[1] + _TEMP_ORDERS, visited))
+        )
+        falling = tuple(_STEP**k for k in range(len(powers)))
         found.append(_part(f"temperature orders on {target}", "temperature", powers, falling))
-        found.append(_part(f"temperature on {target}", "temperature", tuple(Column(rate, b) for b in bumps)))
-    return found
+        if visited > _VISITED * _TEMP_BUMPS:
+            centers = frame.temp_center_c + frame.temp_scale_c * np.linspace(-1.0, 1.0, _TEMP_BUMPS)
+            bumps = [Factor("bump", (float(c), _TEMP_BUMP * frame.temp_scale_c)) for c in centers]
+            found.append(
+                _part(f"temperature on {target}", "temperature", tuple(Column(rate, b) for b in bumps))
+            )
+    return [part for part in found if part.columns]
 
 
 def remembering(means: Means) -> list[Part]:

@@ -116,7 +116,8 @@ def _missed(read_c: Floats, course_c: Floats, step_c: float) -> bool:
     scatter_c = STDS_PER_MAD * float(np.median(np.abs(np.diff(read_c)))) / np.sqrt(2.0)
     scatter_c = max(scatter_c, step_c / np.sqrt(12.0))
     off_c = STDS_PER_MAD * float(np.median(np.abs(read_c - course_c)))
-    return bool(off_c > _MISSED * scatter_c > 0.0)
+    # Set points that repeat scatter by nothing, and a course through them is off by a rounding.
+    return bool(np.round(off_c, 9) > _MISSED * scatter_c)
 
 
 def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats) -> bool:

@@ -34,6 +34,19 @@ def test_models_weigh_by_their_evidence_and_far_ones_not_at_all() -> None:
     assert [w for w, _ in found] == pytest.approx((expected / expected.sum()).tolist())
 
 
+def test_a_warm_up_is_in_the_file_if_most_of_the_weight_has_one() -> None:
+    """The best has none, and two others together outweigh it, or do not."""
+
+    def kept(score: float) -> list[float]:
+        scores = {10.0: (), score: (Change("warm_up", 300.0),), score + 0.1: (Change("warm_up", 600.0),)}
+        found = averaged([Candidate(None, changes, cast(Any, None), s) for s, changes in scores.items()])
+        assert sum(w for w, _ in found) == pytest.approx(1.0)
+        return [c.score for _, c in found]
+
+    assert kept(10.2) == [10.2, 10.2 + 0.1]
+    assert kept(11.0) == [10.0]
+
+
 def _soaks(what: str) -> DataSetTable:
     """A closed-loop gyro at temperatures in turn, up and down, whose bias has 4 mdeg/s per degC of memory."""
     rng = np.random.default_rng(5)
@@ -67,6 +80,20 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.coil is None
     assert best.effects == {effect}
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
+
+
+def test_a_coil_that_never_got_warm_is_not_looked_for() -> None:
+    """Heated once, from 20 to 60 degC: behind a lag of eight hours the coil has not left 22 degC."""
+    t_s = np.linspace(0.0, 3600.0, 61)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 13)[:61]
+    table = DataSetTable(Path("once.csv"), rate, rate, 20.0 + t_s / 90.0, t_s=t_s)
+    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    assert search._reached((1.0, 300.0))
+    assert not search._reached((1.0, 28800.0))
+    # A share of the lag is a share of the way.
+    assert search._reached((0.1, 28800.0))
+    for candidate in search.run():
+        assert candidate.coil is None or search._reached(candidate.coil)
 
 
 def test_a_law_that_is_none_of_the_catalogue_goes_into_the_file_as_smooth_parts() -> None:

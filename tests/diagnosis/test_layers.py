@@ -102,6 +102,40 @@ def test_smooth_parts_are_free_of_the_surface() -> None:
     assert {p.block for p in staying(means, model.basis.frame, np.arange(12))} >= {"memory", "odd rate"}
 
 
+@pytest.mark.parametrize(("rates", "temperatures"), [(2, 2), (4, 4), (6, 5), (40, 40)])
+def test_shapes_are_those_that_the_visited_places_can_tell_apart(rates: int, temperatures: int) -> None:
+    """Sizes of rate beside rest: a curve of more orders than places goes anywhere between them."""
+    sizes = np.linspace(0.0, 100.0, rates + 1)
+    rate, temp = (
+        a.ravel() for a in np.meshgrid(np.r_[-sizes, sizes], np.linspace(-10.0, 50.0, temperatures))
+    )
+    table = DataSetTable(Path("t.csv"), rate, rate, temp, t_s=30.0 * np.arange(rate.size, dtype=np.float64))
+    means = means_of(series_of_table(table))
+    parts = {p.name: p for p in staying(means, full_model(means).basis.frame, np.arange(12))}
+
+    def orders(name: str, of_surface: int) -> int:
+        return of_surface + (len(parts[name].columns) if name in parts else 0)
+
+    assert orders("odd orders", SHAPE[0] // 2) <= max(rates, SHAPE[0] // 2)
+    assert orders("even orders", SHAPE[0] // 2) <= max(rates + 1, SHAPE[0] // 2)
+    for target in ("bias", "scale"):
+        assert orders(f"temperature orders on {target}", SHAPE[1]) <= max(temperatures, SHAPE[1])
+    many = rates == temperatures == 40
+    for bumps in ("odd bumps", "even bumps", "temperature on bias", "temperature on scale"):
+        assert (bumps in parts) == many
+    assert all(p.columns for p in parts.values())
+
+
+def test_the_scale_factor_has_the_shapes_of_the_temperatures_at_which_it_turned() -> None:
+    temp = np.linspace(-10.0, 50.0, 60)
+    rate = np.where(np.arange(60) % 20 == 0, 50.0, 0.0)
+    table = DataSetTable(Path("t.csv"), rate, rate, temp, t_s=30.0 * np.arange(60, dtype=np.float64))
+    means = means_of(series_of_table(table))
+    parts = {p.name for p in staying(means, full_model(means).basis.frame, np.arange(12))}
+    assert {"temperature orders on bias", "temperature on bias"} <= parts
+    assert not {"temperature orders on scale", "temperature on scale"} & parts
+
+
 def test_a_warm_up_is_looked_for_at_the_times_that_the_record_lasts() -> None:
     t_s = np.linspace(0.0, 1000.0, 60)
     rate = np.tile([-50.0, 0.0, 50.0], 20)

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.laws import GAIN
+from gyrocal.diagnosis.laws import GAIN, effects_of
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.names import Named, Naming, still_there
+from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.trial.made_up import make_up
@@ -138,9 +140,37 @@ def test_a_dead_zone_between_two_rates_is_seen_by_its_law_alone() -> None:
     table = DataSetTable(
         Path("low.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size, dtype=np.float64)
     )
-    (law,) = examine(series_of_table(table), 0.01).naming.named
+    found = examine(series_of_table(table), 0.01)
+    (law,) = found.naming.named
     assert law.law.effect == "dead_zone"
     assert 0.02 < law.law.shape["width_dps"] < 0.05
+    assert [w for w, c in found.candidates if law.law in c.fitted.model.laws] == [1.0]
+
+
+def test_the_file_of_a_table_has_the_law_where_the_law_says_more_than_smooth_parts() -> None:
+    """Between nine rates nothing but the law of a knee knows where it is."""
+    rng = np.random.default_rng(5)
+    sizes = np.linspace(0.0, 100.0, 9)
+    rate = np.tile(np.r_[-sizes[::-1], sizes], 6)
+    error = -0.02 * np.sign(rate) * np.maximum(np.abs(rate) - 70.0, 0.0) + 1e-3 * rng.standard_normal(
+        rate.size
+    )
+    temp = 25.0 + 0.02 * rng.standard_normal(rate.size)
+    table = DataSetTable(
+        Path("knee.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size, dtype=np.float64)
+    )
+    found = examine(series_of_table(table), 0.01)
+    ((weight, candidate),) = found.candidates
+    assert weight == 1.0
+    assert [law.effect for law in candidate.fitted.model.laws] == ["saturation"]
+    # It pays for what it was chosen from, and is the better for all that.
+    gained = found.ranked[0].fitted.nll - candidate.fitted.nll
+    assert 0.0 < found.ranked[0].score - candidate.score < gained - TOLL_NATS
+
+
+def test_an_error_of_each_rate_has_no_law_that_would_be_in_no_file() -> None:
+    assert all(effect.runtime for effect in effects_of("each rate"))
+    assert any(not effect.runtime for block in BLOCKS for effect in effects_of(block))
 
 
 def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:
@@ -177,7 +207,7 @@ def test_what_laws_of_time_and_memory_explain_is_no_shape_in_temperature() -> No
         before = soak
     temp, rate = np.repeat(soaks, rates.size), np.tile(rates, len(soaks))
     t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
-    error = 0.02 + 3e-5 * rate + 4e-3 * (temp - 20.0) / 30.0 + 2e-3 * np.repeat(states, rates.size)
+    error = 0.02 + 3e-5 * rate + 4e-3 * (temp - 20.0) / 30.0 + 3e-3 * np.repeat(states, rates.size)
     error += 4e-4 * rate * t_s / t_s[-1] + 4e-3 / (1.0 + np.exp(-(t_s - 0.45 * t_s[-1]) / 90.0))
     error += 3e-4 * rng.standard_normal(rate.size)
     temp += 0.05 * rng.standard_normal(rate.size)
