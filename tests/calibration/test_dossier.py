@@ -166,6 +166,17 @@ def test_instruments_whose_certificates_had_expired_are_told(tmp_path: Path) -> 
     assert "NOT TRACEABLE: the table's certificate K-2211 expired on 2026-03-31" in sentence
 
 
+def test_a_rate_that_no_run_reached_is_not_tested_and_no_unit_fails_there(tmp_path: Path) -> None:
+    run = unit_run(write_table(tmp_path / "run.csv", 1), FitConfig())
+
+    def judgement(least: float) -> str | None:
+        rows = compile_dossier([run], {"maximum_rate_tested": Limit(least=least)}, "limits.toml").rows
+        return {row.known.name: row.judgement for row in rows}["maximum_rate_tested"]
+
+    assert judgement(99.0) == "pass"
+    assert judgement(300.0) == "not tested"
+
+
 def test_runs_become_one_dossier(tmp_path: Path) -> None:
     runs = [unit_run(write_table(tmp_path / f"run{k}.csv", k), FitConfig()) for k in (1, 2, 3)]
     dossier = compile_dossier(runs, {"bias": Limit(1e6)}, "limits.toml")
