@@ -64,7 +64,7 @@ def command(
 ) -> None:
     """Dead reckoning of drive logs with and without calibration, with and without the Kalman filter.
 
-    LOG is a CSV (t_s, left_m, right_m or ticks, gyro_dps, gyro_temp_c, and truth where there is some), a ROS
+    LOG is a CSV (t_s, left_m, right_m or ticks, gyro_dps, and gyro_temp_c and truth where there is some), a ROS
     bag or an MCAP file. Writes trajectories, states, one table in the layout of the paper's Table II, figures,
     and replay.html, which holds them all. A log whose channels cannot be right is refused.
 

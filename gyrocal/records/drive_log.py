@@ -245,7 +245,7 @@ def _merge_files(
 def _native_rules(path: Path, header: list[str]) -> dict[str, ColumnRule]:
     found = [way for way in _WAYS if not set(way[0]).isdisjoint(header)]
     names, rule_names, unit = found[0] if found else _WAYS[-1]
-    require_columns(path, header, ("t_s", *names, "gyro_dps", "gyro_temp_c"), COLUMNS, MAP_THEM)
+    require_columns(path, header, ("t_s", *names, "gyro_dps"), COLUMNS, MAP_THEM)
     if len(found) > 1:
         what = {"left_ticks": "ticks", "left_m": "metres"}
         both = " and ".join(what.get(way[0][0], way[0][0]) for way in found[:2])

@@ -78,12 +78,18 @@ def test_a_tick_counter_that_misses_a_row_loses_no_distance(tmp_path: Path) -> N
     assert np.isnan(log.gyro_temp_c).all()
 
 
+def test_a_log_without_a_thermometer_needs_no_column_for_it(tmp_path: Path) -> None:
+    log = read_drive_log(write(tmp_path, "t_s,left_m,right_m,gyro_dps\n0,0,0,0.1\n1,0.1,0.2,0.3\n"))
+    np.testing.assert_allclose(log.gyro_dps, [0.1, 0.3])
+    assert np.isnan(log.gyro_temp_c).all()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "is empty"),
         (HEADER + "\n", "has a header and no rows. Check that it was written to its end."),
-        ("t_s,left_m,right_m,gyro_dps\n0,0,0,0\n", "column gyro_temp_c is missing"),
+        ("t_s,left_m,right_m,gyro_dps,gyro_temp\n0,0,0,0,20\n", "unknown column 'gyro_temp'"),
         (HEADER.replace("gyro_dps", "gyro_rad_s") + "\n0,0,0,0,0\n", "column gyro_dps is missing"),
         (
             HEADER + ",left_ticks,right_ticks\n0,0,0,0,0,1,1\n",
