@@ -11,6 +11,7 @@ from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.figures import common_span, figures_between
 from gyrocal.calibration.pooled import repeatability
 from gyrocal.calibration.provenance import refuse_twice
 from gyrocal.errors import DataError
@@ -50,7 +51,7 @@ class Change:
 
 
 def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
-    """Figures before compensation of every run, in the order given.
+    """Figures before compensation of every run, in the order given, over what the runs have in common.
 
     Raises
     ------
@@ -60,9 +61,9 @@ def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
     if len(runs) < 2:
         raise DataError("One run is given, and a comparison takes two: give more.")
     refuse_twice([run.recording.source for run in runs])
-    listed = [
-        {name: pair.before for name, pair in run.merit.items()} | dict(run.noise.figures) for run in runs
-    ]
+    # Of the same rates and temperatures: a scale factor with a slope has another middle where a run was a tenth of a °C warmer.
+    span = common_span([run.fit.sets for run in runs])
+    listed = [figures_between(run.fit, span) | dict(run.noise.figures) for run in runs]
     names = [name for name in listed[0] if all(name in figures for figures in listed)]
     raw = [_change(tuple(figures[name] for figures in listed)) for name in names]
     tested = np.array([c.change is not None for c in raw])

@@ -14,6 +14,7 @@ from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
 from gyrocal.calibration.figure import Figure
+from gyrocal.calibration.figures import common_span, figures_between
 from gyrocal.calibration.limits import Limit, Row, judged
 from gyrocal.calibration.noise import noise_figures
 from gyrocal.calibration.pooled import pooled, repeatability
@@ -166,9 +167,10 @@ def _noise_rows(runs: Sequence[UnitRun]) -> list[Row]:
 
 
 def _repeatability(runs: Sequence[UnitRun]) -> list[Row]:
-    return [
-        Row(repeatability([run.calibration.merit[name].before for run in runs]), None) for name in _REPEATED
-    ]
+    fits = [run.calibration.fit for run in runs]
+    span = common_span([fit.sets for fit in fits])
+    found = [figures_between(fit, span) for fit in fits]
+    return [Row(repeatability([figures[name] for figures in found]), None) for name in _REPEATED]
 
 
 def _reach(runs: Sequence[UnitRun]) -> list[Row]:

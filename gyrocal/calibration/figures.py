@@ -1,7 +1,9 @@
 """Figures of merit of a gyro, named after IEEE Std 952 (fiber-optic gyro test procedures): the one place that makes them.
 
-The error of the data sets is described by a polynomial in the true rate and the temperature, by generalised least
-squares under the scatter that the fit has estimated; each figure is a functional of that description. Its interval
+The error of the data sets is described by the fitted surface and, of what it leaves, a polynomial in the true rate and the
+temperature, by generalised least squares under the scatter that the fit has estimated; each figure is a functional of that
+description. (The polynomial alone would not do: a gyro whose error is a cubic in its output has none in the true rate, and what
+it misses, sixteen times the noise of the virtual RD2100, goes by the weights of the run and not by the gyro.) Its interval
 is that of draws of the coefficients: reversed about the estimate, so that what noise adds to a range or a root mean
 square is taken off again (Davison and Hinkley, Bootstrap Methods and their Application, 1997, 5.2). The same is done
 with the error that is left on data which the fit has not seen: the figure after compensation.
@@ -9,7 +11,7 @@ with the error that is left on data which the fit has not seen: the figure after
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +22,7 @@ from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.fit import SurfaceFit, gls_gain
 from gyrocal.calibration.groups import distinct, temperature_groups
+from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE
 from gyrocal.units import DPS_TO_DPH
 
@@ -34,7 +37,24 @@ _LEAST_RATE = 0.1
 #: A reversal of the rate needs both ways of coming to it at so many data sets.
 _LEAST_WAYS = 8
 
-_METHOD = "polynomial in rate and temperature, weighted by the scatter of the data sets; reversed bootstrap"
+_METHOD = "surface and polynomial in rate and temperature, weighted by the scatter of the data sets; reversed bootstrap"
+
+
+@dataclass(frozen=True)
+class Span:
+    """Lowest and highest rate and temperature over which figures are taken."""
+
+    rate_dps: tuple[float, float]
+    temp_c: tuple[float, float]
+
+
+def common_span(several: Sequence[DataSets]) -> Span:
+    """What all of them cover, between which figures of several runs are of the same gyro; a low may lie above its high."""
+
+    def common(of: Sequence[Floats]) -> tuple[float, float]:
+        return max(float(x.min()) for x in of), min(float(x.max()) for x in of)
+
+    return Span(common([sets.rate_dps for sets in several]), common([sets.temp_c for sets in several]))
 
 
 @dataclass(frozen=True)
@@ -161,6 +181,7 @@ LAWS: Mapping[str, Law] = {
 }
 
 _LACKING = {
+    "overlap": "the runs have no rates or no temperatures in common",
     "rate": "the recording is at a single rate",
     "signs": "the recording turns one way only",
     "temperature": "the recording is at a single temperature",
@@ -202,52 +223,60 @@ def merit_figures(fit: SurfaceFit, left_out_dps: Floats | None) -> dict[str, Bef
     left_out_dps : ndarray, shape (n,), or None
         Error of each data set with its stretch of time left out of the fit; None where that cannot be had.
     """
-    sample = f"{len(fit.sets)} data sets"
-    before = error_figures(fit, fit.sets.error_dps, sample)
+    sample, span = f"{len(fit.sets)} data sets", common_span([fit.sets])
+    before = error_figures(fit, sample, span)
     if left_out_dps is None or not np.isfinite(left_out_dps).all():
         reason = "the record is too small to leave a part of it out"
         after = {n: replace(f, value=None, low=None, high=None, reason=reason) for n, f in before.items()}
     else:
-        after = error_figures(fit, left_out_dps, f"{sample}, each left out of the fit in its turn")
+        after = error_figures(fit, f"{sample}, each left out of the fit in its turn", span, left_out_dps)
     pairs = {name: BeforeAfter(before[name], after[name]) for name in before}
     # What a surface of rate and temperature does not follow is the same before and after it.
-    for figure in history_figures(fit, fit.residual_dps, sample):
+    for figure in history_figures(fit, sample, span):
         pairs[figure.name] = BeforeAfter(figure, figure)
     return pairs
 
 
-def error_figures(fit: SurfaceFit, error_dps: Floats, sample: str) -> dict[str, Figure]:
-    """Figures of one error series, shape (n,), under the scatter of `fit`."""
-    sets = fit.sets
-    there = _varied(sets)
-    curves = _curves(fit, error_dps)
+def figures_between(fit: SurfaceFit, span: Span) -> dict[str, Figure]:
+    """Figures before compensation over a span inside the recording's, as runs that are compared have in common."""
+    sample = f"{len(fit.sets)} data sets"
+    return error_figures(fit, sample, span) | {f.name: f for f in history_figures(fit, sample, span)}
+
+
+def error_figures(
+    fit: SurfaceFit, sample: str, span: Span, left_out_dps: Floats | None = None
+) -> dict[str, Figure]:
+    """Figures under the scatter of `fit`: of the gyro's own error, or of the error left on data left out, shape (n,)."""
+    there = _varied(fit.sets, span)
+    curves = _curves(fit, left_out_dps, span) if "overlap" in there else None
     found = {}
     for name, law in LAWS.items():
-        lacking = sorted(law.needs - there)
-        if lacking:
-            found[name] = Figure(name, law.unit, law.definition, reason=_LACKING[lacking[0]], sample=sample)
+        lacking = [_LACKING[what] for what in ("overlap", *sorted(law.needs)) if what not in there]
+        if lacking or curves is None:
+            found[name] = Figure(name, law.unit, law.definition, reason=lacking[0], sample=sample)
         else:
             found[name] = _figure(name, law, law.of(curves), sample)
     return found
 
 
-def _varied(sets: DataSets) -> frozenset[str]:
-    low, high = float(sets.rate_dps.min()), float(sets.rate_dps.max())
+def _varied(sets: DataSets, span: Span) -> frozenset[str]:
+    (low, high), (cold, warm) = span.rate_dps, span.temp_c
     there = {
+        "overlap": low <= high and cold <= warm,
         "rate": high > low and distinct(sets.rate_dps) > 2,
         "signs": low < 0 < high,
-        "temperature": bool(np.ptp(sets.temp_c) > 1.0),
+        "temperature": warm - cold > 1.0,
         "rest": low <= 0 <= high,
     }
     return frozenset(name for name, holds in there.items() if holds)
 
 
-def _curves(fit: SurfaceFit, error_dps: Floats) -> Curves:
+def _curves(fit: SurfaceFit, left_out_dps: Floats | None, span: Span) -> Curves:
     """The description on a grid, with draws of its coefficients under the scatter and its degrees of freedom."""
     sets = fit.sets
-    rates = np.linspace(float(sets.rate_dps.min()), float(sets.rate_dps.max()), _RATES)
+    rates = np.linspace(*span.rate_dps, _RATES)
     rates[np.argmin(np.abs(rates))] = 0.0 if rates[0] <= 0 <= rates[-1] else rates[np.argmin(np.abs(rates))]
-    temps = np.linspace(float(sets.temp_c.min()), float(sets.temp_c.max()), _TEMPS)
+    temps = np.linspace(*span.temp_c, _TEMPS)
     orders = (_order(sets.rate_dps, SHAPE[0]), _order(sets.temp_c, SHAPE[1]))
     design = _columns(sets.rate_dps, sets.temp_c, sets, orders)
     gain = gls_gain(fit.scatter.matrix, design)
@@ -257,10 +286,23 @@ def _curves(fit: SurfaceFit, error_dps: Floats) -> Curves:
     scale = np.sqrt(dof / rng.chisquare(dof, _DRAWS))
     factor = np.linalg.cholesky(covariance + 1e-15 * np.trace(covariance) * np.eye(len(covariance)))
     draws = (factor @ rng.standard_normal((len(covariance), _DRAWS))) * scale
-    coefficients = (gain @ error_dps)[:, None] + np.column_stack([np.zeros(len(covariance)), draws])
     grid_rate, grid_temp = (g.ravel() for g in np.meshgrid(rates, temps, indexing="ij"))
+    if left_out_dps is None:
+        known = _known(fit, np.append(sets.rate_dps, grid_rate), np.append(sets.temp_c, grid_temp))
+        rest, known = sets.error_dps - known[: len(sets)], known[len(sets) :]
+    else:
+        rest, known = left_out_dps, np.zeros(grid_rate.size)
+    coefficients = (gain @ rest)[:, None] + np.column_stack([np.zeros(len(covariance)), draws])
     grid = _columns(grid_rate, grid_temp, sets, orders)
-    return Curves(rates, temps, (grid @ coefficients).reshape(_RATES, _TEMPS, -1))
+    return Curves(rates, temps, (known[:, None] + grid @ coefficients).reshape(_RATES, _TEMPS, -1))
+
+
+def _known(fit: SurfaceFit, rate_dps: Floats, temp_c: Floats) -> Floats:
+    """The surface's error at true rates, or none where one of them has no output: then the polynomial has to do."""
+    try:
+        return np.asarray(fit.surface.output_dps(rate_dps, temp_c) - rate_dps)
+    except DataError:
+        return np.zeros(rate_dps.size)
 
 
 def _order(values: Floats, most: int) -> int:
@@ -294,10 +336,10 @@ def _figure(name: str, law: Law, values: Floats, sample: str) -> Figure:
     return replace(blank, value=value, low=low, high=max(high, value))
 
 
-def history_figures(fit: SurfaceFit, rest_dps: Floats, sample: str) -> list[Figure]:
-    """What depends on where rate and temperature came from, from the error that the fit leaves, shape (n,)."""
-    sets = fit.sets
-    full = float(np.max(np.abs(sets.rate_dps))) or 1.0
+def history_figures(fit: SurfaceFit, sample: str, span: Span) -> list[Figure]:
+    """What depends on where rate and temperature came from, from the error that the fit leaves."""
+    sets, rest_dps = fit.sets, fit.residual_dps
+    full = float(np.max(np.abs(span.rate_dps))) or 1.0
     return [
         _beside(
             fit,
