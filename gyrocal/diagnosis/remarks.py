@@ -48,6 +48,7 @@ class Said(Enum):
     GYRO_SPIKES = auto()
     TRUTH_UNIT = auto()
     TRUTH_RADIANS = auto()
+    TRUTH_CLOCKWISE = auto()
     TRUTH_MIRRORED = auto()
     UNEVEN_CLOCK = auto()
     # What was found in it.

@@ -1,4 +1,4 @@
-"""Mix-ups of a truth that no dead reckoning explains: another unit, a heading in radians, a mirrored frame."""
+"""Mix-ups that a truth shows and no dead reckoning explains: another unit, a heading in radians, a mirrored frame."""
 
 from __future__ import annotations
 
@@ -16,6 +16,16 @@ UNITS = {1e-3: "millimetres", 1e3: "kilometres"}
 _STRETCHES = 50
 #: A factor this near to that of a wrong unit is one; dead reckoning is never off by so much.
 _UNIT_FACTOR = 3.0
+#: Windows of a path, by its way, in which truth and path are laid on each other; a window counts where they share so much
+#: of their shapes, and so many are asked for: what is left of a gyro's drift within one, or a truth of much noise, says nothing.
+_WINDOWS, _SHARED, _FEWEST = 8, 0.9, 4
+#: No wheel is off by such a factor, and none that skids goes on driving: the way has another unit.
+_WAY_FACTOR = 1.5
+#: A degree of latitude is 111 km.
+_DEGREES = 3e-5
+#: A heading goes with the course of its own positions by so much (the length of a mean of unit vectors); along one straight
+#: line clockwise and counter-clockwise look alike.
+_GOES_WITH, _GOES_AGAINST = 0.8, 0.5
 #: A mirrored truth fits this much better in a mirror than as it stands, and as it stands misses by this share of the
 #: path's extent: a straight path, which is its own mirror image, does neither.
 _BETTER_IN_MIRROR, _MISSES = 0.25, 0.2
@@ -43,7 +53,36 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
         return f"the truth's positions are {1.0 / unit_m:g} times the path's: they are in {UNITS[unit_m]}. State their unit in a mapping with --columns."
     if in_radians(path[:, 2], truth[:, 2]):
         return "the truth's heading is in radians. Write it in degrees, or state its unit in a mapping with --columns."
-    return _mirrored(own, told)
+    return way_fault(own, told) or mirror_fault(own, told) or (CLOCKWISE if clockwise(path, truth) else None)
+
+
+def way_fault(own: Floats, told: Floats) -> str | None:
+    """What is wrong with a way that is too long or too short for any wheel; None where nothing is.
+
+    Parameters
+    ----------
+    own, told : ndarray, shape (n, 2)
+        Positions of dead reckoning and of the truth at the same rows, m.
+    """
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own, axis=0).T))])
+    window = np.minimum((_WINDOWS * way / max(float(way[-1]), 1e-9)).astype(np.int64), _WINDOWS - 1)
+    factors = []
+    for k in range(_WINDOWS):
+        a, b = ((p[:, 0] + 1j * p[:, 1])[window == k] for p in (own, told))
+        if a.size < 3:
+            continue
+        a, b = a - a.mean(), b - b.mean()
+        # An inverted gyro makes a mirror image as long as the path.
+        both = max(abs(np.vdot(a, b)), abs(np.vdot(np.conj(a), b)))
+        saa, sbb = float(np.vdot(a, a).real), float(np.vdot(b, b).real)
+        if both > 0.0 and both**2 > _SHARED * saa * sbb:
+            factors.append(both / saa)
+    factor = float(np.median(factors)) if len(factors) >= _FEWEST else 1.0
+    if 1.0 / _WAY_FACTOR < factor < _WAY_FACTOR:
+        return None
+    if factor < _DEGREES:
+        return "the truth's positions are degrees of longitude and latitude. Write them in metres to the east and to the north."
+    return f"by the truth the robot goes {factor:.3g} times as far as by its wheels, and no wheel is so far off: the way is in another unit (km/h for m/s makes 0.278), or metres_per_tick is wrong. Correct that, or state the unit in a mapping with --columns."
 
 
 def truth_unit_m(own: Floats, told: Floats) -> float:
@@ -67,11 +106,37 @@ def truth_unit_m(own: Floats, told: Floats) -> float:
     return fits[0] if fits else 1.0
 
 
+CLOCKWISE = "the truth's heading turns clockwise, as a compass's does, while its positions turn the other way. Write 90 less it, or state sign = -1 and offset = 90 in a mapping with --columns."
+
+
+def clockwise(path: Floats, truth: Floats) -> bool:
+    """Whether a truth's headings turn against its own positions; arrays as in `truth_fault`, headings in degrees.
+
+    The path only says where the robot backs up, so that a gyro's drift does no harm, nor a truth that is mirrored as a whole.
+    """
+    known = np.isfinite(truth).all(axis=1)
+    own, told = path[known], truth[known]
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own[:, :2], axis=0).T))])
+    marks = (
+        np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _STRETCHES + 1)[:-1])) if way.size else []
+    )
+    if len(marks) < _FEWEST:
+        return False
+    step, seen = (np.diff((p[:, 0] + 1j * p[:, 1])[marks]) for p in (own, told))
+    ahead, said = (np.add.reduceat(np.exp(1j * np.radians(p[:, 2])), marks)[:-1] for p in (own, told))
+    course = seen * np.sign(np.real(step * np.conj(ahead)))
+    with_it, against = (
+        abs(np.mean(np.exp(1j * (np.angle(course) - side * np.angle(said))))) for side in (1.0, -1.0)
+    )
+    return bool(against > _GOES_WITH and with_it < _GOES_AGAINST)
+
+
 def _extent(points: Floats) -> float:
     return float(np.sqrt(np.sum(np.var(points, axis=0))))
 
 
-def _mirrored(own: Floats, told: Floats) -> str | None:
+def mirror_fault(own: Floats, told: Floats) -> str | None:
+    """What is wrong with a truth that follows the path in a mirror only; arrays as in `way_fault`."""
     misses = [_misfit(own, told), _misfit(own, told * np.array([1.0, -1.0]))]
     if misses[0] < _MISSES * _extent(own) or misses[1] > _BETTER_IN_MIRROR * misses[0]:
         return None

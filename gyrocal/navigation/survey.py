@@ -275,6 +275,19 @@ def check_cells(
         raise DataError(f"{name}: {odd.what}. {odd.remedy}.")
 
 
+def check_speed(name: str, fast_mps: float, *, speed_only: bool) -> None:
+    """Refuse a way that no vehicle goes: another unit, or totals where a row holds what it adds.
+
+    Raises
+    ------
+    DataError
+    """
+    if fast_mps > (_MAX_VEHICLE_MPS if speed_only else _MAX_SPEED_MPS):
+        what = "speed_m is the distance" if speed_only else "left_m and right_m are distances"
+        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; {what} since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
+        raise DataError(msg)
+
+
 def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     """Refuse a log whose channels cannot be right, and say what is doubtful.
 
@@ -289,10 +302,7 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     check_cells(name, found.rows, found.bad_gyro, found.bad_encoder, found.gyro_deg / BIN_S, temp_c)
     if found.duration_s <= 0:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
-    if found.max_speed_mps > (_MAX_VEHICLE_MPS if found.speed_only else _MAX_SPEED_MPS):
-        what = "speed_m is the distance" if found.speed_only else "left_m and right_m are distances"
-        msg = f"{name}: the encoders say {found.max_speed_mps:.3g} m/s; {what} since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
-        raise DataError(msg)
+    check_speed(name, found.max_speed_mps, speed_only=found.speed_only)
     _check_stuck(found, wheel_separation_m)
     return () if found.speed_only else _check_turns(found, wheel_separation_m)
 

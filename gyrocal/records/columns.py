@@ -55,6 +55,7 @@ _DISTANCE = {
     "ticks": Unit(1.0, ticks=True),
     "ticks_total": Unit(1.0, ticks=True, total=True),
     "m/s": Unit(1.0, speed=True),
+    "km/h": Unit(1.0 / 3.6, speed=True),
 }
 _RATE = {"deg/s": Unit(1.0), "rad/s": Unit(RAD_TO_DEG), "mdeg/s": Unit(1e-3), "deg/h": Unit(1.0 / 3600.0)}
 _TEMPERATURE = {"C": Unit(1.0), "K": Unit(1.0, shift=-273.15), "F": Unit(5.0 / 9.0, shift=-160.0 / 9.0)}

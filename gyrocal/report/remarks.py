@@ -105,6 +105,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.GYRO_SPIKES: "{count} [spike|spikes] of the gyro, up to {largest_dps:.3g} deg/s, [is|are] bridged in the comparison",
     Said.TRUTH_UNIT: "the truth's positions are {times:g} times too large: they are taken in {unit}",
     Said.TRUTH_RADIANS: "the truth's heading is in radians: it is taken as such",
+    Said.TRUTH_CLOCKWISE: "the truth's heading turns clockwise, as a compass's does, and is taken as such",
     Said.TRUTH_MIRRORED: "the truth follows the path in a mirror only (y and x swapped, or y of the wrong sign?), so it "
     "was left aside",
     Said.UNEVEN_CLOCK: "time stamps scatter by {jitter_ms:.2g} ms about an even clock of {usual_ms:.3g} ms",

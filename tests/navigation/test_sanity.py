@@ -10,8 +10,10 @@ import pytest
 
 from gyrocal.errors import DataError
 from gyrocal.navigation.replay import replay_log
-from gyrocal.navigation.sanity import truth_fault
+from gyrocal.navigation.sanity import clockwise, truth_fault, way_fault
 from gyrocal.records.drive import DriveBlock
+from tests.diagnosis.drive.fleet import SHAPES, Plan
+from tests.diagnosis.drive.fleet import drive as fleet_drive
 from tests.navigation.drives import drive, robot, source
 
 MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
@@ -27,6 +29,20 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
     "radians": (
         lambda b: replace(b, truth_heading_deg=np.radians(b.truth_heading_deg)),
         "heading is in radians",
+    ),
+    "a compass": (
+        lambda b: replace(b, truth_heading_deg=(90.0 - b.truth_heading_deg) % 360.0),
+        "heading turns clockwise",
+    ),
+    "degrees": (
+        lambda b: replace(b, truth_x_m=8.5 + b.truth_x_m / 76_000, truth_y_m=47.0 + b.truth_y_m / 111_000),
+        "degrees of longitude and latitude",
+    ),
+    "km/h": (
+        lambda b: replace(
+            b, left_m=1.8 * (b.left_m + b.right_m), right_m=1.8 * (b.left_m + b.right_m), speed_only=True
+        ),
+        r"goes 0\.27\d times as far",
     ),
     "gyro in rad/s beside a speed": (
         lambda b: replace(
@@ -61,6 +77,21 @@ def test_a_rough_truth_is_no_mix_up() -> None:
         told[:, 2] = (told[:, 2] + 180.0) % 360.0 - 180.0
         told[rng.random(n) < 0.3] = np.nan
         assert truth_fault(path, told) is None, seed
+
+
+def test_no_truth_that_is_rough_is_a_mix_up_of_way_or_heading() -> None:
+    """With a gyro that drifts by 30 deg a minute, and a receiver that wanders by metres."""
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 4])
+        plan = Plan(str(rng.choice(SHAPES)), 5.0, 10.0, bias_dps=0.5, truth_m=3.0, truth_wander_m=6.0)
+        log = fleet_drive(replace(plan, truth_heading_deg=20.0), seed)
+        heading = np.cumsum(np.radians(log.gyro_dps)) / 10.0
+        at = np.cumsum(0.5 * (log.left_m + log.right_m) * np.exp(1j * heading))
+        path = np.stack([at.real, at.imag, np.degrees(heading)], axis=1)
+        truth = np.stack([log.truth_x_m, log.truth_y_m, log.truth_heading_deg], axis=1)
+        known = np.isfinite(truth).all(axis=1)
+        assert way_fault(path[known, :2], truth[known, :2]) is None, seed
+        assert not clockwise(path, truth), seed
 
 
 def test_a_straight_path_is_its_own_mirror_image() -> None:

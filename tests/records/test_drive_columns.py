@@ -51,6 +51,7 @@ def test_units_signs_and_wrapping_counters(tmp_path: Path) -> None:
         ("mm_total", (5000, 5200, 5500), (0.0, 0.2, 0.3)),
         ("ticks", (10, 20, 30), (0.1, 0.2, 0.3)),
         ("m/s", (9.0, 2.0, 3.0), (0.0, 0.2, 0.3)),
+        ("km/h", (9.0, 7.2, 10.8), (0.0, 0.2, 0.3)),
     ],
 )
 def test_every_unit_of_distance(

@@ -11,7 +11,15 @@ from gyrocal.diagnosis.drive.series import DriveSeries, Floats
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.errors import DataError
-from gyrocal.navigation.sanity import UNITS, gyro_fault, in_radians, truth_unit_m
+from gyrocal.navigation.sanity import (
+    UNITS,
+    clockwise,
+    gyro_fault,
+    in_radians,
+    mirror_fault,
+    truth_unit_m,
+    way_fault,
+)
 from gyrocal.units import DPH_TO_DPS, RAD_TO_DEG
 
 _NONE = (float("nan"), float("nan"))
@@ -66,7 +74,8 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     Raises
     ------
     DataError
-        By the truth the gyro is in rad/s; where the wheels tell turns, `wrong_gyro` has seen it.
+        By the truth the gyro is in rad/s (where the wheels tell turns, `wrong_gyro` has seen it), or the way is in another
+        unit.
     """
     notes: list[Remark] = []
     if not series.has_truth:
@@ -84,6 +93,14 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     if in_radians(RAD_TO_DEG * path.heading_rad, series.truth_heading_deg):
         notes.append(Remark(Said.TRUTH_RADIANS))
         series = replace(series, truth_heading_deg=RAD_TO_DEG * series.truth_heading_deg)
+    told = np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
+    fault = way_fault(own, told[known, :2])
+    if fault is not None:
+        raise DataError(f"{series.source}: {fault}")
+    path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
+    if mirror_fault(own, told[known, :2]) is None and clockwise(path_deg, told):
+        notes.append(Remark(Said.TRUTH_CLOCKWISE))
+        series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)
     return series, notes
 
 

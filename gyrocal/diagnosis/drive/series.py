@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.navigation.survey import check_cells
+from gyrocal.navigation.survey import check_cells, check_speed
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
 from gyrocal.units import DEG_TO_RAD, STDS_PER_MAD
@@ -24,6 +24,8 @@ Bools = NDArray[np.bool_]
 NODE_S, REST_NODE_S = 0.1, 1.0
 #: A row rests where no wheel moves from so long before to so long after, s: between two ticks a robot may still turn.
 STILL_S = 0.6
+#: Share of the rows whose speed must be one that a vehicle has: single rows may be of a clock that jumped.
+_FAST = 0.95
 #: What counts as motion of a wheel without ticks, m/s.
 STILL_MPS = 1e-3
 #: A step of time above so many usual ones is a gap.
@@ -148,6 +150,8 @@ def drive_series(
     left, right = np.nan_to_num(log.left_m), np.nan_to_num(log.right_m)
     if max(np.abs(left).sum(), np.abs(right).sum()) < _LEAST_M:
         raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
+    speed_mps = 0.5 * np.abs(left + right)[dt_s > 0] / dt_s[dt_s > 0]
+    check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
     ticks = (tick_size(left), tick_size(right))
     moving = _moving(dt_s, (left, right), ticks)
     apart = float(np.sum(np.abs(right - left)))

@@ -1,0 +1,56 @@
+"""Columns that a new user mixes up are told, not explained by physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.drive.engine import diagnose_drive
+from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.errors import DataError
+from gyrocal.records.robot import Robot, robot_of
+from tests.diagnosis.drive.fleet import Plan, drive
+from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
+
+Floats = NDArray[np.float64]
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return robot_of({"wheel_separation_m": SEPARATION_M, "static_s": 0.0}, Path("robot.toml"))
+
+
+@pytest.mark.parametrize(
+    "as_logged", [lambda way_m: np.cumsum(way_m), lambda way_m: 1e3 * way_m], ids=["totals", "millimetres"]
+)
+def test_a_way_that_no_robot_goes_is_refused(robot: Robot, as_logged: Callable[[Floats], Floats]) -> None:
+    """Before: totals took ten gigabytes and came to no end."""
+    log = simulate(Hidden(), 1)
+    odd = replace(log, left_m=as_logged(log.left_m), right_m=as_logged(log.right_m))
+    with pytest.raises(DataError, match="distances since the row before, in metres"):
+        diagnose_drive("odd", odd, robot)
+
+
+def test_a_speed_in_another_unit_is_no_wheel_twice_as_large(robot: Robot) -> None:
+    """Before: km/h for m/s was a wheel scale of 108.33 ± 0.01 %, and the log explained."""
+    log = simulate(Hidden(gps_m=0.3), 1)
+    way_m = 3.6 * 0.5 * (log.left_m + log.right_m)
+    odd = replace(log, left_m=way_m, right_m=way_m, speed_only=True)
+    with pytest.raises(DataError, match=r"goes 0\.27\d times as far"):
+        diagnose_drive("odd", odd, robot)
+
+
+def test_a_compass_is_no_scale_of_the_gyro() -> None:
+    """Before: the gyro's scale was said to be 300.0 ± 0.1 % off."""
+    log = drive(Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05), 3)
+    standing = robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
+    found = diagnose_drive("compass", replace(log, truth_heading_deg=90.0 - log.truth_heading_deg), standing)
+    assert Remark(Said.TRUTH_CLOCKWISE) in found.diagnosis.notes
+    assert found.truth is not None
+    assert abs(found.truth.values["gyro_scale"]) < 0.01
+    assert not found.diagnosis.effects
