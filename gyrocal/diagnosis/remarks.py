@@ -53,6 +53,8 @@ class Said(Enum):
     UNEVEN_CLOCK = auto()
     # What was found in it.
     GYRO_COLUMN = auto()
+    WHEEL_SIGN = auto()
+    WHEELS_SWAPPED = auto()
     MISSING_ROWS = auto()
     WHEEL_TURN = auto()
     ENCODERS_LATE = auto()

@@ -157,7 +157,7 @@ class RobotParameters(_Figures):
     is a gap: the gyro is not integrated over it. `static_s`: how long the robot stands at the start; 0: it does not.
     """
 
-    wheel_separation_m: float = figure(math.nan, 1e-3, 100.0)
+    wheel_separation_m: float = figure(math.nan, 1e-3, 10.0)
     initial_std: InitialStd = field(default_factory=InitialStd)
     noise: FilterNoise = field(default_factory=FilterNoise)
     gyro: GyroFigures = field(default_factory=GyroFigures)

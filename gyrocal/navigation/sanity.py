@@ -115,12 +115,12 @@ def clockwise(path: Floats, truth: Floats) -> bool:
     The path only says where the robot backs up, so that a gyro's drift does no harm, nor a truth that is mirrored as a whole.
     """
     known = np.isfinite(truth).all(axis=1)
+    if np.count_nonzero(known) < 10:
+        return False
     own, told = path[known], truth[known]
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own[:, :2], axis=0).T))])
-    marks = (
-        np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _STRETCHES + 1)[:-1])) if way.size else []
-    )
-    if len(marks) < _FEWEST:
+    marks = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _STRETCHES + 1)[:-1]))
+    if marks.size < _FEWEST:
         return False
     step, seen = (np.diff((p[:, 0] + 1j * p[:, 1])[marks]) for p in (own, told))
     ahead, said = (np.add.reduceat(np.exp(1j * np.radians(p[:, 2])), marks)[:-1] for p in (own, told))
@@ -140,7 +140,7 @@ def mirror_fault(own: Floats, told: Floats) -> str | None:
     misses = [_misfit(own, told), _misfit(own, told * np.array([1.0, -1.0]))]
     if misses[0] < _MISSES * _extent(own) or misses[1] > _BETTER_IN_MIRROR * misses[0]:
         return None
-    return f"the truth follows the path in a mirror only (rms {misses[1]:.3g} m, {misses[0]:.3g} m as it stands): its y has the wrong sign, or x and y are swapped. State the signs in a mapping with --columns."
+    return f"the truth follows the path in a mirror only (rms {misses[1]:.3g} m, {misses[0]:.3g} m as it stands): its y has the wrong sign, x and y are swapped, or the gyro's sign is inverted. State the signs in a mapping with --columns."
 
 
 def _misfit(own: Floats, told: Floats) -> float:

@@ -87,8 +87,10 @@ def _shown_sentence(shown: Shown) -> str:
     part = part_words(shown.log, shown.from_share)
     if not np.isfinite(shown.before_m):
         return f"On {part} the path along the gyro's heading moves by {shown.apart_m:.2g} m rms; there is no truth to say whether for the better"
+    before, after = f"{shown.before_m:.3g}", f"{shown.after_m:.3g} m rms"
     better = "falls" if shown.after_m <= shown.before_m else "rises"
-    return f"On {part} the position error along the gyro's heading {better} from {shown.before_m:.3g} to {shown.after_m:.3g} m rms"
+    moves = f"{better} from {before} to {after}" if after != f"{before} m rms" else f"stays at {after}"
+    return f"On {part} the position error along the gyro's heading {moves}"
 
 
 def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) -> list[str]:

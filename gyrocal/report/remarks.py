@@ -106,10 +106,12 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.TRUTH_UNIT: "the truth's positions are {times:g} times too large: they are taken in {unit}",
     Said.TRUTH_RADIANS: "the truth's heading is in radians: it is taken as such",
     Said.TRUTH_CLOCKWISE: "the truth's heading turns clockwise, as a compass's does, and is taken as such",
-    Said.TRUTH_MIRRORED: "the truth follows the path in a mirror only (y and x swapped, or y of the wrong sign?), so it "
-    "was left aside",
+    Said.TRUTH_MIRRORED: "the truth follows the path in a mirror only (y and x swapped, y or the gyro of the wrong sign?), "
+    "so it was left aside",
     Said.UNEVEN_CLOCK: "time stamps scatter by {jitter_ms:.2g} ms about an even clock of {usual_ms:.3g} ms",
     Said.GYRO_COLUMN: _gyro_column,
+    Said.WHEELS_SWAPPED: "Left and right wheel are swapped: the truth turns as the gyro does.",
+    Said.WHEEL_SIGN: "The {side} wheel counts backwards: its sign is inverted.",
     Said.MISSING_ROWS: "About {count} [row is|rows are] missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
     Said.WHEEL_TURN: "The {side} wheel's distance is modulated every {way_m:.3g} m, once a turn of a wheel of radius "
     "{radius_m:.3g} m.",

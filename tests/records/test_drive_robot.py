@@ -114,6 +114,7 @@ def test_one_tick_size_serves_both_sides(tmp_path: Path) -> None:
             "wheel_separation_m = 1\nmetres_per_tick = [1, 2, 3]\n",
             "metres_per_tick is [1, 2, 3]; allowed: one number, or [LEFT, RIGHT], above 0.",
         ),
+        ("wheel_separation_m = 57\n", "wheel_separation_m is 57; allowed: 0.001 to 10"),
         ("wheel_separation_m = 1\nmetres_per_tick = [0, 1]\n", "metres_per_tick is 0"),
         (
             "schema = 'gyrocal-robot/3'\nwheel_separation_m = 1\n",

@@ -27,6 +27,8 @@ _NONE = (float("nan"), float("nan"))
 _UNIT_FACTOR = 3.0
 #: Turns are compared over windows of this length; below this share of common variance they are not of one robot.
 _WINDOW_S, _COMMON = 5.0, 0.25
+#: Above this share they are, whatever else is wrong with a wheel.
+_SURELY_COMMON = 0.7
 #: Share of missing rows that is worth a name, and a step of time in usual ones from which a row is missing.
 _LOST, _STEP = 1e-3, 1.8
 #: Steps shorter than this share of the usual one are doubles; time stamps that scatter by more than this share are uneven.
@@ -54,7 +56,7 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     e, g = encoder - np.median(encoder), gyro - np.median(gyro)
     see, sgg, seg = float(e @ e), float(g @ g), float(e @ g)
     if min(see, sgg) <= 0 or seg**2 < _COMMON * see * sgg:
-        return series, None
+        return _wrong_wheel(series, edges, g)
     ratio = float(np.sign(seg) * np.sqrt(sgg / see))
     units = ((RAD_TO_DEG, "rad/s"), (1.0 / RAD_TO_DEG, "twice"), (DPH_TO_DPS, "deg/h"), (1.0, ""))
     factor, unit = min(units, key=lambda unit: abs(np.log(abs(ratio) * unit[0])))
@@ -63,9 +65,39 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
         return series, None
     std = abs(ratio) * float(np.sqrt(max(1.0 - seg**2 / (see * sgg), 0.0) / max(e.size - 2, 1)))
     amplitude = Estimate.normal(ratio, std, "1")
-    seen = Remark(Said.GYRO_COLUMN, {"unit": unit, "inverted": ratio < 0})
     right = replace(series, gyro_dps=series.gyro_dps * factor * float(np.sign(ratio)))
+    if not unit and _follows_in_mirror(right) and not _follows_in_mirror(series):
+        right = replace(series, left_m=series.right_m, right_m=series.left_m, tick_m=series.tick_m[::-1])
+        return right, Found("unit_or_sign", amplitude, Remark(Said.WHEELS_SWAPPED))
+    seen = Remark(Said.GYRO_COLUMN, {"unit": unit, "inverted": ratio < 0})
     return right, Found("unit_or_sign", amplitude, seen)
+
+
+def _follows_in_mirror(series: DriveSeries) -> bool:
+    """Whether there is a truth, and it follows the gyro's path in a mirror only."""
+    known = np.isfinite(series.truth_x_m + series.truth_y_m)
+    if not known.any():
+        return False
+    at = reckon(series, Figures()).at_m[known]
+    told = np.column_stack([series.truth_x_m, series.truth_y_m])[known]
+    return mirror_fault(np.column_stack([at.real, at.imag]), told) is not None
+
+
+def _wrong_wheel(series: DriveSeries, edges_s: Floats, turned: Floats) -> tuple[DriveSeries, Found | None]:
+    """The log with the wheel turned round that counts backwards, and that; None where neither does.
+
+    `turned` is what the gyro turns between the edges, about its median. With one wheel's sign wrong, the sum of the two
+    distances is the turn, and the sign of that tells which.
+    """
+    both = np.diff(np.interp(edges_s, series.t_s, np.cumsum(series.left_m + series.right_m)))
+    both = both - np.median(both)
+    sbb, sgg, sbg = float(both @ both), float(turned @ turned), float(both @ turned)
+    if min(sbb, sgg) <= 0 or sbg**2 < _SURELY_COMMON * sbb * sgg:
+        return series, None
+    side = "left" if sbg > 0 else "right"
+    right = replace(series, left_m=-series.left_m) if sbg > 0 else replace(series, right_m=-series.right_m)
+    seen = Remark(Said.WHEEL_SIGN, {"side": side})
+    return right, Found("unit_or_sign", Estimate(-1.0, float("nan"), "1", _NONE), seen)
 
 
 def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:

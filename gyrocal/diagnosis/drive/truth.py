@@ -349,7 +349,9 @@ def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: Ya
         plain = _laid(replace(knots, heading=None), base, bias, noise)
         missed = _miss(other, turned[1], turned[2])
         mirrored = plain[3] - turned[3] > _MIRRORED_BY and miss > _MIRRORED_BETTER * missed
-    return replace(_answer(knots, base, state, problem, logs), mirrored=mirrored)
+    answer = _answer(knots, base, state, problem, logs)
+    # What a path misses of its mirror image is no structure of the drive.
+    return replace(answer, mirrored=True, odd={}) if mirrored else answer
 
 
 def _miss(knots: Knots, problem: _Problem, logs: Floats) -> float:

@@ -54,3 +54,38 @@ def test_a_compass_is_no_scale_of_the_gyro() -> None:
     assert found.truth is not None
     assert abs(found.truth.values["gyro_scale"]) < 0.01
     assert not found.diagnosis.effects
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_wheel_that_counts_backwards_is_told_and_turned_round(robot: Robot, side: str) -> None:
+    """Before: "no effect of the catalogue explains it"."""
+    log = simulate(Hidden(delay_s=0.1), 1)
+    odd = replace(log, **{f"{side}_m": -getattr(log, f"{side}_m")})
+    effects = diagnose_drive("odd", odd, robot).diagnosis.effects
+    assert [e.effect for e in effects] == ["unit_or_sign", "gyro_delay"]
+    assert effects[0].seen == Remark(Said.WHEEL_SIGN, {"side": side})
+
+
+def test_a_truth_that_was_left_aside_leaves_no_structure() -> None:
+    log = drive(Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05), 3)
+    standing = robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
+    mirrored = replace(log, truth_y_m=-log.truth_y_m, truth_heading_deg=-log.truth_heading_deg)
+    found = diagnose_drive("mirrored", mirrored, standing).diagnosis
+    assert Remark(Said.TRUTH_MIRRORED) in found.notes
+    assert not [place for place in found.located if place.remains]
+
+
+@pytest.mark.parametrize("swapped", [True, False])
+def test_a_truth_tells_swapped_wheels_from_an_inverted_gyro(swapped: bool) -> None:
+    """Before: swapped wheels were bridged by an inverted gyro, and the truth called mirrored."""
+    log = drive(Plan("random", 4.0, 10.0, truth_m=0.02), 3)
+    standing = robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
+    odd = (
+        replace(log, left_m=log.right_m, right_m=log.left_m)
+        if swapped
+        else replace(log, gyro_dps=-log.gyro_dps)
+    )
+    found = diagnose_drive("odd", odd, standing).diagnosis
+    assert [e.effect for e in found.effects] == ["unit_or_sign"]
+    assert (found.effects[0].seen == Remark(Said.WHEELS_SWAPPED)) == swapped
+    assert not found.notes
