@@ -332,7 +332,10 @@ def places(
 
 
 def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
-    """Noise far above what the robot file gives: something lives there that no law here describes."""
+    """Noise far above what the robot file gives: something lives there that no law here describes.
+
+    Its p-value is that of the level found where the file's is the true one; levels are normal in their logarithm.
+    """
     noise, usual, found = yaw.model.noise, yaw.model.usual, []
     given = series.robot.given
     for field, key, coordinate in (
@@ -340,16 +343,13 @@ def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
         ("turn", "noise.turn_slip_deg_per_rt_deg", "turn_rate"),
     ):
         ratio = getattr(noise, field) / getattr(usual, field)
-        if key in given and ratio > _NOISY:
+        if key not in given or ratio <= _NOISY:
+            continue
+        p = float(stats.norm.sf(np.log(ratio) / yaw.model.log_std[field]))
+        if p < STRANGER_P:
             found.append(
                 Located(
-                    coordinate,
-                    "variance",
-                    STRANGER_P,
-                    float("nan"),
-                    remains=True,
-                    target="noise",
-                    times_given=ratio,
+                    coordinate, "variance", p, float("nan"), remains=True, target="noise", times_given=ratio
                 )
             )
     return found

@@ -180,6 +180,8 @@ class YawModel:
         Variance added to gaps and outliers, rad^2.
     outliers : ndarray
         Intervals where a wheel spun or the gyro spiked.
+    log_std : mapping
+        Standard deviation of the logarithm of each level that the log was asked for, by its field of `YawNoise`.
     """
 
     frame: Frame
@@ -188,6 +190,7 @@ class YawModel:
     usual: YawNoise
     left_out: Floats
     outliers: NDArray[np.int64]
+    log_std: Mapping[str, float]
 
     @property
     def white(self) -> Floats:
@@ -212,16 +215,16 @@ def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
     left_out = np.where(frame.nodes.broken | starting, _LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, _LEFT_OUT)
-    noise = _levels(frame, y, columns, usual, left_out)
-    model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64))
+    noise, log_std = _levels(frame, y, columns, usual, left_out)
+    model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     outliers = _outliers(model, columns)
     if not outliers.size:
         return _with_usual_flicker(model)
     near = np.clip(outliers[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0, y.size - 1)
     left_out[near.ravel()] = _LEFT_OUT
     # From the start again: with the outliers the fit may have gone astray for good.
-    noise = _levels(frame, y, columns, usual, left_out)
-    return _with_usual_flicker(YawModel(frame, y, noise, usual, left_out, outliers))
+    noise, log_std = _levels(frame, y, columns, usual, left_out)
+    return _with_usual_flicker(YawModel(frame, y, noise, usual, left_out, outliers, log_std))
 
 
 def _with_usual_flicker(model: YawModel) -> YawModel:
@@ -243,7 +246,10 @@ def _independent(columns: Floats) -> Floats:
     return np.column_stack(kept)
 
 
-def _levels(frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats) -> YawNoise:
+def _levels(
+    frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
+) -> tuple[YawNoise, dict[str, float]]:
+    """Levels of the noise, and the standard deviation of the logarithm of each that was asked for."""
     names = {
         "slip": "slip_m_per_rt_m",
         "turn": "turn",
@@ -271,7 +277,7 @@ def _levels(frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out:
     # A log cannot measure its 1/f noise, and the variance of a bias goes by the square: taken as its mean over all levels
     # that are possible, not as that of the likeliest one.
     logs[list(names).index("flicker")] += left[list(names).index("flicker")] ** 2
-    return noise_of(logs)
+    return noise_of(logs), dict(zip(names.values(), left.tolist(), strict=True))
 
 
 def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:

@@ -98,7 +98,7 @@ def _sigma(effect: str, plan: Plan, seed: int) -> float:
     starting = ~frame.nodes.resting & ~series.moved[frame.nodes.rows[:-1]]
     y = np.zeros(frame.nodes.dt_s.size)
     left_out = np.where(frame.nodes.broken | starting, 1.0, 0.0)
-    model = YawModel(frame, y, noise, usual_noise(series), left_out, np.zeros(0, dtype=np.int64))
+    model = YawModel(frame, y, noise, usual_noise(series), left_out, np.zeros(0, dtype=np.int64), {})
     laws = constant_laws(frame)
     law, _ = HIDDEN[effect]
     if effect == "wheel_eccentricity":

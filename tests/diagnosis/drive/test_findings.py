@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from gyrocal.diagnosis.drive import findings
 from gyrocal.diagnosis.drive.search import YawAnswer
@@ -50,15 +51,21 @@ def test_a_truth_says_which_scale_makes_the_ratio_of_the_headings(
 
 
 @pytest.mark.parametrize(
-    ("times", "given", "said"), [(5.0, True, True), (3.0, True, False), (5.0, False, False)]
+    ("times", "known", "given", "said"),
+    [(5.0, 0.1, True, True), (5.0, 1.0, True, False), (3.0, 0.1, True, False), (5.0, 0.1, False, False)],
 )
-def test_noise_far_above_that_of_the_robot_file_is_a_place(times: float, given: bool, said: bool) -> None:
+def test_noise_far_above_that_of_the_robot_file_is_a_place(
+    times: float, known: float, given: bool, said: bool
+) -> None:
     usual = SimpleNamespace(slip_m_per_rt_m=0.01, turn=0.1)
     noise = SimpleNamespace(slip_m_per_rt_m=0.01 * times, turn=0.1)
     keys = ("noise.wheel_slip_m_per_rt_m", "noise.turn_slip_deg_per_rt_deg") if given else ()
-    places = findings._noisy(series(given=keys), yaw(model=SimpleNamespace(noise=noise, usual=usual)))
+    model = SimpleNamespace(noise=noise, usual=usual, log_std={"slip_m_per_rt_m": known, "turn": known})
+    places = findings._noisy(series(given=keys), yaw(model=model))
     assert [p.coordinate for p in places] == (["speed"] if said else [])
     assert [p.times_given for p in places] == pytest.approx([times] if said else [])
+    # The p-value is that of the level, as well as the drive knows it.
+    assert [p.p_value for p in places] == pytest.approx([norm.sf(np.log(5.0) / 0.1)] if said else [])
     assert all(p.remains for p in places)
 
 
