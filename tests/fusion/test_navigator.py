@@ -186,7 +186,7 @@ def test_whatever_the_readings_the_states_are_finite_or_it_says_so(values: list[
 @pytest.mark.parametrize(
     ("robot", "text"),
     [
-        (lambda: RobotParameters(0.0), "wheel_separation_m is 0.0; allowed: a number, 0.001 to 100."),
+        (lambda: RobotParameters(0.0), "wheel_separation_m is 0.0; allowed: a number, 0.001 to 10."),
         (lambda: RobotParameters(math.nan), "wheel_separation_m is nan"),
         (lambda: replace(ROBOT, gap_factor=1.0), "gap_factor is 1.0; allowed: a number, 1 to"),
         (lambda: FilterNoise(heading_noise_deg=0.0), "heading_noise_deg is 0.0"),

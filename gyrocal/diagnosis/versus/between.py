@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.base import carried_terms, with_coefficients
+from gyrocal.diagnosis.base import carried_terms, simulate, with_coefficients
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.series import set_means
-from gyrocal.diagnosis.versus.answer import Versus, left_by
+from gyrocal.diagnosis.versus.answer import Versus
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.spread import Spread, spread_between
@@ -118,7 +118,7 @@ class _Fit:
 
 @dataclass(frozen=True)
 class _Sets:
-    """Data sets of a recording: what the surface alone leaves of their means, columns of its terms, and of each law."""
+    """Data sets of a recording: what the simulation's surface leaves of their means, columns of its terms, and of each law."""
 
     left_dps: Floats
     surface: Floats
@@ -133,13 +133,13 @@ class _Sets:
 def _sets_of(answer: Versus, answers: Sequence[Versus]) -> _Sets:
     """With the columns of all laws that were named in any recording and whose shape one of them tells."""
     difference = answer.match.difference
-    rate, temp = (set_means(difference, v)[1] for v in (difference.rate_dps, difference.temp_c))
+    # About the simulation's own surface, which the difference has exactly: one of the other direction would leave a misfit.
+    base = simulate(difference, answer.match.surface)
     columns = {e: _column(answer, e, answers) for e in _all_named(answers) if _is_law(e)}
-    terms = carried_terms(difference)
     return _Sets(
-        set_means(difference, left_by(replace(answer.law, terms=()), difference))[1],
-        answer.law.surface.output_design(rate, temp)[:, terms],
-        terms,
+        set_means(difference, base.residual_dps)[1],
+        np.column_stack([set_means(difference, x)[1] for x in base.design.T]),
+        base.terms,
         {e: column for e, column in columns.items() if column is not None},
     )
 
@@ -154,7 +154,7 @@ def _fit_beside(answer: Versus, laws: Sequence[str], sets: _Sets) -> _Fit:
     rest = left - X @ values
     variance = float(rest @ rest) / max(left.size - X.shape[1], 1)
     covariance = variance * np.linalg.pinv(X.T @ X)
-    before = answer.law.surface
+    before = answer.match.surface
     now = before.coefficients_dps.ravel()[terms] + values[: terms.size]
     of_surface = np.zeros((before.coefficients_dps.size, before.coefficients_dps.size))
     of_surface[np.ix_(terms, terms)] = covariance[: terms.size, : terms.size]
