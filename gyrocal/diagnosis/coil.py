@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
+from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.laws import Laws, effects_of
 from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
 from gyrocal.diagnosis.parts import Coil, Part, drifts, passing, remembering
 from gyrocal.inference.additive import Contrasts
@@ -24,8 +26,9 @@ from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
-#: Time constants that a coil may have, s; of a logarithm that is normal, these are 95 %.
-LAG_BOUNDS_S = (30.0, 1500.0)
+#: Time constants that are tried for a coil, s, and those that coils have: 95 % of a logarithm that is normal (physics report,
+#: G4: 1 to 10 min). Where a table hardly tells, a lag of a quarter of an hour else moves a coil by ten degrees for nothing.
+LAG_BOUNDS_S, _USUAL_LAGS_S = (30.0, 1500.0), (60.0, 600.0)
 #: Shares of the whole lag; what lies between them is told by its posterior (`lag_posterior`).
 _SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
 #: Time constants between the bounds, each a quarter longer than the one before.
@@ -52,8 +55,10 @@ _CANCELLED_NATS = 2.0
 _FIRST_NATS = 1.0
 #: Models of so many sets of laws are fitted beside smooth parts, and without the laws that those can stand for.
 _BESIDE_SMOOTH = 3
-#: Block of smooth shapes in temperature.
-SHAPES = "temperature"
+#: And of so many sets with a law of the rate; a search without shapes in temperature begins with as many.
+BEGUN_WITH = 6
+#: Block of smooth shapes in temperature, and that of the rate whose laws may stand beside it.
+SHAPES, _OF_RATE = "temperature", "odd rate"
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
@@ -152,6 +157,25 @@ class TableSearch:
         chosen[None, ()] = self.known[None, ()]
         return sorted((self._with_smooth(c, parts) for c in chosen.values()), key=lambda c: c.score)
 
+    def with_law_of_rate(self, ranked: Sequence[Candidate], laws: Laws) -> list[Candidate]:
+        """The best models, each with the law of the rate that gains most beside the first.
+
+        Errors of each rate of the table follow a knee through every rate that was visited, and between two of them know
+        nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true.
+        """
+        best = ranked[0].fitted
+        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e)]
+        won = best_law(best, best, _OF_RATE, trials, laws)
+        if won is None:
+            return []
+        (law,) = won.fitted.model.laws[len(best.model.laws) :]
+        found = []
+        for c in best_of_each(ranked)[:BEGUN_WITH]:
+            fitted = won.fitted if c is ranked[0] else c.fitted.refit(c.fitted.model.with_laws(law))
+            paid = TOLL_NATS + 0.5 * float(np.log(won.shapes))
+            found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll + paid))
+        return found
+
     def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
         """A model beside smooth parts, which pay together what a law pays."""
         coil, changes, near = candidate.coil, candidate.changes, candidate.fitted
@@ -244,6 +268,24 @@ class TableSearch:
         gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
         return [tried[int(np.argmax(gain))]]
 
+    def best_coil(self, candidate: Candidate) -> Coil:
+        """The lag of the coil that gains most beside a candidate without one, to first order; None where there is none."""
+        score, p = self._precision(candidate)
+        surface = candidate.fitted.model.legendre(candidate.fitted.solve())
+        x = np.column_stack([lagging @ surface for lagging in self._lagging.values()])
+        along, information = x.T @ score, np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
+        gain = np.where(along > 0.0, along**2 / information, 0.0)
+        k = int(np.argmax(gain))
+        share = min(_SHARES, key=lambda a: abs(a - float(along[k] / information[k])))
+        coil = share, _LAGS_S[k]
+        return coil if gain[k] > 0.0 and self._reached(coil) else None
+
+    @cached_property
+    def _lagging(self) -> dict[float, Floats]:
+        """What the terms of the surface gain where the coil lags wholly, by its time constant, shape (n, 12) each."""
+        base = self.base
+        return {tau: replace(base.basis, coil=(1.0, tau)).surface() - base.design for tau in _LAGS_S}
+
     def best_lasting(self, candidate: Candidate) -> list[Change]:
         """Of each kind that stays, that the record may show and that the candidate lacks, the one that gains most.
 
@@ -262,8 +304,7 @@ class TableSearch:
     def moves(self, candidate: Candidate) -> Iterable[tuple[Coil, tuple[Change, ...]]]:
         """Models one step away."""
         coil, changes = candidate.coil, candidate.changes
-        if coil is not None:
-            yield None, changes
+        yield (None if coil is not None else self.best_coil(candidate)), changes
         for k in range(len(changes)):
             yield coil, changes[:k] + changes[k + 1 :]
         yield from self.reshaped(candidate)
@@ -302,7 +343,7 @@ class TableSearch:
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         if coil is None:
             return paid
-        low, high = np.log(LAG_BOUNDS_S)
+        low, high = np.log(_USUAL_LAGS_S)
         off = (np.log(coil[1]) - 0.5 * (low + high)) / ((high - low) / (2.0 * NORMAL_95))
         return paid + 0.5 * float(off**2)
 

@@ -14,7 +14,15 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, Candidate, TableSearch, averaged, best_of_each
+from gyrocal.diagnosis.coil import (
+    BEGUN_WITH,
+    SHAPES,
+    TOLL_NATS,
+    Candidate,
+    TableSearch,
+    averaged,
+    best_of_each,
+)
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
@@ -30,8 +38,6 @@ Floats = NDArray[np.float64]
 
 #: Blocks that follow the temperature, and with it the order of the plan.
 _FOLLOWING = ("memory", "temperature")
-#: Models of a table that a search without shapes in temperature begins with.
-_BEGUN_WITH = 6
 #: Where the variances of smooth parts start a second time: low, so that what passes is tried first.
 _LOW_START = -9.0
 
@@ -119,15 +125,15 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
     settled, worth = present(settle_direction(best)[0])
     beside = replace(settled.model, components={**settled.model.components, **drifting})
-    naming, laws = name(settled.refit(beside), _beyond_doubt(worth, search, ranked, laws), laws)
+    plain = _plain(worth, search, ranked, laws)
+    naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws)
     smooth = search.beside_smooth(ranked)
-    both = sorted([*ranked, *smooth], key=lambda c: c.score)
-    joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
-    near = tuple(averaged(both)) if joint or naming.named else ()
     idle = [n for n in drifting if n not in settled.model.components]
-    by_law = _by_law(ranked[0], naming, idle)
-    if naming.named and by_law.score < both[0].score:
-        near = ((1.0, by_law),)
+    by_law = [_by_law(ranked[0], naming, idle)] if naming.named else []
+    lawful = [c for models in (ranked, plain) if models for c in search.with_law_of_rate(models, laws)]
+    both = sorted([*ranked, *smooth, *plain, *lawful, *by_law], key=lambda c: c.score)
+    joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
+    near = tuple(averaged(both)) if joint or naming.named or naming.unnamed else ()
     return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth), aside)
 
 
@@ -143,18 +149,28 @@ def _by_law(best: Candidate, naming: Naming, idle: Sequence[str]) -> Candidate:
     return replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)
 
 
-def _beyond_doubt(
+def _least(laws: Laws) -> float:
+    """What a shape in temperature has to gain for a name, nats."""
+    return GAIN + 0.5 * float(np.log(max(1, sum(len(laws.trials(e)) for e in effects_of(SHAPES)))))
+
+
+def _plain(
     worth: Mapping[str, float], search: TableSearch, ranked: Sequence[Candidate], laws: Laws
+) -> list[Candidate]:
+    """Models without shapes in temperature, the best first; none where there are hardly any, or nothing stands beside them."""
+    if worth.get(SHAPES, 0.0) <= _least(laws) or not (ranked[0].coil or ranked[0].changes):
+        return []
+    return search.less_shapes().run(best_of_each(ranked)[:BEGUN_WITH])
+
+
+def _beyond_doubt(
+    worth: Mapping[str, float], ranked: Sequence[Candidate], plain: Sequence[Candidate], laws: Laws
 ) -> dict[str, float]:
     """The blocks that may have a name: of shapes in temperature beside other laws, what laws alone do not explain as well."""
-    best = ranked[0]
-    if SHAPES not in worth or not (best.coil or best.changes):
+    if SHAPES not in worth or not (ranked[0].coil or ranked[0].changes):
         return dict(worth)
-    least = GAIN + 0.5 * np.log(max(1, sum(len(laws.trials(e)) for e in effects_of(SHAPES))))
-    shapes = worth[SHAPES]
-    if shapes > least:
-        shapes = search.less_shapes().run(best_of_each(ranked)[:_BEGUN_WITH])[0].score - best.score
-    return {block: nats for block, nats in worth.items() if block != SHAPES or shapes > least}
+    shapes = plain[0].score - ranked[0].score if plain else worth[SHAPES]
+    return {block: nats for block, nats in worth.items() if block != SHAPES or shapes > _least(laws)}
 
 
 def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple[Fitted, list[Jump]]:

@@ -15,6 +15,7 @@ class Said(Enum):
     FAILED_SEGMENTS = auto()
     SET_ASIDE_AFTER_STEPS = auto()
     UNUSABLE_SAMPLES = auto()
+    MISSING_SAMPLES = auto()
     STRAY_SAMPLES = auto()
     WHOLE_DEGREES = auto()
     CHAMBER_FOR_GYRO = auto()

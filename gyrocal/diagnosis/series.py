@@ -48,6 +48,9 @@ LEAST_SUPPLY_V = 0.02
 _ONE_WHITE = 0.1
 #: Samples whose interval is this near to the nominal one, as a share, are the sensor's own, not means.
 _NATIVE = 0.2
+#: An interval is a whole multiple of the usual one within this share of it; the clock is even where this share of them is; what
+#: is missing is said from this share of the samples on.
+_EVEN, _EVENLY, _FEW_MISSING = 0.2, 0.95, 1e-3
 #: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
 _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
@@ -183,6 +186,9 @@ def series_of_run(run: Run) -> Series:
         notes.append(Remark(Said.SET_ASIDE_AFTER_STEPS, {"count": aside}))
     if unusable:
         notes.append(Remark(Said.UNUSABLE_SAMPLES, {"count": unusable}))
+    missing = sum(raw["missing"] for raw in raws) - unusable
+    if missing > _FEW_MISSING * sum(raw["n"] for raw in raws):
+        notes.append(Remark(Said.MISSING_SAMPLES, {"count": missing}))
     notes += sample_notes(
         sum(raw["outliers_t_s"].size for raw in raws), np.concatenate([raw["temp"] for raw in raws])
     )
@@ -250,11 +256,24 @@ def _segment_rows(
         "set_aside": int((outlier & settling).sum()),
         "step_s": step_s,
         "span_s": float(t[-1] - t[0]),
+        "missing": missing_samples(t),
         "n": t.size,
         "is_set": segment.record.kind == "rate",
         "difference_std": float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
     }
     return rows, raw
+
+
+def missing_samples(t_s: Floats) -> int:
+    """Samples that are not there: of an even clock the intervals are whole multiples of the shortest common one."""
+    interval_s = np.diff(t_s)
+    usual_s = float(np.median(interval_s))
+    if usual_s <= 0.0:
+        return 0
+    steps = interval_s / usual_s
+    even = np.abs(steps - np.round(steps)) < _EVEN
+    # Clumps and jitter have no multiples.
+    return int(np.sum(np.round(steps) - 1.0)) if np.mean(even & (steps > 0.5)) > _EVENLY else 0
 
 
 def outliers(gyro: Floats) -> Bools:
@@ -415,7 +434,7 @@ def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
     values = np.concatenate([r["gyro"] for r in sets])
     ratio = ratio_std = None
     if run.sensor.sample_rate_hz:
-        spans = np.array([r["span_s"] / max(r["n"] - 1, 1) for r in sets])
+        spans = np.array([r["span_s"] / max(r["n"] - 1 + r["missing"], 1) for r in sets])
         nominal = np.array([r["averaging_s"] for r in sets])
         native = np.isclose(nominal, 1.0 / run.sensor.sample_rate_hz, rtol=_NATIVE)
         if native.sum() >= 3:

@@ -102,18 +102,26 @@ def gross_strays(series: Series) -> Strays:
     if numbers.size < _FEWEST_SETS:
         return NO_STRAYS
     design = np.column_stack([set_means(series, column)[1] for column in base.design.T])
-    weight = np.ones(numbers.size)
-    left, spread = y, 0.0
+    rate = np.abs(set_means(series, series.rate_dps)[1])
+    left, spread = y, np.ones(numbers.size)
     for _ in range(_ROUNDS):
+        weight = 1.0 / np.sqrt(spread**2 + (0.5 * left) ** 2)
         solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
         left = y - design @ solution
-        spread = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
-        weight = np.sqrt(1.0 / (1.0 + (left / (2.0 * spread)) ** 2))
-    size = np.abs(left)
+        spread = _spread(left, rate)
+    size = np.abs(left) / spread
     bad = size > _GROSS * float(np.quantile(size, _ALL_OTHERS))
     if not bad.any() or bad.sum() > _most(numbers.size):
         return NO_STRAYS
-    return Strays(numbers[bad], left[bad], np.full(int(bad.sum()), spread))
+    return Strays(numbers[bad], left[bad], spread[bad])
+
+
+def _spread(left: Floats, rate: Floats) -> Floats:
+    """By how much sets are off, of which a part grows with the rate: the table's and the thermometer's error does."""
+    fast = rate >= max(float(np.median(rate)), 1e-9)
+    off = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
+    share = STDS_PER_MAD * float(np.median(np.abs(left[fast]) / rate[fast])) if fast.any() else 0.0
+    return np.asarray(np.hypot(off, share * rate))
 
 
 def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:

@@ -65,6 +65,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.FAILED_SEGMENTS: "{count} [segment is|segments are] marked failed in the journal and left out",
     Said.SET_ASIDE_AFTER_STEPS: "{count} [sample that stands|samples that stand] out right after a step of rate [is|are] left out",
     Said.UNUSABLE_SAMPLES: "{count} gyro [sample is|samples are] empty or of bad status and left out",
+    Said.MISSING_SAMPLES: "{count} [sample is|samples are] missing: the times leap by whole multiples of the sample interval",
     Said.STRAY_SAMPLES: "{count} [sample stands|samples stand] out of the noise by more than six standard deviations; left out",
     Said.WHOLE_DEGREES: "temperatures are whole degrees (nominal, or of a coarse sensor): an error of 0.29 degC rms, "
     "which blurs what lives in temperature and hides what lives in its rate",

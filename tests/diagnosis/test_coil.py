@@ -96,6 +96,51 @@ def test_a_coil_that_never_got_warm_is_not_looked_for() -> None:
         assert candidate.coil is None or search._reached(candidate.coil)
 
 
+def test_the_lag_that_gains_most_is_foreseen_without_a_fit() -> None:
+    """A coil that is wholly 200 s behind: beside a model without a lag the surface's slope tells of it."""
+    t_s = 40.0 * np.arange(120, dtype=np.float64)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
+    temp_c = 30.0 + 20.0 * np.sin(t_s / 500.0)
+    fine_s = np.arange(0.0, t_s[-1] + 1.0)
+    coil_c, behind = np.empty(fine_s.size), 30.0
+    for k, outside in enumerate(30.0 + 20.0 * np.sin(fine_s / 500.0)):
+        behind += (outside - behind) / 200.0
+        coil_c[k] = behind
+    at_coil = np.interp(t_s, fine_s, coil_c) - 30.0
+    noise = 3e-4 * np.random.default_rng(2).standard_normal(t_s.size)
+    gyro = rate * (1.0 + 5e-5 * at_coil) + 1e-3 * at_coil + noise
+    table = DataSetTable(Path("behind.csv"), rate, gyro, temp_c, t_s=t_s)
+    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    found = search.best_coil(search.fit(None, (), None))
+    assert found is not None
+    assert found[0] >= 0.7
+    assert found[1] == pytest.approx(200.0, rel=0.5)
+
+
+def _knee(rates: int, seed: int) -> DataSetTable:
+    """A gyro whose gain falls by 0.2 % above 62 deg/s, at rates of both signs and temperatures up and down."""
+    rng = np.random.default_rng(seed)
+    sizes = np.linspace(0.0, 100.0, rates + 1)[1:]
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 8)
+    temp = np.repeat([20.0, 30.0, 40.0, 50.0, 45.0, 35.0, 25.0, 15.0], 2 * rates + 1)
+    beyond = np.sign(rate) * np.maximum(np.abs(rate) - 62.0, 0.0)
+    gyro = rate * (1.0 + 1e-5 * (temp - 30.0)) - 2e-3 * beyond + 3e-4 * rng.standard_normal(rate.size)
+    return DataSetTable(Path("knee.csv"), rate, gyro, temp, t_s=30.0 * np.arange(rate.size, dtype=np.float64))
+
+
+def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
+    """Errors of each rate follow it as well where it was seen, and know nothing of the rates between."""
+    found = examine(series_of_table(_knee(6, 0)), 1e-3)
+    again = _knee(9, 1)
+    assert again.t_s is not None
+
+    def left(candidates: tuple[tuple[float, Candidate], ...]) -> float:
+        file = Compensator(correction(replace(found, candidates=candidates)))
+        return float(np.std(file.correct(again.t_s, again.gyro_dps, again.temp_c) - again.rate_dps))
+
+    assert left(found.candidates) < 0.5 * left(((1.0, found.ranked[0]),))
+
+
 def test_a_law_that_is_none_of_the_catalogue_goes_into_the_file_as_smooth_parts() -> None:
     """Two gaps, a slow drift: of the models with laws alone the best is wrong by more on another course."""
     first, again = _of_two_gaps(0), _of_two_gaps(1)

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import load_recording
-from gyrocal.diagnosis.series import _white_std, series_of_run
+from gyrocal.diagnosis.series import _white_std, missing_samples, series_of_run
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.records.run import read_run
@@ -78,3 +79,34 @@ def test_set_points_of_a_plan_are_the_temperatures_as_they_are_written() -> None
     series = series_of_table(DataSetTable(Path("plan.csv"), rate, gyro, temp))
     np.testing.assert_array_equal(series.temp_c, temp)
     assert series.history.covariance_at(series.t_s) is None
+
+
+def test_samples_that_are_missing_are_counted_and_slow_no_clock(tmp_path: Path) -> None:
+    """A third of the samples lost on the line is no sample clock that is 50 % late."""
+    rng = np.random.default_rng(3)
+    whole = [part(rate, rate) for rate in (50.0, -20.0, 80.0)]
+    thinned = [
+        replace(p, rows=[row for row in p.rows if not row.split(",")[1] or rng.random() < 0.67])
+        for p in whole
+    ]
+    head = {"sensor": {"model": "RD2100", "serial": "T1", "sample_rate_hz": 10.0}}
+    series = series_of_run(read_run(write_run(tmp_path / "run", thinned, head)))
+    lost = sum(len(a.rows) - len(b.rows) for a, b in zip(whole, thinned, strict=True))
+    (said,) = [remark_words(note) for note in series.notes if "missing" in remark_words(note)]
+    assert int(said.split()[0]) == pytest.approx(lost, abs=6)
+    assert series.raw.interval_ratio is not None
+    assert abs(series.raw.interval_ratio) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("t_s", "missing"),
+    [
+        (np.array([0.0, 0.1, 0.2, 0.4, 0.5, 0.9]), 4),
+        (0.1 * np.arange(50) * 1.04, 0),
+        # Four at a time, and a jitter of half an interval: no clock, nothing to be counted.
+        (np.repeat(0.4 * np.arange(20), 4), 0),
+        (0.1 * np.arange(200) + 0.05 * np.random.default_rng(0).standard_normal(200), 0),
+    ],
+)
+def test_missing_samples_are_whole_multiples_of_an_even_clock(t_s: NDArray[np.float64], missing: int) -> None:
+    assert missing_samples(t_s) == missing

@@ -13,7 +13,7 @@ from gyrocal.diagnosis.engine import diagnose
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside
+from gyrocal.diagnosis.strays import NO_STRAYS, Strays, gross_strays, strays_beside
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
@@ -62,6 +62,25 @@ def test_of_so_many_rows_a_second_stray_is_none_of_a_few() -> None:
 
 def test_what_is_off_at_either_end_may_be_a_transient() -> None:
     assert len(found_in(make_sweeps(3, {0: 0.02}))) == 0
+
+
+def test_a_set_at_a_large_rate_among_many_small_ones_is_no_stray_by_the_thermometer() -> None:
+    """Half a degree that a thermometer of whole degrees does not tell is nothing at 1 deg/s and 20 mdeg/s at 100."""
+    rng = np.random.default_rng(4)
+    sizes = np.array([0.1, 0.2, 0.5, 1.0, 5.0, 10.0, 50.0, 100.0])
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 5)
+    temp = np.repeat([-8.0, 30.0, 30.0, 12.0, -8.0], 17) + np.tile(np.linspace(-0.5, 0.5, 17), 5)
+    gyro = rate * (1.0 + 2e-4 * temp) + 0.01 + 7e-4 * rng.standard_normal(rate.size)
+    at_s = 60.0 * np.arange(rate.size, dtype=np.float64)
+
+    def strays(off_dps: float) -> Strays:
+        off = np.where(np.arange(rate.size) == 43, off_dps, 0.0)
+        return gross_strays(
+            series_of_table(DataSetTable(Path("t.csv"), rate, gyro + off, np.round(temp), t_s=at_s))
+        )
+
+    assert len(strays(0.0)) == 0
+    assert strays(0.3).numbers.tolist() == [43]
 
 
 def test_one_stray_data_set_is_not_two_steps_and_a_step_is_not_strays() -> None:
