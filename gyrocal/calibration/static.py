@@ -7,7 +7,6 @@ variances show: white, 1/f down to the slowest that the fit allows for, and rand
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,7 +30,7 @@ from gyrocal.calibration.noise import (
 from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
-from gyrocal.inference.rounding import least_noise, mean_error, slope_error
+from gyrocal.inference.rounding import StepCounts, mean_error, slope_error
 from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from gyrocal.records.run import Run, read_run
@@ -50,8 +49,6 @@ _TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
 _PPM = 1e6
 #: Figures of an hour are not told to better than this, so that rounding may do as much unsaid.
 _ROUNDED = 0.01
-#: An output of more values than this has noise enough to carry it over its steps.
-_FEW_VALUES = 64
 
 
 @dataclass(frozen=True)
@@ -153,8 +150,7 @@ class _Reading:
     elapsed_s: float = 0.0
     steps: int = 0
     jitter_s: float = 0.0
-    step_dps: float = np.inf
-    values: Counter[float] = field(default_factory=Counter)
+    stepped: StepCounts = field(default_factory=StepCounts)
 
 
 def examine_static(
@@ -193,7 +189,7 @@ def examine_static(
     spans = list[tuple[float, float]]()
     if run is None:
         _refuse_turns(config.path, course)
-        spans = jumps_of(course, reading.step_dps)
+        spans = jumps_of(course, reading.stepped.step)
         reading = _read_again(config, reading, spans, notes)
     tell(0.8, "figures")
     curves = _curves(reading)
@@ -258,12 +254,11 @@ def _jumps_said(spans: Sequence[tuple[float, float]]) -> str:
 def _rounded(reading: _Reading, curves: Sequence[AllanCurve]) -> tuple[float, list[str]]:
     """How far rounding may put the mean off, and what to say of it where it may do more than that."""
     # Halves of stretches scatter by half their Allan variance; all halvings together are the scatter of the samples.
-    scatter_dps = max((float(np.sqrt(0.5 * c.avar.sum())) for c in curves), default=0.0)
-    if not np.isfinite(step_dps := reading.step_dps):
+    scatter_dps = float(np.sqrt(0.5 * curves[0].avar.sum())) if curves else 0.0
+    if not np.isfinite(step_dps := reading.stepped.step):
         return 0.0, []
-    if len(reading.values) <= _FEW_VALUES:
-        values, counts = (np.array(column) for column in zip(*sorted(reading.values.items()), strict=True))
-        noise_dps = least_noise([(values, counts)], step_dps)
+    if reading.stepped.few:
+        noise_dps = reading.stepped.least_noise()
         scatter_dps = min(scatter_dps, float(np.hypot(noise_dps, step_dps / np.sqrt(12.0))))
     share = min(slope_error(step_dps, scatter_dps), 1.0)
     said = (
@@ -331,11 +326,7 @@ def _read(blocks: Iterator[_Block]) -> _Reading:
         if t_s.size < 2:
             continue
         reading.samples += t_s.size
-        moved = np.abs(np.diff(gyro_dps))
-        reading.step_dps = float(np.min(moved, where=moved > 0.0, initial=reading.step_dps))
-        if len(reading.values) <= _FEW_VALUES:
-            values, counts = np.unique(gyro_dps, return_counts=True)
-            reading.values.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
+        reading.stepped.add(block.segment, gyro_dps, block.dt_s)
         reading.course.add(t_s, gyro_dps, block.temp_c[good])
         cuts, tail = gaps(tail, t_s, block.dt_s)
         _time(reading, t_s, cuts, block.dt_s)

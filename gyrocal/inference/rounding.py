@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +20,57 @@ _NOISES = np.geomspace(0.02, 2.0, 60)
 _PLACES = np.linspace(-1.0, 1.0, 81)
 #: Steps that come less often than this may be spikes, or the end of a movement, and would be taken for noise.
 _LEAST_SHARE = 0.02
+#: An output of more values than this has noise enough to carry it over its steps.
+_FEW_VALUES = 64
+#: Sample times that differ by less than this factor are one.
+_SAME_TIME = 1.5
 #: Fall of the log-likelihood at a bound that holds with 95 % (half of chi-square's 90 % with one degree of freedom).
 _FALL = 1.3528
+
+
+@dataclass
+class StepCounts:
+    """Steps of an output and how often each of its values comes, of samples as they are read.
+
+    Of a record of samples and of means of them, those of the shortest sample time count: means have finer steps.
+
+    Attributes
+    ----------
+    step : float
+        Least step, in the unit of the output; infinite where it does not move.
+    values : dict of int to Counter
+        By the segment that they come in, each of a mean of its own; not counted further where they are many.
+    """
+
+    dt_s: float = np.inf
+    step: float = np.inf
+    values: dict[int, Counter[float]] = field(default_factory=dict)
+
+    def add(self, segment: int, output: Floats, dt_s: float) -> None:
+        """Samples in a row, shape (n,), `dt_s` apart."""
+        if dt_s > _SAME_TIME * self.dt_s:
+            return
+        if dt_s * _SAME_TIME < self.dt_s:
+            self.dt_s, self.step, self.values = dt_s, np.inf, {}
+        moved = np.abs(np.diff(output))
+        self.step = float(np.min(moved, where=moved > 0.0, initial=self.step))
+        if self.few:
+            values, counts = np.unique(output, return_counts=True)
+            counted = dict(zip(values.tolist(), counts.tolist(), strict=True))
+            self.values.setdefault(segment, Counter()).update(counted)
+
+    @property
+    def few(self) -> bool:
+        """Whether the values are so few that steps may hide the noise."""
+        return all(len(counted) <= _FEW_VALUES for counted in self.values.values())
+
+    def least_noise(self) -> float:
+        """`least_noise` of all that was counted."""
+        records = [
+            (np.array(sorted(counted)), np.array([counted[value] for value in sorted(counted)]))
+            for counted in self.values.values()
+        ]
+        return least_noise(records, self.step)
 
 
 def least_noise(records: Sequence[tuple[Floats, Counts]], step: float) -> float:
@@ -40,7 +91,9 @@ def least_noise(records: Sequence[tuple[Floats, Counts]], step: float) -> float:
         if levels.size > 2:
             places = _PLACES + np.average(levels, weights=counts)
             edges = (levels[:, None, None] - 0.5 - places[:, None]) / _NOISES
-            share = np.maximum(special.ndtr(edges + 1.0 / _NOISES) - special.ndtr(edges), 1e-300)
+            # The lower tail keeps its digits where the upper one is one.
+            low = np.minimum(edges, -edges - 1.0 / _NOISES)
+            share = np.maximum(special.ndtr(low + 1.0 / _NOISES) - special.ndtr(low), 1e-300)
             log += np.max(np.tensordot(counts, np.log(share / share.sum(axis=0)), axes=1), axis=0)
     if not log.any():
         return 0.0

@@ -270,3 +270,18 @@ def test_fit_says_what_a_record_at_rest_is_for(tmp_path: Path, options: list[str
     result = CliRunner().invoke(gyrocal_command, ["fit", str(run), "-o", str(tmp_path / "c.json"), *options])
     assert result.exit_code != 0
     assert "gyrocal noise" in str(result.exception or result.output)
+
+
+def test_the_shipped_profile_at_rest_has_no_warning(tmp_path: Path) -> None:
+    """Its soak is kept as means over a second, whose steps of a tenth had been taken for those of the samples."""
+    rng = np.random.default_rng(23)
+    step_dps = 0.00305
+    parts = []
+    for kind, dt_s, samples, scatter_dps, digits in (
+        ("soak", 1.0, 900, 1.4e-3, 0.1),
+        ("static", 0.1, 9000, 4.4e-3, 1.0),
+    ):
+        gyro = np.round(rng.normal(-0.03, scatter_dps, samples) / (step_dps * digits)) * step_dps * digits
+        rows = [gyro_row(1000.0 * len(parts) + dt_s * k, f"{x:.6f}") for k, x in enumerate(gyro)]
+        parts.append(Part(rows, kind=kind, averaging_s=None if dt_s == 0.1 else dt_s))
+    assert examine_static(StaticConfig(write_run(tmp_path / "run", parts))).warnings == ()

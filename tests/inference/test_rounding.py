@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.inference.rounding import least_noise, mean_error, slope_error
+from gyrocal.inference.rounding import StepCounts, least_noise, mean_error, slope_error
 
 
 @pytest.mark.parametrize("noise_steps", [0.3, 0.4, 0.5])
@@ -44,3 +44,20 @@ def test_a_toggling_output_says_nothing_of_its_noise() -> None:
     toggling[7] = 5.0
     assert np.std(toggling) > 0.45
     assert least_noise([np.unique(toggling, return_counts=True)], 1.0) == 0.0
+
+
+@pytest.mark.parametrize("noise_steps", [1.4, 3.0, 8.0])
+def test_noise_over_many_steps_is_told_as_much(noise_steps: float) -> None:
+    """Of steps far above the mean the share was nothing to all digits, and the noise had come out as the least."""
+    rounded = np.round(np.random.default_rng(4).normal(0.3, noise_steps, 200_000))
+    assert min(noise_steps, 2.0) > least_noise([np.unique(rounded, return_counts=True)], 1.0) > 1.2
+
+
+def test_means_among_samples_and_places_of_other_means_are_no_finer_steps() -> None:
+    rng = np.random.default_rng(5)
+    counted = StepCounts()
+    for segment, mean in enumerate((0.0, 20.3, -11.8)):
+        counted.add(segment, np.round(rng.normal(mean, 0.05, (200, 10)).mean(axis=1), 3), 1.0)
+        counted.add(segment, np.round(rng.normal(mean, 1.4, 20_000)), 0.1)
+    assert counted.step == 1.0
+    assert 1.4 > counted.least_noise() > 1.2
