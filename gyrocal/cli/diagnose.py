@@ -115,10 +115,11 @@ def command(
 
 def _say(result: DiagnoseResult) -> None:
     from gyrocal.report.diagnosis import tables
-    from gyrocal.report.sentences import plain_sentences
+    from gyrocal.report.sentences import data_sentences, plain_sentences
 
     found = result.diagnosis
-    emit_list(dict.fromkeys([*result.told, *plain_sentences(found)]))
+    data = data_sentences(found, result.told)
+    emit_list(dict.fromkeys(s for s in [*result.told, *plain_sentences(found)] if s not in data))
     for table in [*result.more, *tables(found)]:
         if table.rows and table.name in (
             "between",
@@ -132,6 +133,9 @@ def _say(result: DiagnoseResult) -> None:
         ):
             click.echo("")
             emit_table(table.columns, table.rows, table.title)
+    if data:
+        click.echo("\nThe data:")
+        emit_list(data)
     if "law.py" in result.files:
         click.echo(f"\nAdd to the simulation: {result.out / 'law.py'}")
     click.echo(f"\nPictures and numbers: open {result.out / 'diagnosis.html'}")

@@ -167,7 +167,7 @@ def _write_drive(config: DiagnoseConfig, robot_file: Path, progress: Progress) -
         provenance["coefficients"] = "none: the gyro as logged"
     if config.simulation is not None:
         provenance["simulation"] = config.simulation.name
-    files = extra | diagnosis_files(diagnosis, drawn, provenance, progress)
+    files = extra | diagnosis_files(diagnosis, drawn, provenance, progress, told=said)
     if found.robot is not None:
         files["improved_robot.toml"] = format_robot(found.robot)
     write_directory(config.out, files)
@@ -200,7 +200,7 @@ def _write_versus(
     found = replace(answer.diagnosis, surface=None, improved=None, notes=(*said, *answer.diagnosis.notes))
     drawn = figures(found)
     provenance = _provenance(config) | {"coefficients": "none", "simulation": simulation.name}
-    files |= diagnosis_files(found, drawn, provenance, progress, more, said[0])
+    files |= diagnosis_files(found, drawn, provenance, progress, more, said[0], said)
     write_directory(config.out, files)
     progress(1.0, "")
     return DiagnoseResult(found, config.out, tuple(files), said, tuple(more))
@@ -253,8 +253,9 @@ def diagnosis_files(
     progress: Progress,
     more: Sequence[Table] = (),
     verdict: str = "",
+    told: Sequence[str] = (),
 ) -> dict[str, bytes | str]:
-    """Name to contents of everything that a diagnosis writes; `more` and `verdict` as of `diagnosis_page`."""
+    """Name to contents of everything that a diagnosis writes; the last three as of `diagnosis_page`."""
     files: dict[str, bytes | str] = {
         "diagnosis.json": json.dumps(document(diagnosis), indent=1, sort_keys=True, allow_nan=False) + "\n"
     }
@@ -273,7 +274,7 @@ def diagnosis_files(
         png = style.render(figure, "png")
         files[f"figures/{picture.name}.png"] = png
         pictures.append(replace(picture, png=png))
-    files["diagnosis.html"] = diagnosis_page(diagnosis, pictures, provenance, more, verdict)
+    files["diagnosis.html"] = diagnosis_page(diagnosis, pictures, provenance, more, verdict, told)
     return files
 
 

@@ -29,9 +29,9 @@ from gyrocal.report.reasons import reason_words
 from gyrocal.report.remarks import remark_words, statement
 from gyrocal.report.sentences import (
     counted,
+    data_sentences,
     in_the_noise,
     logloss_gain,
-    not_testable_sentences,
     plain_sentences,
     scale_of,
     traded_sentence,
@@ -134,6 +134,7 @@ def diagnosis_page(
     provenance: Mapping[str, str],
     more: Sequence[Table] = (),
     verdict: str = "",
+    told: Sequence[str] = (),
 ) -> str:
     """HTML of the diagnosis, self-contained.
 
@@ -141,11 +142,13 @@ def diagnosis_page(
     ----------
     more : tables that stand first
     verdict : what stands above all, where it is not the diagnosis's own
+    told : what a comparison with a simulation says, before the diagnosis's own
     """
     verdict = verdict or verdict_sentence(diagnosis)
-    # The verdict stands above them, and what cannot be tested has its table at the end.
-    elsewhere = {verdict, *not_testable_sentences(diagnosis)}
-    remarks = [s for s in plain_sentences(diagnosis) if s not in elsewhere]
+    # The verdict stands above them, and what the data lack at the end.
+    data = data_sentences(diagnosis, told)
+    elsewhere = {verdict, *data}
+    remarks = [s for s in dict.fromkeys([*told, *plain_sentences(diagnosis)]) if s not in elsewhere]
     page = Page(
         title=f"Diagnosis of {diagnosis.recording}",
         verdict=verdict,
@@ -153,6 +156,7 @@ def diagnosis_page(
         remarks=remarks,
         pictures=pictures,
         tables=[*more, *tables(diagnosis)],
+        quality=data,
         provenance=provenance,
         beside="Every figure stands beside this page as PNG, and every number in diagnosis.json.",
     )
@@ -239,12 +243,6 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
         ),
         _improvement_table(diagnosis),
         _table("noise", "Noise of the recording", ("Noise", "Level"), _noise_rows(diagnosis)),
-        _table(
-            "not_testable",
-            "Not testable with this record",
-            ("Effect or coordinate", "because"),
-            [(what, reason_words(why)) for what, why in diagnosis.not_testable.items()],
-        ),
     ]
 
 

@@ -128,6 +128,35 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
 }
 
 
+#: What the data lack, and what was done about it: no findings.
+_OF_THE_DATA = frozenset(
+    {
+        Said.FAILED_SEGMENTS,
+        Said.SET_ASIDE_AFTER_STEPS,
+        Said.UNUSABLE_SAMPLES,
+        Said.STRAY_SAMPLES,
+        Said.WHOLE_DEGREES,
+        Said.CHAMBER_FOR_GYRO,
+        Said.SAME_TIMES,
+        Said.NO_SPREAD,
+        Said.GAPS,
+        Said.EMPTY_WHEEL,
+        Said.CALIBRATED,
+        Said.GYRO_BRIDGED,
+        Said.GYRO_SPIKES,
+        Said.UNEVEN_CLOCK,
+        Said.TRUTH_UNIT,
+        Said.TRUTH_RADIANS,
+        Said.TRUTH_CLOCKWISE,
+    }
+)
+
+
+def of_the_data(note: Note) -> bool:
+    """Whether a note is about the data and not about the gyro; so are those of readers, which come as texts."""
+    return not isinstance(note, Remark) or note.said in _OF_THE_DATA
+
+
 def remark_words(note: Note) -> str:
     """A remark in words; what a reader has said stays as it is."""
     if not isinstance(note, Remark):

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from gyrocal.diagnosis.remarks import Note
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Improvement, Located, NamedEffect
 from gyrocal.physics.catalogue import described
 from gyrocal.report.diagnosis_layers import nameless, staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
 from gyrocal.report.reasons import reason_words
-from gyrocal.report.remarks import remark_words, statement
+from gyrocal.report.remarks import of_the_data, remark_words, statement
 from gyrocal.report.words import (
     coordinate_words,
     decimals,
@@ -84,15 +86,31 @@ def verdict_sentence(d: Diagnosis) -> str:
 
 
 def plain_sentences(d: Diagnosis) -> list[str]:
-    """What there is to say, in order, each thing once."""
-    said = [
-        *(d.sentences or _sentences(d)),
-        *(note[0].upper() + note[1:] for note in map(remark_words, d.notes)),
-    ]
+    """What there is to say, in order, each thing once: what was found, what to measure next, what the data lack."""
+    said = [*(d.sentences or _sentences(d)), *(_begun(n) for n in d.notes if not of_the_data(n))]
     if d.next_experiment is not None:
         said.append(d.next_experiment["statement"])
-    said += not_testable_sentences(d)
+    return _once([*said, *data_sentences(d)])
+
+
+def data_sentences(d: Diagnosis, told: Collection[str] = ()) -> list[str]:
+    """What the data lack and what they cannot show, each thing once.
+
+    Parameters
+    ----------
+    told : notes that are an answer and stand elsewhere
+    """
+    notes = [_begun(n) for n in d.notes if of_the_data(n) and n not in told]
+    return _once([*notes, *not_testable_sentences(d)])
+
+
+def _once(said: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(s.rstrip(".") + "." for s in said))
+
+
+def _begun(note: Note) -> str:
+    words = remark_words(note)
+    return words[0].upper() + words[1:]
 
 
 def document(d: Diagnosis) -> dict[str, Any]:

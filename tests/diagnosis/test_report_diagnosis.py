@@ -18,6 +18,7 @@ from gyrocal.commands.diagnose import (
     with_noise_at_rest,
     write_diagnosis,
 )
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Located
 from gyrocal.errors import InputError, OutputError
 from gyrocal.records.run import read_run
@@ -287,3 +288,31 @@ def test_noise_figures_of_a_run_are_those_of_fit(found: Diagnosis, tmp_path: Pat
     assert said.angle_random_walk_deg_per_rt_h == figure[0]
     # Ten minutes of white noise resolve no bias instability: the model of the whole recording keeps its own.
     assert said.bias_instability_deg_per_h == found.noise.bias_instability_deg_per_h
+
+
+def test_what_the_data_lack_stands_behind_all_that_was_found(found: Diagnosis) -> None:
+    odd = replace(
+        found,
+        notes=(
+            "run.json does not say profile",
+            Remark(Said.UNUSABLE_SAMPLES, {"count": 2}),
+            Remark(Said.TEMPERATURE_ALONE),
+        ),
+        not_testable={"supply": "it did not change"},
+        next_experiment={"statement": "Measure at rest."},
+    )
+    last = [
+        "Measure at rest.",
+        "Run.json does not say profile.",
+        "2 gyro samples are empty or of bad status and left out.",
+        "Not testable with this record: supply, because it did not change.",
+    ]
+    assert plain_sentences(odd)[-4:] == last
+    page = diagnosis_page(odd, [], {})
+    places = [
+        page.index(text)
+        for text in ("as far as this record can tell", last[0], "Limits of the data", *last[1:])
+    ]
+    assert places == sorted(places)
+    told = diagnosis_page(replace(odd, notes=(*odd.notes, "It differs.")), [], {}, told=("It differs.",))
+    assert told.index("It differs.") < told.index("Measure at rest.")
