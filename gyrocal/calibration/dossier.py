@@ -10,17 +10,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
 from gyrocal.calibration.figure import Figure
-from gyrocal.calibration.figures import common_span, figures_between
+from gyrocal.calibration.figures import common_span, figures_between, merit_figures
 from gyrocal.calibration.limits import Limit, Row, judged
 from gyrocal.calibration.noise import noise_figures
 from gyrocal.calibration.pooled import pooled, repeatability
 from gyrocal.calibration.provenance import refuse_twice
+from gyrocal.calibration.static import RATE_RAMP, StaticConfig, StaticFigures, examine_static
+from gyrocal.calibration.warm_up import NOT_SEEN, WARM_UP
 from gyrocal.errors import DataError, ProfileError
+from gyrocal.physics.surface import RATE_ORDER
 from gyrocal.records.instruments import day_of, expired
+from gyrocal.records.run import Run, read_run
 from gyrocal.units import DPS_TO_DPH, NORMAL_95, plural
 
 #: Figures whose change from run to run is the unit's repeatability.
@@ -45,6 +50,16 @@ class UnitRun:
 
 
 @dataclass(frozen=True)
+class RestRun:
+    """A run of the unit at rest or over thermal ramps, which carries no surface and tells noise and drift."""
+
+    path: Path
+    run: Run
+    found: StaticFigures
+    head: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class Dossier:
     """All that a certificate says.
 
@@ -63,6 +78,7 @@ class Dossier:
     identity: Mapping[str, str]
     simulated: bool
     runs: tuple[UnitRun, ...]
+    at_rest: tuple[RestRun, ...]
     rows: tuple[Row, ...]
     not_tested: tuple[str, ...]
     quality: tuple[str, ...]
@@ -82,32 +98,55 @@ class Dossier:
 def unit_run(path: Path, config: FitConfig) -> UnitRun:
     """Fit one run of a unit."""
     found = calibrate(path, config)
-    head: dict[str, Any] = {}
-    if found.recording.run is not None:
-        head = json.loads((path / "run.json").read_text(encoding="utf-8"))
-    return UnitRun(path, found, head)
+    return UnitRun(path, found, {} if found.recording.run is None else _head(path))
 
 
-def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source: str) -> Dossier:
+def rest_run(path: Path) -> RestRun | None:
+    """A run whose data sets are of too few rates for a surface; None of one that is to be fitted."""
+    if not path.is_dir():
+        return None
+    run = read_run(path)
+    rates = {r.rate_dps for r in run.segments if r.kind == "rate" and r.outcome != "failed"}
+    if len(rates) > RATE_ORDER:
+        return None
+    return RestRun(path, run, examine_static(StaticConfig(path)), _head(path))
+
+
+def _head(path: Path) -> dict[str, Any]:
+    return dict(json.loads((path / "run.json").read_text(encoding="utf-8")))
+
+
+def compile_dossier(
+    runs: Sequence[UnitRun], limits: Mapping[str, Limit], source: str, at_rest: Sequence[RestRun] = ()
+) -> Dossier:
     """Put the runs of one unit together.
 
     Parameters
     ----------
     source : where the limits come from, for messages
+    at_rest : runs that carry no surface
 
     Raises
     ------
     DataError
-        Runs of different units, or one given twice. ProfileError: a limit of a figure that there is not.
+        No run that carries a surface, runs of different units, or one given twice. ProfileError: a limit of a figure that
+        there is not.
     """
-    serials = sorted({str(run.calibration.recording.sensor.get("serial") or "") for run in runs})
+    if not runs:
+        raise DataError(
+            "No run has rates enough for a surface, and a certificate is of a calibrated gyro: give one that `fit` takes too. What "
+            "a gyro at rest says is gyrocal noise."
+        )
+    numbers = {str(run.calibration.recording.sensor.get("serial") or "") for run in runs}
+    serials = sorted(numbers | {r.run.sensor.serial or "" for r in at_rest})
     if len(serials) > 1:
         shown = ", ".join(s or "no serial number" for s in serials)
         raise DataError(
             f"The runs are of several units ({shown}): a certificate is of one. Use `fleet` for many."
         )
-    refuse_twice([run.path for run in runs])
-    rows = [*_merit_rows(runs), *_noise_rows(runs), *_repeatability(runs), *_reach(runs)]
+    every: list[UnitRun | RestRun] = [*runs, *at_rest]
+    refuse_twice([run.path for run in every])
+    rows = [*_merit_rows(runs), *_noise_rows(runs, at_rest), *_repeatability(runs), *_reach(runs)]
     unknown = sorted(set(limits) - {row.known.name for row in rows})
     if unknown:
         names = ", ".join(row.known.name for row in rows)
@@ -117,20 +156,23 @@ def compile_dossier(runs: Sequence[UnitRun], limits: Mapping[str, Limit], source
         f"{figure.title}{state}: {figure.reason}" for row in found for figure, state in _without_number(row)
     ]
     quality = [f"{run.path.name}: {note}" for run in runs for note in run.calibration.notes]
+    quality += [f"{r.path.name}: {note}" for r in at_rest for note in (*r.found.warnings, *r.found.notes)]
     return Dossier(
         _identity(runs),
         any(
-            run.head.get("simulated") or run.head.get("bench", {}).get("devices") == "virtual" for run in runs
+            run.head.get("simulated") or run.head.get("bench", {}).get("devices") == "virtual"
+            for run in every
         ),
         tuple(runs),
+        tuple(at_rest),
         found,
         (*missing, *_NEVER_TESTED),
         tuple(quality),
-        _expired(runs),
+        _expired(every),
     )
 
 
-def _expired(runs: Sequence[UnitRun]) -> tuple[str, ...]:
+def _expired(runs: Sequence[UnitRun | RestRun]) -> tuple[str, ...]:
     """Each certificate once, with the runs that it came too late for."""
     late: dict[str, list[str]] = {}
     for run in runs:
@@ -152,18 +194,34 @@ def _without_number(row: Row) -> list[tuple[Figure, str]]:
 
 
 def _merit_rows(runs: Sequence[UnitRun]) -> list[Row]:
+    """Over what the runs share: a range over 60 °C and one over 40 °C have no mean."""
     pairs = [run.calibration.merit for run in runs]
+    if len(runs) > 1:
+        span = common_span([run.calibration.fit.sets for run in runs])
+        pairs = [merit_figures(run.calibration.fit, _left_out_dps(run.calibration), span) for run in runs]
     return [
         Row(pooled([p[name].before for p in pairs]), pooled([p[name].after for p in pairs]))
         for name in pairs[0]
     ]
 
 
-def _noise_rows(runs: Sequence[UnitRun]) -> list[Row]:
+def _noise_rows(runs: Sequence[UnitRun], at_rest: Sequence[RestRun]) -> list[Row]:
     """Of all records at rest together: a part that no run resolves by itself may be resolved by all of them."""
-    first = runs[0].calibration
-    noise = noise_figures(*(run.calibration.recording for run in runs)) if len(runs) > 1 else first.noise
-    return [Row(figure, None) for figure in noise.figures.values()]
+    noise = runs[0].calibration.noise
+    if len(runs) + len(at_rest) > 1:
+        noise = noise_figures(*(run.calibration.recording for run in runs), at_rest=[r.run for r in at_rest])
+    return [Row(figure, None) for figure in (*noise.figures.values(), *_courses(at_rest))]
+
+
+def _courses(at_rest: Sequence[RestRun]) -> list[Figure]:
+    """What takes a record at rest of its own: the ramp of the longest, and the warm-up of one from power-on."""
+    ramp = Figure(RATE_RAMP, "deg/h/h", "R of the drift R t")
+    if not at_rest:
+        reason = "it takes a record at rest of its own (static_allan profile)"
+        return [replace(ramp, reason=reason), replace(NOT_SEEN, reason=f"{reason}, begun at power-on")]
+    longest = max(at_rest, key=lambda r: r.found.noise.record_s)
+    begun = [r.found.figures[WARM_UP] for r in at_rest]
+    return [longest.found.figures[RATE_RAMP], next((f for f in begun if f.value is not None), begun[0])]
 
 
 def _repeatability(runs: Sequence[UnitRun]) -> list[Row]:
@@ -223,14 +281,20 @@ def _residual(found: Calibration) -> Figure:
         "deg/h",
         "rms error of data sets that the fit has not seen",
         method="twelfths of the time left out",
+        size=True,
     )
-    error = next((v.error_dps for v in found.cross_validation if v.left_out == "time"), None)
+    error = _left_out_dps(found)
     if error is None or not np.isfinite(error).all():
         return replace(blank, reason="the record is too small to leave a part of it out")
     squares = np.array([float(np.mean(part**2)) for part in np.array_split(error, 12)])
     mean, half = squares.mean(), float(stats.t.ppf(0.975, 11)) * squares.std(ddof=1) / math.sqrt(12)
     value, low, high = (DPS_TO_DPH * math.sqrt(max(v, 0.0)) for v in (mean, mean - half, mean + half))
     return replace(blank, value=value, low=low, high=high, sample=f"{error.size} data sets")
+
+
+def _left_out_dps(found: Calibration) -> NDArray[np.float64] | None:
+    """Error of each data set with its stretch of time left out of the fit."""
+    return next((v.error_dps for v in found.cross_validation if v.left_out == "time"), None)
 
 
 def _identity(runs: Sequence[UnitRun]) -> dict[str, str]:
@@ -248,6 +312,7 @@ def _identity(runs: Sequence[UnitRun]) -> dict[str, str]:
         "Chamber": bench.get("chamber"),
         "Thermometer certificate": _due(about, "thermometer"),
         "Measured (UTC)": newest.head.get("created_utc"),
+        "Figures over": common_span([run.calibration.fit.sets for run in runs]).said,
     }
     return {name: str(value) if value else "not said" for name, value in entries.items()}
 

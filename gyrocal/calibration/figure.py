@@ -34,6 +34,8 @@ class Figure:
         Why there is no value; empty where there is one.
     method, sample : str
         How it was found, and from what.
+    size : bool
+        Whether it is never below zero.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Figure:
     reason: str = ""
     method: str = ""
     sample: str = ""
+    size: bool = False
 
     @property
     def interval(self) -> Interval | None:

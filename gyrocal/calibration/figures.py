@@ -47,6 +47,14 @@ class Span:
     rate_dps: tuple[float, float]
     temp_c: tuple[float, float]
 
+    @property
+    def said(self) -> str:
+        """Both in words."""
+        (low, high), (cold, warm) = self.rate_dps, self.temp_c
+        if low > high or cold > warm:
+            return _LACKING["overlap"]
+        return f"{low:+.4g} to {high:+.4g} deg/s, {cold:.1f} to {warm:.1f} °C"
+
 
 def common_span(several: Sequence[DataSets]) -> Span:
     """What all of them cover, between which figures of several runs are of the same gyro; a low may lie above its high."""
@@ -215,15 +223,19 @@ class BeforeAfter:
     after: Figure
 
 
-def merit_figures(fit: SurfaceFit, left_out_dps: Floats | None) -> dict[str, BeforeAfter]:
+def merit_figures(
+    fit: SurfaceFit, left_out_dps: Floats | None, span: Span | None = None
+) -> dict[str, BeforeAfter]:
     """Figures of merit before and after compensation.
 
     Parameters
     ----------
     left_out_dps : ndarray, shape (n,), or None
         Error of each data set with its stretch of time left out of the fit; None where that cannot be had.
+    span : Span, optional
+        A part of the recording's.
     """
-    sample, span = f"{len(fit.sets)} data sets", common_span([fit.sets])
+    sample, span = f"{len(fit.sets)} data sets", span or common_span([fit.sets])
     before = error_figures(fit, sample, span)
     if left_out_dps is None or not np.isfinite(left_out_dps).all():
         reason = "the record is too small to leave a part of it out"
@@ -322,10 +334,11 @@ def _columns(rate_dps: Floats, temp_c: Floats, sets: DataSets, orders: tuple[int
 
 def _figure(name: str, law: Law, values: Floats, sample: str) -> Figure:
     """Value and interval, reversed about the estimate; a size that noise alone may be is only bounded."""
-    blank = Figure(name, law.unit, law.definition, method=_METHOD, sample=sample)
+    size = "peak" in law.unit or "nonlinearity" in name
+    blank = Figure(name, law.unit, law.definition, method=_METHOD, sample=sample, size=size)
     estimate, drawn = float(values[0]), values[1:]
     low, high = (2.0 * estimate - float(q) for q in np.percentile(drawn, [97.5, 2.5]))
-    if "peak" not in law.unit and "nonlinearity" not in name:
+    if not size:
         return replace(blank, value=estimate, low=low, high=high)
     value = max(2.0 * estimate - float(drawn.mean()), 0.0)
     if low <= 0.0:

@@ -112,10 +112,16 @@ _PARTS = (
 )
 
 
-def noise_figures(*recordings: Recording) -> NoiseFigures:
-    """Noise figures of the segments at rest of one recording, or of several of one gyro together."""
+def noise_figures(*recordings: Recording, at_rest: Sequence[Run] = ()) -> NoiseFigures:
+    """Noise figures of the segments at rest of one recording, or of several of one gyro together.
+
+    Parameters
+    ----------
+    at_rest : runs of the gyro that carry nothing else
+    """
     sums: dict[float, AllanSums] = {}
     runs = [(r.run, bias_over_temperature(r)) for r in recordings if r.run is not None]
+    runs += [(run, bias_at_rest(run)) for run in at_rest]
     if not runs:
         return _nothing("a table of data sets holds no samples at rest")
     for run, bias in runs:

@@ -38,9 +38,9 @@ def pooled(figures: Sequence[Figure]) -> Figure:
         float(NORMAL_95 * math.sqrt(np.mean(within**2) / n)),
     )
     mean = float(values.mean())
-    return replace(
-        known[0], value=mean, low=mean - half, high=mean + half, sample=f"{n} runs, {known[0].sample} each"
-    )
+    low = max(mean - half, 0.0) if known[0].size else mean - half
+    sample = f"{n} runs, {', '.join(dict.fromkeys(f.sample for f in known))}"
+    return replace(known[0], value=mean, low=low, high=mean + half, sample=sample)
 
 
 def repeatability(figures: Sequence[Figure]) -> Figure:

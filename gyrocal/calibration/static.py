@@ -27,6 +27,7 @@ from gyrocal.calibration.noise import (
     gaps,
     noise_at_rest,
 )
+from gyrocal.calibration.warm_up import warm_up
 from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
@@ -37,6 +38,8 @@ from gyrocal.records.run import Run, read_run
 from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
+
+RATE_RAMP = "rate_ramp"
 
 #: A slope over temperature needs as many degrees.
 _LEAST_SPAN_C = 3.0
@@ -83,7 +86,8 @@ class StaticFigures:
     ----------
     noise : NoiseFigures
     figures : dict of str to Figure
-        ``mean_bias``, ``bias_without_earth_rate``, ``rate_ramp``, ``bias_temperature_sensitivity``, ``clock_error``.
+        ``mean_bias``, ``bias_without_earth_rate``, ``rate_ramp``, ``bias_temperature_sensitivity``, ``warm_up_time``,
+        ``clock_error``.
     course : Course
     samples, missing : int
         Samples used, and samples that were bad, empty, not finite or left out.
@@ -198,6 +202,7 @@ def examine_static(
     off_dps, coarse = _rounded(raw, curves)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
     figures = [*_mean(course, covariance, off_dps, blank, config), *_slopes(course, covariance, blank)]
+    figures.append(warm_up(course, None if run is None else run.power_on_t_s, blank.sample))
     if spans:
         reason = "the output jumps within the record: cut out a rest"
         figures = [replace(f, value=None, low=None, high=None, reason=reason) for f in figures]
@@ -421,7 +426,7 @@ def earth_rate_dph(latitude_deg: float, elevation_deg: float, azimuth_deg: float
 def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Figure]:
     """Slopes over time and temperature, by generalised least squares, jointly where both vary."""
     blank = replace(blank, method="slope of the means over the record, weighted by the noise")
-    ramp = replace(blank, name="rate_ramp", unit="deg/h/h", definition="R of the drift R t")
+    ramp = replace(blank, name=RATE_RAMP, unit="deg/h/h", definition="R of the drift R t")
     warm = replace(
         blank,
         name="bias_temperature_sensitivity",

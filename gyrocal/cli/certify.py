@@ -32,11 +32,12 @@ def command(
     pdf: bool,
     as_json: bool,
 ) -> None:
-    """Write the certificate of one unit from RUNS, in the order in which they were made.
+    """Write the certificate of one unit from RUNS, in the order in which they were made, or the directory that holds them.
 
     Identity, verdict, figures before and after compensation with 95 % intervals, repeatability over the runs, pictures,
     what was not tested, limits of the data, checksums. With --limits a figure passes when all of its interval is
-    inside, fails when all of it is outside, and is not decided in between; a failed figure gives its own exit code.
+    inside, fails when all of it is outside, and is not decided in between; a failed figure gives its own exit code. Runs at
+    rest (static_allan, thermal_ramp) add to the noise.
 
     Example: gyrocal certify run1 run2 run3 --out certificate
     """

@@ -223,6 +223,14 @@ def is_run_directory(path: Path) -> bool:
     return path.is_dir() and (path / "run.json").exists()
 
 
+def runs_in(path: Path) -> list[Path]:
+    """The runs in a directory of runs, in the order in which they were made; what is none stays as it is."""
+    if (path / "run.json").exists() or not path.is_dir():
+        return [path]
+    inside = sorted(entry for entry in path.iterdir() if (entry / "run.json").exists())
+    return sorted(inside, key=lambda run: read_run(run).created_utc or "") or [path]
+
+
 def read_run(path: Path) -> Run:
     """Open the run directory `path`.
 

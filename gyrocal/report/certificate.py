@@ -12,6 +12,7 @@ import gyrocal
 from gyrocal.calibration.dossier import Dossier
 from gyrocal.calibration.limits import Row
 from gyrocal.calibration.material import Material
+from gyrocal.calibration.provenance import source_sha256
 from gyrocal.calibration.summary import said, verdict
 from gyrocal.errors import InputError
 from gyrocal.report.drawings import DRAWINGS
@@ -140,8 +141,11 @@ def provenance(dossier: Dossier) -> dict[str, str]:
     entries = {"Software": f"gyrocal {gyrocal.__version__}"}
     for run in dossier.runs:
         entries[f"{run.path.name}, sha256"] = run.calibration.recording.sha256
-        if "profile_sha256" in run.head:
-            entries[f"{run.path.name}, profile sha256"] = str(run.head["profile_sha256"])
+    entries |= {f"{r.path.name}, sha256": source_sha256(r.path) for r in dossier.at_rest}
+    heads = [(r.path, r.head) for r in dossier.runs] + [(r.path, r.head) for r in dossier.at_rest]
+    for path, head in heads:
+        if "profile_sha256" in head:
+            entries[f"{path.name}, profile sha256"] = str(head["profile_sha256"])
     return entries
 
 

@@ -10,13 +10,14 @@ import pytest
 
 from gyrocal.calibration.calibrate import FitConfig
 from gyrocal.calibration.compare import compare_runs
-from gyrocal.calibration.dossier import compile_dossier, unit_run
+from gyrocal.calibration.dossier import compile_dossier, rest_run, unit_run
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.limits import Limit, Row, judged, read_limits
 from gyrocal.calibration.pooled import pooled, repeatability
 from gyrocal.errors import DataError, ProfileError
 from gyrocal.report.certificate import certificate_sentence
 from gyrocal.report.compare import change_rows
+from tests.calibration.runs import Part, gyro_row, write_run
 from tests.calibration.test_fleet import write_table
 
 
@@ -230,3 +231,60 @@ def test_one_run_is_no_comparison(tmp_path: Path) -> None:
     first = unit_run(write_table(tmp_path / "a.csv", 1), FitConfig()).calibration
     with pytest.raises(DataError, match="a comparison takes two"):
         compare_runs([first])
+
+
+def _rest_directory(path: Path, serial: str | None = None) -> Path:
+    rng = np.random.default_rng(3)
+    rows = [gyro_row(0.1 * k + 0.05, f"{x:.6f}") for k, x in enumerate(rng.normal(0.0, 4e-3, 12_000))]
+    sensor = {"model": "RD2100"} | ({"serial": serial} if serial else {})
+    return write_run(path, [Part(rows, kind="static", averaging_s=None)], {"sensor": sensor})
+
+
+def test_runs_at_rest_add_to_the_noise_and_carry_no_surface(tmp_path: Path) -> None:
+    run = unit_run(write_table(tmp_path / "run.csv", 1), FitConfig())
+    rest = rest_run(_rest_directory(tmp_path / "rest"))
+    assert rest is not None
+    assert rest_run(tmp_path / "run.csv") is None
+    rows = {row.known.name: row.known for row in compile_dossier([run], {}, "", [rest]).rows}
+    walk = rows["angle_random_walk"].interval
+    assert walk is not None
+    assert walk[1] < 60.0 * 4e-3 * np.sqrt(0.1) < walk[2]
+    assert rows["rate_ramp"].high is not None
+    assert rows["warm_up_time"].reason == "no change since power-on stands out of the noise"
+    alone = {row.known.name: row.known for row in compile_dossier([run], {}, "").rows}
+    assert alone["warm_up_time"].reason.startswith("it takes a record at rest of its own")
+    with pytest.raises(DataError, match="No run has rates enough for a surface"):
+        compile_dossier([], {}, "", [rest])
+    other = rest_run(_rest_directory(tmp_path / "other", "X9"))
+    assert other is not None
+    with pytest.raises(DataError, match=r"several units \(no serial number, X9\)"):
+        compile_dossier([run], {}, "", [other])
+
+
+def test_runs_over_other_temperatures_are_taken_over_what_they_share(tmp_path: Path) -> None:
+    """A range over 60 °C and one over half of them have no mean."""
+    wide = write_table(tmp_path / "wide.csv", 1)
+    head, *lines = wide.read_text().splitlines()
+    column = head.split(",").index("temp_c")
+    temps = [float(line.split(",")[column]) for line in lines]
+    middle = 0.5 * (min(temps) + max(temps))
+    cooler = [line for line, t in zip(lines, temps, strict=True) if t <= middle + 1.0]
+    (tmp_path / "cool.csv").write_text("\n".join([head, *cooler]) + "\n")
+    paths = [write_table(tmp_path / "other.csv", 2), tmp_path / "cool.csv"]
+    runs = [unit_run(path, FitConfig()) for path in paths]
+    both, cool = (compile_dossier(r, {}, "") for r in (runs, runs[1:]))
+    found = [
+        {row.known.name: row.known for row in d.rows}["scale_factor_over_temperature"] for d in (both, cool)
+    ]
+    assert found[0].interval is not None
+    assert found[1].interval is not None
+    assert found[0].interval[0] == pytest.approx(found[1].interval[0], rel=0.05)
+    assert both.identity["Figures over"].endswith(f"to {max(t for t in temps if t <= middle + 1.0):.1f} °C")
+
+
+def test_a_size_is_never_below_zero() -> None:
+    apart = [replace(figure(value, 0.5), size=True) for value in (1.0, 6.0)]
+    assert pooled(apart).low == 0.0
+    low = pooled([replace(f, size=False) for f in apart]).low
+    assert low is not None
+    assert low < 0.0

@@ -276,7 +276,7 @@ def test_the_shipped_profile_at_rest_has_no_warning(tmp_path: Path) -> None:
     """Its soak is kept as means over a second, whose steps of a tenth had been taken for those of the samples."""
     rng = np.random.default_rng(23)
     step_dps = 0.00305
-    parts = []
+    parts = list[Part]()
     for kind, dt_s, samples, scatter_dps, digits in (
         ("soak", 1.0, 900, 1.4e-3, 0.1),
         ("static", 0.1, 9000, 4.4e-3, 1.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -103,3 +104,16 @@ def test_compare(tmp_path: Path) -> None:
     data = json.loads(CliRunner().invoke(gyrocal_command, ["compare", *tables, "--json"]).output)
     assert data["runs"] == ["run1.csv", "run2.csv"]
     assert data["figures"]["bias"]["changed"] is False
+
+
+def test_the_directory_of_a_unit_stands_for_its_runs(tmp_path: Path) -> None:
+    (tmp_path / "unit").mkdir()
+    for name, day in (("b", "2026-01-01T00:00:00Z"), ("a", "2026-01-02T00:00:00Z")):
+        shutil.copytree(SAMPLE / "run", tmp_path / "unit" / name)
+        head = tmp_path / "unit" / name / "run.json"
+        head.write_text(head.read_text().replace("2000-01-01T00:00:00Z", day))
+    words = ["certify", str(tmp_path / "unit"), "--out", str(tmp_path / "out"), "--json"]
+    done = CliRunner().invoke(gyrocal_command, words)
+    assert done.exit_code == 0, done.output
+    names = [name for name in json.loads(done.stdout)["provenance"] if name.endswith(", sha256")]
+    assert names == ["b, sha256", "a, sha256"]
