@@ -250,24 +250,28 @@ def _duration_s(profile: Profile, kind: str, difference_c: float) -> tuple[float
 
 
 def _check(profile: Profile, plan: Plan) -> None:
+    """Refuse what lies outside the limits: each of these once, by the first step that exceeds it."""
     limits = plan.limits
-    for step in plan.steps:
-        where = f"step {step.id}, {step.describe()}"
-        _inside("the rate", step.rate_dps, "deg/s", limits.min_rate_dps, limits.max_rate_dps, where)
-        _inside("the temperature", step.chamber_c, "°C", limits.min_temp_c, limits.max_temp_c, where)
-    safe = profile.safe.chamber_c
-    _inside("the temperature", safe, "°C", limits.min_temp_c, limits.max_temp_c, "safe.chamber_c")
+    rates, temps = (limits.min_rate_dps, limits.max_rate_dps), (limits.min_temp_c, limits.max_temp_c)
+    wanted = [
+        entry
+        for step in plan.steps
+        for entry in (
+            ("rate", step.rate_dps, "deg/s", rates, f"step {step.id}, {step.describe()}"),
+            ("temperature", step.chamber_c, "°C", temps, f"step {step.id}, {step.describe()}"),
+        )
+    ]
     ramp = profile.ramp.rate_c_per_min
-    _inside("the ramp", ramp, "°C/min", None, limits.max_ramp_c_per_min, "ramp.rate_c_per_min")
-    _inside("the winding", plan.winding_turns, "turns", None, limits.max_turns, "all steps")
-
-
-def _inside(what: str, value: float, unit: str, low: Bound | None, high: Bound | None, where: str) -> None:
-    """Refuse a value outside its bounds."""
-    for bound, side, beyond in ((low, "below", -1.0), (high, "above", 1.0)):
-        if bound is not None and beyond * (value - bound.value) > 0:
-            msg = (
-                f"{what[0].upper()}{what[1:]} of {value:.6g} {unit} ({where}) is {side} {bound.value:.6g} {unit}, the "
-                f"limit of {bound.whose}. Nothing has moved; change the plan or the limit."
-            )
-            raise LimitError(msg)
+    wanted += [
+        ("temperature", profile.safe.chamber_c, "°C", temps, "safe.chamber_c"),
+        ("ramp", ramp, "°C/min", (None, limits.max_ramp_c_per_min), "ramp.rate_c_per_min"),
+        ("winding", plan.winding_turns, "turns", (None, limits.max_turns), "all steps"),
+    ]
+    said: dict[tuple[str, str], str] = {}
+    for what, value, unit, bounds, where in wanted:
+        for bound, side, beyond in zip(bounds, ("below", "above"), (-1.0, 1.0), strict=True):
+            if bound is not None and beyond * (value - bound.value) > 0:
+                sentence = f"The {what} of {value:.6g} {unit} ({where}) is {side} {bound.value:.6g} {unit}, the limit of {bound.whose}."
+                said.setdefault((what, bound.whose), sentence)
+    if said:
+        raise LimitError("\n".join(said.values()) + " Nothing has moved; change the plan or the limit.")

@@ -359,8 +359,8 @@ def profile_from_dict(raw: Mapping[str, Any], source: str) -> Profile:
         }
         raw = {**raw, "identity": texts}
     profile = read_table(Profile, raw, source)
-    raise_all(_inconsistencies(profile, source))
-    effects = _effects(profile.virtual.effects, source)
+    effects, wrong = _effects(profile.virtual.effects, source)
+    raise_all(_inconsistencies(profile, source) + wrong)
     checked = replace(profile, virtual=replace(profile.virtual, effects=effects))
     return _sealed(checked, raw, source)
 
@@ -439,22 +439,30 @@ def _is_date(text: str) -> bool:
     return True
 
 
-def _effects(table: Mapping[str, Any], source: str) -> dict[str, dict[str, float]]:
-    """Effects with all their parameters: what the profile does not say is the catalogue's usual size."""
+def _effects(table: Mapping[str, Any], source: str) -> tuple[dict[str, dict[str, float]], list[str]]:
+    """Effects with all their parameters (what the profile does not say is the catalogue's usual size), and what is wrong."""
     effects: dict[str, dict[str, float]] = {}
+    wrong: list[str] = []
     for effect_id, given in table.items():
-        key = f"virtual.effects.{effect_id}"
-        if effect_id not in CATALOGUE:
-            refuse_key(source, key, sorted(CATALOGUE))
-        if not isinstance(given, Mapping):
-            refuse(source, key, given, "a table of its parameters, {} for their usual sizes")
-        known = {p.name: p for p in CATALOGUE[effect_id].parameters}
-        for name, value in given.items():
-            if name not in known:
-                refuse_key(source, f"{key}.{name}", sorted(known))
-            p = known[name]
-            good = isinstance(value, int | float) and not isinstance(value, bool) and p.low <= value <= p.high
-            if not good:
-                refuse(source, f"{key}.{name}", value, f"a number from {p.low:g} to {p.high:g} {p.unit}")
-        effects[effect_id] = {**CATALOGUE[effect_id].typical(), **{k: float(v) for k, v in given.items()}}
-    return effects
+        try:
+            effects[effect_id] = _effect(effect_id, given, source)
+        except ProfileError as error:
+            wrong.append(str(error))
+    return effects, wrong
+
+
+def _effect(effect_id: str, given: Any, source: str) -> dict[str, float]:
+    key = f"virtual.effects.{effect_id}"
+    if effect_id not in CATALOGUE:
+        refuse_key(source, key, sorted(CATALOGUE))
+    if not isinstance(given, Mapping):
+        refuse(source, key, given, "a table of its parameters, {} for their usual sizes")
+    known = {p.name: p for p in CATALOGUE[effect_id].parameters}
+    for name, value in given.items():
+        if name not in known:
+            refuse_key(source, f"{key}.{name}", sorted(known))
+        p = known[name]
+        good = isinstance(value, int | float) and not isinstance(value, bool) and p.low <= value <= p.high
+        if not good:
+            refuse(source, f"{key}.{name}", value, f"a number from {p.low:g} to {p.high:g} {p.unit}")
+    return {**CATALOGUE[effect_id].typical(), **{k: float(v) for k, v in given.items()}}

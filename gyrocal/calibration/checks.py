@@ -62,7 +62,7 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
             f"{source}: {len(sets)} data sets are more than the fit takes ({MOST_DATA_SETS}). "
             "Average neighbouring rows of the same rate and temperature into one data set."
         )
-    _check_rates(source.as_posix(), sets, rates)
+    _check_rates(recording, sets, rates)
     _check_temperatures(recording, sets, "surface")
     if float(np.ptp(sets.gyro_dps)) == 0:
         raise DataError(
@@ -79,7 +79,8 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
     return notes + _doubts(recording, sets, force)
 
 
-def _check_rates(source: str, sets: DataSets, rates: int) -> None:
+def _check_rates(recording: Recording, sets: DataSets, rates: int) -> None:
+    source = recording.source.as_posix()
     low, high = float(sets.rate_dps.min()), float(sets.rate_dps.max())
     if low >= 0 or high <= 0 or min(-low, high) < _OTHER_SIGN * max(-low, high):
         raise DataError(
@@ -89,8 +90,15 @@ def _check_rates(source: str, sets: DataSets, rates: int) -> None:
     if rates < RATE_ORDER + 1:
         raise DataError(
             f"{source}: {rates} distinct rates do not carry order {RATE_ORDER} in rate. "
-            f"Record at least {RATE_ORDER + 1}, spread over the range of the gyro."
+            f"Record at least {RATE_ORDER + 1}, spread over the range of the gyro{_of_rests(recording)}."
         )
+
+
+def _of_rests(recording: Recording) -> str:
+    """What a run of few rates is good for, at the end of a sentence."""
+    if recording.run is None:
+        return ""
+    return f"; what its rests say of noise, bias and drift is gyrocal noise {recording.source.as_posix()}"
 
 
 def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> None:

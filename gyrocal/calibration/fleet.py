@@ -113,7 +113,8 @@ def measure(path: Path, config: FitConfig) -> Unit:
     try:
         found = calibrate(path, config)
     except GyrocalError as error:
-        return Unit(str(path), "", "", "", {}, str(error), time.perf_counter() - begun)
+        said = str(error).removeprefix(f"{path}: ")
+        return Unit(str(path), "", "", "", {}, said, time.perf_counter() - begun)
     file = found.coefficients
     return Unit(
         source=str(path),

@@ -167,6 +167,14 @@ LIMITS = [
 ]
 
 
+def test_all_limits_that_a_plan_exceeds_are_told_at_once() -> None:
+    with pytest.raises(LimitError) as caught:
+        plan(plan__rates_dps=[120.0], plan__temperatures_c=[20.0, 90.0], ramp__rate_c_per_min=6.0)
+    lines = str(caught.value).splitlines()
+    assert [line.split(" of ")[0] for line in lines] == ["The rate", "The temperature", "The ramp"]
+    assert str(caught.value).count("Nothing has moved") == 1
+
+
 @pytest.mark.parametrize(("changes", "sentence"), LIMITS)
 def test_limits_name_the_value_the_limit_and_whose_it_is(changes: dict[str, Any], sentence: str) -> None:
     with pytest.raises(LimitError) as caught:

@@ -112,6 +112,8 @@ def test_unknown_keys_are_refused_with_the_nearest_known_one() -> None:
     assert refusal(virtual__effects={"shupe": {"k": 1.0}}) == (
         "p.toml: virtual.effects.shupe.k is an unknown key. Known in [virtual.effects.shupe]: amplitude."
     )
+    several = refusal(virtual__effects={"shup": {}, "shupe": 3.0}, plan__temperatures_c=[])
+    assert several.count("p.toml: ") == 3
     # neither of the two fields that the program itself fills in is a key
     assert "unknown key" in refusal(source="x")
 

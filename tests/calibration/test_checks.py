@@ -57,6 +57,16 @@ def test_missing_levels(tmp_path: Path, rates: Floats, temps: Floats, what: str,
     assert "t.csv" in str(error)
 
 
+def test_a_run_of_few_rates_is_sent_to_noise(tmp_path: Path) -> None:
+    rates = np.array([-50.0, 0.0, 50.0])
+    sets = simulate(np.random.default_rng(1), rates=rates, temps=np.linspace(0, 40, 6))
+    run = write_run(tmp_path / "run", parts_of(sets, np.random.default_rng(2)))
+    assert str(refusal(run)).endswith(
+        f"what its rests say of noise, bias and drift is gyrocal noise {run.as_posix()}."
+    )
+    assert "gyrocal noise" not in str(refusal(table(tmp_path / "t.csv", *grid(rates, np.linspace(0, 40, 6)))))
+
+
 def test_rates_and_temperatures_that_vary_together(tmp_path: Path) -> None:
     rate = np.repeat(np.linspace(-100, 100, 40), 2)
     error = refusal(table(tmp_path / "t.csv", rate, 20 + 0.2 * rate))
