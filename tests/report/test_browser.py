@@ -49,7 +49,9 @@ def test_every_column_is_printed(page: Path, tmp_path: Path) -> None:
     assert set(COLUMNS) <= set(words)
     # The head of a table stands again on each sheet that it runs over.
     assert words.count("column11") >= 2
+    # Across the first sheet, letter by letter, and at the head of each.
     assert "SIMULATED" in "".join(words)
+    assert words.count("SIMULATED") >= 2
 
 
 def test_verdict_tables_pictures_and_limits_stand_in_that_order() -> None:
