@@ -253,7 +253,7 @@ def _check(profile: Profile, plan: Plan) -> None:
     """Refuse what lies outside the limits: each of these once, by the first step that exceeds it."""
     limits = plan.limits
     rates, temps = (limits.min_rate_dps, limits.max_rate_dps), (limits.min_temp_c, limits.max_temp_c)
-    wanted = [
+    wanted: list[tuple[str, float, str, tuple[Bound | None, Bound | None], str]] = [
         entry
         for step in plan.steps
         for entry in (
