@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import stats
@@ -14,6 +15,7 @@ from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.figures import common_span, figures_between
 from gyrocal.calibration.pooled import repeatability
 from gyrocal.calibration.provenance import refuse_twice
+from gyrocal.calibration.static import StaticFigures
 from gyrocal.errors import DataError
 from gyrocal.inference.multiple import holm
 from gyrocal.units import NORMAL_95
@@ -58,12 +60,32 @@ def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
     DataError
         Fewer than two runs, or one that is given twice.
     """
-    if len(runs) < 2:
-        raise DataError("One run is given, and a comparison takes two: give more.")
-    refuse_twice([run.recording.source for run in runs])
+    _refuse_few([run.recording.source for run in runs])
     # Of the same rates and temperatures: a scale factor with a slope has another middle where a run was a tenth of a °C warmer.
     span = common_span([run.fit.sets for run in runs])
     listed = [figures_between(run.fit, span) | dict(run.noise.figures) for run in runs]
+    return _changes(listed)
+
+
+def compare_at_rest(runs: Sequence[StaticFigures]) -> tuple[Change, ...]:
+    """The same of runs at rest: their noise, mean and drift.
+
+    Raises
+    ------
+    DataError
+        Fewer than two runs, or one that is given twice.
+    """
+    _refuse_few([run.source for run in runs])
+    return _changes([dict(run.noise.figures) | run.figures for run in runs])
+
+
+def _refuse_few(sources: Sequence[Path]) -> None:
+    if len(sources) < 2:
+        raise DataError("One run is given, and a comparison takes two: give more.")
+    refuse_twice(sources)
+
+
+def _changes(listed: Sequence[Mapping[str, Figure]]) -> tuple[Change, ...]:
     names = [name for name in listed[0] if all(name in figures for figures in listed)]
     raw = [_change(tuple(figures[name] for figures in listed)) for name in names]
     tested = np.array([c.change is not None for c in raw])

@@ -18,20 +18,15 @@ def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool)
 
     Every figure of every run, of three or more the standard deviation from run to run beyond the error within them, the
     change from the first to the last with its 95 % interval, and whether it is more than noise (1 % false alarms over
-    all figures together).
+    all figures together). Runs at rest are compared by noise, mean and drift.
 
     Example: gyrocal compare before after
     """
-    from gyrocal.calibration.calibrate import calibrate, configs
-    from gyrocal.calibration.compare import compare_runs
+    from gyrocal.commands.compare import compare
     from gyrocal.report.compare import blank_sentences, change_rows, changes_sentence, to_json
 
-    found = []
     with progress("compare", quiet=as_json) as tell:
-        for number, (path, config) in enumerate(zip(runs, configs(runs, counts_per_dps), strict=True)):
-            tell(number / len(runs), path.name)
-            found.append(calibrate(path, config))
-    changes = compare_runs(found)
+        changes = compare(runs, counts_per_dps, tell)
     names = [path.name for path in runs]
     if as_json:
         emit_json(to_json(changes, names))

@@ -7,10 +7,13 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from gyrocal.cli import gyrocal_command, main
+from gyrocal.errors import DataError
+from tests.calibration.runs import Part, gyro_row, write_run
 from tests.calibration.test_fleet import write_table
 from tests.report.browser import look, needs_chromium, needs_pdftotext, printed_words
 
@@ -117,3 +120,24 @@ def test_the_directory_of_a_unit_stands_for_its_runs(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     names = [name for name in json.loads(done.stdout)["provenance"] if name.endswith(", sha256")]
     assert names == ["b, sha256", "a, sha256"]
+
+
+def test_runs_at_rest_are_compared_by_their_noise(tmp_path: Path) -> None:
+    """Twice the noise is a change of it, and of the lowest deviation at the most."""
+    rng = np.random.default_rng(8)
+    for name, scatter_dps in (("a", 4e-3), ("b", 4e-3), ("c", 8e-3)):
+        gyro = rng.normal(0.0, scatter_dps, 12_000)
+        rows = [gyro_row(0.1 * k + 0.05, f"{x:.6f}") for k, x in enumerate(gyro)]
+        write_run(tmp_path / name, [Part(rows, kind="static", averaging_s=None)])
+
+    def changed(*names: str) -> set[str]:
+        paths = [str(tmp_path / name) for name in names]
+        done = CliRunner().invoke(gyrocal_command, ["compare", *paths, "--json"])
+        assert done.exit_code == 0, done.output
+        return {name for name, entry in json.loads(done.stdout)["figures"].items() if entry["changed"]}
+
+    assert changed("a", "b") == set()
+    assert "angle_random_walk" in changed("a", "c") <= {"angle_random_walk", "allan_floor"}
+    mixed = CliRunner().invoke(gyrocal_command, ["compare", str(tmp_path / "a"), str(SAMPLE / "run")])
+    assert isinstance(mixed.exception, DataError)
+    assert "carries no surface" in str(mixed.exception)

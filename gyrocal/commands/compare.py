@@ -1,0 +1,37 @@
+"""`gyrocal compare`: runs of a unit, fitted or at rest, read and put beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from gyrocal.calibration.calibrate import calibrate, configs
+from gyrocal.calibration.compare import Change, compare_at_rest, compare_runs
+from gyrocal.calibration.dossier import rest_run
+
+
+def compare(
+    paths: Sequence[Path], counts_per_dps: float | None, tell: Callable[[float, str], None]
+) -> tuple[Change, ...]:
+    """Changes over the runs: of noise, mean and drift where all of them are at rest.
+
+    Raises
+    ------
+    InputError, DataError
+        A bad run, one alone, or runs at rest among others.
+    """
+    each = configs(paths, counts_per_dps)
+    at_rest = []
+    for number, path in enumerate(paths):
+        tell(0.5 * number / len(paths), path.name)
+        resting = rest_run(path)
+        if resting is None:
+            break
+        at_rest.append(resting.found)
+    else:
+        return compare_at_rest(at_rest)
+    found = []
+    for number, (path, config) in enumerate(zip(paths, each, strict=True)):
+        tell(number / len(paths), path.name)
+        found.append(calibrate(path, config))
+    return compare_runs(found)
