@@ -17,7 +17,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Averaging factors of the samples themselves; every later octave is taken from means of two of the octave before, so
-#: that a stretch starts at each 32nd of tau: that gives as much as a start at each sample, to 0.1 %.
+#: that a stretch starts at each 32nd of tau: that gives as much as a start at each sample, to 0.1 %, but of white angle
+#: noise, whose covariance allows for it.
 _FACTORS = (1, 2, 4, 8, 16, 32)
 _LONGEST = _FACTORS[-1]
 #: Number of stretches, in averaging times, that an estimate needs: with fewer it is one difference of two means.
@@ -175,7 +176,8 @@ def _pair(a: int, b: int, lengths: Ints, repeats: Ints) -> Floats:
     part[1:, 1:] = (covariance * pairs(lag) * step) @ covariance.T
     spot, where = np.unique(shift, return_inverse=True)
     spike = np.bincount(where.ravel(), weight.ravel()) / 3.0
-    share = pairs(spot)
+    # White angle noise is another at each start, of which there is one in each 32nd of tau.
+    share = pairs(spot) * max(a // _LONGEST, 1)
     part[0, 0] = spike**2 @ share
     part[0, 1:] = part[1:, 0] = smooth(spot) @ (spike * share)
     return 0.5 * part
