@@ -364,14 +364,14 @@ SAME_WORD = {
     "gyrocal.navigation.simulate": {"gyro_scale"},
     "gyrocal.planning.planned": {"rate_order", "temperature_order"},
 }
-#: The model of a drive is made of the laws on the robot, and its words name them.
-MODEL_OF_A_DRIVE = (
-    "gyrocal.diagnosis.drive.",
-    "gyrocal.diagnosis.versus.drive",
-    "gyrocal.report.diagnosis_drive",
-    "gyrocal.report.drive_words",
-    "gyrocal.report.versus_drive",
-)
+#: What the truth of a drive is asked for: parameters of its path, that effects are named after.
+OF_A_PATH = {"gyro_bias", "gyro_scale", "wheel_scale"}
+SAME_WORD |= {
+    "gyrocal.diagnosis.drive.findings": OF_A_PATH - {"gyro_bias"},
+    "gyrocal.diagnosis.drive.improved": OF_A_PATH,
+    "gyrocal.diagnosis.drive.reckoning": {"wheel_scale"},
+    "gyrocal.diagnosis.drive.truth": OF_A_PATH,
+}
 #: The blind trial writes its laws itself, so as to share no formula with the finder, and says which names are right.
 OWN_LAWS = {"gyrocal.trial.laws": set(CATALOGUE) - {"quantisation", "time_base"}}
 
@@ -390,8 +390,6 @@ def test_only_physics_knows_an_effect(path: Path) -> None:
     """What a module has to know of an effect it asks its object; where one is meant, it is imported."""
     name = module_name(path)
     allowed = SAME_WORD.get(name, set()) | OWN_LAWS.get(name, set())
-    if name.startswith(MODEL_OF_A_DRIVE):
-        allowed = allowed | set(DRIVE_CATALOGUE)
     assert ids_in(path) <= allowed, f"{path}: ask the effect's object, or import it from gyrocal.physics"
 
 

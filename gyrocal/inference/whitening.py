@@ -269,13 +269,12 @@ class Likelihood:
     Attributes
     ----------
     levels : NoiseLevels
-    reml, ml : float
-        Log-likelihood of the noise levels with the coefficients integrated out, and at their estimate.
+    reml : float
+        Log-likelihood of the noise levels with the coefficients integrated out.
     """
 
     levels: NoiseLevels
     reml: float
-    ml: float
 
 
 def _ratios(levels: NoiseLevels, model: NoiseModel) -> Floats:
@@ -293,7 +292,7 @@ def _evaluate(model: NoiseModel, ratios: Floats, yX: Floats) -> Likelihood:
     white, std = model.whiten(base, yX)
     n, p = white.shape[0], white.shape[1] - 1
     gram = white.T @ white
-    bad = Likelihood(base, -np.inf, -np.inf)
+    bad = Likelihood(base, -np.inf)
     try:
         scale = np.sqrt(np.diag(gram)[1:])
         scale[scale == 0] = 1.0
@@ -308,9 +307,8 @@ def _evaluate(model: NoiseModel, ratios: Floats, yX: Floats) -> Likelihood:
     log_gram = float(2.0 * np.log(np.diag(factor[0])).sum() + 2.0 * np.log(scale).sum())
     variance = rss / (n - p)
     reml = -0.5 * ((n - p) * (np.log(variance) + 1.0) + 2.0 * log_std + log_gram)
-    ml = -0.5 * (n * (np.log(rss / n) + 1.0) + 2.0 * log_std)
     q = float(np.sqrt(variance))
-    return Likelihood(NoiseLevels(q, q * base.flicker_dps, q * base.jitter, q * base.walk), reml, ml)
+    return Likelihood(NoiseLevels(q, q * base.flicker_dps, q * base.jitter, q * base.walk), reml)
 
 
 def _climb(model: NoiseModel, yX: Floats, first: Floats, step: float) -> Likelihood:

@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
 from gyrocal.diagnosis.drive.laws import temperature_c
 from gyrocal.diagnosis.drive.reckoning import rest_mean_dps
 from gyrocal.diagnosis.result import NamedEffect
+from gyrocal.physics.drive import BIAS_TEMPERATURE, GYRO_BIAS, GYRO_DELAY, SKID_SLIP, WHEEL_ASYMMETRY
 from gyrocal.report import style
 from gyrocal.report.diagnosis_marks import bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import clustered_error
@@ -287,11 +288,11 @@ def encoders_against_gyro(seconds: Seconds) -> Figure:
 
 #: Where each law shows: label, and its coordinate in every bin.
 _OWN: dict[str, tuple[str, Callable[[Seconds], Floats]]] = {
-    "gyro_delay": ("Change of the turn rate, deg/s²", lambda s: s.change),
-    "skid_slip": ("Turn rate, deg/s", lambda s: s.turn_rate),
-    "wheel_asymmetry": ("Speed, m/s", lambda s: s.speed),
-    "gyro_bias": ("Time, s", lambda s: s.t_s),
-    "bias_temperature": ("Gyro temperature, °C", lambda s: s.temp_c),
+    GYRO_DELAY.id: ("Change of the turn rate, deg/s²", lambda s: s.change),
+    SKID_SLIP.id: ("Turn rate, deg/s", lambda s: s.turn_rate),
+    WHEEL_ASYMMETRY.id: ("Speed, m/s", lambda s: s.speed),
+    GYRO_BIAS.id: ("Time, s", lambda s: s.t_s),
+    BIAS_TEMPERATURE.id: ("Gyro temperature, °C", lambda s: s.temp_c),
 }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
+from gyrocal.physics.drive import GYRO_BIAS
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import statement
 from gyrocal.report.words import part_words, region_words
@@ -98,7 +99,7 @@ def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) 
     lines = []
     for e in said:
         remark = "" if e.named else ", not distinct enough to be named"
-        if e.name == "gyro_bias" and not e.named:
+        if e.name == GYRO_BIAS.id and not e.named:
             remark = ", and the rest at the start takes it off" if at_rest else ", as the robot file expects"
         lines.append(
             f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit} costs {e.metres:.2g} m rms {_PATHS[e.path]}{remark}"

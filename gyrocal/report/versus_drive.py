@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 from gyrocal.diagnosis.versus.drive import DriveFigure, DriveVersus
+from gyrocal.physics.drive import SKID_SLIP
 from gyrocal.report.words import estimate_text, listed, parameter_words
 
 
@@ -25,7 +26,7 @@ def drive_told(found: DriveVersus) -> tuple[str, ...]:
     if same:
         said.append(f"No difference is seen in {listed([_words(f) for f in same])}.")
     # A track that differs is what slip in turns does.
-    shown = {"skid_slip" if f.name in ("track", "effective_track") else f.name for f in differ}
+    shown = {SKID_SLIP.id if f.name in ("track", "effective_track") else f.name for f in differ}
     alone = [e.effect for e in found.effects if e.effect not in shown]
     if alone:
         said.append(f"Named in {found.recording} and not in {found.simulation}: {listed(alone)}.")

@@ -147,11 +147,11 @@ def test_a_random_walk_is_taken_in_where_there_is_one_and_nowhere_else() -> None
 
 def test_a_walk_from_nothing_is_at_the_edge_of_what_a_variance_can_be() -> None:
     """Half of all records of no walk have a likelihood that is highest without: 5 % is the 10 % point of chi-square."""
-    without = Likelihood(WALKING, 100.0, 0.0)
+    without = Likelihood(WALKING, 100.0)
     for p in (0.05, 1e-4):
         gain = 0.5 * float(chi2.isf(2.0 * p, 1))
-        assert walk_p_value(Likelihood(WALKING, 100.0 + gain, 0.0), without) == pytest.approx(p)
-    assert walk_p_value(Likelihood(WALKING, 99.0, 0.0), without) == 0.5
+        assert walk_p_value(Likelihood(WALKING, 100.0 + gain), without) == pytest.approx(p)
+    assert walk_p_value(Likelihood(WALKING, 99.0), without) == 0.5
 
 
 def test_a_jitter_that_the_record_hardly_tells_from_none_is_not_taken_for_none() -> None:

@@ -20,6 +20,7 @@ from gyrocal.navigation.sanity import (
     truth_unit_m,
     way_fault,
 )
+from gyrocal.physics.drive import DROPPED_SAMPLES, UNIT_OR_SIGN
 from gyrocal.units import DPH_TO_DPS, RAD_TO_DEG
 
 _NONE = (float("nan"), float("nan"))
@@ -68,9 +69,9 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     right = replace(series, gyro_dps=series.gyro_dps * factor * float(np.sign(ratio)))
     if not unit and _follows_in_mirror(right) and not _follows_in_mirror(series):
         right = replace(series, left_m=series.right_m, right_m=series.left_m, tick_m=series.tick_m[::-1])
-        return right, Found("unit_or_sign", amplitude, Remark(Said.WHEELS_SWAPPED))
+        return right, Found(UNIT_OR_SIGN.id, amplitude, Remark(Said.WHEELS_SWAPPED))
     seen = Remark(Said.GYRO_COLUMN, {"unit": unit, "inverted": ratio < 0})
-    return right, Found("unit_or_sign", amplitude, seen)
+    return right, Found(UNIT_OR_SIGN.id, amplitude, seen)
 
 
 def _follows_in_mirror(series: DriveSeries) -> bool:
@@ -97,7 +98,7 @@ def _wrong_wheel(series: DriveSeries, edges_s: Floats, turned: Floats) -> tuple[
     side = "left" if sbg > 0 else "right"
     right = replace(series, left_m=-series.left_m) if sbg > 0 else replace(series, right_m=-series.right_m)
     seen = Remark(Said.WHEEL_SIGN, {"side": side})
-    return right, Found("unit_or_sign", Estimate(-1.0, float("nan"), "1", _NONE), seen)
+    return right, Found(UNIT_OR_SIGN.id, Estimate(-1.0, float("nan"), "1", _NONE), seen)
 
 
 def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
@@ -146,7 +147,7 @@ def missing_rows(t_s: Floats) -> Found | None:
     share = 100.0 * lost / (lost + steps.size + 1)
     facts = {"count": lost, "percent": share, "longest_s": float(steps.max())}
     return Found(
-        "dropped_samples", Estimate(share, float("nan"), "%", _NONE), Remark(Said.MISSING_ROWS, facts)
+        DROPPED_SAMPLES.id, Estimate(share, float("nan"), "%", _NONE), Remark(Said.MISSING_ROWS, facts)
     )
 
 

@@ -12,10 +12,24 @@ from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import KINDS, PER_SI
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, TruthAnswer
+from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
-from gyrocal.physics.drive import DRIVE_CATALOGUE
+from gyrocal.physics.drive import (
+    BIAS_TEMPERATURE,
+    DRIVE_CATALOGUE,
+    DROPPED_SAMPLES,
+    EARTH_RATE,
+    ENCODER_OVERCOUNT,
+    GYRO_BIAS,
+    GYRO_DELAY,
+    ROBOT_TILT,
+    SKID_SLIP,
+    START_STOP_SLIP,
+    UNIT_OR_SIGN,
+    WHEEL_ASYMMETRY,
+    WHEEL_ECCENTRICITY,
+)
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG
 
@@ -37,7 +51,7 @@ _NOISY = 4.0
 #: A ratio of turns is the track's unless another cause is likelier by more than this (3 to 1): of the three it is known least.
 _LIKELIER = 2.0 * float(np.log(3.0))
 #: Scales that make the same ratio of encoder turn to gyro turn.
-_RATIO = frozenset({"skid_slip", "gyro_scale", "wheel_scale"})
+_RATIO = frozenset({SKID_SLIP.id, *SCALES})
 
 
 @dataclass(frozen=True)
@@ -69,7 +83,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     found: dict[str, Scale] = {}
     tilt = _tilt(yaw, truth)
     if truth is not None:
-        for name in ("gyro_scale", "wheel_scale"):
+        for name in SCALES:
             if truth.believed(name):
                 found[name] = Scale(truth.values[name], truth.stds[name])
         if "gyro_scale" in found and tilt.value > 0.0:
@@ -80,13 +94,13 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         if truth.told("bias_slope") ** 2 >= GAIN:
             found["bias_slope"] = Scale(truth.values["bias_slope"], truth.stds["bias_slope"])
     if tilt.value > 0.0:
-        found["robot_tilt"] = tilt
+        found[ROBOT_TILT.id] = tilt
     if "track" not in yaw.chosen:
         return found
     c, std = yaw.estimate("track")
     if found:
         c = (1 + c) * (1 - tilt.value) - 1
-        g, w = (found[n].value if n in found else 0.0 for n in ("gyro_scale", "wheel_scale"))
+        g, w = (found[n].value if n in found else 0.0 for n in SCALES)
         spread = float(np.sqrt(std**2 + sum(s.std**2 for s in found.values())))
         left = (1 + c) * (1 + g) / (1 + w) - 1
         if left**2 >= GAIN * spread**2:
@@ -148,12 +162,12 @@ def _against(c: float, std: float, truth: TruthAnswer | None) -> dict[str, float
     cases = {"track": (0.0, 0.0), "gyro_scale": (1 / (1 + c) - 1, 0.0), "wheel_scale": (0.0, c)}
     if truth is None or truth.mirrored:
         return dict.fromkeys(cases, 0.0)
-    at = [INTERESTS.index(n) for n in ("gyro_scale", "wheel_scale")]
+    at = [INTERESTS.index(n) for n in SCALES]
     covariance = truth.covariance[np.ix_(at, at)]
-    seen = np.array([truth.values["gyro_scale"], truth.values["wheel_scale"]])
+    seen = np.array([truth.values[n] for n in SCALES])
     found = {}
     for name, expected in cases.items():
-        spread = covariance + np.diag([std**2 * (name == "gyro_scale"), std**2 * (name == "wheel_scale")])
+        spread = covariance + np.diag([std**2 * (name == n) for n in SCALES])
         away = seen - np.array(expected)
         found[name] = float(away @ np.linalg.solve(spread, away))
     return found
@@ -176,7 +190,7 @@ def named_effects(
         gain = (scale.value / scale.std) ** 2
         gains.append((gain, _of_scale(name, scale, series, yaw, truth)))
     bias = _unexpected_bias(series, yaw)
-    if bias is not None and not any(e.effect == "gyro_bias" for _, e in gains):
+    if bias is not None and not any(e.effect == GYRO_BIAS.id for _, e in gains):
         gains.append(bias)
     gains.sort(key=lambda item: -item[0])
     effects: list[NamedEffect] = []
@@ -186,9 +200,9 @@ def named_effects(
             effects.append(effect)
     facts = [_effect(f.effect, {"amplitude": f.amplitude}, 1e-16, (), f.seen) for f in checks]
     return [
-        *(f for f in facts if f.effect == "unit_or_sign"),
+        *(f for f in facts if f.effect == UNIT_OR_SIGN.id),
         *effects,
-        *(f for f in facts if f.effect != "unit_or_sign"),
+        *(f for f in facts if f.effect != UNIT_OR_SIGN.id),
     ]
 
 
@@ -254,17 +268,17 @@ def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
         if ratio < _OUT:
             found[law.effect] = min(ratio, found.get(law.effect, np.inf))
     if name == "asymmetry" and not yaw.model.frame.nodes.resting.any():
-        found["gyro_bias"] = 1.0
+        found[GYRO_BIAS.id] = 1.0
     return tuple(Alternative(e, r) for e, r in sorted(found.items(), key=lambda x: x[1]))
 
 
 def _of_scale(
     name: str, scale: Scale, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> NamedEffect:
-    effect = {"track": "skid_slip", "bias_slope": "bias_temperature"}.get(name, name)
+    effect = {"track": SKID_SLIP.id, "bias_slope": BIAS_TEMPERATURE.id}.get(name, name)
     seen = beside = None
     others: dict[str, float] = {}
-    if name == "robot_tilt":
+    if name == ROBOT_TILT.id:
         tilt = 2.0 * RAD_TO_DEG * float(np.sqrt(scale.value))
         parameters = {"amplitude": Estimate.normal(tilt, 0.5 * tilt * scale.std / scale.value, "deg")}
     else:
@@ -273,19 +287,19 @@ def _of_scale(
         parameters |= {"law": _exact(0.0, "1"), "shape": _exact(0.0, "1")}
         seen = _said(name, scale.value)
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
-            others["unit_or_sign"] = 1.0
+            others[UNIT_OR_SIGN.id] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)
     if name == "track" or (name in INTERESTS and (truth is None or not truth.believed(name))):
         against = _against(*yaw.estimate("track"), truth)
         for other, chi2 in against.items():
             ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
             if other != name and ratio < _OUT and name in against:
-                others["skid_slip" if other == "track" else other] = ratio
+                others[SKID_SLIP.id if other == "track" else other] = ratio
     tilted = -_TILT_STDS * series.robot.initial_std["gyro_scale"]
     if name == "gyro_scale" and scale.value < tilted:
-        others["robot_tilt"] = 1.0
+        others[ROBOT_TILT.id] = 1.0
     if name == "wheel_scale" and scale.value > 0:
-        others["encoder_overcount"] = 1.0
+        others[ENCODER_OVERCOUNT.id] = 1.0
     p = float(2 * stats.norm.sf(abs(scale.value) / scale.std))
     alternatives = tuple(Alternative(e, r) for e, r in others.items())
     return _effect(effect, parameters, max(p, 1e-300), alternatives, seen, beside)
@@ -301,10 +315,10 @@ def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedE
     gain = (away / std) ** 2
     if gain < GAIN or abs(away) < BELIEVED * float(np.hypot(expected, std)):
         return None
-    parameters = {"amplitude": estimate("gyro_bias", value, std)}
-    others = (Alternative("earth_rate", 1.0),) if abs(value) < EARTH_RATE_DPH * DPH_TO_DPS else ()
+    parameters = {"amplitude": estimate(GYRO_BIAS.id, value, std)}
+    others = (Alternative(EARTH_RATE.id, 1.0),) if abs(value) < EARTH_RATE_DPH * DPH_TO_DPS else ()
     p = float(stats.chi2.sf(gain, 1))
-    return gain, _effect("gyro_bias", parameters, p, others, Remark(Said.BIAS_NO_REST))
+    return gain, _effect(GYRO_BIAS.id, parameters, p, others, Remark(Said.BIAS_NO_REST))
 
 
 def places(
@@ -325,7 +339,7 @@ def places(
         for coordinate, p in truth.odd.items():
             if p < STRANGER_P:
                 odd[coordinate] = min(p, odd.get(coordinate, 1.0))
-    if any(e.effect == "robot_tilt" for e in effects):
+    if any(e.effect == ROBOT_TILT.id for e in effects):
         odd.pop("heading", None)
     left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
     return [*found.values(), *left, *_noisy(series, yaw)]
@@ -361,7 +375,7 @@ def verdict(effects: list[NamedEffect], located: list[Located]) -> Verdict:
     Nor is a ratio of the headings explained by one of the scales that make it while the log cannot exclude the others.
     """
     remains = any(place.remains for place in located)
-    physics = [e for e in effects if e.effect != "dropped_samples"]
+    physics = [e for e in effects if e.effect != DROPPED_SAMPLES.id]
     if physics:
         return "partly_explained" if remains or any(_may_be_another(e) for e in physics) else "explained"
     return "unexplained" if remains else "consistent"
@@ -374,22 +388,22 @@ def _may_be_another(effect: NamedEffect) -> bool:
 def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Reason]:
     """Effects that the log may hold and cannot show, with the reason."""
     reasons: dict[str, Reason] = {
-        "robot_tilt": Lack(Why.NO_INCLINATION),
-        "earth_rate": Lack(Why.LIKE_GYRO_BIAS),
-        "start_stop_slip": Lack(Why.MOMENTS_ONLY),
-        "encoder_overcount": Lack(Why.SINGLE_BUMPS),
+        ROBOT_TILT.id: Lack(Why.NO_INCLINATION),
+        EARTH_RATE.id: Lack(Why.LIKE_GYRO_BIAS),
+        START_STOP_SLIP.id: Lack(Why.MOMENTS_ONLY),
+        ENCODER_OVERCOUNT.id: Lack(Why.SINGLE_BUMPS),
     }
     if _tilt(yaw, truth).value > 0.0:
-        del reasons["robot_tilt"]
+        del reasons[ROBOT_TILT.id]
     if "slope" not in yaw.laws:
-        reasons["bias_temperature"] = Lack(Why.NO_GYRO_TEMPERATURE)
+        reasons[BIAS_TEMPERATURE.id] = Lack(Why.NO_GYRO_TEMPERATURE)
     if "step" not in yaw.laws:
-        reasons["gyro_bias"] = Lack(Why.NO_REST_AT_START)
+        reasons[GYRO_BIAS.id] = Lack(Why.NO_REST_AT_START)
     if not series.differential:
-        for name in ("skid_slip", "wheel_asymmetry", "wheel_eccentricity", "gyro_delay"):
-            reasons[name] = Lack(Why.ONE_SPEED)
+        for effect in (SKID_SLIP, WHEEL_ASYMMETRY, WHEEL_ECCENTRICITY, GYRO_DELAY):
+            reasons[effect.id] = Lack(Why.ONE_SPEED)
     usable = truth is not None and not truth.mirrored
-    for name, like in (("gyro_scale", Why.LIKE_SEPARATION), ("wheel_scale", Why.LIKE_WAY)):
+    for name, like in zip(SCALES, (Why.LIKE_SEPARATION, Why.LIKE_WAY), strict=True):
         if not usable or truth is None:
             reasons[name] = Lack(like)
         elif truth.stds[name] > _KNOWN:

@@ -13,9 +13,10 @@ from gyrocal.diagnosis.drive.laws import KINDS, reference_temp_c
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import TruthAnswer
+from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
+from gyrocal.physics.drive import ROBOT_TILT
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
@@ -168,7 +169,7 @@ def _of_gyro(
             value, std, named = told
             metres = cost_m(series, figures, kind.figure, value)
             found.append(DriveEstimate(kind.shown, value, std, kind.unit, metres, "gyro", named))
-    for name in ("gyro_scale", "wheel_scale"):
+    for name in SCALES:
         scale = parts.get(name)
         if scale is None and truth is not None and not truth.mirrored:
             scale = Scale(truth.values[name], truth.stds[name])
@@ -236,7 +237,7 @@ def improved_robot(
         keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
     keys |= _slip_keys(yaw)
     # A slope stays where it is.
-    earned = bool(keys) or bool(set(parts) - {"robot_tilt"}) or "asymmetry" in yaw.named
+    earned = bool(keys) or bool(set(parts) - {ROBOT_TILT.id}) or "asymmetry" in yaw.named
     if not earned:
         return None
     if series.differential:
@@ -303,7 +304,7 @@ def _geometry_keys(
     # What the scales of the truth, or a slope, make of the ratio of the headings is no track.
     gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
     track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
-    if "track" not in parts and not {"gyro_scale", "wheel_scale", "robot_tilt"}.isdisjoint(parts):
+    if "track" not in parts and not {*SCALES, ROBOT_TILT.id}.isdisjoint(parts):
         track = 0.0
     separation = series.robot.wheel_separation_m * (1 + track)
     one = float(np.hypot(std, _ASYMMETRY_CHANGES)) / np.sqrt(2.0)

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.series import SMOOTH_S, DriveSeries, Nodes, averaged
 from gyrocal.diagnosis.remarks import Said
-from gyrocal.physics.drive import DRIVE_CATALOGUE, DriveConditions
+from gyrocal.physics.drive import (
+    BIAS_TEMPERATURE,
+    GYRO_BIAS,
+    GYRO_DELAY,
+    SKID_SLIP,
+    WHEEL_ASYMMETRY,
+    WHEEL_ECCENTRICITY,
+    DriveConditions,
+    DriveEffect,
+)
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
@@ -63,20 +72,20 @@ class Kind:
     said_below_zero: Said | None = None
 
 
-_SLIP = Kind("skid_slip", group="slip", said_below_zero=Said.TURNS_INWARD)
+_SLIP = Kind(SKID_SLIP.id, group="slip", said_below_zero=Said.TURNS_INWARD)
 #: Every law by its name in a fit.
 KINDS: Mapping[str, Kind] = {
-    "bias": Kind("gyro_bias", "bias_dps", "deg/s"),
+    "bias": Kind(GYRO_BIAS.id, "bias_dps", "deg/s"),
     "track": Kind("effective_track", said_below_zero=Said.TURNS_INWARD),
-    "asymmetry": Kind("wheel_asymmetry"),
+    "asymmetry": Kind(WHEEL_ASYMMETRY.id),
     "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", by_floor=True, said=Said.BIAS_IN_MOTION),
-    "slope": Kind("bias_temperature", "bias_slope_dps_per_c", "deg/s per degC", by_floor=True),
-    "delay": Kind("gyro_delay", "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
+    "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC", by_floor=True),
+    "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
     "slip_turn_rate": _SLIP,
     "slip_curvature": _SLIP,
     **{f"slip_saturating_{half:g}": _SLIP for half in HALF_CURVATURES},
-    "wheel_cos": Kind("wheel_eccentricity"),
-    "wheel_sin": Kind("wheel_eccentricity"),
+    "wheel_cos": Kind(WHEEL_ECCENTRICITY.id),
+    "wheel_sin": Kind(WHEEL_ECCENTRICITY.id),
 }
 
 
@@ -87,11 +96,6 @@ class Law:
     effect: str
     shape: Mapping[str, float]
     column: Floats
-
-    @property
-    def unit(self) -> str:
-        """Unit of the amplitude in the catalogue."""
-        return DRIVE_CATALOGUE[self.effect].parameters[0].unit
 
 
 @dataclass(frozen=True)
@@ -177,27 +181,26 @@ def difference(frame: Frame) -> Floats:
     return frame.nodes.between(s.encoder_rad - gyro)
 
 
-def law(frame: Frame, effect: str, where: Floats | None = None, **shape: float) -> Law:
+def law(frame: Frame, effect: DriveEffect, where: Floats | None = None, **shape: float) -> Law:
     """One law of the catalogue at a small amplitude, divided by it; `where` weighs its rows."""
-    described = DRIVE_CATALOGUE[effect]
-    size = _SMALL * PER_SI[described.parameters[0].unit]
-    conditions = frame.steady if effect == "skid_slip" else frame.conditions
-    change, _ = described.change(conditions, described.complete({"amplitude": size, **shape}), None)
+    size = _SMALL * PER_SI[effect.parameters[0].unit]
+    conditions = frame.steady if effect is SKID_SLIP else frame.conditions
+    change, _ = effect.change(conditions, effect.complete({"amplitude": size, **shape}), None)
     turn = (change.encoder_yaw_rad - change.gyro_yaw_rad) / _SMALL
-    return Law(effect, shape, frame.nodes.between(np.cumsum(turn if where is None else turn * where)))
+    return Law(effect.id, shape, frame.nodes.between(np.cumsum(turn if where is None else turn * where)))
 
 
 def late(frame: Frame) -> Law:
     """A gyro that is late: what its turn lacks of each interval is the change of the rate over it."""
-    return Law("gyro_delay", {}, frame.nodes.between(frame.rate_rad_s))
+    return Law(GYRO_DELAY.id, {}, frame.nodes.between(frame.rate_rad_s))
 
 
 def constant_laws(frame: Frame) -> dict[str, Law]:
     """Laws that every fit has: bias, and of a vehicle whose wheels differ the track and the wheels' asymmetry."""
-    found = {"bias": law(frame, "gyro_bias")}
+    found = {"bias": law(frame, GYRO_BIAS)}
     if frame.series.differential:
-        found["track"] = law(frame, "skid_slip", law=0.0, shape=0.0)
-        found["asymmetry"] = law(frame, "wheel_asymmetry")
+        found["track"] = law(frame, SKID_SLIP, law=0.0, shape=0.0)
+        found["asymmetry"] = law(frame, WHEEL_ASYMMETRY)
     return found
 
 
@@ -205,27 +208,27 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
     """Laws that a log may hold besides; only those that it can show."""
     series, found = frame.series, {}
     if series.first_rest_s >= _LEAST_REST_S:
-        found["step"] = law(frame, "gyro_bias", where=series.moved.astype(np.float64))
+        found["step"] = law(frame, GYRO_BIAS, where=series.moved.astype(np.float64))
     temp = frame.conditions.temp_c
     if temp is not None:
-        slope = law(frame, "bias_temperature")
+        slope = law(frame, BIAS_TEMPERATURE)
         # The law counts from the first row, the constant bias belongs to the reference temperature.
         away = float(temp[0]) - reference_temp_c(series)
-        found["slope"] = Law(slope.effect, slope.shape, slope.column + away * law(frame, "gyro_bias").column)
+        found["slope"] = Law(slope.effect, slope.shape, slope.column + away * law(frame, GYRO_BIAS).column)
     if series.differential:
         found["delay"] = late(frame)
-        found["slip_turn_rate"] = law(frame, "skid_slip", law=0.0, shape=1.0)
-        found["slip_curvature"] = law(frame, "skid_slip", law=float(SLIP_LAWS.index("curvature")), shape=1.0)
+        found["slip_turn_rate"] = law(frame, SKID_SLIP, law=0.0, shape=1.0)
+        found["slip_curvature"] = law(frame, SKID_SLIP, law=float(SLIP_LAWS.index("curvature")), shape=1.0)
         saturating = float(SLIP_LAWS.index("curvature_saturating"))
         for half in HALF_CURVATURES:
-            found[f"slip_saturating_{half:g}"] = law(frame, "skid_slip", law=saturating, shape=half)
+            found[f"slip_saturating_{half:g}"] = law(frame, SKID_SLIP, law=saturating, shape=half)
     return found
 
 
 def wheel_laws(frame: Frame, side: float, radius_m: float) -> tuple[Law, Law]:
     """A wheel out of true, cosine and sine."""
     first, second = (
-        law(frame, "wheel_eccentricity", side=side, wheel_radius_m=radius_m, phase_rad=phase)
+        law(frame, WHEEL_ECCENTRICITY, side=side, wheel_radius_m=radius_m, phase_rad=phase)
         for phase in (0.0, 0.5 * np.pi)
     )
     return first, second

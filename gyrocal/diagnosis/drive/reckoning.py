@@ -64,11 +64,12 @@ class Reckoned:
 
     def moved_by(self, heading_rad: Floats, way_m: Floats) -> Complexes:
         """Change of the positions by small errors of the headings, and of the ways of the rows, shape (n,)."""
-        direction = np.exp(1j * _middle(self.heading_rad))
-        return np.asarray(np.cumsum(1j * _middle(heading_rad) * self.steps_m + way_m * direction))
+        direction = np.exp(1j * middle(self.heading_rad))
+        return np.asarray(np.cumsum(1j * middle(heading_rad) * self.steps_m + way_m * direction))
 
 
-def _middle(heading: Floats) -> Floats:
+def middle(heading: Floats) -> Floats:
+    """Heading half way through each row, from those at their ends."""
     return np.asarray(0.5 * (heading + np.concatenate([heading[:1], heading[:-1]])))
 
 
@@ -100,7 +101,7 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
     elif figures.delay_s < 0:
         whole = np.interp(t - figures.delay_s, t, np.cumsum(way))
         way = np.diff(whole, prepend=0.0)
-    return Reckoned(t, series.dt_s, heading, way, way * np.exp(1j * _middle(heading)))
+    return Reckoned(t, series.dt_s, heading, way, way * np.exp(1j * middle(heading)))
 
 
 def cost_m(series: DriveSeries, figures: Figures, name: str, value: float) -> float:

@@ -23,8 +23,8 @@ from gyrocal.diagnosis.drive.path_noise import (
     path_noise,
     stacked,
 )
-from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, laid_on, reckon
-from gyrocal.diagnosis.drive.search import MotionBias
+from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, laid_on, middle, reckon
+from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD
@@ -35,8 +35,6 @@ BELIEVED = 3.8
 _SURE_BY_ITSELF = 8.0
 #: What time stamps and straight steps between rows are worth: no scale is known better, relative.
 _MODEL_STD = 1e-4
-#: Chance at which structure is located where there is nothing.
-STRANGER_P = 1e-5
 #: Knots that the truth is averaged to, as the cost grows with their cube, and how many a path is laid on at the least.
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 #: Truth that spans less of the drive, or a path that spans less of its own size, is none: a receiver that was off or stuck.
@@ -50,7 +48,9 @@ _FREE, _WAY_FREE = 4.0, 1.0
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
-INTERESTS = ("gyro_bias", "gyro_scale", "wheel_scale")
+#: Scales that the truth alone tells apart, and what is asked of it beside them.
+SCALES = ("gyro_scale", "wheel_scale")
+INTERESTS = ("gyro_bias", *SCALES)
 #: What the path is laid anew for until it moves no more.
 _MOVING = (*INTERESTS, "bias_slope")
 
@@ -67,8 +67,6 @@ class TruthAnswer:
         (deg/s per degC, where nothing but the truth could tell it).
     covariance : ndarray, shape (3, 3)
         Of `INTERESTS`.
-    before_m, after_m : float
-        Rms distance of the reckoned path from the truth, with the frame laid on it: as it came, and with these out.
     odd : mapping
         Coordinate -> p-value of structure that nothing here explains.
     nearer : tuple of str
@@ -80,10 +78,7 @@ class TruthAnswer:
     values: Mapping[str, float]
     stds: Mapping[str, float]
     covariance: Floats
-    before_m: float
-    after_m: float
     odd: Mapping[str, float]
-    headings: bool
     nearer: tuple[str, ...] = ()
     mirrored: bool = False
 
@@ -138,9 +133,8 @@ def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     if state.strayed is not None:
         whole = np.concatenate([[0.0], np.cumsum(state.strayed)])
         heading = heading + np.interp(base.t_s, cell_edges_s(knots, base), whole)
-    middle = 0.5 * (heading + np.concatenate([heading[:1], heading[:-1]]))
     way = base.way_m / (1.0 + v["wheel_scale"])
-    return Reckoned(base.t_s, base.dt_s, heading, way, way * np.exp(1j * middle))
+    return Reckoned(base.t_s, base.dt_s, heading, way, way * np.exp(1j * middle(heading)))
 
 
 def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
@@ -218,9 +212,18 @@ class _Problem:
             self.noise.cut(keep),
         )
 
+    @property
+    def design(self) -> Floats:
+        """All columns, shape (rows, parameters)."""
+        return np.column_stack([*self.columns.values()])
+
+    def left(self, values: Floats) -> Floats:
+        """Rows that coefficients leave."""
+        return np.asarray(self.residual - self.design @ values)
+
     def solve(self, logs: Floats) -> tuple[Floats, Floats, float]:
         """Coefficients, covariance, and -2 log restricted likelihood (infinite where V is none)."""
-        x = np.column_stack([*self.columns.values()])
+        x = self.design
         size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
         try:
             lower = np.linalg.cholesky(self.noise.whole(logs))
@@ -295,9 +298,27 @@ def _first_levels(knots: Knots) -> Floats:
     return np.array([*logs, np.log(DEG_TO_RAD**2)] if knots.heading is not None else logs)
 
 
-def _laid(
-    knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise
-) -> tuple[_State, _Problem, Floats, float]:
+@dataclass(frozen=True)
+class _Laid:
+    """A path laid on the truth: where the linearisation stands, and the problem, levels and loss there."""
+
+    state: _State
+    problem: _Problem
+    logs: Floats
+    loss: float
+
+    @property
+    def left(self) -> Floats:
+        """Rows that the best coefficients leave."""
+        return self.problem.left(self.problem.solve(self.logs)[0])
+
+    def miss_m(self, knots: Knots) -> float:
+        """Rms distance that is left between path and truth, m."""
+        k = knots.count.size
+        return float(np.sqrt(np.mean(self.left[:k] ** 2 + self.left[k : 2 * k] ** 2)))
+
+
+def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _Laid:
     """Gauss and Newton over growing parts of the drive, then levels and path in turn."""
     logs = _first_levels(knots)
     state = _State(dict.fromkeys(_MOVING, 0.0), 0.0)
@@ -321,9 +342,8 @@ def _laid(
             moved = {n: float(np.clip(v + step.get(n, 0.0), -0.5, 0.5)) for n, v in state.values.items()}
             state = _State(moved, state.turn + step["turn"])
             if last:
-                left = part.residual - np.column_stack([*part.columns.values()]) @ values
-                state = replace(state, strayed=part.noise.strayed(left, logs))
-    return state, _problem(knots, base, state, bias, noise), logs, loss
+                state = replace(state, strayed=part.noise.strayed(part.left(values), logs))
+    return _Laid(state, _problem(knots, base, state, bias, noise), logs, loss)
 
 
 def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: YawNoise) -> TruthAnswer | None:
@@ -340,29 +360,21 @@ def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: Ya
     knots = _knots(series, base)
     if knots is None or np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
-    state, problem, logs, _ = _laid(knots, base, bias, noise)
+    laid = _laid(knots, base, bias, noise)
     mirrored = False
-    miss = _miss(knots, problem, logs)
+    miss = laid.miss_m(knots)
     if miss > _ODD * float(np.std(knots.position)):
         other = replace(knots, seen=np.conj(knots.seen), position=np.conj(knots.position), heading=None)
         turned = _laid(other, base, bias, noise)
         plain = _laid(replace(knots, heading=None), base, bias, noise)
-        missed = _miss(other, turned[1], turned[2])
-        mirrored = plain[3] - turned[3] > _MIRRORED_BY and miss > _MIRRORED_BETTER * missed
-    answer = _answer(knots, base, state, problem, logs)
+        mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
+    answer = _answer(knots, base, laid)
     # What a path misses of its mirror image is no structure of the drive.
     return replace(answer, mirrored=True, odd={}) if mirrored else answer
 
 
-def _miss(knots: Knots, problem: _Problem, logs: Floats) -> float:
-    """Rms distance that is left between path and truth, m."""
-    values, _, _ = problem.solve(logs)
-    left = problem.residual - np.column_stack([*problem.columns.values()]) @ values
-    k = knots.count.size
-    return float(np.sqrt(np.mean(left[:k] ** 2 + left[k : 2 * k] ** 2)))
-
-
-def _answer(knots: Knots, base: Reckoned, state: _State, problem: _Problem, logs: Floats) -> TruthAnswer:
+def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
+    state, problem, logs = laid.state, laid.problem, laid.logs
     odd: dict[str, float] = {}
     beside: dict[str, Floats] = {}
     for coordinate, block in _strangers(knots, _reckoned(knots, base, state)).items():
@@ -373,7 +385,7 @@ def _answer(knots: Knots, base: Reckoned, state: _State, problem: _Problem, logs
     problem = replace(problem, columns={**problem.columns, **beside})
     values, covariance, _ = problem.solve(logs)
     names = list(problem.columns)
-    for name in ("gyro_scale", "wheel_scale"):
+    for name in SCALES:
         covariance[names.index(name), names.index(name)] += _MODEL_STD**2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
@@ -388,11 +400,8 @@ def _answer(knots: Knots, base: Reckoned, state: _State, problem: _Problem, logs
         {n: found[n] for n in (*INTERESTS, *seen) if n in found},
         {n: stds[n] for n in (*INTERESTS, *seen) if n in stds},
         covariance[np.ix_(at, at)],
-        _apart(knots, base),
-        _miss(knots, problem, logs),
         odd,
-        knots.heading is not None,
-        tuple(n for n in INTERESTS[1:] if apart[n] < apart["gyro_bias"]),
+        tuple(n for n in SCALES if apart[n] < apart["gyro_bias"]),
     )
 
 
@@ -408,9 +417,7 @@ def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:
 
     def left(p: _Problem) -> float:
         values = p.solve(logs)[0]
-        rest = linalg.solve_triangular(
-            lower, p.residual - np.column_stack([*p.columns.values()]) @ values, lower=True
-        )
+        rest = linalg.solve_triangular(lower, p.left(values), lower=True)
         total = float(rest @ rest)
         for name, value in zip(p.columns, values, strict=True):
             if name in p.known:

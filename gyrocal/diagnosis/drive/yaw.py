@@ -33,8 +33,11 @@ _FLOOR_DPH_PER_ARW = 25.0
 _FLICKER_PER_FLOOR = float(np.sqrt(np.log(10.0) / (2.0 * np.log(2.0))))
 #: Walk of the bias, in standard deviations of the 1/f noise over its longest memory.
 _WALK_PER_FLICKER = 0.3
-#: Standard deviations of the levels' logarithms beforehand.
-_SPREAD = {"slip": 1.5, "turn": 1.5, "tick": 1.5, "flicker": 0.7, "wander": 1.5, "jitter": 1.5, "white": 1.5}
+#: Standard deviations of the levels' logarithms beforehand: of most no more is known than their size, while 1/f noise seldom
+#: is far from what is usual.
+_SPREAD = dict.fromkeys(
+    ("slip_m_per_rt_m", "turn", "tick_m", "flicker_dps", "wander", "jitter_s", "arw_dps_per_rt_hz"), 1.5
+) | {"flicker_dps": 0.7}
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Where the search for the levels begins: wander of the track, jitter of the clock, and an encoder without ticks.
 _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
@@ -250,34 +253,26 @@ def _levels(
     frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
 ) -> tuple[YawNoise, dict[str, float]]:
     """Levels of the noise, and the standard deviation of the logarithm of each that was asked for."""
-    names = {
-        "slip": "slip_m_per_rt_m",
-        "turn": "turn",
-        "tick": "tick_m",
-        "flicker": "flicker_dps",
-        "wander": "wander",
-        "jitter": "jitter_s",
-    }
+    names = [n for n in _SPREAD if n != "arw_dps_per_rt_hz" or _white_is_open(frame.series)]
     if not frame.series.differential:
-        names = {"flicker": "flicker_dps"}
-    if _white_is_open(frame.series):
-        names["white"] = "arw_dps_per_rt_hz"
+        names = ["flicker_dps"]
 
     def noise_of(logs: Floats) -> YawNoise:
-        found = replace(usual, **{n: float(np.exp(x)) for n, x in zip(names.values(), logs, strict=True)})
+        found = replace(usual, **{n: float(np.exp(x)) for n, x in zip(names, logs, strict=True)})
         # 1/f noise is usual for a white noise, so that one level is their ratio.
         times = found.arw_dps_per_rt_hz / usual.arw_dps_per_rt_hz
         return replace(found, flicker_dps=times * found.flicker_dps)
 
-    prior = np.log([getattr(usual, n) for n in names.values()])
+    prior = np.log([getattr(usual, n) for n in names])
     spread = np.array([_SPREAD[n] for n in names])
     logs, left = restricted_maximum(
         lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread
     )
     # A log cannot measure its 1/f noise, and the variance of a bias goes by the square: taken as its mean over all levels
     # that are possible, not as that of the likeliest one.
-    logs[list(names).index("flicker")] += left[list(names).index("flicker")] ** 2
-    return noise_of(logs), dict(zip(names.values(), left.tolist(), strict=True))
+    flicker = names.index("flicker_dps")
+    logs[flicker] += left[flicker] ** 2
+    return noise_of(logs), dict(zip(names, left.tolist(), strict=True))
 
 
 def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:

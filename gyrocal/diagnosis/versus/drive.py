@@ -15,6 +15,7 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis
 from gyrocal.diagnosis.drive.improved import DriveEstimate
+from gyrocal.diagnosis.drive.truth import SCALES
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.versus.answer import SCHEMA
 from gyrocal.inference.multiple import holm
@@ -22,8 +23,8 @@ from gyrocal.physics.drive import DRIVE_CATALOGUE
 
 #: Rate at which any figure is said to differ where none does.
 _LEVEL = 0.01
-#: Encoder turn over gyro turn, and the scales that are part of it.
-_RATIO, _SCALES = "effective_track", ("gyro_scale", "wheel_scale")
+#: Encoder turn over gyro turn, of which the scales are a part.
+_RATIO = "effective_track"
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class DriveVersus:
 def drive_versus(real: DriveDiagnosis, simulated: DriveDiagnosis) -> DriveVersus:
     """Compare the figures of two drives that were diagnosed with the same robot file."""
     own, other = ({e.name: e for e in found.estimates if _known(e)} for found in (real, simulated))
-    if {_RATIO, *_SCALES} <= own.keys() & other.keys():
+    if {_RATIO, *SCALES} <= own.keys() & other.keys():
         own, other = _with_track(own), _with_track(other)
     compared = []
     for name in (n for n in own if n in other):
@@ -117,7 +118,7 @@ def drive_versus(real: DriveDiagnosis, simulated: DriveDiagnosis) -> DriveVersus
 
 def _with_track(figures: Mapping[str, DriveEstimate]) -> dict[str, DriveEstimate]:
     """The figures with the track in place of encoder turn over gyro turn, which holds the scales too, in %."""
-    ratio, gyro, wheels = (figures[name] for name in (_RATIO, *_SCALES))
+    ratio, gyro, wheels = (figures[name] for name in (_RATIO, *SCALES))
     value = 100.0 * ((1 + ratio.value / 100.0) * (1 + gyro.value / 100.0) / (1 + wheels.value / 100.0) - 1.0)
     # As if they were independent, which is more than it is where they are found from each other.
     std = float(np.sqrt(ratio.std**2 + gyro.std**2 + wheels.std**2))

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.drive.search import align, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of, tick_size
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.errors import DataError
+from gyrocal.physics.drive import SKID_SLIP
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.robot import Robot, read_robot
 from gyrocal.report.remarks import remark_words, statement
@@ -309,7 +310,7 @@ def test_laws_do_not_share_the_noise_of_the_difference(robot: Robot) -> None:
     log = replace(log, left_m=np.where(still, 0.0, log.left_m), right_m=np.where(still, 0.0, log.right_m))
     series = drive_series("d", log, robot, None)
     frame = frame_of(series, nodes_of(series), 0.0, 0.0, 0.0)
-    track = law(frame, "skid_slip", law=0.0, shape=0.0).column
+    track = law(frame, SKID_SLIP, law=0.0, shape=0.0).column
     assert np.all(track[frame.nodes.resting] == 0.0)
 
 
