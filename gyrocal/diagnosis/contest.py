@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.intervals import REFINED_AT, REFINED_OVER
+from gyrocal.diagnosis.intervals import refined
 from gyrocal.diagnosis.laws import Laws, Trial, likeliest
 from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.physics.effect import Effect
@@ -113,22 +113,20 @@ def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fi
 
 
 def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Trial:
-    """The same law with its shape between the points of the grid, one parameter after the other."""
-    best, best_gain = trial, gain_of(trial)
-    grid = trial.effect.search.grid(laws.offer)
-    for spread in REFINED_OVER:
-        for parameter in trial.effect.search.refined:
-            value = best.shape.get(parameter, 0.0)
-            if value <= 0.0:
-                continue
-            around, tried = best, [s[parameter] for s in grid]
-            for factor in np.geomspace(1.0 / spread, spread, REFINED_AT):
-                shape = {**around.shape, parameter: float(np.clip(value * factor, min(tried), max(tried)))}
-                new = Trial(trial.effect, shape, laws.at(trial.effect, shape))
-                gain = gain_of(new) if np.isfinite(new.columns).all() else -np.inf
-                if gain > best_gain:
-                    best, best_gain = new, gain
-    return best
+    """The same law with its shape between the points of the grid, within what the grid spans."""
+    effect = trial.effect
+    grid = effect.search.grid(laws.offer)
+    names = [n for n in effect.search.refined if n in trial.shape]
+    spans = {n: (min(s[n] for s in grid), max(s[n] for s in grid)) for n in names}
+
+    def at(shape: Mapping[str, float]) -> Trial:
+        return Trial(effect, shape, laws.at(effect, shape))
+
+    def gain(shape: Mapping[str, float]) -> float:
+        new = at(shape)
+        return gain_of(new) if np.isfinite(new.columns).all() else -np.inf
+
+    return at(refined(trial.shape, names, gain, spans))
 
 
 def _unlikely(effect: Effect, columns: Floats, score: Floats, p: Floats) -> float:

@@ -13,12 +13,13 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from gyrocal.diagnosis.intervals import (
+    Interval,
     Point,
-    Profile,
     along_axis,
     amplitude_interval,
     descend,
     holding,
+    instant_interval,
     profile_interval,
     shapes_within,
 )
@@ -34,9 +35,7 @@ Floats = NDArray[np.float64]
 
 #: mdeg/s in one deg/s.
 _MDPS = 1e3
-#: Shapes are profiled within this ratio of the best.
-_REACH = 9.0
-#: Its interval ends at this ratio from the best at the latest.
+#: The interval of a shape ends at this ratio from the best at the latest.
 _FARTHEST = 30.0
 #: The best of two parameters is sought within this ratio, in turn so often.
 _NEAR, _ROUNDS = 2.0, 3
@@ -117,16 +116,15 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     beside = _beside(fitted, law, laws, without)
     here = beside.of(law.columns)
     free = _free(law)
-    profiles, along = _profiles(beside, law.shape, free)
+    intervals, along = _intervals(beside, law.shape, free)
     points = [here, *along]
     unit = effect.parameter("amplitude").unit
-    amplitude = amplitude_interval(points)
-    found = {"amplitude": Estimate(here.amplitude, amplitude.std, unit, amplitude.interval)}
-    adds = amplitude_interval([_sized(p) for p in points])
+    found = {"amplitude": Estimate.spanning(here.amplitude, amplitude_interval(points), unit)}
+    low, high = amplitude_interval([_sized(p) for p in points])
     size = _MDPS * abs(here.amplitude) * here.unit_dps
     return LawEstimates(
-        found | _shapes(effect, law.shape, profiles),
-        Estimate(size, _MDPS * adds.std, "mdeg/s", (_MDPS * adds.interval[0], _MDPS * adds.interval[1])),
+        found | _shapes(effect, law.shape, intervals),
+        Estimate.spanning(size, (_MDPS * low, _MDPS * high), "mdeg/s"),
     )
 
 
@@ -171,38 +169,36 @@ def _sized(point: Point) -> Point:
 
 
 def _shapes(
-    effect: Effect, shape: Mapping[str, float], profiles: Mapping[str, Profile]
+    effect: Effect, shape: Mapping[str, float], intervals: Mapping[str, Interval]
 ) -> dict[str, Estimate]:
+    """Parameters of a shape; one without an interval was chosen from a few."""
     units = {p.name: p.unit for p in effect.parameters}
-    found = {}
-    for name, value in shape.items():
-        if name in units:
-            profile = profiles.get(name, Profile((value, value), 0.0))
-            found[name] = Estimate(float(value), profile.std, units[name], profile.interval)
-    return found
+    return {
+        name: Estimate.spanning(float(value), intervals.get(name, (value, value)), units[name])
+        for name, value in shape.items()
+        if name in units
+    }
 
 
-def _profiles(
+def _intervals(
     beside: _Beside, shape: Mapping[str, float], free: Sequence[str]
-) -> tuple[dict[str, Profile], list[Point]]:
+) -> tuple[dict[str, Interval], list[Point]]:
     """Intervals of the parameters of a shape, the others at their best, and points all over them."""
     if "at_s" in free:
-        known, best = beside.effect.parameter("at_s"), shape["at_s"]
-        instants = _instants(beside.laws, best)
-        loss = partial(_loss, beside, shape, "at_s")
-        own = profile_interval(loss, best, 1.0, (known.low, known.high), instants)
-        inside = instants[(instants >= own.interval[0]) & (instants <= own.interval[1])]
+        instants = _instants(beside.laws, shape["at_s"])
+        own = instant_interval(partial(_loss, beside, shape, "at_s"), shape["at_s"], instants)
+        inside = instants[(instants >= own[0]) & (instants <= own[1])]
         return {"at_s": own}, [beside.at({**shape, "at_s": float(x)}) for x in inside]
     best_shape = _best_shape(beside, shape, free)
     alone = {}
     for name in free:
         (low, high), best = _limits(beside, name), best_shape[name]
         loss = partial(_loss, beside, best_shape, name)
-        own = profile_interval(loss, best, _REACH, (max(low, best / _FARTHEST), min(high, best * _FARTHEST)))
+        own = profile_interval(loss, best, (max(low, best / _FARTHEST), min(high, best * _FARTHEST)))
         alone[name] = holding(own, shape[name])
     if len(free) > 1:
         return _jointly(beside, shape, best_shape, alone)
-    values = {n: shapes_within(own.interval) for n, own in alone.items()}
+    values = {n: shapes_within(own) for n, own in alone.items()}
     return alone, [beside.at({**shape, n: float(x)}) for n, tried in values.items() for x in tried]
 
 
@@ -229,15 +225,15 @@ def _jointly(
     beside: _Beside,
     shape: Mapping[str, float],
     best_shape: Mapping[str, float],
-    alone: Mapping[str, Profile],
-) -> tuple[dict[str, Profile], list[Point]]:
+    alone: Mapping[str, Interval],
+) -> tuple[dict[str, Interval], list[Point]]:
     """The same for two parameters: over a grid that reaches beyond the interval that each has by itself."""
     axes = {}
     for name, own in alone.items():
         best, (low, high) = best_shape[name], _limits(beside, name)
         ends = [
-            max(best * (own.interval[0] / best) ** _WIDER, low),
-            min(best * (own.interval[1] / best) ** _WIDER, high),
+            max(best * (own[0] / best) ** _WIDER, low),
+            min(best * (own[1] / best) ** _WIDER, high),
         ]
         axes[name] = np.unique([*np.geomspace(ends[0], ends[1], _GRID), best])
     names = list(axes)
@@ -246,11 +242,11 @@ def _jointly(
     loss = np.array([p.loss for p in points]).reshape([axis.size for axis in axes.values()])
     # A peak between two rates may fit better than the one that is stated, and be none: both are inside.
     stated = beside.at(shape).loss
-    profiles = {
+    intervals = {
         name: holding(along_axis(axis, loss.min(axis=1 - k), stated), shape[name])
         for k, (name, axis) in enumerate(axes.items())
     }
-    return profiles, points
+    return intervals, points
 
 
 def _instants(laws: Laws, near_s: float) -> Floats:
@@ -281,8 +277,8 @@ def of_pattern(pattern: Pattern) -> dict[str, Estimate]:
             ),
         }
     if pattern.size is not None:
-        found["amplitude"] = Estimate(found["amplitude"].value, pattern.size.std, unit, pattern.size.interval)
-    return found | _shapes(effect, pattern.shape, pattern.profiles)
+        found["amplitude"] = Estimate.spanning(found["amplitude"].value, pattern.size, unit)
+    return found | _shapes(effect, pattern.shape, pattern.intervals)
 
 
 def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:
@@ -296,4 +292,4 @@ def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:
     inside = between[np.interp(between, steps, nll) < min(nll) + 0.5 * float(chi2.ppf(0.95, 1))]
     size = float(np.sqrt(fitted.fit.variance[component])) / rate_scale_dps / PPM
     low, high = size * np.exp(0.5 * inside[0]), size * np.exp(0.5 * inside[-1])
-    return Estimate(size, float(high - low) / (2.0 * NORMAL_95), "ppm", (float(low), float(high)))
+    return Estimate.spanning(size, (float(low), float(high)), "ppm")

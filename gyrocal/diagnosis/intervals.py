@@ -1,17 +1,16 @@
-"""One shape parameter at a time: descent, and intervals from the profile of the residual sum of squares."""
+"""One shape parameter at a time: refinement, descent, and intervals from the profile of the residual sum of squares."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from gyrocal.units import NORMAL_95
-
 Floats = NDArray[np.float64]
+Interval = tuple[float, float]
 
 #: Rise of the residual sum of squares at the ends of a 95 % interval: the quantile of chi-square, 1 df.
 _RISE_95 = 3.841
@@ -19,19 +18,40 @@ _RISE_95 = 3.841
 #: (B. E. Hansen, Econometrica 68, 2000, p. 575).
 _RISE_INSTANT_95 = 7.352
 #: Shapes are refined over these factors either way, in turn, at so many points each.
-REFINED_OVER, REFINED_AT = (1.5, 1.12), 7
+_REFINED_OVER, _REFINED_AT = (1.5, 1.12), 7
+#: An end of an interval is sought in steps of this ratio, then by halving the last one.
+_STEP = 3.0
 #: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.
 _SHAPES, _NEAR_END = 15, 0.005
-#: Width of a 95 % interval in standard deviations of a Gaussian.
-_RATIO_95 = 2.0 * NORMAL_95
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Interval of 95 % and the standard deviation that belongs to its width."""
+def refined(
+    shape: Mapping[str, float],
+    names: Sequence[str],
+    gain: Callable[[Mapping[str, float]], float],
+    limits: Mapping[str, Interval] | None = None,
+) -> dict[str, float]:
+    """A shape between the points of the grid that it was found on: one parameter after the other, then closer.
 
-    interval: tuple[float, float]
-    std: float
+    Parameters
+    ----------
+    names : parameters that are refined, as far as they are positive
+    gain : what a shape is worth
+    limits : lowest and highest value of a parameter, where it has any
+    """
+    best, most = dict(shape), gain(shape)
+    for spread in _REFINED_OVER:
+        for name in names:
+            around, value = best, best.get(name, 0.0)
+            if value <= 0.0:
+                continue
+            low, high = (limits or {}).get(name, (0.0, np.inf))
+            for factor in np.geomspace(1.0 / spread, spread, _REFINED_AT):
+                tried = {**around, name: float(np.clip(value * factor, low, high))}
+                found = gain(tried)
+                if found > most:
+                    best, most = tried, found
+    return best
 
 
 def descend(loss: Callable[[float], float], start: float, reach: float) -> float:
@@ -46,30 +66,26 @@ def descend(loss: Callable[[float], float], start: float, reach: float) -> float
     return float(np.exp(found.x)) if found.fun < loss(start) else start
 
 
-def profile_interval(
-    loss: Callable[[float], float],
-    best: float,
-    reach: float,
-    limits: tuple[float, float],
-    candidates: Floats | None = None,
-) -> Profile:
-    """Where the loss rises by 3.84 on either side of its minimum."""
+def profile_interval(loss: Callable[[float], float], best: float, limits: Interval) -> Interval:
+    """Where the loss has risen by 3.84 on either side of its minimum, which is positive, or the limits."""
     floor = loss(best)
-    if candidates is not None:
-        inside = np.array([loss(float(x)) - floor < _RISE_INSTANT_95 for x in candidates])
-        inside[np.argmin(np.abs(candidates - best))] = True
-        first, last = np.flatnonzero(inside)[[0, -1]]
-        # The rise lies somewhere between the last instant inside and the next one outside.
-        low = 0.5 * (candidates[max(first - 1, 0)] + candidates[first])
-        high = 0.5 * (candidates[last] + candidates[min(last + 1, candidates.size - 1)])
-        interval = (min(float(low), best), max(float(high), best))
-        return Profile(interval, (interval[1] - interval[0]) / _RATIO_95)
-    low = _crossing(loss, floor, best, 1.0 / np.sqrt(reach), limits[0])
-    high = _crossing(loss, floor, best, np.sqrt(reach), limits[1])
-    return Profile((low, high), (high - low) / _RATIO_95)
+    low, high = limits
+    return _crossing(loss, floor, best, 1.0 / _STEP, low), _crossing(loss, floor, best, _STEP, high)
 
 
-def along_axis(values: Floats, loss: Floats, stated: float) -> Profile:
+def instant_interval(loss: Callable[[float], float], best: float, instants: Floats) -> Interval:
+    """The same for the instant of a jump, among instants in order."""
+    floor = loss(best)
+    inside = np.array([loss(float(x)) - floor < _RISE_INSTANT_95 for x in instants])
+    inside[np.argmin(np.abs(instants - best))] = True
+    first, last = np.flatnonzero(inside)[[0, -1]]
+    # The rise lies somewhere between the last instant inside and the next one outside.
+    low = 0.5 * (instants[max(first - 1, 0)] + instants[first])
+    high = 0.5 * (instants[last] + instants[min(last + 1, instants.size - 1)])
+    return holding((float(low), float(high)), best)
+
+
+def along_axis(values: Floats, loss: Floats, stated: float) -> Interval:
     """Where a profile on a grid of ascending values is less than 3.84 above what is stated, between the points by lines."""
     rise = loss - max(stated, float(loss.min()))
     first, last = np.flatnonzero(rise < _RISE_95)[[0, -1]]
@@ -78,13 +94,12 @@ def along_axis(values: Floats, loss: Floats, stated: float) -> Profile:
         low = float(np.interp(-_RISE_95, -rise[first - 1 : first + 1], values[first - 1 : first + 1]))
     if last < values.size - 1:
         high = float(np.interp(_RISE_95, rise[last : last + 2], values[last : last + 2]))
-    return Profile((low, high), (high - low) / _RATIO_95)
+    return low, high
 
 
-def holding(profile: Profile, value: float) -> Profile:
-    """The same interval, and the value that is stated with it inside."""
-    low, high = min(profile.interval[0], value), max(profile.interval[1], value)
-    return Profile((low, high), (high - low) / _RATIO_95)
+def holding(interval: Interval, value: float) -> Interval:
+    """The interval, wide enough for the value that is stated with it."""
+    return min(interval[0], value), max(interval[1], value)
 
 
 @dataclass(frozen=True)
@@ -100,14 +115,14 @@ class Point:
     unit_dps: float = float("nan")
 
 
-def shapes_within(interval: tuple[float, float]) -> Floats:
+def shapes_within(interval: Interval) -> Floats:
     """Values of a positive shape all over its interval: beyond it no amplitude makes up for what the shape loses."""
     low, high = interval
     inside = (high / low) ** _NEAR_END
     return np.asarray(np.geomspace(low * inside, high / inside, _SHAPES))
 
 
-def amplitude_interval(points: Sequence[Point]) -> Profile:
+def amplitude_interval(points: Sequence[Point]) -> Interval:
     """Interval of an amplitude that is traded against shapes: each shape allows for what it loses less.
 
     The first point is the one whose amplitude is stated, and lies inside.
@@ -115,14 +130,12 @@ def amplitude_interval(points: Sequence[Point]) -> Profile:
     # A shape that no row shows says nothing of the amplitude.
     shown = [(p.loss, p.amplitude, p.std) for p in points if np.isfinite(p.std)]
     if not shown:
-        return Profile((-np.inf, np.inf), float("inf"))
+        return -np.inf, np.inf
     loss, amplitude, std = np.array(shown).T
     likely = loss - loss.min() < _RISE_95
     reach = np.sqrt(_RISE_95 - (loss[likely] - loss.min())) * std[likely]
-    stated = points[0].amplitude
     low, high = float(np.min(amplitude[likely] - reach)), float(np.max(amplitude[likely] + reach))
-    interval = (min(low, stated), max(high, stated))
-    return Profile(interval, (interval[1] - interval[0]) / _RATIO_95)
+    return holding((low, high), points[0].amplitude)
 
 
 def _crossing(loss: Callable[[float], float], floor: float, best: float, ratio: float, limit: float) -> float:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from gyrocal.diagnosis.coil import LAG_BOUNDS_S, Candidate
+from gyrocal.diagnosis.intervals import holding
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -85,5 +85,4 @@ def _whitened(lower: Floats, design: Floats, columns: list[int], weight: Floats)
 def _estimate(value: float, grid: Floats, mass: Floats, unit: str) -> Estimate:
     below = np.cumsum(mass) / mass.sum()
     low, high = (float(np.interp(tail, below, grid)) for tail in _TAILS)
-    interval = (min(low, value), max(high, value))
-    return Estimate(value, (interval[1] - interval[0]) / (2.0 * NORMAL_95), unit, interval)
+    return Estimate.spanning(value, holding((low, high), value), unit)

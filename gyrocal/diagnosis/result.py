@@ -91,6 +91,16 @@ class Estimate:
         """A normal estimate."""
         return cls(value, std, unit, (value - NORMAL_95 * std, value + NORMAL_95 * std))
 
+    @classmethod
+    def spanning(cls, value: float, interval: tuple[float, float], unit: str) -> Self:
+        """An estimate by its interval, with the standard deviation of a normal one as wide."""
+        return cls(value, (interval[1] - interval[0]) / (2.0 * NORMAL_95), unit, interval)
+
+    @classmethod
+    def exact(cls, value: float, unit: str) -> Self:
+        """A figure that has no interval."""
+        return cls(value, float("nan"), unit, (float("nan"), float("nan")))
+
     def to_json(self) -> dict[str, Any]:
         """Entry of ``parameters``."""
         return {

@@ -21,12 +21,11 @@ from scipy.stats import t as student
 
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.intervals import (
-    REFINED_AT,
-    REFINED_OVER,
+    Interval,
     Point,
-    Profile,
     amplitude_interval,
     profile_interval,
+    refined,
     shapes_within,
 )
 from gyrocal.diagnosis.result import Located
@@ -43,8 +42,6 @@ Ints = NDArray[np.int64]
 _WITHIN = ("table_angle", "time_since_step")
 #: Harmonics of the table angle beyond those of the catalogue's laws.
 STRANGE_HARMONICS = (3, 4, 5, 6)
-#: The interval of a shape is sought within this ratio of the best.
-_REACH = 9.0
 #: Fewer data sets than this for each column say nothing robustly.
 _SETS_A_COLUMN = 3
 
@@ -64,7 +61,7 @@ class Pattern:
     p_value : float
     dof : float
         Degrees of freedom of the covariance.
-    profiles, size : intervals of the shape's parameters, and of the amplitude where it is traded against them
+    intervals, size : of the shape's parameters, and of the amplitude where it is traded against them
     """
 
     effect: str
@@ -74,8 +71,8 @@ class Pattern:
     covariance: Floats
     p_value: float
     dof: float
-    profiles: Mapping[str, Profile] = field(default_factory=dict)
-    size: Profile | None = None
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+    size: Interval | None = None
 
     @property
     def family(self) -> str:
@@ -154,10 +151,10 @@ def _with_intervals(
                 return _centred(series, rows, sets, [there])[1]
 
             beside = _ShapeWithin(effect, columns, y - basis @ (basis.T @ y), basis)
-            profiles, size = beside.intervals(
+            own_intervals, size = beside.intervals(
                 pattern.shape, pattern.amplitudes, pattern.covariance, pattern.dof
             )
-            pattern = replace(pattern, profiles=profiles, size=size)
+            pattern = replace(pattern, intervals=own_intervals, size=size)
         result.append(pattern)
     return result
 
@@ -205,17 +202,14 @@ def _refined(
 ) -> _Candidate:
     """The same pattern with its shape between the points of the grid."""
     effect, c = CATALOGUE[candidate.effect], conditions_of(series)
-    best, least = candidate, _loss(series, rows, sets, [*beside, candidate])
-    for spread in REFINED_OVER:
-        for parameter in effect.search.refined:
-            around = best
-            for factor in np.geomspace(1.0 / spread, spread, REFINED_AT):
-                shape = {**around.shape, parameter: float(around.shape[parameter] * factor)}
-                new = _Candidate(effect.id, shape, effect.columns(c, shape, None))
-                loss = _loss(series, rows, sets, [*beside, new])
-                if loss < least:
-                    best, least = new, loss
-    return best
+
+    def at(shape: Mapping[str, float]) -> _Candidate:
+        return _Candidate(effect.id, shape, effect.columns(c, shape, None))
+
+    def gain(shape: Mapping[str, float]) -> float:
+        return -_loss(series, rows, sets, [*beside, at(shape)])
+
+    return at(refined(candidate.shape, effect.search.refined, gain))
 
 
 def _usable(series: Series) -> NDArray[np.bool_]:
@@ -336,7 +330,7 @@ class _ShapeWithin:
 
     def intervals(
         self, shape: Mapping[str, float], amplitudes: Floats, covariance: Floats, dof: float
-    ) -> tuple[dict[str, Profile], Profile]:
+    ) -> tuple[dict[str, Interval], Interval]:
         """Of each parameter of the shape, and of the amplitude, which is traded against them.
 
         Parameters
@@ -346,14 +340,13 @@ class _ShapeWithin:
         along = amplitudes / np.linalg.norm(amplitudes)
         std = float(np.sqrt(along @ covariance @ along)) * float(student.ppf(0.975, dof)) / NORMAL_95
         beside = replace(self, inflation=(std / self.at(shape).std) ** 2)
-        profiles, points = {}, [beside.at(shape)]
+        found, points = {}, [beside.at(shape)]
         for name in beside.free(shape):
             known = self.effect.parameter(name)
             loss = partial(beside._loss, shape, name)
-            own = profile_interval(loss, shape[name], _REACH, (known.low, known.high))
-            profiles[name] = own
-            points += [beside.at({**shape, name: float(x)}) for x in shapes_within(own.interval)]
-        return profiles, amplitude_interval(points)
+            found[name] = profile_interval(loss, shape[name], (known.low, known.high))
+            points += [beside.at({**shape, name: float(x)}) for x in shapes_within(found[name])]
+        return found, amplitude_interval(points)
 
     def free(self, shape: Mapping[str, float]) -> list[str]:
         """Parameters that are refined."""

@@ -15,11 +15,13 @@ from gyrocal.diagnosis.intervals import (
     Point,
     along_axis,
     amplitude_interval,
+    instant_interval,
     profile_interval,
     shapes_within,
 )
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.locate import block_p_value
+from gyrocal.diagnosis.result import Estimate
 
 Floats = NDArray[np.float64]
 
@@ -28,17 +30,16 @@ def test_shape_that_no_row_shows_says_nothing_of_the_amplitude() -> None:
     """A knee above the highest rate leaves a column of zeros: no amplitude, and no bound from it."""
 
     points = [Point(500.0 + (knee - 80.0) ** 2, 2.0, 0.1) for knee in np.linspace(79.0, 100.0, 15)]
-    profile = amplitude_interval([*points, Point(0.0, 0.0, float("inf"))])
+    interval = amplitude_interval([*points, Point(0.0, 0.0, float("inf"))])
     # The best of the shapes that show allow for 95 % by themselves.
-    assert profile.interval == pytest.approx((2.0 - 0.196, 2.0 + 0.196), abs=0.02)
-    assert np.isfinite(profile.std)
+    assert interval == pytest.approx((2.0 - 0.196, 2.0 + 0.196), abs=0.02)
 
 
 def test_an_interval_reaches_over_all_shapes_that_fit_as_well() -> None:
     """Amplitude and phase of a sine: what its fifth order fixes is the amplitude times the fourth power."""
     phases = np.geomspace(0.5, 2.0, 15)
     points = [Point(0.0, 3.0 / phase**4, 0.01) for phase in phases]
-    low, high = amplitude_interval(points).interval
+    low, high = amplitude_interval(points)
     assert low == pytest.approx(3.0 / 2.0**4, abs=0.03)
     assert high == pytest.approx(3.0 / 0.5**4, abs=0.03)
 
@@ -47,23 +48,23 @@ def test_an_amplitude_follows_a_shape_that_is_known_to_a_percent() -> None:
     """Shapes are tried within the interval of the shape, however narrow it is."""
     shapes = shapes_within((1.0 - 1.96 * 0.005, 1.0 + 1.96 * 0.005))
     points = [Point(((x - 1.0) / 0.005) ** 2, 5.0 - 4.0 * (x - 1.0) / 0.005, 0.1) for x in shapes]
-    low, high = amplitude_interval([Point(0.0, 5.0, 0.1), *points]).interval
+    low, high = amplitude_interval([Point(0.0, 5.0, 0.1), *points])
     # An ellipse of two that go together: 1.96 of the root of the sum of squares.
     assert (low, high) == pytest.approx((5.0 - 1.96 * 4.0, 5.0 + 1.96 * 4.0), abs=0.2)
 
 
 def test_a_profile_on_a_grid_is_read_between_its_points() -> None:
     values = np.linspace(0.0, 10.0, 101)
-    low, high = along_axis(values, 7.0 + (values - 4.0) ** 2, 7.0).interval
+    low, high = along_axis(values, 7.0 + (values - 4.0) ** 2, 7.0)
     assert (low, high) == pytest.approx((4.0 - 1.96, 4.0 + 1.96), abs=0.02)
-    assert along_axis(values, np.zeros(101), 0.0).interval == (0.0, 10.0)
+    assert along_axis(values, np.zeros(101), 0.0) == (0.0, 10.0)
 
 
 def test_a_shape_reaches_to_where_its_likelihood_has_fallen() -> None:
     """Of a normal law that is 1.96 standard deviations either way."""
-    profile = profile_interval(lambda x: ((x - 5.0) / 0.2) ** 2, 5.0, 9.0, (0.1, 100.0))
-    assert profile.interval == pytest.approx((5.0 - 0.392, 5.0 + 0.392), abs=2e-3)
-    assert profile.std == pytest.approx(0.2, rel=0.01)
+    interval = profile_interval(lambda x: ((x - 5.0) / 0.2) ** 2, 5.0, (0.1, 100.0))
+    assert interval == pytest.approx((5.0 - 0.392, 5.0 + 0.392), abs=2e-3)
+    assert Estimate.spanning(5.0, interval, "1").std == pytest.approx(0.2, rel=0.01)
 
 
 def test_the_instant_of_a_jump_has_an_interval_of_its_own_law() -> None:
@@ -76,8 +77,7 @@ def test_the_instant_of_a_jump_has_an_interval_of_its_own_law() -> None:
         def loss(at_s: float, losses: Floats = losses) -> float:
             return float(losses[round(at_s)])
 
-        found = profile_interval(loss, 10.0, 1.0, (0.0, 20.0), instants)
-        assert found.interval == (10.0 - last - 0.5, 10.0 + last + 0.5)
+        assert instant_interval(loss, 10.0, instants) == (10.0 - last - 0.5, 10.0 + last + 0.5)
 
 
 def test_the_size_of_draws_is_within_its_likelihood() -> None:

@@ -23,7 +23,6 @@ from gyrocal.navigation.sanity import (
 from gyrocal.physics.drive import DROPPED_SAMPLES, UNIT_OR_SIGN
 from gyrocal.units import DPH_TO_DPS, RAD_TO_DEG
 
-_NONE = (float("nan"), float("nan"))
 #: A factor this near to a wrong unit (on a log scale: a factor of 3) is one; nothing physical comes near.
 _UNIT_FACTOR = 3.0
 #: Turns are compared over windows of this length; below this share of common variance they are not of one robot.
@@ -98,7 +97,7 @@ def _wrong_wheel(series: DriveSeries, edges_s: Floats, turned: Floats) -> tuple[
     side = "left" if sbg > 0 else "right"
     right = replace(series, left_m=-series.left_m) if sbg > 0 else replace(series, right_m=-series.right_m)
     seen = Remark(Said.WHEEL_SIGN, {"side": side})
-    return right, Found(UNIT_OR_SIGN.id, Estimate(-1.0, float("nan"), "1", _NONE), seen)
+    return right, Found(UNIT_OR_SIGN.id, Estimate.exact(-1.0, "1"), seen)
 
 
 def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
@@ -146,9 +145,7 @@ def missing_rows(t_s: Floats) -> Found | None:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)
     facts = {"count": lost, "percent": share, "longest_s": float(steps.max())}
-    return Found(
-        DROPPED_SAMPLES.id, Estimate(share, float("nan"), "%", _NONE), Remark(Said.MISSING_ROWS, facts)
-    )
+    return Found(DROPPED_SAMPLES.id, Estimate.exact(share, "%"), Remark(Said.MISSING_ROWS, facts))
 
 
 def uneven_clock(t_s: Floats) -> Remark | None:

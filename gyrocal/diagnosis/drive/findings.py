@@ -218,10 +218,6 @@ def _effect(
     return NamedEffect(effect, law.family, parameters, p, others, None, law.runtime, seen=seen, beside=beside)
 
 
-def _exact(value: float, unit: str) -> Estimate:
-    return Estimate(value, float("nan"), unit, (float("nan"), float("nan")))
-
-
 def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
     law = yaw.laws[name]
     value, std = yaw.estimate(name)
@@ -234,11 +230,11 @@ def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
         seen = Remark(Said.WHEEL_TURN, {"side": side, "way_m": 2 * np.pi * radius, "radius_m": radius})
     parameters = {"amplitude": estimate(law.effect, value, std)}
     units = {p.name: p.unit for p in DRIVE_CATALOGUE[law.effect].parameters}
-    parameters |= {n: _exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
+    parameters |= {n: Estimate.exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
     if name == "delay" and _half_a_row(value, yaw.model.frame.series):
         seen = Remark(Said.SAMPLES_OF_ROWS)
     if name == "delay" and yaw.window_s > 0:
-        parameters["encoder_window_s"] = _exact(yaw.window_s, "s")
+        parameters["encoder_window_s"] = Estimate.exact(yaw.window_s, "s")
     return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
 
 
@@ -284,7 +280,7 @@ def _of_scale(
     else:
         parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     if name == "track":
-        parameters |= {"law": _exact(0.0, "1"), "shape": _exact(0.0, "1")}
+        parameters |= {"law": Estimate.exact(0.0, "1"), "shape": Estimate.exact(0.0, "1")}
         seen = _said(name, scale.value)
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others[UNIT_OR_SIGN.id] = 1.0
