@@ -28,8 +28,9 @@ _LEAST_SPAN_C = 10.0
 #: Heating and cooling are compared in so many stretches of temperature, where either has this many rows at the least
 #: and moves faster than a soak does.
 _STRETCHES, _FEWEST_ROWS, _MOVING_C_PER_MIN = 20, 5, 0.1
-#: Evidence that something else than the temperature moves the bias, nats: odds of 150.
+#: Evidence that something else than the temperature moves the bias, nats: odds of 150; and the blocks that say so.
 _HISTORY_NATS = 5.0
+_NO_TEMPERATURE = ("memory", "warm-up", "bias in time")
 
 
 def without_terms(series: Series, coefficients: Coefficients | None) -> Series:
@@ -82,17 +83,11 @@ def temperature_alone(found: Examination) -> tuple[Remark, ...]:
     series = found.series
     if np.ptp(series.rate_dps) > 0 or np.ptp(series.temp_c) < _LEAST_SPAN_C:
         return ()
-    history = [found.worth.get(block, 0.0) for block in ("memory", "warm-up", "bias in time")]
-    if max(history) < _HISTORY_NATS:
+    if max(found.worth.get(block, 0.0) for block in _NO_TEMPERATURE) < _HISTORY_NATS:
         return (Remark(Said.TEMPERATURE_ALONE),)
     solution = found.whole.solve()
-    left = sum(
-        (
-            block_curve(found.whole, solution, b, Basis(rows_of(series), found.whole.model.basis.frame))
-            for b in ("memory", "warm-up", "bias in time")
-        ),
-        np.zeros(len(series)),
-    )
+    rows = Basis(rows_of(series), found.whole.model.basis.frame)
+    left = np.sum([block_curve(found.whole, solution, b, rows) for b in _NO_TEMPERATURE], axis=0)
     gap = _branch_gap(series, left)
     facts = {
         "left_mdps": 1e3 * float(np.std(left)),

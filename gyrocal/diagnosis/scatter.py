@@ -168,6 +168,16 @@ def clock_findings(series: Series) -> list[Finding]:
     return [Finding(TIME_BASE.id, seen, {"amplitude": Estimate.normal(ppm, std_ppm, "ppm")}, p, place)]
 
 
+@dataclass(frozen=True)
+class _Group:
+    """Rows of a stretch of a coordinate: the p-value of their scatter, and by how much their squares exceed the others'."""
+
+    coordinate: str
+    stretch: Mapping[str, Any]
+    p_value: float
+    excess: float
+
+
 def variance_places(
     series: Series, model: NoiseModel, levels: NoiseLevels, left_dps: Floats, level: float
 ) -> list[Located]:
@@ -182,32 +192,41 @@ def variance_places(
         What the model of the mean leaves of every row.
     """
     squares = model.whiten(levels, left_dps[:, None])[0][:, 0] ** 2
-    found: list[tuple[str, Mapping[str, Any], float, float]] = []
+    mean, spread = float(np.mean(squares)), float(np.std(squares))
+    found: list[_Group] = []
     for coordinate, groups, stretches in _groupings(series):
         count = np.bincount(groups).astype(np.float64)
-        total = np.bincount(groups, weights=squares)
+        excess = np.bincount(groups, weights=squares) - count * mean
+        # A sum of squares is skewed: a chi-square of as many degrees of freedom as give it its mean and spread.
+        df = 2.0 * count * mean**2 / spread**2
         usable = np.flatnonzero(count >= _FEWEST_ROWS)
-        mean, spread = float(np.mean(squares)), float(np.std(squares))
-        for g in usable.tolist():
-            z = (total[g] - count[g] * mean) / (spread * np.sqrt(count[g]))
-            # A sum of squares is skewed: a chi-square of as many degrees of freedom as give it its mean and spread.
-            df = 2.0 * count[g] * mean**2 / spread**2
-            p = float(chi2.sf(df + z * np.sqrt(2.0 * df), df))
-            found.append((coordinate, stretches[g], min(1.0, 2.0 * p), total[g] - count[g] * mean))
+        z = excess[usable] / (spread * np.sqrt(count[usable]))
+        p = np.minimum(2.0 * chi2.sf(df[usable] + z * np.sqrt(2.0 * df[usable]), df[usable]), 1.0)
+        found += [
+            _Group(coordinate, stretches[g], float(p_g), float(excess[g]))
+            for g, p_g in zip(usable.tolist(), p, strict=True)
+        ]
     if not found:
         return []
-    p_values = np.array([f[2] for f in found])
-    passed = holm(p_values) <= level
-    best: dict[str, Located] = {}
-    excess = max(
-        float(np.sum(squares)) * 1e-3, sum(max(f[3], 0.0) for f, ok in zip(found, passed, strict=True) if ok)
-    )
-    for (coordinate, stretch, p, more), ok in zip(found, passed, strict=True):
-        if ok and (coordinate not in best or p < best[coordinate].p_value):
-            share = float(np.clip(more / excess, 0.0, 1.0))
-            p_all = min(1.0, p * len(found))
-            best[coordinate] = Located(coordinate, "variance", p_all, share, True, **stretch)
-    return sorted(best.values(), key=lambda place: place.p_value)
+    passed = holm(np.array([g.p_value for g in found])) <= level
+    beyond = [g for g, ok in zip(found, passed, strict=True) if ok]
+    whole = sum(max(g.excess, 0.0) for g in beyond)
+    best: dict[str, _Group] = {}
+    for g in beyond:
+        if g.coordinate not in best or g.p_value < best[g.coordinate].p_value:
+            best[g.coordinate] = g
+    places = [
+        Located(
+            g.coordinate,
+            "variance",
+            min(1.0, g.p_value * len(found)),
+            float(np.clip(g.excess / whole, 0.0, 1.0)),
+            True,
+            **g.stretch,
+        )
+        for g in best.values()
+    ]
+    return sorted(places, key=lambda place: place.p_value)
 
 
 def _when(series: Series, from_s: float, to_s: float) -> dict[str, Any]:

@@ -38,7 +38,7 @@ _SUPPLY_S = 7.0
 #: Samples further than this many robust standard deviations from their neighbours are bursts, not noise:
 #: a Gaussian gives one in 5e8.
 OUTLIER_SIGMAS = 6.0
-#: Samples are judged by so many robust spreads of what the median of five leaves: that median takes part of the noise with it.
+#: Standard deviation of the noise in robust spreads of what the median of five leaves: that takes part of the noise with it.
 _OF_MEDIAN = 1.25
 #: Fewest isolated outliers that are bursts; fewer are left out with a note.
 FEWEST_OUTLIERS = 3
@@ -161,7 +161,7 @@ def series_of_run(run: Run) -> Series:
         Nothing usable in it.
     """
     parts: list[dict[str, Floats]] = []
-    raws: list[dict[str, Any]] = []
+    taken: list[_Samples] = []
     notes: list[Note] = list(run.notes)
     failed, previous_rate, unusable = 0, 0.0, 0
     for number, record in enumerate(run.segments):
@@ -173,28 +173,26 @@ def series_of_run(run: Run) -> Series:
         unusable += int((~good).sum())
         if good.sum() < 3:
             continue
-        rows, raw = _segment_rows(segment, number, previous_rate)
+        rows, samples = _segment_rows(segment, number, previous_rate)
         previous_rate = float(rows["rate_dps"][0])
         parts.append(rows)
-        raws.append(raw)
+        taken.append(samples)
     if not parts:
         raise DataError(f"{run.path}: no segment has usable samples. Check the run with `gyrocal report`.")
     if failed:
         notes.append(Remark(Said.FAILED_SEGMENTS, {"count": failed}))
-    aside = sum(raw["set_aside"] for raw in raws)
+    aside = sum(s.set_aside for s in taken)
     if aside:
         notes.append(Remark(Said.SET_ASIDE_AFTER_STEPS, {"count": aside}))
     if unusable:
         notes.append(Remark(Said.UNUSABLE_SAMPLES, {"count": unusable}))
-    missing = sum(raw["missing"] for raw in raws) - unusable
-    if missing > _FEW_MISSING * sum(raw["n"] for raw in raws):
+    missing = sum(s.missing for s in taken) - unusable
+    if missing > _FEW_MISSING * sum(s.n for s in taken):
         notes.append(Remark(Said.MISSING_SAMPLES, {"count": missing}))
-    notes += sample_notes(
-        sum(raw["outliers_t_s"].size for raw in raws), np.concatenate([raw["temp"] for raw in raws])
-    )
-    notes += [raw["odd"] for raw in raws if raw["odd"]]
+    notes += sample_notes(sum(s.outliers_t_s.size for s in taken), np.concatenate([s.temp_c for s in taken]))
+    notes += [s.odd for s in taken if s.odd]
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
-    return _assemble_run(run, columns, raws, notes)
+    return _assemble_run(run, columns, taken, notes)
 
 
 def sample_notes(outliers: int, temp_c: Floats) -> list[Remark]:
@@ -208,9 +206,36 @@ def sample_notes(outliers: int, temp_c: Floats) -> list[Remark]:
     return notes
 
 
-def _segment_rows(
-    segment: Segment, number: int, previous_rate: float
-) -> tuple[dict[str, Floats], dict[str, Any]]:
+@dataclass(frozen=True)
+class _Samples:
+    """What the rows of a segment do not carry of its samples.
+
+    Attributes
+    ----------
+    odd : what is odd about the table's rate; empty: nothing
+    gyro_dps, temp_c : of the good samples, and the former without outliers
+    outliers_t_s, outliers_dps : isolated samples, and how far off they are
+    set_aside : samples right after a step that stand out, and are none
+    n, missing : good samples, and those that are not there
+    noise_dps : scatter of neighbouring samples
+    """
+
+    number: int
+    is_set: bool
+    odd: str
+    averaging_s: float
+    gyro_dps: Floats
+    temp_c: Floats
+    outliers_t_s: Floats
+    outliers_dps: Floats
+    set_aside: int
+    span_s: float
+    n: int
+    missing: int
+    noise_dps: float
+
+
+def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[dict[str, Floats], _Samples]:
     good = segment.good
     t, gyro = segment.t_s[good], segment.gyro_dps[good]
     rate, _, odd = reference_rate(segment.record, reduce_segment([segment]))
@@ -245,23 +270,21 @@ def _segment_rows(
         "supply_v": mean(_at(segment.bench_t_s, _smooth(segment.supply_v, segment.bench_t_s), t, 0.0)),
         "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),
     }
-    raw = {
-        "number": number,
-        "odd": odd,
-        "averaging_s": averaging_s,
-        "gyro": gyro[keep],
-        "temp": segment.gyro_temp_c[good],
-        "outliers_t_s": t[outlier & ~settling],
-        "outliers_dps": gyro[outlier & ~settling] - np.median(gyro),
-        "set_aside": int((outlier & settling).sum()),
-        "step_s": step_s,
-        "span_s": float(t[-1] - t[0]),
-        "missing": missing_samples(t),
-        "n": t.size,
-        "is_set": segment.record.kind == "rate",
-        "difference_std": float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
-    }
-    return rows, raw
+    return rows, _Samples(
+        number=number,
+        is_set=segment.record.kind == "rate",
+        odd=odd,
+        averaging_s=averaging_s,
+        gyro_dps=gyro[keep],
+        temp_c=segment.gyro_temp_c[good],
+        outliers_t_s=t[outlier & ~settling],
+        outliers_dps=gyro[outlier & ~settling] - np.median(gyro),
+        set_aside=int((outlier & settling).sum()),
+        span_s=float(t[-1] - t[0]),
+        missing=missing_samples(t),
+        n=t.size,
+        noise_dps=float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
+    )
 
 
 def missing_samples(t_s: Floats) -> int:
@@ -288,15 +311,11 @@ def outliers(gyro: Floats) -> Bools:
     ends = np.array([0, -1])
     inner, second = gyro[[1, -2]], gyro[[2, -3]]
     deviation[ends] = (gyro[ends] - 2.0 * inner + second) * _OF_MEDIAN / np.sqrt(6.0)
-    # The median of five takes part of the noise with it; the robust spread of what is left sets the scale.
-    spread = (
-        STDS_PER_MAD * float(np.median(np.abs(deviation[deviation != 0]))) if np.any(deviation != 0) else 0.0
-    )
-    return (
-        np.asarray(np.abs(deviation) > OUTLIER_SIGMAS * _OF_MEDIAN * spread)
-        if spread > 0
-        else np.zeros(gyro.size, bool)
-    )
+    away = np.abs(deviation)
+    if not away.any():
+        return np.zeros(gyro.size, dtype=bool)
+    spread = STDS_PER_MAD * float(np.median(away[away > 0.0]))
+    return np.asarray(away > OUTLIER_SIGMAS * _OF_MEDIAN * spread)
 
 
 def _bin_numbers(t: Floats, rate: float, step_s: float, duration_s: float) -> Ints:
@@ -336,7 +355,7 @@ def _smooth(values: Floats, bench_t_s: Floats) -> Floats:
     return smooth
 
 
-def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], notes: list[Note]) -> Series:
+def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: list[Note]) -> Series:
     untestable: dict[str, Reason] = {}
 
     def channel(key: str, coordinate: str, why: Why) -> Floats | None:
@@ -352,7 +371,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
             raise DataError(f"{run.path}: no temperature was logged, so no surface can be evaluated.")
         logged = c["chamber_c"]
         notes.append(Remark(Said.CHAMBER_FOR_GYRO))
-    sampled_c = np.concatenate([raw["temp"] for raw in raws])
+    sampled_c = np.concatenate([s.temp_c for s in taken])
     step_c = lattice(sampled_c[np.isfinite(sampled_c)])
     history = temperature_history(c["t_s"], logged, c["count"], step_c, all_along=True)
     angle = channel("angle_deg", "table_angle", Why.ANGLE_NOT_LOGGED)
@@ -369,7 +388,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
     if supply is not None and np.ptp(supply) < LEAST_SUPPLY_V:
         untestable["supply"] = Lack(Why.STEADY_SUPPLY)
     averaging = c["count"] * c["sample_s"]
-    raw = _raw_facts(run, raws)
+    raw = _raw_facts(run, taken)
     return Series(
         name=run.path.name,
         sensor_model=run.sensor.model,
@@ -377,7 +396,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], raws: list[dict[str, Any]], no
         gyro_dps=c["gyro_dps"],
         rate_dps=c["rate_dps"],
         temp_c=history.temp_at(c["t_s"]),
-        white_std_dps=_white_std(c, raws, (raw.lattice_dps or 0.0) / np.sqrt(12.0)),
+        white_std_dps=_white_std(c, taken, (raw.lattice_dps or 0.0) / np.sqrt(12.0)),
         averaging_s=averaging,
         set_index=c["set_index"].astype(np.int64),
         is_set=c["is_set"] > 0,
@@ -403,14 +422,14 @@ def _since_power_on(run: Run, t_s: Floats) -> Floats:
     return np.asarray(t_s - on[np.maximum(np.searchsorted(on, t_s, side="right") - 1, 0)])
 
 
-def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]], rounding_dps: float) -> Floats:
+def _white_std(c: dict[str, Floats], taken: list[_Samples], rounding_dps: float) -> Floats:
     """Relative white noise of each row: from the averaging times where they agree with the samples' scatter.
 
     A data set that stands at one step of the output is off by its rounding, however long it is.
     """
-    times = np.array([r["averaging_s"] for r in raws])
-    scatter = np.array([r["difference_std"] for r in raws])
-    counts = np.array([r["n"] for r in raws], dtype=np.float64)
+    times = np.array([s.averaging_s for s in taken])
+    scatter = np.array([s.noise_dps for s in taken])
+    counts = np.array([s.n for s in taken], dtype=np.float64)
     least = max(rounding_dps, 1e-9)
     level = {}
     for averaging in np.unique(times):
@@ -425,28 +444,27 @@ def _white_std(c: dict[str, Floats], raws: list[dict[str, Any]], rounding_dps: f
         stated = reference / np.sqrt(averaging)
         # Logged samples may be points rather than means (aliasing): then the scatter itself is right.
         std[rows] = (stated if abs(sigma / stated - 1.0) < _ONE_WHITE else sigma) / np.sqrt(c["count"][rows])
-    still = [r["number"] for r in raws if r["difference_std"] == 0.0]
+    still = [s.number for s in taken if s.noise_dps == 0.0]
     return np.asarray(np.maximum(std, np.where(np.isin(c["set_index"], still), least, 1e-9)))
 
 
-def _raw_facts(run: Run, raws: list[dict[str, Any]]) -> Raw:
-    sets = [r for r in raws if r["is_set"]] or raws
-    values = np.concatenate([r["gyro"] for r in sets])
+def _raw_facts(run: Run, taken: list[_Samples]) -> Raw:
+    sets = [s for s in taken if s.is_set] or taken
     ratio = ratio_std = None
     if run.sensor.sample_rate_hz:
-        spans = np.array([r["span_s"] / max(r["n"] - 1 + r["missing"], 1) for r in sets])
-        nominal = np.array([r["averaging_s"] for r in sets])
+        spans = np.array([s.span_s / max(s.n - 1 + s.missing, 1) for s in sets])
+        nominal = np.array([s.averaging_s for s in sets])
         native = np.isclose(nominal, 1.0 / run.sensor.sample_rate_hz, rtol=_NATIVE)
         if native.sum() >= 3:
             each = spans[native] * run.sensor.sample_rate_hz - 1.0
             ratio = float(np.median(each))
             ratio_std = float(STDS_PER_MAD * np.median(np.abs(each - ratio)) / np.sqrt(native.sum()))
     return Raw(
-        outliers_t_s=np.concatenate([r["outliers_t_s"] for r in raws]),
-        outliers_dps=np.concatenate([r["outliers_dps"] for r in raws]),
-        samples=int(sum(r["n"] for r in raws)),
-        sample_std_dps=float(np.median([r["difference_std"] for r in sets])),
-        lattice_dps=lattice(values),
+        outliers_t_s=np.concatenate([s.outliers_t_s for s in taken]),
+        outliers_dps=np.concatenate([s.outliers_dps for s in taken]),
+        samples=int(sum(s.n for s in taken)),
+        sample_std_dps=float(np.median([s.noise_dps for s in sets])),
+        lattice_dps=lattice(np.concatenate([s.gyro_dps for s in sets])),
         interval_ratio=ratio,
         interval_ratio_std=ratio_std,
     )

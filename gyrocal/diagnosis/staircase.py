@@ -25,8 +25,8 @@ Ints = NDArray[np.int64]
 _FOLDS = 8
 #: Stretches that stand for segments in a record of few: five to a fold, so that no fold is a single hole.
 _STRETCHES = 40
-#: Data sets from which on whole temperatures are left out too: four at each of three temperatures.
-_FEWEST_SETS = 12
+#: Whole temperatures are left out too where there are so many, each of so many data sets: fewer are no sweeps.
+_FEWEST = 3
 #: Neighbouring data sets farther apart are at another temperature, degC: more than a sweep drifts by, less than plans step.
 _LEAST_JUMP_C = 3.0
 #: Draws of the intervals of held-out errors: it puts their ends off by 2 % of the width.
@@ -65,12 +65,12 @@ def _units(means: Means) -> Ints:
 def _sweeps(means: Means) -> list[Ints]:
     """Groups of neighbouring data sets at one temperature: a ramp or a jump begins a new one."""
     rows = np.flatnonzero(means.is_set)
-    if rows.size < _FEWEST_SETS or np.ptp(means.rate_dps) == 0:
+    if np.ptp(means.rate_dps) == 0:
         return []
     jumps = np.abs(np.diff(means.temp_c[rows])) > _LEAST_JUMP_C
     groups = np.split(rows, np.flatnonzero(jumps | (np.diff(rows) > 1)) + 1)
-    groups = [g for g in groups if g.size >= 3]
-    return groups if 3 <= len(groups) <= 20 else []
+    groups = [g for g in groups if g.size >= _FEWEST]
+    return groups if len(groups) >= _FEWEST else []
 
 
 def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints]) -> LeftOut:
@@ -102,9 +102,8 @@ def improvement(
     drop = np.sqrt(squares[draws, 0].mean(axis=1)) - np.sqrt(squares[draws, 1].mean(axis=1))
     nats = (loss[draws, 0] - loss[draws, 1]).mean(axis=1)
     excess = float(rms[0] ** 2 - floor**2)
-    removed = (
-        float((rms[0] ** 2 - rms[1] ** 2) / excess) if excess > _LEAST_EXCESS * floor**2 else float("nan")
-    )
+    told = excess > _LEAST_EXCESS * floor**2
+    removed = min(float((rms[0] ** 2 - rms[1] ** 2) / excess), 1.0) if told else float("nan")
     low, high = np.quantile(drop, [0.025, 0.975])
     nats_low, nats_high = np.quantile(nats, [0.025, 0.975])
     means = loss.mean(axis=0)
@@ -116,7 +115,7 @@ def improvement(
         float(means[0]),
         float(means[1]),
         (float(nats_low), float(nats_high)),
-        min(removed, 1.0) if np.isfinite(removed) else removed,
+        removed,
         Remark(Said.LEFT_OUT_SETS),
     )
 

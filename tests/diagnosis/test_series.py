@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import load_recording
-from gyrocal.diagnosis.series import _white_std, missing_samples, series_of_run
+from gyrocal.diagnosis.series import _Samples, _white_std, missing_samples, series_of_run
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.records.run import read_run
@@ -51,14 +50,17 @@ def test_a_data_set_at_one_step_of_the_output_is_off_by_its_rounding() -> None:
         "sample_s": np.full(3, 0.1),
         "set_index": np.array([0.0, 1.0, 2.0]),
     }
-    raws: list[dict[str, Any]] = [
-        {"number": k, "averaging_s": 0.1, "difference_std": std, "n": 100}
+    none = np.empty(0)
+    taken = [
+        _Samples(
+            k, True, "", 0.1, none, none, none, none, set_aside=0, span_s=9.9, n=100, missing=0, noise_dps=std
+        )
         for k, std in enumerate((0.0, 0.0, 0.02))
     ]
     rounding_dps = 0.05 / np.sqrt(12.0)
-    stated = _white_std(rows, raws, rounding_dps)
+    stated = _white_std(rows, taken, rounding_dps)
     np.testing.assert_allclose(stated, [rounding_dps, rounding_dps, rounding_dps / 10.0])
-    assert np.all(_white_std(rows, raws[:2] * 2, 0.0) > 0.0)
+    assert np.all(_white_std(rows, taken[:2] * 2, 0.0) > 0.0)
 
 
 def test_a_failed_segment_is_counted_and_moves_no_other(tmp_path: Path) -> None:
