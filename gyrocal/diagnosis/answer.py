@@ -28,7 +28,8 @@ from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
 
-#: What is left of this after what a table's laws have paid.
+#: A law that the search of a table put in has a name where every model without it is worse by this, nats, beyond what laws
+#: pay there.
 _NAMED_BEYOND_TOLL = 2.5
 _EACH_RATE = "each rate"
 
@@ -108,7 +109,7 @@ def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:
 
 
 def _input_share(found: Examination) -> Estimate:
-    """How much of the way from a surface of the output to one of the input."""
+    """Where the surface lies between one of the output (0) and one of the input (1)."""
     fitted = found.naming.fitted
     if DIRECTION not in fitted.model.components:
         free = fitted.model.directed("free", fitted.model.bend_of(fitted.solve()))
@@ -120,7 +121,7 @@ def _input_share(found: Examination) -> Estimate:
 
 
 def _of_the_input(found: Examination) -> bool:
-    """Whether that the surface is one of the input is a finding of its own, and no part of a law of the rate."""
+    """Whether a surface of the input, not of the output, is a finding by itself: not where a law of the rate explains it."""
     laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", _EACH_RATE)]
     return found.naming.input_gain > GAIN and not laws_of_rate
 
@@ -129,7 +130,14 @@ def _of_the_input(found: Examination) -> bool:
 class _Searched:
     """What the search of a table put in: the lag of the coil, or a law of time.
 
-    `nats`: how much worse the models without it are; `rivals`: laws that only those have, to the same.
+    Attributes
+    ----------
+    nats : float
+        How much worse the best model without it is.
+    law : Law or None
+        None: the lag of the coil.
+    rivals : mapping
+        Each law of models without it that the best model lacks, to how much worse the best of these models is, nats.
     """
 
     effect: str
@@ -170,7 +178,7 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
 
 
 def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
-    """What a table's search put in and other models near the best explain otherwise: it is modelled, and has no name."""
+    """Laws that the search of a table put in, but that models nearly as good do without: they are modelled, and have no name."""
     if not found.ranked:
         return ()
     fitted = found.ranked[0].fitted

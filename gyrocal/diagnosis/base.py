@@ -15,9 +15,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-#: How much of full scale a coefficient may change over the temperatures of a record before the fit of the
-#: linearisation point resists: at one temperature alone its change is anybody's guess, and a wild guess bends
-#: the surface. The tests leave all coefficients free.
+#: How a coefficient is expected to change with temperature, as a share of full scale over the temperatures of a record. At
+#: one temperature alone nothing tells of it, and a wild guess would bend the surface at which the model is linearised. Only
+#: that first surface is held by it; the model of the layers has all coefficients free.
 _CHANGE_WITH_TEMPERATURE = 0.05
 
 

@@ -14,9 +14,6 @@ from gyrocal.physics.offer import Offer
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: More instants of a change of scale factor than this are not tried.
-_MOST_STARTS = 400
-
 
 def conditions_of(series: Series) -> Conditions:
     """What the laws of the catalogue may depend on, row by row.
@@ -63,20 +60,12 @@ def offer_of(series: Series) -> Offer:
     )
 
 
-def _set_starts(series: Series) -> Floats:
-    first = np.flatnonzero(np.diff(series.set_index, prepend=-1))
-    starts = series.t_s[first]
-    if starts.size > _MOST_STARTS:
-        starts = starts[:: int(np.ceil(starts.size / _MOST_STARTS))]
-    return starts[1:] - 0.5
-
-
 def _between_turns(series: Series) -> Floats:
     """Beginnings of data sets between the first and the last two turns of the table."""
     turning = np.flatnonzero(np.abs(series.rate_dps) > 0)
     if turning.size == 0:
         return np.empty(0)
-    starts = _set_starts(series)
+    starts = series.t_s[np.flatnonzero(np.diff(series.set_index, prepend=-1))][1:] - 0.5
     sets = np.unique(series.set_index[turning])
     edge = min(2, sets.size // 4)
     first = series.t_s[np.flatnonzero(series.set_index == sets[edge])[0]]

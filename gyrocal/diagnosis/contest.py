@@ -36,8 +36,8 @@ def best_law(
 ) -> Winner | None:
     """The law beside those of `current` that explains most of what a block did; None where none is left.
 
-    Shapes are compared under the variances that the block leaves to the others: without it these would swell to
-    take its place. Gains can be compared after a new fit only, so the best few are fitted.
+    All shapes of all laws are scanned at the variances that the other components have beside the block: estimated without it
+    these would have grown to take its place. Such gains only rank; the best few laws are fitted, and compared by that.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Tri
 
 
 def _unlikely(effect: Effect, columns: Floats, score: Floats, p: Floats) -> float:
-    """What a law loses by the amplitude that it would need, nats: without end by a sign or a size that physics does not know."""
+    """What a law loses by the amplitude that it would need, nats; infinite for a sign or size that the catalogue excludes."""
     along = columns.T @ score
     if effect.positive and float(np.sum(along)) < 0.0:
         return np.inf

@@ -35,8 +35,6 @@ Floats = NDArray[np.float64]
 
 #: mdeg/s in one deg/s.
 _MDPS = 1e3
-#: The interval of a shape ends at this ratio from the best at the latest.
-_FARTHEST = 30.0
 #: The best of two parameters is sought within this ratio, in turn so often.
 _NEAR, _ROUNDS = 2.0, 3
 #: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
@@ -50,7 +48,14 @@ _ROWS_NEAR = 2
 class _Beside:
     """A law beside everything else in a model: how well it does at any shape.
 
-    An amplitude that physics does not know is none: at its bound a shape loses what it would have gained beyond.
+    The amplitude stays within the bounds that the catalogue gives; a shape that fits best beyond them loses by that.
+
+    Attributes
+    ----------
+    surface : ndarray, shape (n, p)
+        Orthonormal basis of the surface's free terms.
+    score, precision : ndarray, shape (n,), (n, n)
+        ``P y`` and ``P`` of the rest of the model (`Contrasts.precision`).
     """
 
     effect: Effect
@@ -60,13 +65,13 @@ class _Beside:
     precision: Floats
 
     def at(self, shape: Mapping[str, float]) -> Point:
-        """At a shape of a law of one amplitude; what of it is of a few kinds is of the best of them."""
+        """The point at a shape; a parameter that is chosen from a few values, and not refined, has the best of them."""
         kinds = [{**shape, **kind} for kind in self._kinds(shape)]
         points = [self.of(self.laws.at(self.effect, kind)) for kind in kinds]
         return min(points, key=lambda p: p.loss)
 
     def _kinds(self, shape: Mapping[str, float]) -> list[dict[str, float]]:
-        """Values on the grid of what is not refined."""
+        """Values on the grid of the parameters that are not refined."""
         search = self.effect.search
         choices = [n for n in shape if n not in search.refined]
         if not choices:
@@ -75,7 +80,7 @@ class _Beside:
         return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)]
 
     def of(self, columns: Floats) -> Point:
-        """For columns; of two amplitudes their size counts."""
+        """The point of a law's columns; of two amplitudes, a cosine's and a sine's, the root of the sum of squares counts."""
         information = columns.T @ self.precision @ columns
         covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
         b = covariance @ (columns.T @ self.score)
@@ -131,9 +136,10 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
 def reshaped(fitted: Fitted, laws: Laws) -> Fitted:
     """The model with each law at the shape that does best beside everything else that is in it by now.
 
-    A shape was found beside less, under a noise that had grown in the law's place. Instants stay where they are, and
-    laws that spread have no one shape. Which law is named is decided before: one whose shape is free takes what belongs
-    to another (a slowing drift a warm-up of two time constants).
+    Its shape was found before the others were in the model, and while the noise stood in for them. Instants of jumps stay
+    where they are, and laws that are spread over several shapes have no single one. Which law is named is decided before
+    this: with its shape free one law can take what belongs to another, as a drift that slows down takes a warm-up of two
+    time constants.
     """
     for law in fitted.model.laws:
         free = _free(law)
@@ -192,9 +198,8 @@ def _intervals(
     best_shape = _best_shape(beside, shape, free)
     alone = {}
     for name in free:
-        (low, high), best = _limits(beside, name), best_shape[name]
         loss = partial(_loss, beside, best_shape, name)
-        own = profile_interval(loss, best, (max(low, best / _FARTHEST), min(high, best * _FARTHEST)))
+        own = profile_interval(loss, best_shape[name], _limits(beside, name))
         alone[name] = holding(own, shape[name])
     if len(free) > 1:
         return _jointly(beside, shape, best_shape, alone)
@@ -227,7 +232,10 @@ def _jointly(
     best_shape: Mapping[str, float],
     alone: Mapping[str, Interval],
 ) -> tuple[dict[str, Interval], list[Point]]:
-    """The same for two parameters: over a grid that reaches beyond the interval that each has by itself."""
+    """Intervals of two parameters that are traded for one another, from a grid over both.
+
+    The grid reaches beyond the interval that each has by itself.
+    """
     axes = {}
     for name, own in alone.items():
         best, (low, high) = best_shape[name], _limits(beside, name)

@@ -1,4 +1,4 @@
-"""Questions about the model that was given, and about bias over temperature."""
+"""A model that was given: what it explains already, and whether it still holds; and bias over temperature at rest."""
 
 from __future__ import annotations
 

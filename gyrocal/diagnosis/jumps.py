@@ -27,8 +27,6 @@ Ints = NDArray[np.int64]
 _SLOW = {BIAS_STEP.id: BIAS_DRIFT, SCALE_STEP.id: SCALE_DRIFT}
 #: Rows on either side of a jump: fewer are a stray data set.
 _FEWEST_ROWS = 3
-#: Jumps in one record: more are no jumps but a bias that moves, for which there are walks.
-_MOST = 3
 #: Instants within the rows beside a boundary, and how often they are taken closer.
 _WITHIN, _ZOOMS = 9, 3
 
@@ -53,7 +51,7 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     found: list[Jump] = []
     beside = {c.name: c for c in passes}
     wide = fitted.refit(replace(fitted.model, components={**fitted.model.components, **beside}))
-    while len(found) < _MOST:
+    while True:
         tried = [_best(wide, laws, effect) for effect in (BIAS_STEP.id, SCALE_STEP.id)]
         gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
         gains = [g for g in gains if g[0] > GAIN + 0.5 * np.log(g[2])]

@@ -71,7 +71,7 @@ def located(found: Examination, level: float) -> list[Located]:
         left = found.naming.unnamed.get(block, 0.0)
         remains = block_p_value(left, len(BLOCKS)) < level
         if block == WANDERING and remains:
-            # A bias that wanders by no law is noise, and has a place of its own.
+            # A bias that wanders by no law is noise, and is told as such (`engine._noise`).
             continue
         places.append(
             Located(

@@ -31,7 +31,7 @@ class Residuals:
     before_dps, after_dps : recorded minus the surface alone, and minus the whole model
     effects_dps : mapping
         What each named effect adds.
-    wandering_dps : what the bias does in time that follows no law; noise, and not in `after_dps`
+    wandering_dps : what the bias does in time by no law: it counts as noise, and is taken off `after_dps` too
     """
 
     surface: Coefficients

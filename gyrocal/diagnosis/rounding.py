@@ -1,4 +1,4 @@
-"""What the steps of an output hide: means of data sets whose noise does not carry the output over a step."""
+"""What the steps of an output hide: where the noise is smaller than a step, means of data sets are off by rounding."""
 
 from __future__ import annotations
 

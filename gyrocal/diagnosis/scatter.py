@@ -25,10 +25,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-#: P-value of what is counted, not tested: that noise puts every sample on a lattice is out of the question.
+#: P-value of what is counted and not tested: noise does not put every sample on a lattice.
 CERTAIN = 0.0
-#: The surface of the others may say this much more of a set that lost its output than the least output that is left:
-#: it is known to some percent there, and a set that lacks far more has lost its gyro, not a small input.
+#: By the surface of the other sets a data set in the dead zone lacks no more than the least output that is left, or little
+#: more, since that surface is known to some percent only: a set that lacks more than this many times as much has lost its gyro.
 _DEEPER = 1.5
 #: Fewest data sets of no output that are a dead zone, and the share of them all beyond which the gyro is not read.
 _FEWEST_DEAD, _MOST_DEAD_SHARE = 3, 0.5

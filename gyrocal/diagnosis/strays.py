@@ -32,8 +32,9 @@ _FEWEST_SETS, _ROUNDS = 30, 30
 _STRAY_NATS = 12.5
 #: Data sets at either end that may be off by physics: a transient, or a step that has hardly been seen.
 _ENDS = 4
-#: A row that the record knows less of than this share of what it knows of the others is what some term is known from.
-_TOLD = 0.1
+#: A row that the record knows less of than this share of what it knows of the others is one that some term is known from
+#: alone: what is left of it is rounding.
+_TOLD = 1e-6
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,9 @@ def _spread(left: Floats, rate: Floats) -> Floats:
 
 
 def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:
-    """Data sets of a table that by themselves explain more than any law does: two steps, up and down, pass for such a one.
+    """Data sets of a table that are better explained as off by themselves than by any law.
+
+    A single data set that is off looks like a step up and a step down again, so that models with steps are among its rivals.
 
     Parameters
     ----------
@@ -149,7 +152,7 @@ def _toll(strays: Strays, fitted: Fitted) -> float:
 
 
 def _gain(fitted: Fitted, strays: Strays) -> float:
-    """Evidence for strays where all else in the model may follow: a walk that had made up for a step cannot pass for noise."""
+    """Evidence for strays, all variances fitted anew with them and without: a walk may have grown to make up for a step."""
     model = fitted.model
     rows = (model.means.set_index[:, None] == strays.numbers).astype(np.float64)
     contrasts = contrasts_of(model, designs=(rows,))
@@ -159,7 +162,7 @@ def _gain(fitted: Fitted, strays: Strays) -> float:
 
 
 def _alone(candidate: Candidate) -> tuple[Strays, float]:
-    """Rows beside a model that are off by themselves, and what they gain about, nats: the level of all noise follows."""
+    """Rows that are off by themselves beside a model, and roughly what they gain, nats: only the level of the noise follows."""
     model = candidate.fitted.model
     means, rows = model.means, len(model.means)
     chosen: list[int] = []

@@ -1,4 +1,4 @@
-"""A table without time stamps: what is stated by the number of the data set where time would be made up."""
+"""A table without time stamps: its times are made up, so what depends on them is stated in data sets."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """What lives within data sets: patterns of the table angle, and settling after a step of rate.
 
-Each data set is freed of its mean; normal equations are summed over the sets. The test does not trust any model of
-the noise: every data set is one draw of the score (cluster-robust covariance), so that 1/f noise, whose course
-within a set is of no fixed sign, makes no pattern.
+The mean of each data set is taken off, and the laws are fitted to what is left in all sets together. The test trusts no
+model of the noise: each data set counts as one independent draw of the score (cluster-robust covariance). 1/f noise has
+no fixed sign within a set, so it averages out over the sets and makes no pattern.
 
 References
 ----------
@@ -42,8 +42,6 @@ Ints = NDArray[np.int64]
 _WITHIN = ("table_angle", "time_since_step")
 #: Harmonics of the table angle beyond those of the catalogue's laws.
 STRANGE_HARMONICS = (3, 4, 5, 6)
-#: Fewer data sets than this for each column say nothing robustly.
-_SETS_A_COLUMN = 3
 
 
 @dataclass(frozen=True)
@@ -93,19 +91,20 @@ class _Candidate:
 
 
 def patterns(series: Series, level: float) -> list[Pattern]:
-    """Patterns within data sets, the strongest first; family-wise false-alarm rate `level`.
+    """Patterns within data sets, the strongest first, each tested beside those that were found before it.
 
-    Each is tested beside those found before it.
+    `level` is the rate of false alarms over all patterns together.
     """
     candidates = _candidates(series)
     rows = _usable(series)
-    if not candidates or rows.sum() < 30:
+    if not (candidates and rows.any()):
         return []
     sets = np.unique(series.set_index[rows], return_inverse=True)[1]
     found: list[_Candidate] = []
     result: list[Pattern] = []
-    for _ in range(4):
-        # The test tells whether something is there, but not which shape fits: a shape that misses may scatter less.
+    while candidates:
+        # The test says whether a pattern is there, but not which shape fits best (a wrong one may scatter less from set
+        # to set), so that the shape of each kind is chosen by least squares, and only the best one is tested.
         best: dict[object, tuple[float, _Candidate]] = {}
         for candidate in candidates:
             loss = _loss(series, rows, sets, [*found, candidate])
@@ -113,8 +112,6 @@ def patterns(series: Series, level: float) -> list[Pattern]:
             if kind not in best or loss < best[kind][0]:
                 best[kind] = loss, candidate
         tried = [(_test(series, rows, sets, [*found, c])[-1].p_value, c) for _, c in best.values()]
-        if not tried:
-            break
         p, candidate = min(tried, key=lambda x: x[0])
         if p * len(candidates) > level:
             break
@@ -129,8 +126,8 @@ def _with_intervals(
 ) -> list[Pattern]:
     """The same with how well amplitudes and shapes are known.
 
-    A few sets may carry most, and the scatter of their scores is too small: each set is left out in turn. For the
-    test the plain scatter serves, whose law is known.
+    Where few sets carry most of a pattern, the scatter of the scores is too small a measure of its error. So here each set
+    is left out in turn (jackknife); for the test the plain scatter serves, since its law is known.
     """
     if not found:
         return []
@@ -168,7 +165,7 @@ def strange_turns(series: Series, level: float) -> list[Located]:
     level : rate of false alarms over all harmonics together
     """
     rows = _usable(series)
-    if series.is_table or series.angle_deg is None or rows.sum() < 30:
+    if series.angle_deg is None or not rows.any():
         return []
     c, rate = conditions_of(series), series.rate_dps / max(float(np.max(np.abs(series.rate_dps))), 1e-9)
     sets = np.unique(series.set_index[rows], return_inverse=True)[1]
@@ -191,7 +188,7 @@ def strange_turns(series: Series, level: float) -> list[Located]:
 
 
 def _kind(candidate: _Candidate) -> tuple[str, tuple[tuple[str, float], ...]]:
-    """What is one pattern, whatever the values of its refined parameters are."""
+    """What makes two candidates the same pattern: the effect, and of its shape what is not refined."""
     if CATALOGUE[candidate.effect].search.refined:
         return candidate.effect, ()
     return candidate.effect, tuple(candidate.shape.items())
@@ -266,9 +263,7 @@ def _test(series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[
         v = covariance[own, own] * used / max(used - size, 1.0)
         dof = used - size
         t2 = float(b[own] @ np.linalg.pinv(v, rcond=1e-10, hermitian=True) @ b[own])
-        p = 1.0
-        if dof >= _SETS_A_COLUMN * size:
-            p = hotelling_p_value(t2, used, size)
+        p = hotelling_p_value(t2, used, size) if dof > 0.0 else 1.0
         found.append(
             Pattern(candidate.effect, candidate.shape, candidate.columns, b[own], v, p, max(dof, 1.0))
         )
@@ -288,9 +283,9 @@ def jackknife(y: Floats, z: Floats, sets: Ints) -> Floats:
 
 
 def _effective_sets(z: Floats, sets: Ints) -> float:
-    """Number of equal sets that would tell as much of columns as these, of which few may carry most.
+    """How many sets of equal weight would tell as much of these columns: fewer than there are, where few carry most.
 
-    What the scatter of scores is known to goes by this number (Bell and McCaffrey, Survey Methodology 28, 2002).
+    The degrees of freedom of the scatter go by this number (Bell and McCaffrey, Survey Methodology 28, 2002).
     """
     each = np.column_stack([np.bincount(sets, x * y) for x in z.T for y in z.T])
     share = each @ np.linalg.pinv(z.T @ z, rcond=1e-10, hermitian=True).ravel()
