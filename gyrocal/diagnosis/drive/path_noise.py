@@ -26,13 +26,12 @@ _WANDER_S, _WANDERING = 60.0, 0.1
 
 @dataclass(frozen=True)
 class Knots:
-    """Truth averaged over equal times, shape (k,); `seen` are the positions of its `rows`.
+    """Truth, which is known in `rows` of a log, averaged over equal times, shape (k,); `at` is the knot of each of these rows.
 
     `warmer_c` is the gyro's temperature above that of its bias, row by row, where nothing but the truth could tell its law.
     """
 
     rows: Ints
-    seen: Complexes
     at: Ints
     count: Floats
     t_s: Floats
@@ -42,10 +41,9 @@ class Knots:
 
     def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
         """Mean of a row-wise channel over each knot."""
-        seen = rows[self.rows]
-        if np.iscomplexobj(seen):
+        if np.iscomplexobj(rows):
             return np.asarray(self.mean(rows.real) + 1j * self.mean(rows.imag))
-        return np.asarray(np.bincount(self.at, seen) / self.count)
+        return np.asarray(np.bincount(self.at, rows[self.rows]) / self.count)
 
 
 def stacked(knots: Knots, positions: Complexes, headings: Floats, bias: float = 0.0) -> Floats:

@@ -23,7 +23,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     path_noise,
     stacked,
 )
-from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, laid_on, middle, reckon
+from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, middle, reckon
 from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
@@ -31,8 +31,6 @@ from gyrocal.units import DEG_TO_RAD
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
 BELIEVED = 3.8
-#: From here on the path as a whole is not asked: its distance from the truth hangs on its own noise too.
-_SURE_BY_ITSELF = 8.0
 #: What time stamps and straight steps between rows are worth: no scale is known better, relative.
 _MODEL_STD = 1e-4
 #: Knots that the truth is averaged to, as the cost grows with their cube, and how many a path is laid on at the least.
@@ -69,8 +67,6 @@ class TruthAnswer:
         Of `INTERESTS`.
     odd : mapping
         Coordinate -> p-value of structure that nothing here explains.
-    nearer : tuple of str
-        Scales that bring the whole path nearer to the truth when they alone are taken out.
     mirrored : bool
         The truth follows the path in a mirror only.
     """
@@ -79,7 +75,6 @@ class TruthAnswer:
     stds: Mapping[str, float]
     covariance: Floats
     odd: Mapping[str, float]
-    nearer: tuple[str, ...] = ()
     mirrored: bool = False
 
     def told(self, name: str) -> float:
@@ -87,8 +82,8 @@ class TruthAnswer:
         return self.values[name] / self.stds[name] if name in self.values and not self.mirrored else 0.0
 
     def believed(self, name: str) -> bool:
-        """Whether a scale is sure: far from zero for the noise, and, where not by far, no worse for the path as a whole."""
-        return abs(self.told(name)) > (BELIEVED if name in self.nearer else _SURE_BY_ITSELF)
+        """Whether a scale is sure: far from zero for the noise."""
+        return abs(self.told(name)) > BELIEVED
 
 
 def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
@@ -102,7 +97,7 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     count = np.bincount(at).astype(np.float64)
     temp = None if series.differential else temperature_c(series)
     warmer_c = None if temp is None else temp - reference_temp_c(series)
-    knots = Knots(rows, position[rows], at, count, series.t_s, position, None, warmer_c)
+    knots = Knots(rows, at, count, series.t_s, position, None, warmer_c)
     heading = None
     if np.all(np.isfinite(series.truth_heading_deg[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -364,7 +359,7 @@ def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: Ya
     mirrored = False
     miss = laid.miss_m(knots)
     if miss > _ODD * float(np.std(knots.position)):
-        other = replace(knots, seen=np.conj(knots.seen), position=np.conj(knots.position), heading=None)
+        other = replace(knots, position=np.conj(knots.position), heading=None)
         turned = _laid(other, base, bias, noise)
         plain = _laid(replace(knots, heading=None), base, bias, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
@@ -390,24 +385,15 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
     at = [names.index(n) for n in INTERESTS]
-    # A wrong bias would let any scale look like a gain: it is taken out of both paths.
-    steady = dict.fromkeys(INTERESTS, 0.0) | {n: found.get(n, 0.0) for n in ("gyro_bias", "bias_slope")}
-    apart = {
-        n: _apart(knots, _reckoned(knots, base, _State({**steady, n: found[n]}, 0.0))) for n in INTERESTS
-    }
-    seen = ("lever_ahead", "lever_left", "clock", "mounting", "bias_slope")
+    told = [
+        n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", "bias_slope") if n in found
+    ]
     return TruthAnswer(
-        {n: found[n] for n in (*INTERESTS, *seen) if n in found},
-        {n: stds[n] for n in (*INTERESTS, *seen) if n in stds},
+        {n: found[n] for n in told},
+        {n: stds[n] for n in told},
         covariance[np.ix_(at, at)],
         odd,
-        tuple(n for n in SCALES if apart[n] < apart["gyro_bias"]),
     )
-
-
-def _apart(knots: Knots, path: Reckoned) -> float:
-    """Rms distance of a path from all positions of the truth, turned and shifted onto them, m."""
-    return laid_on(path.at_m[knots.rows], knots.seen)[1]
 
 
 def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:

@@ -31,10 +31,9 @@ def _knots(path: Reckoned) -> Knots:
     rows = np.r_[0:300, 300:_ROWS:4]
     at = (path.t_s[rows] // 10.0).astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, path.at_m[rows], at, count, path.t_s, path.at_m, np.zeros(count.size), None)
+    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), None)
     return Knots(
         rows,
-        path.at_m[rows],
         at,
         count,
         knots.mean(path.t_s),
