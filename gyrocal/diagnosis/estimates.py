@@ -28,13 +28,11 @@ from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import PPM, Effect
+from gyrocal.physics.effect import MDPS, PPM, Effect
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
-#: mdeg/s in one deg/s.
-_MDPS = 1e3
 #: The best of two parameters is sought within this ratio, in turn so often.
 _NEAR, _ROUNDS = 2.0, 3
 #: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
@@ -126,10 +124,10 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     unit = effect.parameter("amplitude").unit
     found = {"amplitude": Estimate.spanning(here.amplitude, amplitude_interval(points), unit)}
     low, high = amplitude_interval([_sized(p) for p in points])
-    size = _MDPS * abs(here.amplitude) * here.unit_dps
+    size = abs(here.amplitude) * here.unit_dps / MDPS
     return LawEstimates(
         found | _shapes(effect, law.shape, intervals),
-        Estimate.spanning(size, (_MDPS * low, _MDPS * high), "mdeg/s"),
+        Estimate.spanning(size, (low / MDPS, high / MDPS), "mdeg/s"),
     )
 
 

@@ -19,14 +19,13 @@ from gyrocal.diagnosis.correction import file_without_surface
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import design_at, legendre_to_powers, passing
+from gyrocal.diagnosis.parts import SURFACE, design_at, legendre_to_powers, passing
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.additive import solve
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
 
-_TERMS = SHAPE[0] * SHAPE[1]
 #: With fewer data sets than this for each term nothing can be left out to choose by.
 _SETS_A_TERM = 2
 
@@ -37,7 +36,7 @@ def surface_alone(found: Examination) -> Coefficients:
     means = fitted.model.means
     rows = np.flatnonzero(means.is_set)
     carried = carried_terms(means.series)
-    if carried.size < _TERMS or rows.size < _SETS_A_TERM * _TERMS:
+    if carried.size < len(SURFACE) or rows.size < _SETS_A_TERM * len(SURFACE):
         return _under_noise_found(fitted)
     chosen = fit_chosen(coarsen(_data_sets(means).select(rows), MOST_DATA_SETS)[0]).fit
     return replace(

@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import Bools, Floats, Ints
-from gyrocal.diagnosis.drive.yaw import Gram, gram_of
+from gyrocal.diagnosis.drive.yaw import LEFT_OUT, Gram, gram_of
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.staircase import LeftOut, improvement
@@ -21,8 +21,6 @@ _BLOCK_S, _FOLDS = 5.0, 4
 _SCHEME = Remark(Said.LEFT_OUT_BLOCKS, {"folds": _FOLDS, "block_s": _BLOCK_S})
 #: Errors are means over about this time, s: of shorter ones ticks are the most.
 _MEAN_S = 1.0
-#: Variance of an interval that is left out, rad^2.
-_LEFT_OUT = 1.0
 
 
 def improvements(yaw: YawAnswer, effects: Sequence[str]) -> tuple[Improvement | None, dict[str, Improvement]]:
@@ -61,7 +59,7 @@ def _grams(yaw: YawAnswer) -> list[Gram]:
     columns = {n: yaw.laws[n].column for n in yaw.chosen}
     fold, model, known = _fold(yaw), yaw.model, yaw.known
     return [
-        gram_of(replace(model, left_out=np.where(fold == k, _LEFT_OUT, model.left_out)), columns).knowing(
+        gram_of(replace(model, left_out=np.where(fold == k, LEFT_OUT, model.left_out)), columns).knowing(
             known
         )
         for k in range(_FOLDS)

@@ -46,7 +46,7 @@ _LEAST_TICK_M, _STILL = 1e-6, 1e-5
 #: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
 _REST_MEAN_S = 0.1
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
-_LEFT_OUT = 1.0
+LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, _NEIGHBOURS = 5.0, 2
 #: The bias of a single log is judged by 1/f noise of at least so many times what is usual.
@@ -215,16 +215,16 @@ def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
     columns = _independent(np.column_stack([x.column for x in laws]))
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
     starting = ~frame.nodes.resting & ~frame.series.moved[frame.nodes.rows[:-1]]
-    left_out = np.where(frame.nodes.broken | starting, _LEFT_OUT, 0.0)
+    left_out = np.where(frame.nodes.broken | starting, LEFT_OUT, 0.0)
     if not frame.series.differential:
-        left_out = np.where(frame.nodes.resting, left_out, _LEFT_OUT)
+        left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
     noise, log_std = _levels(frame, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     outliers = _outliers(model, columns)
     if not outliers.size:
         return _with_usual_flicker(model)
     near = np.clip(outliers[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0, y.size - 1)
-    left_out[near.ravel()] = _LEFT_OUT
+    left_out[near.ravel()] = LEFT_OUT
     # From the start again: with the outliers the fit may have gone astray for good.
     noise, log_std = _levels(frame, y, columns, usual, left_out)
     return _with_usual_flicker(YawModel(frame, y, noise, usual, left_out, outliers, log_std))

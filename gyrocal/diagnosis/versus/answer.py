@@ -36,6 +36,8 @@ _BLOCKS, _FOLDS = 10, 5
 _NEAR = 0.02
 #: So many sets at least tell something of a law.
 _FEWEST = 5
+#: Rate at which any of the figures that are compared is said to differ where none does.
+LEVEL = 0.01
 #: Draws of the blocks for the interval of the gain.
 _DRAWS = 2000
 #: Coefficients of the surface, row-major over the orders of rate and temperature.

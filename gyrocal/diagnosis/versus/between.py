@@ -14,7 +14,7 @@ from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.series import set_means
-from gyrocal.diagnosis.versus.answer import Versus
+from gyrocal.diagnosis.versus.answer import LEVEL, Versus
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.spread import Spread, spread_between
@@ -27,8 +27,6 @@ Ints = NDArray[np.int64]
 
 SCHEMA = "gyrocal-between/1"
 
-#: Rate at which any parameter is said to differ where none does.
-_LEVEL = 0.01
 #: Rates and temperatures at which surfaces are compared, each.
 _GRID = 15
 
@@ -104,7 +102,7 @@ def between(answers: Sequence[Versus]) -> list[Between]:
                 Between(of, name, known[0].unit, tuple(estimates), spread_between(values, stds), False)
             )
     p = holm(np.array([b.spread.p_value for b in compared]))
-    judged = [replace(b, differs=bool(x < _LEVEL)) for b, x in zip(compared, p, strict=True)]
+    judged = [replace(b, differs=bool(x < LEVEL)) for b, x in zip(compared, p, strict=True)]
     return sorted(judged, key=lambda b: b.spread.p_value)
 
 
@@ -279,7 +277,7 @@ def _column(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> Floats
             return None
         stds = np.array([max(e.std, 1e-9) for e in estimates])
         all_of_them = spread_between(np.array([e.value for e in estimates]), stds) if stds.size > 1 else None
-        apart = all_of_them is not None and all_of_them.p_value < _LEVEL
+        apart = all_of_them is not None and all_of_them.p_value < LEVEL
         shape[p.name] = (
             own.parameters[p.name].value
             if apart and own is not None

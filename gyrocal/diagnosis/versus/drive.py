@@ -17,12 +17,10 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.drive.truth import SCALES
 from gyrocal.diagnosis.result import Estimate, NamedEffect
-from gyrocal.diagnosis.versus.answer import SCHEMA
+from gyrocal.diagnosis.versus.answer import LEVEL, SCHEMA
 from gyrocal.inference.multiple import holm
 from gyrocal.physics.drive import DRIVE_CATALOGUE
 
-#: Rate at which any figure is said to differ where none does.
-_LEVEL = 0.01
 #: Encoder turn over gyro turn, of which the scales are a part.
 _RATIO = "effective_track"
 
@@ -103,7 +101,7 @@ def drive_versus(real: DriveDiagnosis, simulated: DriveDiagnosis) -> DriveVersus
         p = float(2.0 * stats.norm.sf(abs(lacking.value) / lacking.std))
         compared.append((name, ours, theirs, lacking, p))
     together = holm(np.array([row[-1] for row in compared]))
-    figures = [DriveFigure(*row, bool(p < _LEVEL)) for row, p in zip(compared, together, strict=True)]
+    figures = [DriveFigure(*row, bool(p < LEVEL)) for row, p in zip(compared, together, strict=True)]
     here, there = ([e.effect for e in found.diagnosis.effects] for found in (real, simulated))
     alone = tuple(e for e in real.diagnosis.effects if e.effect not in there)
     return DriveVersus(
