@@ -238,6 +238,17 @@ def test_two_stretches_of_more_scatter_share_its_excess() -> None:
     assert place.share == pytest.approx(0.5, abs=0.1)
 
 
+def test_of_two_stretches_the_less_probable_one_is_told() -> None:
+    """Whichever comes first."""
+    series = make_sweeps(1200)
+    for strong, weak in ((slice(90, 120), slice(690, 720)), (slice(690, 720), slice(90, 120))):
+        y = np.random.default_rng(5).standard_normal(1200)
+        y[strong] *= 5.0
+        y[weak] = 0.98 * y[strong]
+        (place,) = variance_places(series, WHITE, LEVELS, y, 0.01)
+        assert place.low == pytest.approx(series.t_s[strong.start], abs=np.ptp(series.t_s) / 40.0)
+
+
 @pytest.mark.parametrize(
     ("ppm", "std_ppm", "named"), [(80.0, 2.0, True), (80.0, 30.0, False), (15.0, 0.1, False)]
 )
