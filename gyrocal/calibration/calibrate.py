@@ -14,7 +14,6 @@ import gyrocal
 from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface
 from gyrocal.calibration.choice import BIAS, PAPER, Choice, ChosenFit, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
-from gyrocal.calibration.covariance import PARTS
 from gyrocal.calibration.crossval import CrossValidation
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
 from gyrocal.calibration.figures import BeforeAfter, merit_figures
@@ -31,6 +30,7 @@ from gyrocal.calibration.residuals import (
 )
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
+from gyrocal.inference.scatter import PARTS
 from gyrocal.physics.surface import Direction
 from gyrocal.records.csvio import read_header
 from gyrocal.units import DPS_TO_DPH, plural

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from gyrocal.calibration.crossval import CrossValidation, cross_validate
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.fit import SurfaceFit, Weights, fit_surface, rms, scaled_surface
-from gyrocal.calibration.flicker import Rest
 from gyrocal.calibration.groups import left_out_groups
+from gyrocal.inference.flicker import Rest
 from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER, Direction
 from gyrocal.units import DPS_TO_DPH
 

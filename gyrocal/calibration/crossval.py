@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from gyrocal.calibration.covariance import projection
 from gyrocal.calibration.fit import SurfaceFit, Weights, gls_gain, rms
 from gyrocal.calibration.groups import left_out_groups
+from gyrocal.inference.scatter import projection
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -27,10 +27,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.calibration.flicker import Rest, RestWindows, merge_rest
 from gyrocal.calibration.moments import EMPTY, SegmentSums, sums_of_block
 from gyrocal.calibration.provenance import source_sha256
+from gyrocal.calibration.rest import RestWindows
 from gyrocal.errors import DataError, InputError
+from gyrocal.inference.flicker import Rest, merge_rest
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, Segment, SegmentRecord, read_run
 

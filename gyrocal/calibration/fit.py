@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection, times
+from gyrocal.calibration.covariance import estimate_scatter
 from gyrocal.calibration.datasets import DataSets
-from gyrocal.calibration.flicker import Rest
 from gyrocal.errors import DataError
+from gyrocal.inference.flicker import Rest
+from gyrocal.inference.scatter import Scatter, projection, times
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,6 @@ from gyrocal.calibration.checks import MOST_DATA_SETS
 from gyrocal.calibration.choice import BIAS, PAPER, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.corrected import Examined, Floats, Timeline, read_course
-from gyrocal.calibration.covariance import Scatter
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
 from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
@@ -21,6 +20,7 @@ from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.inference.scatter import Scatter
 
 #: Share done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]

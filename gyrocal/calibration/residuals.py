@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from gyrocal.calibration.covariance import Scatter, estimate_scatter, projection
+from gyrocal.calibration.covariance import estimate_scatter
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.fit import studentised_residuals
 from gyrocal.calibration.groups import STRETCHES, indicators, rate_groups, temperature_groups, time_groups
 from gyrocal.inference.multiple import holm
+from gyrocal.inference.scatter import Scatter, projection
 
 Floats = NDArray[np.float64]
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from gyrocal.calibration.course import Course, CourseSums
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.fit import gls_gain
-from gyrocal.calibration.flicker import TIME_CONSTANTS_S, flicker_correlation
 from gyrocal.calibration.jumps import jumps_of
 from gyrocal.calibration.noise import (
     NoiseFigures,
@@ -31,6 +30,7 @@ from gyrocal.calibration.warm_up import warm_up
 from gyrocal.errors import DataError, InputError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
+from gyrocal.inference.flicker import TIME_CONSTANTS_S, flicker_correlation
 from gyrocal.inference.rounding import StepCounts, mean_error, slope_error
 from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log

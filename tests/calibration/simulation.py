@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import DataSets
-from gyrocal.calibration.flicker import Rest, merge_rest, rest_of_windows
+from gyrocal.inference.flicker import Rest, merge_rest, rest_of_windows
 from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]

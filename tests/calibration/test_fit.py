@@ -20,7 +20,7 @@ from gyrocal.calibration.fit import (
     scaled_surface,
     studentised_residuals,
 )
-from gyrocal.calibration.flicker import TIME_CONSTANTS_S
+from gyrocal.inference.flicker import TIME_CONSTANTS_S
 from gyrocal.physics.surface import SHAPE, Surface
 from tests.calibration.simulation import SURFACE, Floats, quick_run, simulate
 

@@ -10,8 +10,8 @@ import pytest
 from gyrocal.calibration.covariance import estimate_scatter
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.calibration.fit import scaled_surface
-from gyrocal.calibration.flicker import Rest, flicker_correlation, merge_rest, rest_of_windows
-from gyrocal.calibration.levels import integrate
+from gyrocal.inference.flicker import Rest, flicker_correlation, merge_rest, rest_of_windows
+from gyrocal.inference.levels import integrate
 from tests.calibration.runs import Part, gyro_row, write_run
 from tests.calibration.simulation import Floats, quick_run
 

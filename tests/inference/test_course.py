@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import approx_fprime
 
-from gyrocal.inference.course import _Field, _Readings, smooth_course
+from gyrocal.inference.course import _Field, _Readings, _room, smooth_course
 
 Floats = NDArray[np.float64]
 
@@ -154,3 +154,11 @@ def test_a_few_readings_have_a_course(count: int) -> None:
     course = smooth_course(t, read, np.ones(count), 0.0)
     np.testing.assert_allclose(course.at(t)[0], read, atol=1e-3)
     assert course.covariance(t).shape == (count, count)
+
+
+def test_where_within_its_step_a_turning_course_is_known_best_where_it_came_and_left() -> None:
+    """It came up to the step, turned, and left it downwards, at a fifth of a step a second each way."""
+    t_s, run = np.arange(11.0), np.array([0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2])
+    mean, slope = (run == 1).astype(np.float64), np.where(t_s < 5.0, 0.2, -0.2)
+    room = np.sqrt(12.0) * _room(t_s, slope, mean, run, 1.0)
+    np.testing.assert_allclose(room[3:8], [0.2, 0.4, 0.6, 0.4, 0.2], rtol=1e-12)

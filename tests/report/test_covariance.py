@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal.calibration.covariance import projection
 from gyrocal.calibration.fit import fit_surface
 from gyrocal.calibration.material import residual_covariance
 from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.inference.scatter import projection
 from gyrocal.report.figures_residual import level_means
 from gyrocal.report.levels import levels
 from gyrocal.units import NORMAL_95

@@ -22,9 +22,11 @@ Node = tuple[int, ...]
 _STEP_DROP = 0.5 * 1.5**2
 #: Nodes lower than this below the highest are left out: 1 % of a normal law in three dimensions.
 _DEPTH = 5.5
+#: Nodes at the most: eleven places along each of three axes.
 _MOST_NODES = 1500
-_FIRST_STEP = 0.05
-_LONGEST_STEP = 20.0
+#: Where the step along an axis is sought: from this share of the mode, or of the scatter where the mode is nothing, to so many
+#: times the scatter, where the prior alone has fallen by as much.
+_FIRST_STEP, _LONGEST_STEP = 0.05, 20.0
 
 
 @dataclass(frozen=True)

@@ -1,41 +1,25 @@
 """1/f bias noise: its covariance over windows, and what records at rest say about its level.
 
-In a run of few temperatures the surface takes drift from one temperature to the next for a dependence on
-temperature; data sets then show flicker only within each visit, and say little about its level. Records at rest
-(static segments; soaks once the temperature is steady) show it without any of that. Each is cut into windows; a
-constant, a straight line in time and one in temperature are taken off, since they say nothing that the surface does
-not touch; what is left is rotated to independent contrasts, whose variances are ``white + flicker * gain``.
+In a run of few temperatures the surface takes drift from one temperature to the next for a dependence on temperature; data
+sets then show flicker only within each visit, and say little about its level. Records at rest show it without any of that.
+Each is cut into windows; a constant, a straight line in time and one in temperature are taken off, since they say nothing
+that the surface does not touch; what is left is rotated to independent contrasts, whose variances are ``white + flicker * gain``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from gyrocal.records.run import Segment, SegmentRecord
-
 Floats = NDArray[np.float64]
 
 #: Time constants of the Ornstein-Uhlenbeck sum, s: a decade apart they add up to 1/f within 6 %. The slowest lasts
 #: longer than a run: nobody sees it in the data, and the bias found today is off by it some days later.
 TIME_CONSTANTS_S = (2.0, 20.0, 200.0, 2000.0, 20000.0, 200000.0)
-
-#: Kinds of segment that may be records at rest.
-_KINDS = ("static", "rate", "soak")
-#: Shorter records say next to nothing about drift.
-_SHORTEST_S = 300.0
-#: Windows of a record: enough for two decades of time, few enough for dense algebra.
-_WINDOWS = 64
-_FEWEST_WINDOWS = 12
-_SHORTEST_WINDOW_S = 10.0
-#: A window must hold this share of the samples of the fullest one.
-_FULL = 0.5
-#: A soak is steady from where the temperature stays this near to where it ends, °C.
-_STEADY_C = 0.5
 
 
 def flicker_correlation(t_s: Floats, duration_s: Floats, time_constants: tuple[float, ...]) -> Floats:
@@ -126,66 +110,3 @@ def rest_of_windows(t_s: Floats, gyro_dps: Floats, temp_c: Floats, window_s: flo
     gain, vectors = linalg.eigh(free.T @ covariance @ free)
     contrast = vectors.T @ (free.T @ gyro_dps)
     return Rest(np.maximum(gain, 0.0) * window_s, contrast**2 * window_s, 1, t_s.size * window_s)
-
-
-class RestWindows:
-    """Means over windows of a segment at rest, gathered as its blocks pass by."""
-
-    def __init__(self, record: SegmentRecord) -> None:
-        span_s = record.t_end_s - record.t_start_s
-        self.wanted = (
-            record.kind in _KINDS
-            and record.outcome == "ok"
-            and record.rate_dps == 0.0
-            and span_s >= _SHORTEST_S
-        )
-        self._steady_only = record.kind == "soak"
-        self._start_s = record.t_start_s
-        self.window_s = max(_SHORTEST_WINDOW_S, span_s / _WINDOWS)
-        self._count, self._time, self._gyro = (np.zeros(_WINDOWS) for _ in range(3))
-        self._warm, self._temp = np.zeros(_WINDOWS), np.zeros(_WINDOWS)
-        self._offset_dps = 0.0
-
-    def watch(self, blocks: Iterable[Segment]) -> Iterator[Segment]:
-        """Pass blocks on, and add them up."""
-        for block in blocks:
-            if self.wanted:
-                self._add(block)
-            yield block
-
-    def _add(self, block: Segment) -> None:
-        good = block.good
-        t_s, gyro_dps, temp_c = block.t_s[good], block.gyro_dps[good], block.gyro_temp_c[good]
-        if t_s.size == 0:
-            return
-        if not self._count.any():
-            self._offset_dps = float(gyro_dps[0])
-        row = np.clip(((t_s - self._start_s) / self.window_s).astype(np.int64), 0, _WINDOWS - 1)
-        warm = np.isfinite(temp_c)
-        self._count += np.bincount(row, minlength=_WINDOWS)
-        self._time += np.bincount(row, t_s - self._start_s, minlength=_WINDOWS)
-        self._gyro += np.bincount(row, gyro_dps - self._offset_dps, minlength=_WINDOWS)
-        self._warm += np.bincount(row[warm], minlength=_WINDOWS)
-        self._temp += np.bincount(row[warm], temp_c[warm], minlength=_WINDOWS)
-
-    def of(self, blocks: Iterable[Segment]) -> Rest | None:
-        """What a whole segment says, from its blocks."""
-        for _ in self.watch(blocks):
-            pass
-        return self.rest()
-
-    def rest(self) -> Rest | None:
-        """What the segment says about flicker; None where it is short, or its temperature never steady."""
-        full = self._count >= _FULL * max(self._count.max(), 1.0)
-        if not self.wanted or full.sum() < _FEWEST_WINDOWS:
-            return None
-        with np.errstate(invalid="ignore", divide="ignore"):
-            temp_c = (self._temp / self._warm)[full]
-        t_s, gyro_dps = (v[full] / self._count[full] for v in (self._time, self._gyro))
-        if self._steady_only:
-            moving = np.flatnonzero(~(np.abs(temp_c - temp_c[-1]) <= _STEADY_C))
-            first = int(moving[-1]) + 1 if moving.size else 0
-            t_s, gyro_dps, temp_c = t_s[first:], gyro_dps[first:], temp_c[first:]
-        if t_s.size < _FEWEST_WINDOWS:
-            return None
-        return rest_of_windows(t_s, gyro_dps, temp_c, self.window_s)
