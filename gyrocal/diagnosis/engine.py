@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -116,8 +117,7 @@ def diagnose(
     written, better = _written(found, improved, surface, bool(layered or any(p.corrected for p in parts)))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)
     names = [*layered, *map(_found, findings)]
-    accounted = {a for e in names for a in CATALOGUE[e.effect].search.accounts_for}
-    more = [f for f in _sampling(series) if f.effect not in accounted]
+    findings += (more := _sampling(series, names))
     names += map(_found, more)
     left = residuals(found, series, surface)
     noise, levels, walk = _noise(series, left)
@@ -126,7 +126,7 @@ def diagnose(
     change = None if coefficients is None else surface_change(found, coefficients, improved)
     strange = strange_turns(found.series, level)
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
-    places = [f.place for f in (*findings, *more)]
+    places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
     lacking = bool(parts or strange or scatter or change) or any(e.share < 1.0 for e in names)
     return Diagnosis(
@@ -195,8 +195,11 @@ def _of_file(
     return remarks
 
 
-def _sampling(series: Series) -> list[Finding]:
-    return outlier_findings(series) + step_findings(series) + clock_findings(series)
+def _sampling(series: Series, names: Sequence[NamedEffect]) -> list[Finding]:
+    """What single samples and their times tell, but for what a named effect brings with it."""
+    accounted = {a for e in names for a in CATALOGUE[e.effect].search.accounts_for}
+    found = [*outlier_findings(series), *step_findings(series), *clock_findings(series)]
+    return [f for f in found if f.effect not in accounted]
 
 
 def _verdict(names: list[NamedEffect], lacking: bool) -> Verdict:

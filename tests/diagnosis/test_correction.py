@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis import correction as module
-from gyrocal.diagnosis.correction import correction, doubtful, mixed
+from gyrocal.diagnosis.correction import _end_state, correction, doubtful, mixed
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.layers import fit_model, full_model
+from gyrocal.diagnosis.layers import Law, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.effect import MDPS, PPM, Effect
+from gyrocal.physics.timewise import BIAS_DRIFT, SCALE_DRIFT
 from gyrocal.records.datasets import DataSetTable
 
 
@@ -61,6 +63,19 @@ def test_what_a_walk_explains_as_well_is_not_beyond_doubt(wanders: bool) -> None
     naming = SimpleNamespace(fitted=fitted, named=[], unnamed={"temperature": 30.0})
     found = cast(Examination, SimpleNamespace(candidates=(), naming=naming, model=fitted.model))
     assert doubtful(found) == (["temperature"] if wanders else [])
+
+
+@pytest.mark.parametrize(("effect", "of_scale"), [(BIAS_DRIFT, False), (SCALE_DRIFT, True)])
+def test_a_drift_is_held_where_it_ends_in_what_it_is_a_drift_of(effect: Effect, of_scale: bool) -> None:
+    rate_dps, t_s = np.tile([-50.0, 0.0, 50.0, 80.0], 10), 90.0 * np.arange(40.0)
+    table = DataSetTable(Path("t.csv"), rate_dps, rate_dps, np.linspace(20.0, 22.0, 40), t_s=t_s)
+    model = full_model(means_of(series_of_table(table)))
+    law = Law(effect.id, {}, np.zeros((40, 1)))
+    solution = cast(Any, SimpleNamespace(random={}, amplitudes={law.name: [3.0]}))
+    held = _end_state(model.with_laws(law), solution)
+    per_h, scale_dps = (PPM, 80.0) if of_scale else (MDPS, 1.0)
+    assert held[3 if of_scale else 0] == pytest.approx(3.0 * per_h * scale_dps * t_s[-1] / 3600.0)
+    assert np.count_nonzero(held) == 1
 
 
 def test_models_that_differ_are_known_no_better_than_they_differ() -> None:

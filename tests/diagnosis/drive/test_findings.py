@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import norm
 
 from gyrocal.diagnosis.drive import findings
+from gyrocal.diagnosis.drive.improved import bias_of
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer
@@ -108,3 +109,19 @@ def test_a_gyro_that_reads_far_too_little_may_be_tilted(scale: float, tilted: bo
         cast(TruthAnswer, SimpleNamespace(**vars(truth(scale, 0.0, 1e-3)), believed=lambda name: True)),
     )
     assert ("robot_tilt" in [a.effect for a in found.alternatives]) == tilted
+
+
+@pytest.mark.parametrize(
+    ("shared", "std", "expected"), [(1.0, 0.02, 0.02), (0.0, 0.02, 0.1), (1.0, 0.3, 0.1)]
+)
+def test_a_bias_is_known_as_well_as_the_truth_tells_what_it_shares_with_it(
+    shared: float, std: float, expected: float
+) -> None:
+    """A constant bias of 0.1 deg/s that is the bias in motion, or that has nothing of it, and a truth that may know less."""
+    known = SimpleNamespace(shared=0.01 * shared, std_dps=0.1)
+    found = yaw(estimate=lambda _: (0.5, 0.1), motion_bias=known)
+    told = truth(0.0, 0.0, std)
+    told.values["gyro_bias"] = 0.2  # type: ignore[index]
+    value, left = bias_of(found, told)
+    assert value == pytest.approx(0.5 + 0.2 * shared)
+    assert left == pytest.approx(expected)
