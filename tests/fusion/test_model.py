@@ -328,3 +328,16 @@ def test_a_slip_beyond_the_gate_is_the_wheels() -> None:
     (navigator, out), (_, clean) = run(replace(drive, right_m=spun)), run(drive)
     assert navigator.counts.gated >= 1
     assert abs(out.heading_deg[-1] - clean.heading_deg[-1]) < 2.0 * clean.std[-1, 6]
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 1.0])
+def test_a_bias_walks_by_the_time_and_not_by_the_rows(dt_s: float) -> None:
+    noise = replace(NOISE, bias_walk_dps_per_rt_s=0.01)
+    navigator = Navigator(RobotParameters(WIDTH, PRIOR, noise, static_s=0.0), filtering=False)
+    t_s = dt_s * np.arange(round(20.0 / dt_s) + 1)
+    variances = []
+    for part in np.split(t_s, [t_s.size // 2 + 1]):
+        steps = np.full(part.size, 0.1 * dt_s)
+        navigator.run(part, steps, steps, np.zeros(part.size))
+        variances.append(float(navigator.covariance[8, 8]))
+    assert variances[1] - variances[0] == pytest.approx(10.0 * 0.01**2, rel=1e-6)

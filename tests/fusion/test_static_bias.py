@@ -9,6 +9,7 @@ from scipy import stats
 
 from gyrocal.errors import DataError
 from gyrocal.fusion import StaticBias, static_bias
+from gyrocal.fusion.static_bias import _variance_of_mean
 
 Floats = NDArray[np.float64]
 RATE_HZ = 10.0
@@ -122,3 +123,13 @@ def test_a_sample_a_second_is_enough_and_its_standard_error_holds() -> None:
     found = [static_bias(t_s, still, still, 0.02 + 0.01 * rng.standard_normal(8), 7.0) for _ in range(400)]
     inside = [abs(b.bias_dps - 0.02) < 1.96 * b.std_error_dps for b in found]
     assert 0.90 < np.mean(inside) < 0.98
+
+
+def test_the_variance_of_a_mean_is_that_of_newey_and_west() -> None:
+    """Written out: each pair of samples with a weight that falls to nothing over a quarter of the record."""
+    x = np.cumsum(np.random.default_rng(4).standard_normal(41))
+    x -= x.mean()
+    apart = np.abs(np.subtract.outer(np.arange(41), np.arange(41)))
+    whole = float(np.sum(np.maximum(1.0 - apart / 11.0, 0.0) * np.outer(x, x)))
+    assert _variance_of_mean(x) == pytest.approx(whole / (41 - 10 - 1) / 41)
+    assert whole > x @ x
