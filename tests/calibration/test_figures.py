@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.crossval import cross_validate
 from gyrocal.calibration.datasets import DataSets
-from gyrocal.calibration.figures import BeforeAfter, Span, figures_between, merit_figures
+from gyrocal.calibration.figures import (
+    BeforeAfter,
+    Span,
+    common_span,
+    error_figures,
+    figures_between,
+    merit_figures,
+)
 from gyrocal.calibration.fit import TERMS, SurfaceFit, fit_surface
 from gyrocal.physics.surface import SHAPE
 from gyrocal.units import plural
@@ -152,3 +159,16 @@ def test_rates_in_one_order_say_nothing_of_hysteresis() -> None:
 )
 def test_one_is_and_more_are(count: int, said: str) -> None:
     assert plural(count, f"{count} [row is|rows are] left") == said
+
+
+def test_a_figure_of_few_degrees_of_freedom_has_the_interval_of_students_law() -> None:
+    """The quantile of t is 2.571 at five degrees of freedom, 1.960 without end."""
+    fit = fit_surface(data_sets(3, 1e-3), "gls")
+    span = common_span([fit.sets])
+    widths = []
+    for dof in (5.0, 1e6):
+        bias = error_figures(replace(fit, dof=np.full(fit.dof.size, dof)), "", span)["bias"]
+        assert bias.low is not None
+        assert bias.high is not None
+        widths.append(bias.high - bias.low)
+    assert widths[0] / widths[1] == pytest.approx(2.571 / 1.960, rel=0.08)
