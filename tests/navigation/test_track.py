@@ -1,0 +1,35 @@
+"""What is recorded of a drive does not hang on the blocks that it came in."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from gyrocal.navigation.track import Recorder, Track
+
+
+def recorded(innovation_deg: np.ndarray[Any, np.dtype[np.float64]], cuts: list[int]) -> Track:
+    """A track of innovations of deviation two, with nothing else in it."""
+    recorder = Recorder()
+    for part in np.split(innovation_deg, cuts):
+        nothing, rows = np.zeros(part.size), np.zeros((part.size, 9))
+        block = SimpleNamespace(
+            x_m=nothing, y_m=nothing, heading_deg=nothing, states=rows, std=rows, innovation_deg=part,
+            innovation_sigma_deg=np.full(part.size, 2.0), drift_m=nothing,
+        )  # fmt: skip
+        recorder.add(cast(Any, block), np.ones(part.size, dtype=bool))
+    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=None)
+    return recorder.track(cast(Any, None), cast(Any, navigator), None)
+
+
+@pytest.mark.parametrize("cuts", [[], [3], [2, 4, 5]])
+def test_neighbouring_innovations_are_neighbours_across_blocks(cuts: list[int]) -> None:
+    """Also over a row without a measurement."""
+    nu = np.array([2.0, -4.0, np.nan, 2.0, 6.0, 2.0, -2.0])
+    own = nu[np.isfinite(nu)]
+    track = recorded(nu, cuts)
+    assert track.lag1 == pytest.approx(own[1:] @ own[:-1] / (own @ own))
+    assert track.nis == pytest.approx(np.mean((own / 2.0) ** 2))
