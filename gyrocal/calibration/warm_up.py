@@ -10,7 +10,7 @@ from scipy import linalg, stats
 
 from gyrocal.calibration.course import Course
 from gyrocal.calibration.figure import Figure
-from gyrocal.calibration.flicker import TIME_CONSTANTS_S, flicker_correlation
+from gyrocal.inference.flicker import TIME_CONSTANTS_S, flicker_correlation
 
 Floats = NDArray[np.float64]
 

@@ -158,7 +158,7 @@ class TableSearch:
         return sorted((self._with_smooth(c, parts) for c in chosen.values()), key=lambda c: c.score)
 
     def with_law_of_rate(self, ranked: Sequence[Candidate], laws: Laws) -> list[Candidate]:
-        """The best models, each with the law of the rate that gains most beside the first.
+        """The best models, each with the law of the rate that gains most beside the first, where it is worth what it pays.
 
         Errors of each rate of the table follow a knee through every rate that was visited, and between two of them know
         nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true.
@@ -169,12 +169,13 @@ class TableSearch:
         if won is None:
             return []
         (law,) = won.fitted.model.laws[len(best.model.laws) :]
-        found = []
-        for c in best_of_each(ranked)[:BEGUN_WITH]:
+        found, nearest = [], best_of_each(ranked)[:BEGUN_WITH]
+        for c in nearest:
             fitted = won.fitted if c is ranked[0] else c.fitted.refit(c.fitted.model.with_laws(law))
             paid = TOLL_NATS + 0.5 * float(np.log(won.shapes))
             found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll + paid))
-        return found
+        # With a sine of so small a phase that the cubic does as well, neither surface nor law would be what it says.
+        return [with_law for with_law, c in zip(found, nearest, strict=True) if with_law.score < c.score]
 
     def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
         """A model beside smooth parts, which pay together what a law pays."""

@@ -62,6 +62,8 @@ class Examination:
         All of them that have no more than laws, the best first.
     smooth : tuple of Candidate
         Those beside smooth parts, the best first.
+    of_rate : tuple of Candidate
+        Those with a law of the rate, the best first.
     strays : Strays
         Data sets of a table that are off by themselves.
     """
@@ -75,6 +77,7 @@ class Examination:
     candidates: tuple[tuple[float, Candidate], ...] = ()
     ranked: tuple[Candidate, ...] = ()
     smooth: tuple[Candidate, ...] = ()
+    of_rate: tuple[Candidate, ...] = ()
     strays: Strays = NO_STRAYS
 
     @property
@@ -130,11 +133,13 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     smooth = search.beside_smooth(ranked)
     idle = [n for n in drifting if n not in settled.model.components]
     by_law = [_by_law(ranked[0], naming, idle)] if naming.named else []
-    lawful = [c for models in (ranked, plain) if models for c in search.with_law_of_rate(models, laws)]
-    both = sorted([*ranked, *smooth, *plain, *lawful, *by_law], key=lambda c: c.score)
+    of_rate = [c for models in (ranked, plain) if models for c in search.with_law_of_rate(models, laws)]
+    of_rate.sort(key=lambda c: c.score)
+    both = sorted([*ranked, *smooth, *plain, *of_rate, *by_law], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = tuple(averaged(both)) if joint or naming.named or naming.unnamed else ()
-    return Examination(series, found, best, worth, naming, laws, near, tuple(ranked), tuple(smooth), aside)
+    models = near, tuple(ranked), tuple(smooth), tuple(of_rate)
+    return Examination(series, found, best, worth, naming, laws, *models, aside)
 
 
 def _by_law(best: Candidate, naming: Naming, idle: Sequence[str]) -> Candidate:

@@ -18,7 +18,7 @@ from gyrocal.calibration.datasets import reduce_segment, reference_rate
 from gyrocal.diagnosis.history import TemperatureHistory, temperature_history
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
-from gyrocal.inference.rounding import mean_error
+from gyrocal.inference.rounding import lattice, mean_error
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.records.run import Run, Segment
 from gyrocal.units import STDS_PER_MAD
@@ -48,16 +48,10 @@ LEAST_SUPPLY_V = 0.02
 _ONE_WHITE = 0.1
 #: Samples whose interval is this near to the nominal one, as a share, are the sensor's own, not means.
 _NATIVE = 0.2
-#: An interval is a whole multiple of the usual one within this share of it; the clock is even where this share of them is; what
-#: is missing is said from this share of the samples on.
-_EVEN, _EVENLY, _FEW_MISSING = 0.2, 0.95, 1e-3
-#: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
-_LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
-#: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
-#: can be told from that rounding.
-_OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
-#: Distances up to this many times the least are one step; of less than this share of the rounding they are none.
-_ONE_STEP, _NO_STEP = 1.5, 0.1
+#: An interval is a whole multiple of the usual one within this share; a clock is even where this share of them is.
+_EVEN, _EVENLY = 0.2, 0.95
+#: Share of the samples from which on it is said that they are missing.
+_FEW_MISSING = 1e-3
 #: Stand-in for the time between data sets where a table has no time stamps.
 SURROGATE_PERIOD_S = 20.0
 
@@ -468,27 +462,6 @@ def _raw_facts(run: Run, taken: list[_Samples]) -> Raw:
         interval_ratio=ratio,
         interval_ratio_std=ratio_std,
     )
-
-
-def lattice(values: Floats) -> float | None:
-    """Step of the lattice that values lie on; None where they are as good as continuous.
-
-    The candidate is the least distance between distinct values; at least 98 % of all distances must be whole
-    multiples of it, which continuous values would not do by chance.
-    """
-    distinct = np.unique(np.round(values, 9))
-    if distinct.size < _LATTICE_VALUES or values.size < _LATTICE_SAMPLES:
-        return None
-    gaps = np.diff(distinct)
-    gaps = gaps[gaps > _NO_STEP * _ROUNDED]
-    if gaps.size < _LATTICE_VALUES - 1:
-        return None
-    small = float(np.median(gaps[gaps < _ONE_STEP * gaps.min()]))
-    multiples = gaps / small
-    off = np.abs(multiples - np.round(multiples))
-    if np.mean(off < _OFF_LATTICE + _ROUNDED / small) < _ON_LATTICE or small < _LEAST_LATTICE:
-        return None
-    return float(np.sum(gaps) / np.sum(np.round(multiples)))
 
 
 def set_means(series: Series, values: Floats) -> tuple[Ints, Floats]:

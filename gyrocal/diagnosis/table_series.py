@@ -14,11 +14,11 @@ from gyrocal.diagnosis.series import (
     SURROGATE_PERIOD_S,
     Raw,
     Series,
-    lattice,
     outliers,
     sample_notes,
 )
 from gyrocal.errors import DataError
+from gyrocal.inference.rounding import lattice
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.smooth import Frame
 from gyrocal.records.datasets import DataSetTable

@@ -14,6 +14,13 @@ from scipy import special
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
+#: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
+_LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
+#: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
+#: can be told from that rounding.
+_OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
+#: Distances up to this many times the least are one step; of less than this share of the rounding they are none.
+_ONE_STEP, _NO_STEP = 1.5, 0.1
 #: Noise in steps that is tried; above, rounding does nothing to a mean.
 _NOISES = np.geomspace(0.02, 2.0, 60)
 #: Places of a mean between two steps that are tried.
@@ -26,6 +33,27 @@ _FEW_VALUES = 64
 _SAME_TIME = 1.5
 #: Fall of the log-likelihood at a bound that holds with 95 % (half of chi-square's 90 % with one degree of freedom).
 _FALL = 1.3528
+
+
+def lattice(values: Floats) -> float | None:
+    """Step of the lattice that values lie on; None where they are as good as continuous.
+
+    The candidate is the least distance between distinct values; at least 98 % of all distances must be whole
+    multiples of it, which continuous values would not do by chance.
+    """
+    distinct = np.unique(np.round(values, 9))
+    if distinct.size < _LATTICE_VALUES or values.size < _LATTICE_SAMPLES:
+        return None
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > _NO_STEP * _ROUNDED]
+    if gaps.size < _LATTICE_VALUES - 1:
+        return None
+    small = float(np.median(gaps[gaps < _ONE_STEP * gaps.min()]))
+    multiples = gaps / small
+    off = np.abs(multiples - np.round(multiples))
+    if np.mean(off < _OFF_LATTICE + _ROUNDED / small) < _ON_LATTICE or small < _LEAST_LATTICE:
+        return None
+    return float(np.sum(gaps) / np.sum(np.round(multiples)))
 
 
 @dataclass

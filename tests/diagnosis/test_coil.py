@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.answer import named_effects
 from gyrocal.diagnosis.changes import Change, Changes
 from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, TableSearch, averaged
 from gyrocal.diagnosis.correction import correction
@@ -132,13 +133,22 @@ def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
     """Errors of each rate follow it as well where it was seen, and know nothing of the rates between."""
     found = examine(series_of_table(_knee(6, 0)), 1e-3)
     again = _knee(9, 1)
-    assert again.t_s is not None
 
     def left(candidates: tuple[tuple[float, Candidate], ...]) -> float:
         file = Compensator(correction(replace(found, candidates=candidates)))
+        assert again.t_s is not None
         return float(np.std(file.correct(again.t_s, again.gyro_dps, again.temp_c) - again.rate_dps))
 
     assert left(found.candidates) < 0.5 * left(((1.0, found.ranked[0]),))
+
+
+def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_beside_them() -> None:
+    found = examine(series_of_table(_knee(6, 1)), 1e-3)
+    assert found.naming.named == ()
+    (effect,) = named_effects(found)
+    assert effect.effect == "reference_rate_error"
+    (instead,) = effect.alternatives
+    assert (instead.effect, instead.evidence_ratio) == ("saturation", 1.0)
 
 
 def test_a_law_that_is_none_of_the_catalogue_goes_into_the_file_as_smooth_parts() -> None:

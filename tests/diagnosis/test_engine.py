@@ -23,10 +23,12 @@ from tests.diagnosis.concealed_bench import make_recording, write_run
 SHARED = Path(__file__).parents[2].parent / "shared"
 
 
-def make_table(hidden: np.ndarray | float = 0.0, seed: int = 0, sets: int = 140) -> DataSetTable:
+def make_table(
+    hidden: np.ndarray | float = 0.0, seed: int = 0, sets: int = 140, rates: int = 14
+) -> DataSetTable:
     """A table of data sets of a gyro with a surface, white noise of 0.5 mdeg/s, and something hidden."""
     rng = np.random.default_rng(seed)
-    rate = rng.permutation(np.tile(np.linspace(-100, 100, 14), sets // 14))
+    rate = rng.permutation(np.tile(np.linspace(-100, 100, rates), sets // rates))
     temp = np.repeat(np.linspace(-10, 50, 7), sets // 7) + rng.normal(0, 0.3, sets)
     c = np.zeros((4, 3))
     c[0, :2], c[1, 0], c[2, 0], c[3, 0] = (0.02, 0.1), 0.3, 0.1, -0.5

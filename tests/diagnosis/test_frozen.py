@@ -32,8 +32,10 @@ from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.score import robot_file
 
 FROZEN = Path(__file__).parent / "frozen"
-#: Another BLAS moves optima and grids' neighbours by less.
-_RELATIVE, _ABSOLUTE = 1e-4, 1e-12
+#: Another BLAS moves optima and grids' neighbours by less: levels are climbed until their slope is some thousandths of a nat.
+_RELATIVE, _ABSOLUTE = 5e-3, 1e-12
+#: Below a part of the sample noise a level is none, and where on its way to nothing the climb ends is anyone's guess.
+_NO_LEVEL_DPS = 1e-4
 #: Digits that are kept.
 _DIGITS = 9
 _SURFACE = Surface(
@@ -156,11 +158,9 @@ def differences(frozen: Any, now: Any, at: str = "") -> list[str]:
             d for k, pair in enumerate(zip(frozen, now, strict=True)) for d in differences(*pair, f"{at}/{k}")
         ]
     if isinstance(frozen, float) and isinstance(now, int | float):
-        return (
-            []
-            if now == pytest.approx(frozen, rel=_RELATIVE, abs=_ABSOLUTE)
-            else [f"{at}: {frozen} is now {now}"]
-        )
+        least = _NO_LEVEL_DPS if at.endswith("/white_std_dps") else _ABSOLUTE
+        same = now == pytest.approx(frozen, rel=_RELATIVE, abs=least)
+        return [] if same else [f"{at}: {frozen} is now {now}"]
     return [] if frozen == now else [f"{at}: {frozen!r} is now {now!r}"]
 
 

@@ -21,9 +21,9 @@ _T_S: NDArray[np.float64] = _PERIOD_S * np.arange(_SETS, dtype=np.float64)
 
 
 def rippled(seed: int) -> DataSetTable:
-    """A table with a ripple over the rate, of which the catalogue has no law."""
-    plain = make_table(seed=seed, sets=98)
-    return make_table(4e-3 * np.sin(2.0 * np.pi * plain.rate_dps / 43.0), seed=seed, sets=98)
+    """A table with a ripple over the rate, of which the catalogue has no law, at so many rates that it is no error of each."""
+    plain = make_table(seed=seed, sets=140, rates=28)
+    return make_table(4e-3 * np.sin(2.0 * np.pi * plain.rate_dps / 43.0), seed=seed, sets=140, rates=28)
 
 
 def at_rest(added_dps: NDArray[np.float64], timed: bool = True) -> DataSetTable:
