@@ -22,8 +22,13 @@ Bools = NDArray[np.bool_]
 
 #: Spacing of the comparison in motion and at rest, s: closer brings nothing, wider loses delays and small wheels.
 NODE_S, REST_NODE_S = 0.1, 1.0
-#: A row rests where no wheel moves from so long before to so long after, s: between two ticks a robot may still turn.
+#: A row rests where no wheel moves from so long before to so long after, s, at the most: between two ticks a robot may
+#: still turn.
 STILL_S = 0.6
+#: A robot that comes to rest, or leaves it, passes its last tick at no less than this, m/s^2: the wait for a tick of 0.2 mm
+#: is 0.14 s. Wheels brake and start 10 times as hard; of short stops nothing else is left (0.6 s before and after takes a
+#: stop of 2 s down to 0.8 s).
+_LEAST_BRAKING = 0.02
 #: Share of the rows whose speed must be one that a vehicle has: single rows may be of a clock that jumped.
 _FAST = 0.95
 #: What counts as motion of a wheel without ticks, m/s.
@@ -157,7 +162,7 @@ def drive_series(
     apart = float(np.sum(np.abs(right - left)))
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, log.truth_x_m, log.truth_y_m, log.truth_heading_deg,
-        _still(t_s, moving, STILL_S), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not log.speed_only and apart > 1e-4 * float(np.sum(np.abs(right))), robot,
+        _still(t_s, moving, _last_tick_s(ticks)), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not log.speed_only and apart > 1e-4 * float(np.sum(np.abs(right))), robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
 
@@ -251,6 +256,11 @@ def _moving(dt_s: Floats, wheels: tuple[Floats, Floats], ticks: tuple[float, flo
     for step, tick in zip(wheels, ticks, strict=True):
         moving |= np.abs(step) > (0.5 * tick if tick else STILL_MPS * np.maximum(dt_s, 1e-3))
     return moving
+
+
+def _last_tick_s(ticks: tuple[float, float]) -> float:
+    """How long a wheel may turn unseen before it stands, or after it has begun to move."""
+    return min(max(float(np.sqrt(2.0 * max(ticks) / _LEAST_BRAKING)), SMOOTH_S), STILL_S)
 
 
 def _still(t_s: Floats, moving: Bools, margin_s: float) -> Bools:
