@@ -41,6 +41,9 @@ _STUCK_S = 2.0
 SLOW_S = 0.2
 #: Wheels that roll less than this over a window stand.
 _STILL_M = 1e-3
+#: Wheels of a robot that turns go apart by more than this share of their way, even on a square kilometre; rounding of a speed
+#: that is written twice makes less.
+_ONE_SPEED = 1e-4
 #: The usual time step is the median of this many; as many of the longest are looked at for gaps.
 _STEPS = 10_000
 
@@ -235,8 +238,13 @@ class _Tally:
             else 0,
             self.longest_same_s,
             tuple(self.said),
-            self.speed_only,
+            self.speed_only or one_speed(left, right),
         )
+
+
+def one_speed(left_m: Floats, right_m: Floats) -> bool:
+    """Whether the distances of both sides are one vehicle's speed written twice."""
+    return float(np.sum(np.abs(right_m - left_m))) <= _ONE_SPEED * float(np.sum(np.abs(right_m)))
 
 
 def _widen(span: tuple[float, float], values: Floats) -> tuple[float, float]:

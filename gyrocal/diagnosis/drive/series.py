@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
+from scipy.signal import lfilter
 
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.navigation.survey import check_cells, check_speed
+from gyrocal.navigation.survey import check_cells, check_speed, one_speed
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
 from gyrocal.units import DEG_TO_RAD, STDS_PER_MAD
@@ -41,9 +42,10 @@ SMOOTH_S = 0.15
 _LEAST_S, _LEAST_M = 60.0, 1.0
 #: A gyro's sample this far from the median of its neighbours, in robust standard deviations and in deg/s, is a spike.
 _SPIKE_STDS, _SPIKE_DPS = 12.0, 2.0
-#: No robot turns for less than this, s. Where fewer rows than the median needs are longer, a turn looks like a spike, unless
-#: the wheels, a row either side, turn by less than this share of it.
-_SHORTEST_TURN_S, _SHARED = 0.3, 0.2
+#: No robot's turn rate changes faster, deg/s^2: a small one's by 200, a racing car's by some 1000. Within what it may change
+#: by in a row the end of a turn looks like a spike (at 10 rows a second, to a median of five, by 20 deg/s), unless the
+#: wheels, a row either side, turn by less than this share of it.
+_QUICKEST_DPS2, _SHARED = 1000.0, 0.2
 #: Multiples of a tick from which its size is told, and how far off they may lie.
 _MULTIPLES, _OFF = (3, 10, 40, 200, 1000), 0.1
 #: Share of the steps that must be few ticks, and of these share that must lie on whole ones.
@@ -107,6 +109,14 @@ class DriveSeries:
         """Heading by the gyro at the end of each row; its rows are means over the time before."""
         return np.asarray(np.cumsum(DEG_TO_RAD * self.gyro_dps * self.dt_s))
 
+    def moving(self, lag_s: float) -> Floats:
+        """How far whatever follows the motion with a lag has come, 0 at rest to 1, row by row."""
+        moving = (~self.resting).astype(np.float64)
+        if lag_s == 0.0:
+            return moving
+        keep = float(np.exp(-np.median(self.dt_s[1:]) / lag_s))
+        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], moving))
+
     @property
     def first_rest_s(self) -> float:
         """How long the log stands at its start."""
@@ -159,10 +169,9 @@ def drive_series(
     check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
     ticks = (tick_size(left), tick_size(right))
     moving = _moving(dt_s, (left, right), ticks)
-    apart = float(np.sum(np.abs(right - left)))
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, log.truth_x_m, log.truth_y_m, log.truth_heading_deg,
-        _still(t_s, moving, _last_tick_s(ticks)), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not log.speed_only and apart > 1e-4 * float(np.sum(np.abs(right))), robot,
+        _still(t_s, moving, _last_tick_s(ticks)), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not (log.speed_only or one_speed(left, right)), robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
 
@@ -200,14 +209,13 @@ def _turns(log: DriveBlock, robot: Robot, off_dps: Floats) -> Bools:
     """Where a short excursion of the gyro may be a turn of the robot."""
     dt_s = np.diff(log.t_s, prepend=log.t_s[0])
     step_s = float(np.median(dt_s[1:]))
-    if 2.0 * step_s < _SHORTEST_TURN_S:
-        return np.zeros(log.t_s.size, dtype=np.bool_)
+    possible = np.abs(off_dps) < _QUICKEST_DPS2 * step_s
     if log.speed_only:
-        return np.ones(log.t_s.size, dtype=np.bool_)
+        return np.asarray(possible)
     apart_m = np.nan_to_num(log.right_m) - np.nan_to_num(log.left_m)
     turn_dps = apart_m / robot.wheel_separation_m / np.where(dt_s > 0, dt_s, step_s) / DEG_TO_RAD
     spread_dps = maximum_filter(turn_dps, 3, mode="nearest") - minimum_filter(turn_dps, 3, mode="nearest")
-    return np.asarray(spread_dps > _SHARED * np.abs(off_dps))
+    return np.asarray(possible & (spread_dps > _SHARED * np.abs(off_dps)))
 
 
 def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[Remark]]:
