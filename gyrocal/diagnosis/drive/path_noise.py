@@ -28,6 +28,7 @@ _WANDER_S, _WANDERING = 60.0, 0.1
 class Knots:
     """Truth, which is known in `rows` of a log, averaged over equal times, shape (k,); `at` is the knot of each of these rows.
 
+    Positions, headings or both; what it lacks is None.
     `warmer_c` is the gyro's temperature above that of its bias, row by row, where nothing but the truth could tell its law.
     """
 
@@ -35,7 +36,7 @@ class Knots:
     at: Ints
     count: Floats
     t_s: Floats
-    position: Complexes
+    position: Complexes | None
     heading: Floats | None
     warmer_c: Floats | None
 
@@ -47,9 +48,8 @@ class Knots:
 
 
 def stacked(knots: Knots, positions: Complexes, headings: Floats, bias: float = 0.0) -> Floats:
-    """Positions and, where the truth has them, headings one below the other; last the bias that is known beforehand."""
-    parts = [positions.real, positions.imag, *([headings] if knots.heading is not None else [])]
-    return np.append(np.concatenate(parts), bias)
+    """Positions and headings, as far as the truth has them, one below the other; last the bias that is known beforehand."""
+    return np.append(_blocks(knots, positions, headings), bias)
 
 
 @dataclass(frozen=True)
@@ -130,18 +130,24 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias) 
     one = 1.0 / knots.count
     fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / _WANDER_S)
     zero, last = np.zeros((k, k)), np.zeros((1, 1))
-    parts = 3 if knots.heading is not None else 2
+
+    def each(of_position: Floats, of_heading: Floats) -> Floats:
+        parts = [of_position] * 2 if knots.position is not None else []
+        return np.asarray(
+            linalg.block_diag(*parts, *([of_heading] if knots.heading is not None else []), last)
+        )
+
     return PathNoise(
         turn,
         kernel,
         gyro + 1e-12 * np.eye(gyro.shape[0]),
         noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, last),
-        linalg.block_diag(*[np.diag(one)] * 2, *[zero] * (parts - 2), last),
-        linalg.block_diag(*[fade] * 2, *[zero] * (parts - 2), last),
-        linalg.block_diag(zero, zero, np.diag(one) + _WANDERING * fade, last) if parts == 3 else None,
+        each(np.diag(one), zero),
+        each(fade, zero),
+        each(zero, np.diag(one) + _WANDERING * fade) if knots.heading is not None else None,
     )
 
 
 def _blocks(knots: Knots, positions: Complexes, headings: Floats) -> Floats:
-    parts = [positions.real, positions.imag]
-    return np.vstack([*parts, headings] if knots.heading is not None else parts)
+    parts = [positions.real, positions.imag] if knots.position is not None else []
+    return np.concatenate([*parts, *([headings] if knots.heading is not None else [])])

@@ -1,4 +1,4 @@
-"""A drive against true positions and headings: scales of gyro and wheels, bias, lever arm, by generalised least squares.
+"""A drive against true positions, headings or both: scales of gyro and wheels, bias, lever arm, by generalised least squares.
 
 The error of a reckoned path is no noise of single positions: an error of the heading moves all that follows. The path
 is linearised, and its covariance is what the gyro's noise (white, 1/f, walk) and the wheels' slip make of it, beside a
@@ -23,7 +23,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     path_noise,
     stacked,
 )
-from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, middle, reckon
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
 from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
@@ -81,14 +81,18 @@ class TruthAnswer:
         """A figure in its standard deviations; 0 where the truth is mirrored or says nothing of it."""
         return self.values[name] / self.stds[name] if name in self.values and not self.mirrored else 0.0
 
+    def shows(self, name: str) -> bool:
+        """Whether it says of a scale more than was known beforehand: headings say nothing of the way."""
+        return not self.mirrored and self.stds[name] < 0.5 * _SCALE
+
     def believed(self, name: str) -> bool:
         """Whether a scale is sure: far from zero for the noise."""
         return abs(self.told(name)) > BELIEVED
 
 
 def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
-    position = series.truth_x_m + 1j * series.truth_y_m
-    rows = np.flatnonzero(np.isfinite(position))
+    position, headings = series.truth_x_m + 1j * series.truth_y_m, series.truth_heading_deg
+    rows = np.flatnonzero(np.isfinite(position if series.has_truth else headings))
     if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
         return None
     t = series.t_s[rows]
@@ -97,14 +101,15 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     count = np.bincount(at).astype(np.float64)
     temp = None if series.differential else temperature_c(series)
     warmer_c = None if temp is None else temp - reference_temp_c(series)
-    knots = Knots(rows, at, count, series.t_s, position, None, warmer_c)
+    knots = Knots(rows, at, count, series.t_s, None, None, warmer_c)
     heading = None
-    if np.all(np.isfinite(series.truth_heading_deg[rows])):
+    if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
-        apart = DEG_TO_RAD * series.truth_heading_deg - reckoned.heading_rad
+        apart = DEG_TO_RAD * headings - reckoned.heading_rad
         apart[rows] = np.unwrap(apart[rows])
         heading = knots.mean(apart)
-    return replace(knots, t_s=knots.mean(series.t_s), position=knots.mean(position), heading=heading)
+    where = knots.mean(position) if series.has_truth else None
+    return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
 
 
 @dataclass(frozen=True)
@@ -146,12 +151,8 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
 
     nothing = np.zeros(at.size)
     columns = {
-        "east": stacked(knots, one, flat),
-        "north": stacked(knots, 1j * one, flat),
         "turn": by(np.ones(at.size), nothing),
         "clock": stacked(knots, -knots.mean(speed), -knots.mean(rate)),
-        "lever_ahead": stacked(knots, knots.mean(ahead), flat),
-        "lever_left": stacked(knots, knots.mean(1j * ahead), flat),
         "gyro_bias": by(-DEG_TO_RAD * (path.t_s - path.t_s[0]), nothing)
         + stacked(knots, 0.0 * one, flat, 1.0),
         "gyro_scale": by(-(heading - heading[0]), nothing),
@@ -159,8 +160,15 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     }
     if knots.warmer_c is not None:
         columns["bias_slope"] = by(-DEG_TO_RAD * np.cumsum(knots.warmer_c * path.dt_s), nothing)
-    if knots.heading is not None:
-        columns["mounting"] = stacked(knots, np.zeros(k, dtype=np.complex128), np.ones(k))
+    if knots.position is not None:
+        columns |= {
+            "east": stacked(knots, one, flat),
+            "north": stacked(knots, 1j * one, flat),
+            "lever_ahead": stacked(knots, knots.mean(ahead), flat),
+            "lever_left": stacked(knots, knots.mean(1j * ahead), flat),
+        }
+        if knots.heading is not None:
+            columns["mounting"] = stacked(knots, 0.0 * one, np.ones(k))
     return columns
 
 
@@ -177,7 +185,7 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         "time": [(turned * share, nothing), (nothing, path.way_m * share)],
         "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
     }
-    return {
+    found = {
         name: np.stack(
             [
                 stacked(knots, knots.mean(path.moved_by(np.cumsum(turn), way)), knots.mean(np.cumsum(turn)))
@@ -187,6 +195,9 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         )
         for name, parts in errors.items()
     }
+    # What moves positions alone is not seen in headings alone.
+    seen = {name: block[:, np.any(block != 0.0, axis=0)] for name, block in found.items()}
+    return {name: block for name, block in seen.items() if block.size}
 
 
 @dataclass(frozen=True)
@@ -244,7 +255,8 @@ class _Problem:
 
 def _problem(knots: Knots, base: Reckoned, state: _State, bias: MotionBias, noise: YawNoise) -> _Problem:
     path = _reckoned(knots, base, state)
-    apart = knots.position - knots.mean(path.at_m)
+    at = knots.mean(path.at_m)
+    apart = at if knots.position is None else knots.position - at
     headings = np.zeros(knots.count.size)
     if knots.heading is not None:
         headings = knots.heading - knots.mean(path.heading_rad - base.heading_rad)
@@ -282,7 +294,7 @@ def _levels(problem: _Problem, first: Floats) -> Floats:
 
 def _first_levels(knots: Knots) -> Floats:
     """Levels from neighbouring knots: a path is smooth, noise is not."""
-    if knots.count.size > 4:
+    if knots.position is not None and knots.count.size > 4:
         second = knots.position[2:] - 2 * knots.position[1:-1] + knots.position[:-2]
         # The median of two squared normals is 1.386 of one's variance; a second difference has six times the variance.
         white = float(np.median(np.abs(second) ** 2) / 1.386 / 6.0 * np.median(knots.count))
@@ -323,9 +335,8 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
     for horizon in _HORIZONS:
         near = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
         if horizon == _HORIZONS[0]:
-            a, b = at[near] - at[near].mean(), knots.position[near] - knots.position[near].mean()
-            state = replace(state, turn=float(np.angle(np.vdot(a, b))))
-        keep = np.concatenate([np.tile(near, 3 if knots.heading is not None else 2), [True]])
+            state = replace(state, turn=_first_turn(knots, at, near))
+        keep = stacked(knots, near + 1j * near, near, 1.0) != 0.0
         last = horizon == _HORIZONS[-1]
         for round_ in range(4 if last else 2):
             problem = _problem(knots, base, state, bias, noise)
@@ -341,6 +352,14 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
     return _Laid(state, _problem(knots, base, state, bias, noise), logs, loss)
 
 
+def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
+    """Direction of the frame by the first part of a drive."""
+    if knots.position is None:
+        return 0.0 if knots.heading is None else float(np.mean(knots.heading[near]))
+    a, b = at[near] - at[near].mean(), knots.position[near] - knots.position[near].mean()
+    return float(np.angle(np.vdot(a, b)))
+
+
 def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: YawNoise) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
@@ -353,7 +372,11 @@ def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: Ya
     """
     base = reckon(series, figures)
     knots = _knots(series, base)
-    if knots is None or np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
+    if knots is None:
+        return None
+    if knots.position is None:
+        return _answer(knots, base, _laid(knots, base, bias, noise))
+    if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     laid = _laid(knots, base, bias, noise)
     mirrored = False
