@@ -62,6 +62,7 @@ class Said(Enum):
     SAMPLES_OF_ROWS = auto()
     TURNS_INWARD = auto()
     BIAS_IN_MOTION = auto()
+    BIAS_WHILE_MOVING = auto()
     BIAS_NO_REST = auto()
     TRACK_MIXED_UP = auto()
 

@@ -25,15 +25,19 @@ from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 # B_rb, B_s, 1/(1 + S_R), 1/(1 + S_L), D.
 X, Y, PSI, PHI, BIAS, SCALE, RIGHT, LEFT, WIDTH = range(9)
 # Memory: last speed and rate, running median of the time step, the last row, steps without encoders, the last
-# temperature, whether the robot has moved.
-SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND, LAST_TEMP, MOVED = range(9, 18)
-MEMORY_SIZE = 18
+# temperature, whether the robot has moved; how far what follows its motion has come, 0 to 1; how long its wheels have stood.
+SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND, LAST_TEMP, MOVED, MOVING, STOOD = range(9, 20)
+MEMORY_SIZE = 20
 
 # Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
-# bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved; the constants D,
-# 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
-SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, SLOPE, TEMP, STEP = range(11)
-FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(11, 15)
+# bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved, and while it moves, with
+# a lag, s; the constants D, 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
+SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, SLOPE, TEMP, STEP, SHAKEN, SHAKEN_LAG = (
+    range(13)
+)
+FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(13, 17)
+#: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
+STILL_S = 0.6
 #: A wheel that goes further in a row moves, m: above the rounding of a log in metres, below any tick.
 MOVED_M = 1e-6
 
@@ -108,15 +112,18 @@ def usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: f
 
 
 @part
-def rate_of(nav: Any, figures: Any, gyro: float, temp: float, left: float, right: float) -> Any:
+def rate_of(nav: Any, figures: Any, dt: float, gyro: float, temp: float, left: float, right: float) -> Any:
     """The gyro's rate in rad/s without the bias that the robot file knows."""
     if math.isfinite(temp):
         nav[LAST_TEMP] = temp
+    nav[STOOD] += dt
     if abs(left) > MOVED_M or abs(right) > MOVED_M:
-        nav[MOVED] = 1.0
-    known = (
-        figures[STATIC_BIAS] + figures[SLOPE] * (nav[LAST_TEMP] - figures[TEMP]) + figures[STEP] * nav[MOVED]
-    )
+        nav[MOVED], nav[STOOD] = 1.0, 0.0
+    moving = nav[MOVED] if nav[STOOD] < STILL_S else 0.0
+    lag = figures[SHAKEN_LAG]
+    nav[MOVING] = moving + (nav[MOVING] - moving) * math.exp(-dt / lag) if lag > 0.0 else moving
+    known = figures[STATIC_BIAS] + figures[SLOPE] * (nav[LAST_TEMP] - figures[TEMP])
+    known += figures[STEP] * nav[MOVED] + figures[SHAKEN] * nav[MOVING]
     return (gyro - known) * DEG_TO_RAD
 
 
@@ -306,7 +313,7 @@ def _take(
     """One row, and what is reported of it."""
     some, encoders, good = usable(nav, figures, counts, dt, left, right, gyro)
     if some:
-        rate = rate_of(nav, figures, gyro, temp, left, right)
+        rate = rate_of(nav, figures, dt, gyro, temp, left, right)
         _advance(nav, m, figures, dt, left, right, rate, encoders, good, filtering)
     for c in range(STD, COLUMNS):
         out[k, c] = math.nan

@@ -21,7 +21,7 @@ import numpy as np
 # isort: off
 from gyrocal.fusion.filter import (
     BIAS, BIAS_WALK, BLIND, DRIFT, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
-    NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
+    NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STILL_S, STOOD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
     MEMORY_SIZE as PAPER_SIZE, part, rate_of, usable, whole,
 )  # fmt: skip
 
@@ -30,8 +30,6 @@ from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
-#: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
-STILL_S = 0.6
 #: Spacing of the nodes at rest, s: a bias by a shorter one is mostly noise, and turns the whole way before it. Wheels
 #: that move before a node is full take it back: the robot may have turned before they did.
 REST_NODE_S = 1.0
@@ -53,12 +51,13 @@ HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C = range(AHEAD + 14, AHEAD + 18)
 MEMORY_SIZE = AHEAD + 18
 
 # Figures after those of `filter`: spacing of the nodes, s; variance of the tick error, rad^2; of the clocks, s^2; of each
-# part of the flicker, (rad/s)^2; of the wander; of the bias step, (rad/s)^2; of its slope, (rad/s/deg C)^2; of the
-# scales of the gyro and of both wheels, which no heading difference shows; law of slip, amplitude, shape.
+# part of the flicker, (rad/s)^2; of the wander; of the bias step and of that while moving, (rad/s)^2; of its slope,
+# (rad/s/deg C)^2; of the scales of the gyro and of both wheels, which no heading difference shows; law of slip,
+# amplitude, shape.
 (
-    SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE, WAY_VARIANCE, LAW,
-    AMPLITUDE, SHAPE,
-) = range(15, 27)  # fmt: skip
+    SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, SHAKEN_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE,
+    WAY_VARIANCE, LAW, AMPLITUDE, SHAPE,
+) = range(17, 30)  # fmt: skip
 
 # Rows of the matrix: the covariance, then scratch.
 _GAIN, _V = _N, _N + 1
@@ -334,14 +333,17 @@ def _take(
     smooth: float, out: Any, k: int, filtering: bool,
 ) -> None:  # fmt: skip
     """One row, the node that ends with it, and what is reported."""
-    moved = nav[MOVED]
+    moved, stood = nav[MOVED], nav[STOOD] >= STILL_S
     some, encoders, good = usable(nav, figures, counts, dt, left, right, gyro)
     out[k, NU] = out[k, NU + 1] = math.nan
     if some:
         nu = expected = 0.0
-        rate = rate_of(nav, figures, gyro, temp, left, right)
-        if nav[MOVED] > moved:
-            p[BIAS, BIAS] += figures[STEP_VARIANCE]
+        rate = rate_of(nav, figures, dt, gyro, temp, left, right)
+        # A rest tells the bias without what motion adds to it.
+        p[BIAS, BIAS] += figures[STEP_VARIANCE] if nav[MOVED] > moved else 0.0
+        p[BIAS, BIAS] += (
+            figures[SHAKEN_VARIANCE] if nav[MOVED] > moved or (stood and nav[STOOD] == 0.0) else 0.0
+        )
         _warm(nav, p, figures)
         if _resting(nav) and _moves(left, right):
             nu, expected = _node(nav, p, figures, counts, False, filtering)

@@ -286,12 +286,21 @@ def _figures(
     raw = 0.0 if calibrated else 1.0
     bias = static_bias_dps if static_bias_dps is not None else raw * gyro.bias_dps
     temp = gyro.temp_c if static_temp_c is None else static_temp_c
-    known = [robot.gap_factor, bias, raw * gyro.bias_slope_dps_per_c, temp, gyro.bias_motion_dps]
+    known = [
+        robot.gap_factor,
+        bias,
+        raw * gyro.bias_slope_dps_per_c,
+        temp,
+        gyro.bias_motion_dps,
+        gyro.bias_moving_dps,
+        gyro.bias_moving_s,
+    ]
     scales = [1.0 / (1.0 + s) for s in (wheels.right_scale, wheels.left_scale, raw * gyro.scale)]
     # A tick is rounded evenly, on both wheels.
     ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
     slope = raw * gyro.bias_slope_dps_per_c_std * DEG_TO_RAD
-    spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, gyro.bias_motion_dps_std * DEG_TO_RAD]
+    steps = [gyro.bias_motion_dps_std * DEG_TO_RAD, gyro.bias_moving_dps_std * DEG_TO_RAD]
+    spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, *steps]
     spreads += [slope, raw * robot.gyro_scale_std, robot.way_std]
     model = [max(NODE_S, wheels.window_s), ticks, noise.jitter_s**2, *(v * v for v in spreads)]
     law = [float(SLIP_LAWS.index(slip.law)), slip.amplitude, slip.shape]

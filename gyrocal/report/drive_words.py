@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
+from gyrocal.diagnosis.drive.findings import undecided
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS
@@ -47,6 +48,12 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
             lines.append(
                 f"Unexplained {what} remains over {where}: {region_words(place)} (p = {place.p_value:.1g})"
             )
+    if undecided(found.yaw, diagnosis.effects):
+        percent = 100.0 * found.yaw.estimate("track")[0]
+        lines.append(
+            f"By the encoders the robot turns {percent:+.3g} % against the gyro: the wheel separation, both wheels' scale or the "
+            "gyro's may be off by that, which this log cannot tell apart"
+        )
     if not found.series.differential:
         lines.append(
             "The log has one speed for both wheels: rests tell the gyro's bias and true positions its scale and that of "

@@ -122,6 +122,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.TURNS_INWARD: "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer "
     "together than the robot file says.",
     Said.BIAS_IN_MOTION: "In motion the gyro's bias is another than at the rest at the start.",
+    Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias is another than while it stands, as that of a gyro that is shaken.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
     Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "
     "for a track.",

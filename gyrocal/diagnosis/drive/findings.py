@@ -10,7 +10,7 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import KINDS, PER_SI
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
+from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -31,7 +31,7 @@ from gyrocal.physics.drive import (
     WHEEL_ECCENTRICITY,
 )
 from gyrocal.physics.lacking import Lack, Reason, Why
-from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG
+from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95, RAD_TO_DEG
 
 #: Evidence against a rival beyond which it is no rival.
 _OUT = 20.0
@@ -50,6 +50,9 @@ _HALF_A_ROW = 0.2
 _NOISY = 4.0
 #: A ratio of turns is the track's unless another cause is likelier by more than this (3 to 1): of the three it is known least.
 _LIKELIER = 2.0 * float(np.log(3.0))
+#: Wheels and gyros are seldom off by so much, tracks have been by 130 %: a smaller ratio of turns that the truth
+#: leaves open is given no name, for it may be any of the three.
+_ANY_SCALE = 0.05
 #: Scales that make the same ratio of encoder turn to gyro turn.
 _RATIO = frozenset({SKID_SLIP.id, *SCALES})
 
@@ -112,6 +115,9 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         slipping = any(n.startswith("slip_") for n in yaw.named)
         if slipping or against["track"] <= against[best] + _LIKELIER:
             best = "track"
+        rivals = [n for n in against if n != best and against[n] < against[best] + 2.0 * np.log(_OUT)]
+        if rivals and not slipping and abs(np.log1p(c)) < _ANY_SCALE:
+            return found
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
         found[best] = Scale(value, std)
     return found
@@ -335,10 +341,22 @@ def places(
         for coordinate, p in truth.odd.items():
             if p < STRANGER_P:
                 odd[coordinate] = min(p, odd.get(coordinate, 1.0))
+    ratio, granted = (
+        yaw.estimate("track")[0] if "track" in yaw.chosen else 0.0,
+        known_before(series)["track"][1],
+    )
+    if undecided(yaw, effects) and abs(ratio) > NORMAL_95 * granted:
+        # A ratio of turns that is no name's, and more than the robot file grants.
+        odd["turn_rate"] = min(float(stats.chi2.sf(yaw.named["track"], 1)), odd.get("turn_rate", 1.0))
     if any(e.effect == ROBOT_TILT.id for e in effects):
         odd.pop("heading", None)
     left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
     return [*found.values(), *left, *_noisy(series, yaw)]
+
+
+def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:
+    """Whether encoders and gyro turn by a ratio of which the log does not say whose it is."""
+    return "track" in yaw.named and _RATIO.isdisjoint(e.effect for e in effects)
 
 
 def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
@@ -398,9 +416,8 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
     if not series.differential:
         for effect in (SKID_SLIP, WHEEL_ASYMMETRY, WHEEL_ECCENTRICITY, GYRO_DELAY):
             reasons[effect.id] = Lack(Why.ONE_SPEED)
-    usable = truth is not None and not truth.mirrored
     for name, like in zip(SCALES, (Why.LIKE_SEPARATION, Why.LIKE_WAY), strict=True):
-        if not usable or truth is None:
+        if truth is None or not truth.shows(name):
             reasons[name] = Lack(like)
         elif truth.stds[name] > _KNOWN:
             reasons[name] = Lack(Why.POOR_TRUTH, {"percent": 100.0 * truth.stds[name]})

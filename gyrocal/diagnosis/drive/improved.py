@@ -79,16 +79,24 @@ def figures_of(
         return parts[name].value if name in parts else 0.0
 
     half = 0.5 * value("asymmetry")
+    moving = _moving(yaw)
     return Figures(
         bias_dps=bias_of(yaw, truth)[0],
         temp_c=reference_temp_c(series),
         bias_motion_dps=value("step"),
+        bias_moving_dps=value(moving) if moving else 0.0,
+        bias_moving_s=KINDS[moving].lag_s if moving else 0.0,
         bias_slope_dps_per_c=value("slope") + scale("bias_slope"),
         gyro_scale=scale("gyro_scale"),
         left_scale=(1 + scale("wheel_scale")) * (1 - half) - 1,
         right_scale=(1 + scale("wheel_scale")) * (1 + half) - 1,
         delay_s=value("delay"),
     )
+
+
+def _moving(yaw: YawAnswer) -> str:
+    """The law of the bias that follows the motion; empty where none is named."""
+    return next((n for n in yaw.named if n.startswith("moving_")), "")
 
 
 def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
@@ -163,7 +171,7 @@ def _of_gyro(
             told = (*bias_of(yaw, truth), False)
         elif name == "slope" and "bias_slope" in parts:
             told = (parts["bias_slope"].value, parts["bias_slope"].std, True)
-        elif kind.figure and name in yaw.laws:
+        elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
             told = (*_estimate(yaw, name), name in yaw.named)
         if told is not None:
             value, std, named = told
@@ -171,13 +179,19 @@ def _of_gyro(
             found.append(DriveEstimate(kind.shown, value, std, kind.unit, metres, "gyro", named))
     for name in SCALES:
         scale = parts.get(name)
-        if scale is None and truth is not None and not truth.mirrored:
+        if scale is None and truth is not None and truth.shows(name):
             scale = Scale(truth.values[name], truth.stds[name])
         if scale is not None:
             metres = cost_m(series, figures, name, scale.value)
             percent = (100 * scale.value, 100 * scale.std, "%")
             found.append(DriveEstimate(name, *percent, metres, "gyro", name in parts))
     return found
+
+
+def _spokesman(yaw: YawAnswer, group: str) -> str:
+    """Of laws that stand for each other the one that is told: the one that is named, or the first."""
+    found = [n for n in yaw.laws if (KINDS[n].group or n) == group]
+    return next((n for n in found if n in yaw.named), found[0])
 
 
 def _estimate(yaw: YawAnswer, name: str) -> tuple[float, float]:
@@ -219,13 +233,17 @@ def improved_robot(
 
     The bias is written wherever no rest takes it off, as far as it foretells that of the next drive; a law from its
     gain on, a scale from where the truth is sure.
-    Left-out parts of the drive are no judge here: a step of the bias lives in a single rest.
+    Left-out parts of the drive are no judge here: a step of the bias lives in a single rest. But a law that changes within
+    the drive has the name of something else, and the next drive has none of it.
     """
+    lasting = [n for n in yaw.named if n not in yaw.uneven]
     keys: dict[str, Any] = {}
     if series.robot.static_s == 0:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
-    for law in (n for n in yaw.named if KINDS[n].figure):
+    for law in (n for n in lasting if KINDS[n].figure):
         keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = yaw.estimate(law)
+    if moving := _moving(yaw):
+        keys["gyro.bias_moving_s"] = KINDS[moving].lag_s
     if "bias_slope" in parts:
         slope = parts["bias_slope"]
         keys["gyro.bias_slope_dps_per_c"], keys["gyro.bias_slope_dps_per_c_std"] = slope.value, slope.std
@@ -237,7 +255,8 @@ def improved_robot(
         keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
     keys |= _slip_keys(yaw)
     # A slope stays where it is.
-    earned = bool(keys) or bool(set(parts) - {ROBOT_TILT.id}) or "asymmetry" in yaw.named
+    wheels = {"asymmetry"} if ROBOT_TILT.id in parts else {"track", "asymmetry"}
+    earned = bool(keys) or bool(set(parts) - {ROBOT_TILT.id}) or not wheels.isdisjoint(lasting)
     if not earned:
         return None
     if series.differential:

@@ -6,7 +6,7 @@ A further law is a row of `KINDS` and its column in `candidate_laws`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,11 @@ PER_SI = {"%": 1e2, "ppm": 1e6, "mdeg/s": 1e3, "mdeg/s per degC": 1e3, "s": 1.0}
 _SMALL = 1e-3
 #: Curvatures of half saturation that are tried.
 HALF_CURVATURES = (0.1, 0.3, 1.0)
+#: Lags with which a bias that comes with the motion is tried to follow it, s: at once, or as what was shaken or loaded settles.
+MOVING_LAGS_S = (0.0, 1.0)
 #: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
-#: A bias at rest of its own is looked for where the log begins with a rest this long, s.
+#: A bias at rest of its own is looked for where the log begins with a rest this long, or has as much of it later, s.
 _LEAST_REST_S = 5.0
 #: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
 _TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE = 10.0, 0.1
@@ -57,8 +59,8 @@ class Kind:
         Of the gyro: its field of `Figures`, which is its key below ``gyro`` in the robot file too, and the unit of both.
     group : str
         Laws of one group stand for each other: only one of them is taken.
-    by_floor : bool
-        One log cannot measure the 1/f noise of the bias: it is judged by no less than what is usual.
+    lag_s : float
+        By which it follows the motion.
     said, said_below_zero : Said, optional
         What is said where it is named, whatever its size or below zero.
     """
@@ -67,19 +69,21 @@ class Kind:
     figure: str = ""
     unit: str = ""
     group: str = ""
-    by_floor: bool = False
+    lag_s: float = 0.0
     said: Said | None = None
     said_below_zero: Said | None = None
 
 
+_SHAKEN = Kind("gyro_bias_while_moving", "bias_moving_dps", "deg/s", "motion", said=Said.BIAS_WHILE_MOVING)
 _SLIP = Kind(SKID_SLIP.id, group="slip", said_below_zero=Said.TURNS_INWARD)
 #: Every law by its name in a fit.
 KINDS: Mapping[str, Kind] = {
     "bias": Kind(GYRO_BIAS.id, "bias_dps", "deg/s"),
     "track": Kind("effective_track", said_below_zero=Said.TURNS_INWARD),
     "asymmetry": Kind(WHEEL_ASYMMETRY.id),
-    "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", by_floor=True, said=Said.BIAS_IN_MOTION),
-    "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC", by_floor=True),
+    "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", "motion", said=Said.BIAS_IN_MOTION),
+    **{f"moving_{lag:g}": replace(_SHAKEN, lag_s=lag) for lag in MOVING_LAGS_S},
+    "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC"),
     "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
     "slip_turn_rate": _SLIP,
     "slip_curvature": _SLIP,
@@ -209,6 +213,10 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
     series, found = frame.series, {}
     if series.first_rest_s >= _LEAST_REST_S:
         found["step"] = law(frame, GYRO_BIAS, where=series.moved.astype(np.float64))
+    # Without a later rest it is the step.
+    if float(np.sum(series.dt_s[series.resting & series.moved])) >= _LEAST_REST_S:
+        for lag_s in MOVING_LAGS_S:
+            found[f"moving_{lag_s:g}"] = law(frame, GYRO_BIAS, where=series.moving(lag_s))
     temp = frame.conditions.temp_c
     if temp is not None:
         slope = law(frame, BIAS_TEMPERATURE)

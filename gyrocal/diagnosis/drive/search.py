@@ -21,14 +21,14 @@ from gyrocal.diagnosis.drive.laws import (
     wheel_laws,
 )
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
-from gyrocal.diagnosis.drive.yaw import Gram, YawModel, gram_of, yaw_model
+from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
 #: Twice the log likelihood that a law must gain to be named, and a search over many radii; a second law also this
 #: share of the first. Measured on fresh drives without any effect: README, "Diagnosis of drives".
-GAIN, WHEEL_GAIN, SECOND = 20.0, 38.0, 0.02
+GAIN, WHEEL_GAIN, SECOND = 15.0, 38.0, 0.02
 #: Chance at which columns of no name are located where there is nothing.
 STRANGER_P = 1e-5
 #: Reach and grid of the search for a delay, s; the fit finds it closer.
@@ -85,6 +85,7 @@ class YawAnswer:
     odd : coordinates located by them
     ahead_s, window_s : delay and window of the encoders that were taken out before the fit
     known : what was known of coefficients beforehand: mean and standard deviation of each
+    uneven : named laws that change between the parts of the drive: the next drive has others
     """
 
     model: YawModel
@@ -99,6 +100,7 @@ class YawAnswer:
     window_s: float
     gram: Gram
     known: Mapping[str, tuple[float, float]]
+    uneven: frozenset[str]
 
     def estimate(self, name: str) -> tuple[float, float]:
         """Value and standard deviation of a law's coefficient, SI; a delay with what was taken out before."""
@@ -113,7 +115,7 @@ class YawAnswer:
     @property
     def motion_bias(self) -> MotionBias:
         """The bias in motion, constant and step together, as the heading difference knows it."""
-        parts = [self.chosen.index(n) for n in ("bias", "step") if n in self.chosen]
+        parts = [k for k, n in enumerate(self.chosen) if n == "bias" or KINDS[n].group == "motion"]
         shared = self.covariance[parts].sum(axis=0)
         columns = np.column_stack([self.laws[n].column for n in self.chosen])
         weight = self.model.given(columns).inverse() @ shared
@@ -180,36 +182,37 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     columns = {name: x.column for name, x in everything.items()}
     columns |= {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
     known = known_before(series)
-    free = tuple(gram_of(model, columns, flicker_floor=floor) for floor in (False, True))
-    grams = tuple(gram.knowing(known) for gram in free)
+    free = evidence(model, columns)
+    told = free.knowing(known)
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
-    late = _delay_gain(grams[0], least, ahead_s)
-    chosen = _selected(grams, least, list(laws), late)
-    if (wider := _widened(series, known, free[0], chosen)) != known:
-        known, grams = wider, tuple(gram.knowing(wider) for gram in free)
-        chosen = _selected(grams, least, list(laws), late)
+    late = _delay_gain(told.own, least, ahead_s)
+    chosen = _selected(told, least, list(laws), late)
+    if (wider := _widened(series, known, free.own, chosen)) != known:
+        known, told = wider, free.knowing(wider)
+        chosen = _selected(told, least, list(laws), late)
     wheels = _wheels(frame, model, everything, chosen, known)
     if wheels:
         everything |= wheels
         columns |= {name: x.column for name, x in wheels.items()}
-        free = tuple(gram_of(model, columns, flicker_floor=floor) for floor in (False, True))
-        grams = tuple(gram.knowing(known) for gram in free)
+        free = evidence(model, columns)
+        told = free.knowing(known)
         first = [*(n for n in chosen if n in constant or (n == "delay" and ahead_s)), *wheels]
-        chosen = _selected(grams, first, list(laws), late)
+        chosen = _selected(told, first, list(laws), late)
     odd = {}
     for coordinate, block in blocks.items():
         names = [f"{coordinate}:{k}" for k in range(block.shape[1])]
         # Against laws that are free: a robot file that grants too little of them is no structure without a name.
-        gain = free[0].added(chosen, names)
+        gain = free.added(chosen, names)
         odd[coordinate] = (gain, len(names), float(stats.chi2.sf(gain, len(names))))
     located = tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P)
     beside = [n for n in columns if n.split(":")[0] in located and ":" in n]
-    named = _named(grams, chosen, beside, ahead_s)
+    named = _named(told, chosen, beside, ahead_s)
     chosen = [n for n in chosen if n in constant or n == "delay" or n in named or _pair_of(n) in named]
-    values, covariance = grams[0].solve(chosen)
+    values, covariance = told.own.solve(chosen)
     uneven = _uneven(model, everything, chosen, named)
-    if uneven[2] < STRANGER_P:
-        odd["time"], located = uneven, tuple(dict.fromkeys([*located, "time"]))
+    if uneven:
+        odd["time"] = min(uneven.values(), key=lambda one: one[2])
+        located = tuple(dict.fromkeys([*located, "time"]))
     return YawAnswer(
         model,
         everything,
@@ -221,8 +224,9 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         located,
         ahead_s,
         window_s,
-        grams[0],
+        told.own,
         known,
+        frozenset(uneven),
     )
 
 
@@ -242,17 +246,20 @@ def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
 def _widened(
     series: DriveSeries, known: Mapping[str, tuple[float, float]], free: Gram, chosen: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
-    """What is known beforehand, with a bias as large as the drive makes likeliest where no robot file limits it.
+    """What is known beforehand, each as far off as the drive makes likeliest where that is more than was granted.
 
-    Held to what is usual, a bias that is larger would become wheels that differ.
+    Held to what is granted, a bias that is larger would become wheels that differ, and wheels that differ more a bias. What a
+    robot file itself says of the bias holds.
     """
-    if "bias" not in known or "initial_std.gyro_bias_dps" in series.robot.given:
-        return dict(known)
-    mean, std = known["bias"]
-    values, covariance = free.knowing({n: k for n, k in known.items() if n != "bias"}).solve(chosen)
-    at = list(chosen).index("bias")
-    likeliest = (values[at] - mean) ** 2 - covariance[at, at]
-    return {**known, "bias": (mean, float(np.sqrt(max(likeliest, std**2))))}
+    found = dict(known)
+    for name, (mean, std) in known.items():
+        if name not in chosen or (name == "bias" and "initial_std.gyro_bias_dps" in series.robot.given):
+            continue
+        values, covariance = free.knowing({n: k for n, k in known.items() if n != name}).solve(chosen)
+        at = list(chosen).index(name)
+        likeliest = (values[at] - mean) ** 2 - covariance[at, at]
+        found[name] = (mean, float(np.sqrt(max(likeliest, std**2))))
+    return found
 
 
 def _rough_bias_dps(series: DriveSeries) -> float:
@@ -273,9 +280,8 @@ def _pair_of(name: str) -> str:
     return "wheel_cos" if name == "wheel_sin" else name
 
 
-def _gain(grams: Sequence[Gram], chosen: Sequence[str], name: str) -> float:
-    gram = grams[1] if KINDS[name].by_floor else grams[0]
-    return gram.added([n for n in chosen if n != name], [name])
+def _gain(told: Evidence, chosen: Sequence[str], name: str) -> float:
+    return told.added([n for n in chosen if n != name], [name])
 
 
 def _delay_gain(gram: Gram, chosen: Sequence[str], ahead_s: float) -> float:
@@ -287,9 +293,7 @@ def _delay_gain(gram: Gram, chosen: Sequence[str], ahead_s: float) -> float:
     return float((values[at] + ahead_s) ** 2 / covariance[at, at])
 
 
-def _selected(
-    grams: Sequence[Gram], first: Sequence[str], candidates: Sequence[str], largest: float
-) -> list[str]:
+def _selected(told: Evidence, first: Sequence[str], candidates: Sequence[str], largest: float) -> list[str]:
     """Forward selection by gain, then whatever lost its gain beside the others is taken out again.
 
     `largest` is the gain of what is in `first` already.
@@ -297,27 +301,24 @@ def _selected(
     chosen = list(first)
     for _ in candidates:
         groups = {_group(n) for n in chosen}
-        gains = {
-            n: _gain(grams, chosen, n) for n in candidates if n not in chosen and _group(n) not in groups
-        }
+        gains = {n: _gain(told, chosen, n) for n in candidates if n not in chosen and _group(n) not in groups}
         best = max(gains, key=lambda n: gains[n], default=None)
         if best is None or gains[best] < max(GAIN, SECOND * largest):
             break
         chosen.append(best)
         largest = max(largest, gains[best])
-    return [n for n in chosen if n in first or _gain(grams, chosen, n) >= max(GAIN, SECOND * largest)]
+    return [n for n in chosen if n in first or _gain(told, chosen, n) >= max(GAIN, SECOND * largest)]
 
 
-def _named(
-    grams: Sequence[Gram], chosen: Sequence[str], beside: Sequence[str], ahead_s: float
-) -> dict[str, float]:
+def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s: float) -> dict[str, float]:
     """Gain of each law that earns its name, the strongest first; `beside` are columns without one."""
     everything = [*chosen, *beside]
-    gains = {n: _gain(grams, everything, n) for n in chosen if n not in ("bias", "delay", "wheel_sin")}
+    gains = {n: _gain(told, everything, n) for n in chosen if n not in ("bias", "delay", "wheel_sin")}
     if "wheel_cos" in chosen:
-        gains["wheel_cos"] = grams[0].dropped(everything, ["wheel_cos", "wheel_sin"])
+        others = [n for n in everything if _pair_of(n) != "wheel_cos"]
+        gains["wheel_cos"] = told.added(others, ["wheel_cos", "wheel_sin"])
     if "delay" in chosen:
-        gains["delay"] = _delay_gain(grams[0], everything, ahead_s)
+        gains["delay"] = _delay_gain(told.own, everything, ahead_s)
     largest = max(gains.values(), default=0.0)
     named = {n: g for n, g in gains.items() if g >= max(GAIN, SECOND * largest)}
     return dict(sorted(named.items(), key=lambda item: -item[1]))
@@ -325,13 +326,13 @@ def _named(
 
 def _uneven(
     model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
-) -> tuple[float, int, float]:
-    """Gain, degrees of freedom and p-value of the named law that changes most between the parts of a drive.
+) -> dict[str, tuple[float, int, float]]:
+    """Named laws that change between the parts of a drive: gain, degrees of freedom and p-value of each.
 
     A law that was taken for another one, of a patch of ground or of a wheel that sticks at times, holds in some parts
     and not in others. Parts of equal weight, so that each could show it.
     """
-    found = [(0.0, 1, 1.0)]
+    found = {}
     tried = [n for n in named if not n.startswith("wheel_")]
     for name in tried:
         column = laws[name].column
@@ -339,10 +340,11 @@ def _uneven(
         part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
         columns = {n: laws[n].column for n in chosen}
         more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
-        gain = gram_of(model, columns | more, flicker_floor=KINDS[name].by_floor).added(chosen, list(more))
+        gain = evidence(model, columns | more).added(chosen, list(more))
         p = len(tried) * float(stats.chi2.sf(gain, len(more)))
-        found.append((gain, len(more), min(p, 1.0)))
-    return min(found, key=lambda one: one[2])
+        if p < STRANGER_P:
+            found[name] = (gain, len(more), p)
+    return found
 
 
 def _wheels(

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import interpolate
 
 from gyrocal.diagnosis.drive.laws import Frame, Law, difference
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -49,8 +50,9 @@ _REST_MEAN_S = 0.1
 LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, _NEIGHBOURS = 5.0, 2
-#: The bias of a single log is judged by 1/f noise of at least so many times what is usual.
-FLICKER_FLOOR = 1.1
+#: Levels of 1/f noise at which laws are weighed, in standard deviations of their logarithm from what is usual, and how
+#: closely what lies between them is looked at.
+_LEVELS, _BETWEEN = np.linspace(-3.0, 3.0, 9), np.linspace(-3.0, 3.0, 241)
 
 
 @dataclass(frozen=True)
@@ -200,11 +202,9 @@ class YawModel:
         """Variance of what accumulates in each interval, rad^2."""
         return _field(self.frame, self.noise, self.left_out).noise
 
-    def given(self, columns: Floats, *, flicker_floor: bool = False) -> Given:
-        """Columns under the noise; with the floor, 1/f noise of at least what is usual."""
-        noise = self.noise
-        if flicker_floor:
-            noise = replace(noise, flicker_dps=max(noise.flicker_dps, FLICKER_FLOOR * self.usual.flicker_dps))
+    def given(self, columns: Floats, flicker_dps: float | None = None) -> Given:
+        """Columns under the noise, at a level of 1/f noise of one's own where one is given."""
+        noise = self.noise if flicker_dps is None else replace(self.noise, flicker_dps=flicker_dps)
         return _field(self.frame, noise, self.left_out).given(columns)
 
 
@@ -333,13 +333,57 @@ class Gram:
         """Twice the log likelihood that columns add to others."""
         return self.gain([*chosen, *(n for n in more if n not in chosen)]) - self.gain(chosen)
 
-    def dropped(self, chosen: Sequence[str], less: Sequence[str]) -> float:
-        """Twice the log likelihood that is lost without some of the columns."""
-        return self.gain(chosen) - self.gain([n for n in chosen if n not in less])
 
-
-def gram_of(model: YawModel, columns: Mapping[str, Floats], *, flicker_floor: bool = False) -> Gram:
+def gram_of(model: YawModel, columns: Mapping[str, Floats], flicker_dps: float | None = None) -> Gram:
     """Inner products of columns, name -> (m,), under a model's noise."""
-    stacked = np.column_stack([*columns.values(), model.y])
-    whole = model.given(stacked, flicker_floor=flicker_floor).gram
-    return Gram(tuple(columns), whole[:-1, :-1].copy(), whole[:-1, -1])
+    return _gram(columns, model.given(_stacked(model, columns), flicker_dps))
+
+
+def _stacked(model: YawModel, columns: Mapping[str, Floats]) -> Floats:
+    return np.column_stack([*columns.values(), model.y])
+
+
+def _gram(columns: Mapping[str, Floats], given: Given) -> Gram:
+    return Gram(tuple(columns), given.gram[:-1, :-1].copy(), given.gram[:-1, -1])
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What laws gain where the 1/f noise of the bias may be whatever makes the log likeliest, with the laws and without.
+
+    One log hardly tells that noise, and all that a law of the bias explains it would explain too, if it were strong enough:
+    so it is found anew for each set of laws, held by what is usual.
+
+    Attributes
+    ----------
+    own : Gram
+        At the model's own level: coefficients and their covariance.
+    levels : tuple of Gram
+        At each of `_LEVELS`.
+    loss : ndarray
+        Twice the negative log likelihood at each without any law, and of the level itself.
+    """
+
+    own: Gram
+    levels: tuple[Gram, ...]
+    loss: Floats
+
+    def knowing(self, known: Mapping[str, tuple[float, float]]) -> Evidence:
+        """The same with what is known of coefficients beforehand, as mean and standard deviation."""
+        return Evidence(self.own.knowing(known), tuple(g.knowing(known) for g in self.levels), self.loss)
+
+    def added(self, chosen: Sequence[str], more: Sequence[str]) -> float:
+        """Twice the log likelihood that columns add to others."""
+        return self._least(chosen) - self._least([*chosen, *(n for n in more if n not in chosen)])
+
+    def _least(self, chosen: Sequence[str]) -> float:
+        loss = self.loss - np.array([g.gain(chosen) for g in self.levels])
+        return float(np.min(interpolate.CubicSpline(_LEVELS, loss)(_BETWEEN)))
+
+
+def evidence(model: YawModel, columns: Mapping[str, Floats]) -> Evidence:
+    """Inner products of columns, name -> (m,), at all levels of 1/f noise that are possible."""
+    stacked, spread = _stacked(model, columns), _SPREAD["flicker_dps"]
+    found = [model.given(stacked, model.usual.flicker_dps * float(np.exp(spread * k))) for k in _LEVELS]
+    loss = [g.log_det + float(g.gram[-1, -1]) + k**2 for g, k in zip(found, _LEVELS, strict=True)]
+    return Evidence(gram_of(model, columns), tuple(_gram(columns, g) for g in found), np.array(loss))

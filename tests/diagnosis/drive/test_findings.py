@@ -20,10 +20,7 @@ from gyrocal.diagnosis.remarks import Said
 def truth(gyro: float, wheels: float, std: float) -> TruthAnswer:
     """A truth that knows the scales of gyro and wheels independently of each other."""
     values = dict.fromkeys(INTERESTS, 0.0) | {"gyro_scale": gyro, "wheel_scale": wheels}
-    known = SimpleNamespace(
-        values=values, stds=dict.fromkeys(INTERESTS, std), covariance=std**2 * np.eye(3), mirrored=False
-    )
-    return cast(TruthAnswer, known)
+    return TruthAnswer(values, dict.fromkeys(INTERESTS, std), std**2 * np.eye(3), {})
 
 
 def series(**robot: Any) -> DriveSeries:
