@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.signal import lfilter
 
 from gyrocal.fusion import (
     EncoderFigures,
@@ -286,6 +287,24 @@ def test_what_the_file_knows_of_gyro_and_wheels_is_taken_away() -> None:
     _, clean = run(drive)
     out = Navigator(robot).run(drive.t_s, drive.left_m, drive.right_m, spoilt, temp)
     np.testing.assert_allclose(out.heading_deg, clean.heading_deg, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["model", "paper"])
+@pytest.mark.parametrize("lag_s", [0.0, 1.0])
+def test_a_bias_that_follows_the_motion_is_taken_away(lag_s: float, kind: str) -> None:
+    drive = draw(np.random.default_rng(12))
+    shaken, stood_s = np.zeros(drive.t_s.size), 1.0
+    for k, dt_s in enumerate(np.diff(drive.t_s, prepend=drive.t_s[0])):
+        stood_s = 0.0 if max(abs(drive.left_m[k]), abs(drive.right_m[k])) > 1e-6 else stood_s + dt_s
+        shaken[k] = stood_s < 0.6
+    if lag_s:
+        keep = np.exp(-DT / lag_s)
+        shaken = lfilter([1.0 - keep], [1.0, -keep], shaken)
+    figures = GyroFigures(bias_moving_dps=0.2, bias_moving_s=lag_s)
+    known = Navigator(replace(ROBOT, gyro=figures), kind=kind)
+    told = known.run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps + 0.2 * shaken)
+    clean = Navigator(ROBOT, kind=kind).run(drive.t_s, drive.left_m, drive.right_m, drive.gyro_dps)
+    np.testing.assert_allclose(told.heading_deg, clean.heading_deg, atol=0.02)
 
 
 @pytest.mark.parametrize("law", ["turn_rate", "curvature", "curvature_saturating"])

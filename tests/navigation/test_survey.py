@@ -48,6 +48,17 @@ def test_what_is_missing_is_counted() -> None:
     assert found.usual_dt_s == pytest.approx(0.1)
 
 
+def test_one_speed_in_both_columns_is_one_speed() -> None:
+    log = drive()
+    way = 0.5 * (log.left_m + log.right_m)
+    twice = replace(log, left_m=way, right_m=way * (1.0 + 1e-6))
+    assert survey("log", [twice]).speed_only
+    assert not survey("log", [log]).speed_only
+    replayed = replay_log(source(twice), robot())
+    assert [track.condition.id for track in replayed.tracks] == ["uncalibrated"]
+    assert any("one speed" in note for note in replayed.notes)
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_bad_logs_are_refused(name: str) -> None:
     spoil, message = BAD[name]

@@ -116,7 +116,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         if slipping or against["track"] <= against[best] + _LIKELIER:
             best = "track"
         rivals = [n for n in against if n != best and against[n] < against[best] + 2.0 * np.log(_OUT)]
-        if rivals and not slipping and abs(np.log1p(c)) < _ANY_SCALE:
+        if rivals and not slipping and abs(c) < _ANY_SCALE:
             return found
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
         found[best] = Scale(value, std)
@@ -127,11 +127,15 @@ def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
     """Share of the turns that a gyro on a slope lacks in the mean; 0 where nothing speaks for one.
 
     Of a turn over a slope of angle a, w cos(a cos(heading)) is seen: a^2/4 less, and as much by twice the heading. It must
-    hold beside all columns without a name, since a path of right angles turns at the same headings each time.
+    hold beside all columns without a name, since a path of right angles turns at the same headings each time; but for those
+    of places, at each of which a robot may always have the same heading.
     """
     if _TILT[0] not in yaw.gram.names:
         return Scale(0.0, 0.0)
-    everything = [*yaw.chosen, *(n for n in yaw.gram.names if ":" in n and n not in _TILT)]
+    everything = [
+        *yaw.chosen,
+        *(n for n in yaw.gram.names if ":" in n and not n.startswith((*_TILT, "place"))),
+    ]
     seen = stats.chi2.sf(yaw.gram.added(everything, _TILT), 2) <= STRANGER_P
     if not seen and not _lacks_by_heading(yaw, everything, truth):
         return Scale(0.0, 0.0)

@@ -42,6 +42,9 @@ _LEAST_TEMP_SPAN_C = 0.5
 _LEAST_REST_S = 5.0
 #: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
 _TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE = 10.0, 0.1
+#: Cells of the ground across the path, those looked at, after how long a robot has come back to one (five memories of the
+#: track's wander), s, and how much it must turn in one, deg.
+_ACROSS, _MOST_CELLS, _BACK_S, _TURNED_DEG = 6, 12, 20.0, 60.0
 #: Speeds for the shape of a law are means over this time, s: in a turn the outer wheel goes further and slips more, so
 #: that a node's speed shares noise with the difference of its turns, and a slow robot's looks like slip by speed.
 _SPEED_SMOOTH_S = 0.5
@@ -265,6 +268,30 @@ def strangers(frame: Frame) -> dict[str, Floats]:
         "turn_rate": [turn * (turn > 0), turn * c.gyro_dps, turn * c.gyro_dps**2],
         "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way],
     }
+    ground = _by_place(series, heading, way, turn)
+    if ground:
+        rows["place"] = ground
     found = {name: frame.nodes.between(np.cumsum(np.stack(v, axis=1), axis=0)) for name, v in rows.items()}
     at = (frame.nodes.t_s - c.t_s[0]) / series.duration_s - 0.5
     return found | {"delay": (delay * at)[:, None]}
+
+
+def _by_place(series: DriveSeries, heading_rad: Floats, way_m: Floats, turn_rad: Floats) -> list[Floats]:
+    """Turns in each cell of the ground to which the robot comes back, less their share of all turns.
+
+    A track that wanders is another one each time; that of a patch of ground is the same.
+    """
+    at = np.cumsum(way_m * np.exp(1j * heading_rad))
+    side_m = max(float(np.ptp(at.real)), float(np.ptp(at.imag)), 1e-9) / _ACROSS
+    column, row = (np.floor((x - x.min()) / side_m).astype(np.int64) for x in (at.real, at.imag))
+    cell = column * (2 * _ACROSS) + row
+    turned = {}
+    for one in np.unique(cell):
+        inside = cell == one
+        come_s = series.t_s[np.flatnonzero(np.diff(inside.astype(np.int64), prepend=0) == 1)]
+        turns_rad = float(np.sum(np.abs(turn_rad[inside])))
+        if np.any(np.diff(come_s) > _BACK_S) and turns_rad > DEG_TO_RAD * _TURNED_DEG:
+            turned[one] = turns_rad
+    whole_rad = max(float(np.sum(np.abs(turn_rad))), 1e-9)
+    most = sorted(turned, key=lambda one: -turned[one])[:_MOST_CELLS]
+    return [turn_rad * ((cell == one) - turned[one] / whole_rad) for one in most]

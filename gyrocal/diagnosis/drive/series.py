@@ -111,7 +111,9 @@ class DriveSeries:
 
     def moving(self, lag_s: float) -> Floats:
         """How far whatever follows the motion with a lag has come, 0 at rest to 1, row by row."""
-        moving = (~self.resting).astype(np.float64)
+        # From the last tick to the next: a rest leaves out what it is not sure of.
+        awake = _still(self.t_s, self.resting, _last_tick_s(self.tick_m) * (1.0 - 1e-9))
+        moving = awake.astype(np.float64)
         if lag_s == 0.0:
             return moving
         keep = float(np.exp(-np.median(self.dt_s[1:]) / lag_s))

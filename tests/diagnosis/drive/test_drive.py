@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.checks import missing_rows, uneven_clock
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
@@ -166,6 +167,51 @@ def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot, share: fl
     assert tilt.interval_95[0] < np.degrees(2.0 * np.sqrt(share)) < tilt.interval_95[1]
     assert "robot_tilt" not in told.diagnosis.not_testable
     assert told.robot is None
+
+
+def test_headings_alone_tell_the_scale_of_the_gyro(resting: Robot) -> None:
+    plan = Plan(
+        "lawn",
+        5.0,
+        10.0,
+        tick_m=4e-4,
+        truth_m=0.02,
+        truth_heading_deg=0.2,
+        wheel_noise=0.001,
+        turn_noise=0.002,
+    )
+    log = drive(replace(plan, effects={"gyro_scale": 0.8}), 11)
+    nowhere = np.full(len(log), np.nan)
+    told = diagnose_drive("drive.csv", replace(log, truth_x_m=nowhere, truth_y_m=nowhere), resting)
+    assert names(told) == ["gyro_scale"]
+    scale = told.diagnosis.effects[0].parameters["amplitude"]
+    assert scale.interval_95[0] < 8000.0 < scale.interval_95[1]
+    assert told.robot is not None
+    assert told.robot.parameters.gyro.scale == pytest.approx(0.008, abs=0.002)
+    # Headings say nothing of the way.
+    assert "wheel_scale" in told.diagnosis.not_testable
+    assert "wheel_scale" not in [e.name for e in told.estimates]
+
+
+def test_a_patch_of_ground_is_told_by_its_place(resting: Robot) -> None:
+    # Fifteen laps of a square, and ground that slips in one of its corners.
+    rng = np.random.default_rng(12)
+    lap_dps = np.tile(np.concatenate([np.zeros(80), np.full(20, 45.0)]), 4)
+    lap_mps = np.concatenate([np.append(np.full(80, v), np.zeros(20)) for v in (0.3, 0.5, 0.3, 0.5)])
+    corner = np.concatenate([np.zeros(380), np.full(20, 0.1)])
+    rate, speed, slips = (np.concatenate([np.zeros(100), np.tile(x, 15)]) for x in (lap_dps, lap_mps, corner))
+    wander = 0.02 * lfilter([np.sqrt(1 - 0.97**2)], [1, -0.97], rng.normal(size=rate.size))
+    half = 0.25 * np.radians(rate) / 10.0 * (1.0 + slips + wander) + 2e-4 * rng.normal(size=rate.size)
+    half[:100] = 0.0
+    nothing = np.full(rate.size, np.nan)
+    gyro = rate + 0.01 * rng.normal(size=rate.size)
+    way = speed / 10.0
+    log = DriveBlock(
+        2, np.arange(rate.size) / 10.0, way - half, way + half, gyro, nothing, nothing, nothing, nothing
+    )
+    told = diagnose_drive("drive.csv", log, resting)
+    assert "place" in [p.coordinate for p in told.diagnosis.located if p.remains]
+    assert told.diagnosis.verdict in ("unexplained", "partly_explained")
 
 
 def test_waits_between_two_ticks_are_not_taken_for_slip(resting: Robot) -> None:

@@ -1,0 +1,104 @@
+"""The gyro's bias on drives: short stops tell it, it may follow the motion, and 1/f noise is weighed against its laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
+from gyrocal.diagnosis.drive.series import drive_series
+from gyrocal.diagnosis.drive.yaw import evidence
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot, read_robot
+from tests.diagnosis.drive.fleet import Plan, drive
+
+NAN = np.full(6000, np.nan)
+RESTS = Plan("rests", 6.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=2e-4)
+
+
+@pytest.fixture
+def resting(tmp_path: Path) -> Robot:
+    path = tmp_path / "resting.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
+    return read_robot(path)
+
+
+def turns(hz: float, rate_dps: np.ndarray) -> DriveBlock:
+    """A robot that turns on the spot as its wheels say, at a row every 1/hz."""
+    half = 0.25 * np.radians(rate_dps) / hz
+    t = np.arange(rate_dps.size) / hz
+    return DriveBlock(2, t, 0.05 / hz - half, 0.05 / hz + half, rate_dps, NAN, NAN, NAN, NAN)
+
+
+def test_the_end_of_a_short_turn_is_no_spike_and_a_spike_is_one(resting: Robot) -> None:
+    rng = np.random.default_rng(1)
+    peaks = np.zeros(6000)
+    for at in range(50, 5900, 100):
+        # To 60 deg/s and back within half a second.
+        peaks[at : at + 5] = [20.0, 40.0, 60.0, 40.0, 20.0]
+    log = turns(10.0, peaks + 0.05 * rng.normal(size=6000))
+    np.testing.assert_array_equal(drive_series("log", log, resting, None).gyro_dps, log.gyro_dps)
+    spiked = log.gyro_dps.copy()
+    spiked[3020] += 40.0
+    mended = drive_series("log", replace(log, gyro_dps=spiked), resting, None).gyro_dps
+    assert abs(mended[3020]) < 1.0
+    assert np.count_nonzero(mended != spiked) == 1
+
+
+@pytest.mark.parametrize(("tick_m", "least_s"), [(2e-4, 1.6), (1e-2, 0.7)])
+def test_a_short_stop_is_a_rest_but_for_the_last_tick(tick_m: float, least_s: float, resting: Robot) -> None:
+    speed = 0.5 + 0.2 * np.sin(np.arange(6000) / 70.0)
+    speed[3000:3100] = 0.0
+    way = tick_m * np.diff(np.floor(np.cumsum(speed / 50.0) / tick_m), prepend=0.0)
+    log = DriveBlock(
+        2, np.arange(6000) / 50.0, way, way * 1.01, np.sin(np.arange(6000.0)), NAN, NAN, NAN, NAN
+    )
+    series = drive_series("log", log, resting, None)
+    stopped_s = float(np.sum(series.dt_s[series.resting]))
+    assert least_s < stopped_s < least_s + 0.3
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 1.0])
+def test_a_bias_that_comes_with_the_motion_is_named_and_goes_into_the_file(
+    lag_s: float, resting: Robot
+) -> None:
+    log = drive(RESTS, 8)
+    moving = (np.abs(log.left_m) + np.abs(log.right_m) > 0).astype(float)
+    if lag_s:
+        keep = np.exp(-1.0 / 20.0 / lag_s)
+        moving = lfilter([1 - keep], [1, -keep], moving)
+    found = diagnose_drive("log", replace(log, gyro_dps=log.gyro_dps + 0.03 * moving), resting)
+    (effect,) = found.diagnosis.effects
+    assert effect.effect == "gyro_bias"
+    amplitude = effect.parameters["amplitude"]
+    assert amplitude.value == pytest.approx(30.0, abs=3 * amplitude.std)
+    assert found.robot is not None
+    gyro = found.robot.parameters.gyro
+    assert gyro.bias_moving_dps == pytest.approx(0.03, abs=3 * gyro.bias_moving_dps_std)
+    assert (gyro.bias_motion_dps, gyro.bias_moving_s) == (0.0, lag_s)
+    told = [e.name for e in found.estimates]
+    assert "gyro_bias_while_moving" in told
+    assert "gyro_bias_in_motion" not in told
+
+
+def test_a_bias_that_jumps_is_no_slope_that_the_next_drive_has_too(resting: Robot) -> None:
+    log = drive(replace(RESTS, minutes=8.0), 9)
+    jumps = 0.05 * (log.t_s > 200.0)
+    found = diagnose_drive("log", replace(log, gyro_dps=log.gyro_dps + jumps), resting)
+    assert found.diagnosis.verdict != "explained"
+    assert found.robot is None or found.robot.parameters.gyro.bias_slope_dps_per_c == 0.0
+
+
+def test_what_strong_one_over_f_noise_would_make_too_is_hardly_evidence(resting: Robot) -> None:
+    # A step from the first rest to all others may as well be 1/f noise of that size.
+    log = drive(replace(RESTS, rest_s=30.0, effects={"gyro_bias": 12.0}), 10)
+    found = examine("log", log, resting, None).yaw
+    told = evidence(found.model, {n: law.column for n, law in found.laws.items()}).knowing(found.known)
+    beside = [n for n in found.chosen if n != "step"]
+    assert told.added(beside, ["step"]) < 0.7 * told.own.added(beside, ["step"])
+    # What 1/f noise does not make keeps what it gains.
+    assert told.added(beside, ["delay"]) == pytest.approx(told.own.added(beside, ["delay"]), abs=0.5)
