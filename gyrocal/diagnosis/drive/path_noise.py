@@ -20,8 +20,9 @@ Ints = NDArray[np.int64]
 _CELLS = 300
 #: What the encoders add to the error of the bias found by them at the least, of the gyro's part of its variance.
 _LEAST_REST = 1e-2
-#: Memory of what wanders in the truth, s; of its headings this share of the variance does.
-_WANDER_S, _WANDERING = 60.0, 0.1
+#: Memories of what wanders in the truth of which the likeliest is taken, s: multipath of satellites lasts minutes, a map's
+#: errors as long as the robot takes through a room.
+WANDERS_S = (20.0, 60.0, 180.0)
 
 
 @dataclass(frozen=True)
@@ -67,16 +68,19 @@ class PathNoise:
     white: Floats
     wander: Floats
     heading: Floats | None
+    heading_wander: Floats | None
 
     def whole(self, logs: Floats) -> Floats:
-        """Covariance at logarithms of the levels (way, white, wander, heading)."""
+        """Covariance at logarithms of the levels (way, white, wander, and of the headings white and wander)."""
         found = (
             self.gyro
             + np.exp(logs[0]) * self.way
             + np.exp(logs[1]) * self.white
             + np.exp(logs[2]) * self.wander
         )
-        return np.asarray(found if self.heading is None else found + np.exp(logs[3]) * self.heading)
+        if self.heading is not None and self.heading_wander is not None:
+            found = found + np.exp(logs[3]) * self.heading + np.exp(logs[4]) * self.heading_wander
+        return np.asarray(found)
 
     def strayed(self, left: Floats, logs: Floats) -> Floats:
         """Turns of the cells that the gyro's noise is likeliest to have made, from what is left of positions and headings."""
@@ -85,7 +89,7 @@ class PathNoise:
     def cut(self, keep: NDArray[np.bool_]) -> PathNoise:
         """For some of the rows."""
         at = np.ix_(keep, keep)
-        heading = None if self.heading is None else self.heading[at]
+        heading, wander = (None if m is None else m[at] for m in (self.heading, self.heading_wander))
         return PathNoise(
             self.turned[keep],
             self.kernel,
@@ -94,6 +98,7 @@ class PathNoise:
             self.white[at],
             self.wander[at],
             heading,
+            wander,
         )
 
 
@@ -102,8 +107,11 @@ def cell_edges_s(knots: Knots, path: Reckoned) -> Floats:
     return np.linspace(path.t_s[0], path.t_s[-1], min(_CELLS, 2 * knots.count.size) + 1)
 
 
-def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias) -> PathNoise:
-    """Covariance of positions, headings and known bias by its parts, for a path and the levels of its noise."""
+def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias, wander_s: float) -> PathNoise:
+    """Covariance of positions, headings and known bias by its parts, for a path and the levels of its noise.
+
+    `wander_s` is the memory of what wanders in the truth.
+    """
     begin, edges = path.t_s[0], cell_edges_s(knots, path)
     width = float(edges[1] - edges[0])
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -128,7 +136,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias) 
     gyro[-1, -1] = max(bias.std_dps**2, (1.0 + _LEAST_REST) * gyro[-1, -1])
     k = knots.count.size
     one = 1.0 / knots.count
-    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / _WANDER_S)
+    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / wander_s)
     zero, last = np.zeros((k, k)), np.zeros((1, 1))
 
     def each(of_position: Floats, of_heading: Floats) -> Floats:
@@ -144,7 +152,8 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias) 
         noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, last),
         each(np.diag(one), zero),
         each(fade, zero),
-        each(zero, np.diag(one) + _WANDERING * fade) if knots.heading is not None else None,
+        each(zero, np.diag(one)) if knots.heading is not None else None,
+        each(zero, fade) if knots.heading is not None else None,
     )
 
 

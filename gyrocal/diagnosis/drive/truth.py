@@ -17,6 +17,7 @@ from scipy import linalg, optimize, stats
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
+    WANDERS_S,
     Knots,
     PathNoise,
     cell_edges_s,
@@ -46,6 +47,8 @@ _FREE, _WAY_FREE = 4.0, 1.0
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
+#: Parts of a drive in which the gyro may be late.
+_PARTS = 8
 #: Scales that the truth alone tells apart, and what is asked of it beside them.
 SCALES = ("gyro_scale", "wheel_scale")
 INTERESTS = ("gyro_bias", *SCALES)
@@ -179,10 +182,14 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     rate = np.divide(np.abs(turned), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     nothing = np.zeros(share.size)
+    turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
     errors = {
         "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
         "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
         "time": [(turned * share, nothing), (nothing, path.way_m * share)],
+        # A gyro that is late in one part of the drive and not in others.
+        "delay": [(np.diff(turning * (part == k), prepend=0.0), nothing) for k in range(_PARTS)],
         "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
     }
     found = {
@@ -253,7 +260,9 @@ class _Problem:
         return values / size, covariance / np.outer(size, size), loss
 
 
-def _problem(knots: Knots, base: Reckoned, state: _State, bias: MotionBias, noise: YawNoise) -> _Problem:
+def _problem(
+    knots: Knots, base: Reckoned, state: _State, bias: MotionBias, noise: YawNoise, wander_s: float
+) -> _Problem:
     path = _reckoned(knots, base, state)
     at = knots.mean(path.at_m)
     apart = at if knots.position is None else knots.position - at
@@ -270,7 +279,7 @@ def _problem(knots: Knots, base: Reckoned, state: _State, bias: MotionBias, nois
         "lever_left": (0.0, _LEVER_M),
         "bias_slope": (-v["bias_slope"], _SLOPE),
     }
-    spread = path_noise(knots, path, noise, bias)
+    spread = path_noise(knots, path, noise, bias, wander_s)
     residual = stacked(knots, apart, headings, -v["gyro_bias"])
     if state.strayed is not None:
         # As noise about zero again; the bias known beforehand has not been moved.
@@ -302,7 +311,8 @@ def _first_levels(knots: Knots) -> Floats:
         white = 1e-4
     white = float(np.clip(white, 1e-8, 1.0))
     logs = [0.0, np.log(white), np.log(0.1 * white)]
-    return np.array([*logs, np.log(DEG_TO_RAD**2)] if knots.heading is not None else logs)
+    headings = [np.log(DEG_TO_RAD**2), np.log(0.1 * DEG_TO_RAD**2)]
+    return np.array([*logs, *headings] if knots.heading is not None else logs)
 
 
 @dataclass(frozen=True)
@@ -331,7 +341,7 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
     state = _State(dict.fromkeys(_MOVING, 0.0), 0.0)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
-    loss = np.inf
+    loss, wander_s = np.inf, WANDERS_S[1]
     for horizon in _HORIZONS:
         near = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
         if horizon == _HORIZONS[0]:
@@ -339,17 +349,20 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
         keep = stacked(knots, near + 1j * near, near, 1.0) != 0.0
         last = horizon == _HORIZONS[-1]
         for round_ in range(4 if last else 2):
-            problem = _problem(knots, base, state, bias, noise)
-            part = problem if last else problem.cut(keep)
+            part = _problem(knots, base, state, bias, noise, wander_s).cut(keep)
             if last and round_ in (0, 2):
-                logs = _levels(part, logs if round_ else _first_levels(knots))
+                first = logs if round_ else _first_levels(knots)
+                tried = {w: _problem(knots, base, state, bias, noise, w) for w in WANDERS_S}
+                fitted = {w: _levels(one, first) for w, one in tried.items()}
+                wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w])[2])
+                part, logs = tried[wander_s], fitted[wander_s]
             values, _, loss = part.solve(logs)
             step = dict(zip(part.columns, values, strict=True))
             moved = {n: float(np.clip(v + step.get(n, 0.0), -0.5, 0.5)) for n, v in state.values.items()}
             state = _State(moved, state.turn + step["turn"])
             if last:
                 state = replace(state, strayed=part.noise.strayed(part.left(values), logs))
-    return _Laid(state, _problem(knots, base, state, bias, noise), logs, loss)
+    return _Laid(state, _problem(knots, base, state, bias, noise, wander_s), logs, loss)
 
 
 def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
