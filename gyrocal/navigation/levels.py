@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 
 from gyrocal.fusion import Navigator, RobotParameters, Rows
 from gyrocal.fusion.robot import SEPARATION_RELATIVE_STD
+from gyrocal.inference.spread import mean_square
 from gyrocal.records.robot import Robot
 from gyrocal.units import DPH_TO_DPS
 
@@ -67,9 +68,8 @@ def rest_walk(rows: Rows) -> float | None:
     steps = np.diff(means)[whole[1:] & whole[:-1] & (np.diff(cut[:, 0]) == size)]
     if steps.size < _LEAST_BINS:
         return None
-    # The median of chi-square with one degree of freedom is 0.4549; a difference has twice the variance.
-    variance = float(np.median(steps**2)) / 0.4549 / 2.0
-    return 60.0 * math.sqrt(variance * size * dt_s)
+    # A difference has twice the variance.
+    return 60.0 * math.sqrt(0.5 * mean_square(steps**2) * size * dt_s)
 
 
 def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> RobotParameters:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.inference.spread import spread_between
+from gyrocal.inference.spread import mean_square, spread_between
 
 
 @pytest.mark.parametrize("spread", [0.0, 2.0])
@@ -34,3 +34,14 @@ def test_equal_estimates_have_no_spread() -> None:
     assert found.spread_interval_95[0] == 0.0
     assert found.mean == 3.0
     assert found.p_value == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("step", [0.0, 1.0])
+def test_a_mean_square_minds_neither_outliers_nor_steps(step: float) -> None:
+    rng = np.random.default_rng(5)
+    values = rng.normal(size=4000)
+    if step:
+        values = step * np.round(values / step)
+    values[::50] *= 30.0
+    # Rounding adds a twelfth of its step squared.
+    assert mean_square(values**2) == pytest.approx(1.0 + step**2 / 12.0, rel=0.12)

@@ -21,6 +21,7 @@ from scipy import interpolate
 from gyrocal.diagnosis.drive.laws import Frame, Law, difference
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
+from gyrocal.inference.spread import mean_square
 from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS, STDS_PER_MAD
 
@@ -130,10 +131,9 @@ def _white_at_rest(series: DriveSeries) -> float | None:
     if found.size < 20:
         return None
     width_s = every * float(np.median(series.dt_s[1:]))
-    # The median of a squared normal variable is 0.4549 of its mean; a difference has twice the variance. Where the
-    # gyro's own steps hide it the mean has to do.
-    middle = float(np.median(found)) / 0.4549 or float(np.mean(found))
-    return float(np.sqrt(0.5 * middle * width_s)) if middle > 0 else None
+    # A difference has twice the variance.
+    square = mean_square(found)
+    return float(np.sqrt(0.5 * square * width_s)) if square > 0 else None
 
 
 def _field(frame: Frame, noise: YawNoise, left_out: Floats) -> MarkovField:
