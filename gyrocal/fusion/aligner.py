@@ -79,9 +79,8 @@ class Aligner:
         smooth = np.zeros(t.size)
         if self.half_s > 0.0:
             now, then = (angle.mean(at + self.gyro_late_s, self.half_s) for at in (t, before))
-            smooth = np.divide(now - then, dt, out=np.zeros(t.size), where=dt > 0) - np.where(
-                dt > 0, gyro, 0.0
-            )
+            turned = np.divide(now - then, dt, out=np.zeros(t.size), where=dt > 0)
+            smooth = turned - np.where(dt > 0, gyro, 0.0)
         given = Rows(t, left, right, gyro, kept.temp_c[rows], smooth)
         # What the window and the shift of the next row look back on stays.
         first = int(np.searchsorted(kept.t_s, (t[-1] if t.size else -np.inf) - self.half_s)) - 2

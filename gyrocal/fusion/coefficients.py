@@ -116,9 +116,8 @@ class Coefficients:
         rate = (gyro < self.valid.rate_dps[0]) | (gyro > self.valid.rate_dps[1])
         temperature = (temp < self.valid.temp_c[0]) | (temp > self.valid.temp_c[1])
         finite = np.isfinite(gyro) & np.isfinite(temp)
-        return np.asarray(
-            FLAG_RATE * rate + FLAG_TEMPERATURE * temperature + FLAG_NOT_FINITE * ~finite, dtype=np.int64
-        )
+        flags = FLAG_RATE * rate + FLAG_TEMPERATURE * temperature + FLAG_NOT_FINITE * ~finite
+        return np.asarray(flags, dtype=np.int64)
 
     def _version(self) -> int:
         smooth = any(isinstance(term, SmoothTerm) for term in self.terms)

@@ -32,9 +32,8 @@ MEMORY_SIZE = 20
 # Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
 # bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved, and while it moves, with
 # a lag, s; the constants D, 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
-SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS, SLOPE, TEMP, STEP, SHAKEN, SHAKEN_LAG = (
-    range(13)
-)
+SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS = range(8)
+SLOPE, TEMP, STEP, SHAKEN, SHAKEN_LAG = range(8, 13)
 FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(13, 17)
 #: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
 STILL_S = 0.6
@@ -284,14 +283,10 @@ def _measure(nav: Any, m: Any, figures: Any, counts: Any) -> Any:
 def _report(nav: Any, m: Any, figures: Any, out: Any, k: int, filtering: bool) -> None:
     """States and standard deviations in the paper's order (eq. 12), degrees; errors of the assumed figures."""
     out[k, 0], out[k, 1], out[k, 2] = nav[X], nav[Y], nav[PSI] * RAD_TO_DEG
-    out[k, 3] = figures[FILE_RIGHT] / nav[RIGHT] - 1.0
-    out[k, 4] = figures[FILE_LEFT] / nav[LEFT] - 1.0
+    out[k, 3], out[k, 4] = figures[FILE_RIGHT] / nav[RIGHT] - 1.0, figures[FILE_LEFT] / nav[LEFT] - 1.0
     out[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
-    out[k, 6], out[k, 7], out[k, 8] = (
-        nav[PHI] * RAD_TO_DEG,
-        figures[FILE_SCALE] - nav[SCALE],
-        0.0 - nav[BIAS] * RAD_TO_DEG,
-    )
+    out[k, 6], out[k, 7] = nav[PHI] * RAD_TO_DEG, figures[FILE_SCALE] - nav[SCALE]
+    out[k, 8] = 0.0 - nav[BIAS] * RAD_TO_DEG
     for c in range(_N if filtering else 0):
         variance = m[D, PLACE[c]]
         for j in range(PLACE[c] + 1, _N):

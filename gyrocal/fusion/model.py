@@ -43,9 +43,8 @@ _N = 14
 # came, turn as it was navigated, variance of turns without a gyro, rows that lack something; then time since the wheels moved, and by how much
 # the smoothed gyro heading is ahead of the plain one.
 AHEAD = PAPER_SIZE
-E, G1, G2, G3, STRAY, SINCE, TRAVEL, ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(
-    AHEAD, AHEAD + 14
-)
+E, G1, G2, G3, STRAY, SINCE, TRAVEL = range(AHEAD, AHEAD + 7)
+ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(AHEAD + 7, AHEAD + 14)
 # What heading and position change by for a gyro scale wrong by one; how far the temperature was from `TEMP`.
 HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C = range(AHEAD + 14, AHEAD + 18)
 MEMORY_SIZE = AHEAD + 18
@@ -340,10 +339,9 @@ def _take(
         nu = expected = 0.0
         rate = rate_of(nav, figures, dt, gyro, temp, left, right)
         # A rest tells the bias without what motion adds to it.
-        p[BIAS, BIAS] += figures[STEP_VARIANCE] if nav[MOVED] > moved else 0.0
-        p[BIAS, BIAS] += (
-            figures[SHAKEN_VARIANCE] if nav[MOVED] > moved or (stood and nav[STOOD] == 0.0) else 0.0
-        )
+        begins = nav[MOVED] > moved
+        p[BIAS, BIAS] += figures[STEP_VARIANCE] if begins else 0.0
+        p[BIAS, BIAS] += figures[SHAKEN_VARIANCE] if begins or (stood and nav[STOOD] == 0.0) else 0.0
         _warm(nav, p, figures)
         if _resting(nav) and _moves(left, right):
             nu, expected = _node(nav, p, figures, counts, False, filtering)

@@ -181,9 +181,8 @@ class Navigator:
         """Covariance of (estimate - truth) of `STATES`, in their units, shape (9, 9)."""
         # What is left of a constant's error is the truth of `STATES` minus its estimate: the other sign.
         unit = np.array([1, 1, 1, -1, -1, -1, 1, -1, -1]) * self._unit
-        return np.asarray(
-            self._loop.covariance(self._nav, self._matrix, self._figures) * np.outer(unit, unit)
-        )
+        found = self._loop.covariance(self._nav, self._matrix, self._figures)
+        return np.asarray(found * np.outer(unit, unit))
 
     def run(
         self, t_s: ArrayLike, left_m: ArrayLike, right_m: ArrayLike, gyro_dps: ArrayLike,
@@ -260,8 +259,7 @@ class Navigator:
         if self._compensator is None or self.coefficients is None:
             return gyro, np.zeros(gyro.size, dtype=np.int64)
         if temp_c is None:
-            msg = "a calibration needs the gyro's temperature, and the log has none: replay without it."
-            raise DataError(msg)
+            raise DataError("the file needs the gyro's temperature; the log has none: replay without it.")
         temp = np.append(self._temp_c, np.broadcast_to(np.asarray(temp_c, dtype=np.float64), gyro.shape))
         finite = np.isfinite(temp)
         temp = temp[np.maximum.accumulate(np.where(finite, np.arange(temp.size), 0))]
@@ -286,22 +284,14 @@ def _figures(
     raw = 0.0 if calibrated else 1.0
     bias = static_bias_dps if static_bias_dps is not None else raw * gyro.bias_dps
     temp = gyro.temp_c if static_temp_c is None else static_temp_c
-    known = [
-        robot.gap_factor,
-        bias,
-        raw * gyro.bias_slope_dps_per_c,
-        temp,
-        gyro.bias_motion_dps,
-        gyro.bias_moving_dps,
-        gyro.bias_moving_s,
-    ]
+    known = [robot.gap_factor, bias, raw * gyro.bias_slope_dps_per_c, temp]
+    known += [gyro.bias_motion_dps, gyro.bias_moving_dps, gyro.bias_moving_s]
     scales = [1.0 / (1.0 + s) for s in (wheels.right_scale, wheels.left_scale, raw * gyro.scale)]
     # A tick is rounded evenly, on both wheels.
     ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
-    slope = raw * gyro.bias_slope_dps_per_c_std * DEG_TO_RAD
-    steps = [gyro.bias_motion_dps_std * DEG_TO_RAD, gyro.bias_moving_dps_std * DEG_TO_RAD]
-    spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, *steps]
-    spreads += [slope, raw * robot.gyro_scale_std, robot.way_std]
+    of_bias = (gyro.bias_motion_dps_std, gyro.bias_moving_dps_std, raw * gyro.bias_slope_dps_per_c_std)
+    spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, *(DEG_TO_RAD * v for v in of_bias)]
+    spreads += [raw * robot.gyro_scale_std, robot.way_std]
     model = [max(NODE_S, wheels.window_s), ticks, noise.jitter_s**2, *(v * v for v in spreads)]
     law = [float(SLIP_LAWS.index(slip.law)), slip.amplitude, slip.shape]
     return np.concatenate([squared, known, [robot.wheel_separation_m, *scales], model, law])

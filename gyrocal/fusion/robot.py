@@ -96,27 +96,22 @@ class FilterNoise(_Figures):
 class GyroFigures(_Figures):
     """The gyro of this robot: output = (1 + scale) true + bias, late by `delay_s`.
 
-    Where a log has a rest at its start the mean there replaces `bias_dps`; the step once the robot has moved, that while
-    it moves and the slope (from the temperature at that rest, or from `temp_c`) hold all the same. A delay below zero:
-    the encoders are late.
+    Where a log has a rest at its start the mean there replaces `bias_dps`; what motion adds and the slope (from the
+    temperature at that rest, or from `temp_c`) hold all the same. A delay below zero: the encoders are late.
     """
 
     bias_dps: float = figure(0.0, -1e3, 1e3)
     bias_dps_std: float = figure(0.0, 0.0, 1e3)
     bias_motion_dps: float = figure(0.0, -100.0, 100.0)  # added once the robot has moved, and from then on
     bias_motion_dps_std: float = figure(0.0, 0.0, 100.0)
-    bias_moving_dps: float = figure(
-        0.0, -100.0, 100.0
-    )  # added while the robot moves, of a gyro that is shaken
+    bias_moving_dps: float = figure(0.0, -100.0, 100.0)  # added while it moves, of a gyro that is shaken
     bias_moving_dps_std: float = figure(0.0, 0.0, 100.0)
     bias_moving_s: float = figure(0.0, 0.0, 100.0)  # time constant with which it follows the motion
     bias_moving_s_std: float = figure(0.0, 0.0, 100.0)
     bias_slope_dps_per_c: float = figure(0.0, -10.0, 10.0)
     bias_slope_dps_per_c_std: float = figure(0.0, 0.0, 10.0)
     temp_c: float = figure(25.0, -100.0, 200.0)  # where `bias_dps` holds
-    repeatability_dps: float = figure(
-        0.0, 0.0, 100.0
-    )  # of the bias, at the next switch-on; but for its flicker
+    repeatability_dps: float = figure(0.0, 0.0, 100.0)  # of the bias at the next switch-on, but for flicker
     scale: float = figure(0.0, -0.9, 9.0)
     scale_std: float = figure(0.0, 0.0, 1.0)
     delay_s: float = figure(0.0, -10.0, 10.0)
