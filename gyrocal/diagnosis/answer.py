@@ -29,7 +29,7 @@ from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
 
 #: A law that the search of a table put in has a name where every model without it is worse by this, nats, beyond what laws
-#: pay there.
+#: pay there: odds of 12 to 1. Of seven laws with less on 48 recordings five were there.
 _NAMED_BEYOND_TOLL = 2.5
 _EACH_RATE = "each rate"
 

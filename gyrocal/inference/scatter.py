@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
 from gyrocal.inference.flicker import Rest
+from gyrocal.inference.gls import restricted_loss
 from gyrocal.inference.levels import integrate
 
 Floats = NDArray[np.float64]
@@ -123,12 +124,8 @@ class _Likelihood:
     def log_likelihood(self, share: Floats) -> float:
         """The logarithm alone: a third of the work."""
         levels = (self.scale * share**2).astype(np.float64)
-        lower = linalg.cholesky(_matrix(self.known, self.parts, levels), lower=True, check_finite=False)
-        columns = np.column_stack([self.basis, self.error_dps])
-        white = linalg.solve_triangular(lower, columns, lower=True, check_finite=False)
-        # The last diagonal element of R is what remains of the data beside the model.
-        r = np.abs(np.diag(linalg.qr(white, mode="r", check_finite=False)[0][: columns.shape[1]]))
-        value = -float(np.log(np.diag(lower)).sum() + np.log(r[:-1]).sum()) - 0.5 * float(r[-1]) ** 2
+        matrix = _matrix(self.known, self.parts, levels)
+        value = -0.5 * restricted_loss(matrix, self.basis, self.error_dps)
         return value if self.rest is None else value - self.rest.cost(float(levels[1]))[0]
 
     def peak(self, start: Floats) -> tuple[Floats, float]:

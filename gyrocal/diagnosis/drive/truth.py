@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize, stats
+from scipy import optimize, stats
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
@@ -28,6 +28,7 @@ from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckon
 from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
+from gyrocal.inference.gls import Regression, regress
 from gyrocal.units import DEG_TO_RAD
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
@@ -49,6 +50,8 @@ _FREE, _WAY_FREE = 4.0, 1.0
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
 #: Parts of a drive in which the gyro may be late.
 _PARTS = 8
+#: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
+_UNTOLD = 1e6
 #: Scales that the truth alone tells apart, and what is asked of it beside them.
 SCALES = ("gyro_scale", "wheel_scale")
 INTERESTS = ("gyro_bias", *SCALES)
@@ -234,30 +237,17 @@ class _Problem:
         """Rows that coefficients leave."""
         return np.asarray(self.residual - self.design @ values)
 
-    def solve(self, logs: Floats) -> tuple[Floats, Floats, float]:
-        """Coefficients, covariance, and -2 log restricted likelihood (infinite where V is none)."""
+    def solve(self, logs: Floats) -> Regression:
+        """Coefficients under noise of these levels; the loss is infinite where they make none."""
         x = self.design
         size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
+        mean, std = np.array([self.known.get(name, (0.0, np.inf)) for name in self.columns]).T
+        std = np.minimum(std * size, _UNTOLD)
         try:
-            lower = np.linalg.cholesky(self.noise.whole(logs))
+            found = regress(self.noise.whole(logs), x / size, self.residual, mean * size, std)
         except np.linalg.LinAlgError:
-            return np.zeros(x.shape[1]), np.eye(x.shape[1]), np.inf
-        white = linalg.solve_triangular(lower, np.column_stack([x / size, self.residual]), lower=True)
-        matrix, right = white[:, :-1].T @ white[:, :-1], white[:, :-1].T @ white[:, -1]
-        total = float(white[:, -1] @ white[:, -1])
-        matrix[np.diag_indices_from(matrix)] += 1e-12
-        for k, name in enumerate(self.columns):
-            if name in self.known:
-                mean, std = self.known[name]
-                weight = 1.0 / (std * size[k]) ** 2
-                matrix[k, k] += weight
-                right[k] += weight * mean * size[k]
-                total += (mean / std) ** 2
-        covariance = np.linalg.inv(matrix)
-        values = covariance @ right
-        loss = 2.0 * float(np.sum(np.log(np.diag(lower)))) + float(np.linalg.slogdet(matrix)[1])
-        loss += total - float(right @ values)
-        return values / size, covariance / np.outer(size, size), loss
+            return Regression(np.zeros(x.shape[1]), np.eye(x.shape[1]), np.inf, np.inf)
+        return replace(found, values=found.values / size, covariance=found.covariance / np.outer(size, size))
 
 
 def _problem(
@@ -291,8 +281,7 @@ def _levels(problem: _Problem, first: Floats) -> Floats:
     spread = np.array([_WAY_FREE, *[_FREE] * (first.size - 1)])
 
     def loss(logs: Floats) -> float:
-        found = problem.solve(logs)[2]
-        return min(found, 1e12) + float(np.sum(((logs - first) / spread) ** 2))
+        return min(problem.solve(logs).loss, 1e12) + float(np.sum(((logs - first) / spread) ** 2))
 
     found = optimize.minimize(
         loss, first, method="L-BFGS-B", options={"maxiter": 12, "eps": 1e-2, "ftol": 1e-5},
@@ -327,7 +316,7 @@ class _Laid:
     @property
     def left(self) -> Floats:
         """Rows that the best coefficients leave."""
-        return self.problem.left(self.problem.solve(self.logs)[0])
+        return self.problem.left(self.problem.solve(self.logs).values)
 
     def miss_m(self, knots: Knots) -> float:
         """Rms distance that is left between path and truth, m."""
@@ -341,7 +330,7 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
     state = _State(dict.fromkeys(_MOVING, 0.0), 0.0)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
-    loss, wander_s = np.inf, WANDERS_S[1]
+    wander_s = WANDERS_S[1]
     for horizon in _HORIZONS:
         near = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
         if horizon == _HORIZONS[0]:
@@ -354,15 +343,15 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
                 first = logs if round_ else _first_levels(knots)
                 tried = {w: _problem(knots, base, state, bias, noise, w) for w in WANDERS_S}
                 fitted = {w: _levels(one, first) for w, one in tried.items()}
-                wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w])[2])
+                wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w]).loss)
                 part, logs = tried[wander_s], fitted[wander_s]
-            values, _, loss = part.solve(logs)
-            step = dict(zip(part.columns, values, strict=True))
+            solved = part.solve(logs)
+            step = dict(zip(part.columns, solved.values, strict=True))
             moved = {n: float(np.clip(v + step.get(n, 0.0), -0.5, 0.5)) for n, v in state.values.items()}
             state = _State(moved, state.turn + step["turn"])
             if last:
-                state = replace(state, strayed=part.noise.strayed(part.left(values), logs))
-    return _Laid(state, _problem(knots, base, state, bias, noise, wander_s), logs, loss)
+                state = replace(state, strayed=part.noise.strayed(part.left(solved.values), logs))
+    return _Laid(state, _problem(knots, base, state, bias, noise, wander_s), logs, solved.loss)
 
 
 def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
@@ -414,7 +403,8 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         beside |= more if odd[coordinate] < STRANGER_P else {}
     # A scale must hold beside whatever else is in the path.
     problem = replace(problem, columns={**problem.columns, **beside})
-    values, covariance, _ = problem.solve(logs)
+    solved = problem.solve(logs)
+    values, covariance = solved.values, solved.covariance
     names = list(problem.columns)
     for name in SCALES:
         covariance[names.index(name), names.index(name)] += _MODEL_STD**2
@@ -434,16 +424,5 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
 
 def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:
     """Twice the log likelihood that columns add."""
-    lower = np.linalg.cholesky(problem.noise.whole(logs))
     wider = replace(problem, columns={**problem.columns, **more})
-
-    def left(p: _Problem) -> float:
-        values = p.solve(logs)[0]
-        rest = linalg.solve_triangular(lower, p.left(values), lower=True)
-        total = float(rest @ rest)
-        for name, value in zip(p.columns, values, strict=True):
-            if name in p.known:
-                total += float(((value - p.known[name][0]) / p.known[name][1]) ** 2)
-        return total
-
-    return left(problem) - left(wider)
+    return problem.solve(logs).left - wider.solve(logs).left
