@@ -20,10 +20,11 @@ _SETS, _PERIOD_S = 200, 60.0
 _T_S: NDArray[np.float64] = _PERIOD_S * np.arange(_SETS, dtype=np.float64)
 
 
-def rippled(seed: int) -> DataSetTable:
+def rippled(seed: int, sets: int = 140, rates: int = 28) -> DataSetTable:
     """A table with a ripple over the rate, of which the catalogue has no law, at so many rates that it is no error of each."""
-    plain = make_table(seed=seed, sets=140, rates=28)
-    return make_table(4e-3 * np.sin(2.0 * np.pi * plain.rate_dps / 43.0), seed=seed, sets=140, rates=28)
+    plain = make_table(seed=seed, sets=sets, rates=rates)
+    ripple_dps = 4e-3 * np.sin(2.0 * np.pi * plain.rate_dps / 43.0)
+    return make_table(ripple_dps, seed=seed, sets=sets, rates=rates)
 
 
 def at_rest(added_dps: NDArray[np.float64], timed: bool = True) -> DataSetTable:
@@ -61,6 +62,13 @@ def test_a_pattern_without_a_name_is_placed_and_its_correction_makes_another_run
         for c in (found.surface, found.improved)
     )
     assert after < 0.5 * before
+
+
+def test_a_ripple_at_seven_sizes_of_rate_is_no_knee() -> None:
+    """It may as well be an error of each; a law has no name for what smooth parts beside it explain."""
+    found = diagnose(rippled(0, sets=98, rates=14), options=Options(heldout=False))
+    assert {e.effect for e in found.effects} <= {"reference_rate_error"}
+    assert found.verdict != "explained"
 
 
 def test_what_a_file_has_in_smooth_terms_is_taken_off_before_another_run_is_examined(
