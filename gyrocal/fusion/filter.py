@@ -31,12 +31,10 @@ MEMORY_SIZE = 20
 
 # Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
 # bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved, and while it moves, with
-# a lag, s; the constants D, 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
+# a lag, s, until no tick has come for so long, s; the constants D, 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
 SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS = range(8)
-SLOPE, TEMP, STEP, SHAKEN, SHAKEN_LAG = range(8, 13)
-FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(13, 17)
-#: Wheels that have not moved for so long stand still, s: a robot that creeps turns less than a tick meanwhile.
-STILL_S = 0.6
+SLOPE, TEMP, STEP, SHAKEN, SHAKEN_LAG, TICK_WAIT = range(8, 14)
+FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(14, 18)
 #: A wheel that goes further in a row moves, m: above the rounding of a log in metres, below any tick.
 MOVED_M = 1e-6
 
@@ -118,7 +116,7 @@ def rate_of(nav: Any, figures: Any, dt: float, gyro: float, temp: float, left: f
     nav[STOOD] += dt
     if abs(left) > MOVED_M or abs(right) > MOVED_M:
         nav[MOVED], nav[STOOD] = 1.0, 0.0
-    moving = nav[MOVED] if nav[STOOD] < STILL_S else 0.0
+    moving = nav[MOVED] if nav[STOOD] < figures[TICK_WAIT] else 0.0
     lag = figures[SHAKEN_LAG]
     nav[MOVING] = moving + (nav[MOVING] - moving) * math.exp(-dt / lag) if lag > 0.0 else moving
     known = figures[STATIC_BIAS] + figures[SLOPE] * (nav[LAST_TEMP] - figures[TEMP])

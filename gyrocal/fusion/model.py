@@ -21,15 +21,16 @@ import numpy as np
 # isort: off
 from gyrocal.fusion.filter import (
     BIAS, BIAS_WALK, BLIND, DRIFT, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
-    NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STILL_S, STOOD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
+    NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STOOD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
     MEMORY_SIZE as PAPER_SIZE, part, rate_of, usable, whole,
 )  # fmt: skip
 
 # isort: on
-from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
+from gyrocal.physics.drive import FLICKER_TAUS_S, TICK_WAITS_S, WANDER_TAU_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
+_, STILL_S = TICK_WAITS_S
 #: Spacing of the nodes at rest, s: a bias by a shorter one is mostly noise, and turns the whole way before it. Wheels
 #: that move before a node is full take it back: the robot may have turned before they did.
 REST_NODE_S = 1.0
@@ -56,7 +57,7 @@ MEMORY_SIZE = AHEAD + 18
 (
     SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, SHAKEN_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE,
     WAY_VARIANCE, LAW, AMPLITUDE, SHAPE,
-) = range(17, 30)  # fmt: skip
+) = range(18, 31)  # fmt: skip
 
 # Rows of the matrix: the covariance, then scratch.
 _GAIN, _V = _N, _N + 1

@@ -13,6 +13,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, Coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.fusion.robot import RobotParameters
+from gyrocal.physics.drive import tick_wait_s
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD
 
@@ -285,7 +286,7 @@ def _figures(
     bias = static_bias_dps if static_bias_dps is not None else raw * gyro.bias_dps
     temp = gyro.temp_c if static_temp_c is None else static_temp_c
     known = [robot.gap_factor, bias, raw * gyro.bias_slope_dps_per_c, temp]
-    known += [gyro.bias_motion_dps, gyro.bias_moving_dps, gyro.bias_moving_s]
+    known += [gyro.bias_motion_dps, gyro.bias_moving_dps, gyro.bias_moving_s, tick_wait_s(noise.tick_m)]
     scales = [1.0 / (1.0 + s) for s in (wheels.right_scale, wheels.left_scale, raw * gyro.scale)]
     # A tick is rounded evenly, on both wheels.
     ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
@@ -302,4 +303,4 @@ def _bias_std_dps(robot: RobotParameters, static_bias_dps: float | None) -> floa
     if static_bias_dps is not None:
         return _REST_STD_DPS
     known = math.hypot(robot.gyro.bias_dps_std, robot.gyro.repeatability_dps)
-    return known if known > 0.0 else float(robot.initial_std.gyro_bias_dps or 0.0)
+    return known or float(robot.initial_std.gyro_bias_dps or 0.0)

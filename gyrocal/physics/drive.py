@@ -21,6 +21,17 @@ _SAME_TIME_S = 1e-6
 #: diagnosis and filter alike.
 FLICKER_TAUS_S = (6.0, 60.0, 600.0)
 WANDER_TAU_S = 4.0
+#: A robot that comes to rest, or leaves it, passes its last tick at no less than this, m/s^2: the wait for a tick of 0.2 mm
+#: is 0.14 s. Wheels brake and start 10 times as hard; of short stops nothing else is left (0.6 s before and after takes a
+#: stop of 2 s down to 0.8 s).
+_LEAST_BRAKING = 0.02
+#: Least and longest wait for a tick, s: after the longest, wheels stand, or creep by less than a tick.
+TICK_WAITS_S = (0.15, 0.6)
+
+
+def tick_wait_s(tick_m: float) -> float:
+    """How long a wheel may turn unseen before it stands, or after it has begun to move, s."""
+    return float(np.clip(np.sqrt(2.0 * tick_m / _LEAST_BRAKING), *TICK_WAITS_S))
 
 
 @dataclass(frozen=True)

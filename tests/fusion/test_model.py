@@ -20,7 +20,7 @@ from gyrocal.fusion import (
     SlipFigures,
     Trajectory,
 )
-from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
+from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S, tick_wait_s
 from gyrocal.physics.slip import slip_shape
 
 Floats = NDArray[np.float64]
@@ -296,7 +296,7 @@ def test_a_bias_that_follows_the_motion_is_taken_away(lag_s: float, kind: str) -
     shaken, stood_s = np.zeros(drive.t_s.size), 1.0
     for k, dt_s in enumerate(np.diff(drive.t_s, prepend=drive.t_s[0])):
         stood_s = 0.0 if max(abs(drive.left_m[k]), abs(drive.right_m[k])) > 1e-6 else stood_s + dt_s
-        shaken[k] = stood_s < 0.6
+        shaken[k] = stood_s < tick_wait_s(ROBOT.noise.tick_m)
     if lag_s:
         keep = np.exp(-DT / lag_s)
         shaken = lfilter([1.0 - keep], [1.0, -keep], shaken)

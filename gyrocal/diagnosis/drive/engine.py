@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
-from gyrocal.diagnosis.drive.findings import Scale, named_effects, not_testable, places, scales, verdict
+from gyrocal.diagnosis.drive.findings import OUT, Scale, named_effects, not_testable, places, scales, verdict
 from gyrocal.diagnosis.drive.heldout import improvements
 from gyrocal.diagnosis.drive.improved import (
     DriveEstimate,
@@ -18,6 +18,7 @@ from gyrocal.diagnosis.drive.improved import (
     foretold_bias,
     improved_robot,
 )
+from gyrocal.diagnosis.drive.laws import KINDS
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
@@ -154,9 +155,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     """
     series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
     series, notes = wrong_truth(series)
-    yaw = examine_yaw(series)
-    first = figures_of(series, yaw, {}, None)
-    truth = ask_truth(series, replace(first, bias_from_rest=False), yaw.motion_bias, yaw.model.noise)
+    yaw, truth = _beside_truth(series, examine_yaw(series))
     if truth is not None and truth.mirrored:
         notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = scales(yaw, truth)
@@ -171,6 +170,27 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
         checks,
         [*notes, *([clock] if clock else [])],
     )
+
+
+def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthAnswer | None]:
+    """Laws of the heading difference that the truth, where there is one, does not speak against, and what it says.
+
+    What a wheel does can look like a bias that comes with the motion. The path by the gyro that is laid on the truth has no
+    wheel in its headings.
+    """
+
+    def asked(one: YawAnswer) -> TruthAnswer | None:
+        figures = replace(figures_of(series, one, {}, None), bias_from_rest=False)
+        return ask_truth(series, figures, one.motion_bias, one.model.noise)
+
+    truth = asked(yaw)
+    of_motion = [n for n in yaw.named if KINDS[n].group == "motion"]
+    if truth is None or truth.mirrored or not of_motion:
+        return yaw, truth
+    other = yaw.without(of_motion)
+    instead = asked(other)
+    denied = instead is not None and truth.loss - instead.loss > 2.0 * np.log(OUT)
+    return (other, instead) if denied else (yaw, truth)
 
 
 def _shown(

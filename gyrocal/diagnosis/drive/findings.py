@@ -34,7 +34,7 @@ from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95, RAD_TO_DEG
 
 #: Evidence against a rival beyond which it is no rival.
-_OUT = 20.0
+OUT = 20.0
 #: A track so near to half or twice the true one is a mix-up as likely as a slip.
 _MIXED_UP, _MIXED_UP_BY = (0.5, 2.0), 0.1
 #: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
@@ -115,7 +115,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         slipping = any(n.startswith("slip_") for n in yaw.named)
         if slipping or against["track"] <= against[best] + _LIKELIER:
             best = "track"
-        rivals = [n for n in against if n != best and against[n] < against[best] + 2.0 * np.log(_OUT)]
+        rivals = [n for n in against if n != best and against[n] < against[best] + 2.0 * np.log(OUT)]
         if rivals and not slipping and abs(c) < _ANY_SCALE:
             return found
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
@@ -159,7 +159,7 @@ def _lacks_by_heading(yaw: YawAnswer, beside: Sequence[str], truth: TruthAnswer 
         float(np.min(np.einsum("ik,ij,jk->k", away, precision, away)))
         for away in (values[-2:, None], values[-2:, None] - sloped)
     )
-    return bool(level - least > 2.0 * np.log(_OUT))
+    return bool(level - least > 2.0 * np.log(OUT))
 
 
 def _turns_are_odd(truth: TruthAnswer | None) -> bool:
@@ -245,6 +245,8 @@ def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
         seen = Remark(Said.SAMPLES_OF_ROWS)
     if name == "delay" and yaw.window_s > 0:
         parameters["encoder_window_s"] = Estimate.exact(yaw.window_s, "s")
+    if KINDS[name].figure == "bias_moving_dps":
+        parameters["time_constant_s"] = Estimate.exact(KINDS[name].lag_s, "s")
     return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
 
 
@@ -271,7 +273,7 @@ def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
         if other in yaw.chosen or law.effect == yaw.laws[name].effect or other.startswith("wheel_"):
             continue
         ratio = float(np.exp(np.clip(0.5 * (own - yaw.gram.added(others, [other])), -50, 50)))
-        if ratio < _OUT:
+        if ratio < OUT:
             found[law.effect] = min(ratio, found.get(law.effect, np.inf))
     if name == "asymmetry" and not yaw.model.frame.nodes.resting.any():
         found[GYRO_BIAS.id] = 1.0
@@ -299,7 +301,7 @@ def _of_scale(
         against = _against(*yaw.estimate("track"), truth)
         for other, chi2 in against.items():
             ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
-            if other != name and ratio < _OUT and name in against:
+            if other != name and ratio < OUT and name in against:
                 others[SKID_SLIP.id if other == "track" else other] = ratio
     tilted = -_TILT_STDS * series.robot.initial_std["gyro_scale"]
     if name == "gyro_scale" and scale.value < tilted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +121,22 @@ class YawAnswer:
         weight = self.model.given(columns).inverse() @ shared
         return MotionBias(
             float(np.sqrt(shared[parts].sum())), float(shared[parts[0]]), self.model.frame.nodes.t_s, weight
+        )
+
+    def without(self, denied: Sequence[str]) -> YawAnswer:
+        """The same less laws that something else speaks against: what they had explained has no name."""
+        chosen = tuple(n for n in self.chosen if n not in denied)
+        values, covariance = self.gram.solve(chosen)
+        gain = sum(self.named[n] for n in denied)
+        strangers = {**self.strangers, "speed": (gain, len(denied), float(stats.chi2.sf(gain, len(denied))))}
+        return replace(
+            self,
+            chosen=chosen,
+            values=values,
+            covariance=covariance,
+            named={n: g for n, g in self.named.items() if n not in denied},
+            strangers=strangers,
+            odd=tuple(dict.fromkeys([*self.odd, "speed"])),
         )
 
     @property

@@ -13,6 +13,7 @@ from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.navigation.survey import check_cells, check_speed, one_speed
+from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
 from gyrocal.units import DEG_TO_RAD, STDS_PER_MAD
@@ -23,13 +24,6 @@ Bools = NDArray[np.bool_]
 
 #: Spacing of the comparison in motion and at rest, s: closer brings nothing, wider loses delays and small wheels.
 NODE_S, REST_NODE_S = 0.1, 1.0
-#: A row rests where no wheel moves from so long before to so long after, s, at the most: between two ticks a robot may
-#: still turn.
-STILL_S = 0.6
-#: A robot that comes to rest, or leaves it, passes its last tick at no less than this, m/s^2: the wait for a tick of 0.2 mm
-#: is 0.14 s. Wheels brake and start 10 times as hard; of short stops nothing else is left (0.6 s before and after takes a
-#: stop of 2 s down to 0.8 s).
-_LEAST_BRAKING = 0.02
 #: Share of the rows whose speed must be one that a vehicle has: single rows may be of a clock that jumped.
 _FAST = 0.95
 #: What counts as motion of a wheel without ticks, m/s.
@@ -112,7 +106,7 @@ class DriveSeries:
     def moving(self, lag_s: float) -> Floats:
         """How far whatever follows the motion with a lag has come, 0 at rest to 1, row by row."""
         # From the last tick to the next: a rest leaves out what it is not sure of.
-        awake = _still(self.t_s, self.resting, _last_tick_s(self.tick_m) * (1.0 - 1e-9))
+        awake = _still(self.t_s, self.resting, tick_wait_s(max(self.tick_m)))
         moving = awake.astype(np.float64)
         if lag_s == 0.0:
             return moving
@@ -173,7 +167,7 @@ def drive_series(
     moving = _moving(dt_s, (left, right), ticks)
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, log.truth_x_m, log.truth_y_m, log.truth_heading_deg,
-        _still(t_s, moving, _last_tick_s(ticks)), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not (log.speed_only or one_speed(left, right)), robot,
+        _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not (log.speed_only or one_speed(left, right)), robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
 
@@ -268,13 +262,10 @@ def _moving(dt_s: Floats, wheels: tuple[Floats, Floats], ticks: tuple[float, flo
     return moving
 
 
-def _last_tick_s(ticks: tuple[float, float]) -> float:
-    """How long a wheel may turn unseen before it stands, or after it has begun to move."""
-    return min(max(float(np.sqrt(2.0 * max(ticks) / _LEAST_BRAKING)), SMOOTH_S), STILL_S)
-
-
 def _still(t_s: Floats, moving: Bools, margin_s: float) -> Bools:
     """Rows without motion from a margin before to a margin after."""
+    # A row exactly at the margin is within it, however times are rounded.
+    margin_s *= 1.0 + 1e-9
     count = np.concatenate([[0], np.cumsum(moving)])
     begin = np.searchsorted(t_s, t_s - margin_s, side="left")
     end = np.searchsorted(t_s, t_s + margin_s, side="right")

@@ -75,6 +75,8 @@ class TruthAnswer:
         Coordinate -> p-value of structure that nothing here explains.
     mirrored : bool
         The truth follows the path in a mirror only.
+    loss : float
+        Minus twice the restricted log-likelihood of what was taken out of the path beforehand.
     """
 
     values: Mapping[str, float]
@@ -82,6 +84,7 @@ class TruthAnswer:
     covariance: Floats
     odd: Mapping[str, float]
     mirrored: bool = False
+    loss: float = 0.0
 
     def told(self, name: str) -> float:
         """A figure in its standard deviations; 0 where the truth is mirrored or says nothing of it."""
@@ -419,6 +422,7 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         {n: stds[n] for n in told},
         covariance[np.ix_(at, at)],
         odd,
+        loss=laid.loss,
     )
 
 
