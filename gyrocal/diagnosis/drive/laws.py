@@ -35,7 +35,7 @@ _SMALL = 1e-3
 #: Curvatures of half saturation that are tried.
 HALF_CURVATURES = (0.1, 0.3, 1.0)
 #: Lags with which a bias that comes with the motion is tried to follow it, s: at once, or as what was shaken or loaded settles.
-MOVING_LAGS_S = (0.0, 0.5, 1.0, 2.0, 5.0)
+MOVING_LAGS_S = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 #: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
 #: A bias at rest of its own is looked for where the log begins with a rest this long, or has as much of it later, s.
