@@ -62,6 +62,41 @@ def test_a_short_stop_is_a_rest_but_for_the_last_tick(tick_m: float, least_s: fl
     assert least_s < stopped_s < least_s + 0.3
 
 
+@pytest.mark.parametrize("hz", [20.0, 40.0, 50.0, 80.0])
+def test_motion_ends_with_the_last_row_that_moves(hz: float, resting: Robot) -> None:
+    """The margin of a rest is a whole number of rows at some of these rates."""
+    speed = np.full(6000, 0.5)
+    for at in range(500, 5500, 617):
+        speed[at : at + int(3 * hz)] = 0.0
+    log = DriveBlock(
+        2, np.arange(6000) / hz, speed / hz, 1.01 * speed / hz, np.sin(np.arange(6000.0)), NAN, NAN, NAN, NAN
+    )
+    series = drive_series("log", log, resting, None)
+    np.testing.assert_array_equal(series.moving(0.0), speed > 0)
+
+
+@pytest.mark.parametrize("of_gyro", [True, False])
+def test_a_truth_tells_a_bias_in_motion_from_what_wheels_do(of_gyro: bool, resting: Robot) -> None:
+    log = drive(replace(RESTS, truth_m=0.02), 8)
+    moving = np.abs(log.left_m) + np.abs(log.right_m) > 0
+    if of_gyro:
+        log = replace(log, gyro_dps=log.gyro_dps + 0.2 * moving)
+    else:
+        turn_m = 0.25 * np.radians(0.2) * np.diff(log.t_s, prepend=log.t_s[0]) * moving
+        log = replace(log, left_m=log.left_m + turn_m, right_m=log.right_m - turn_m)
+    found = diagnose_drive("log", log, resting)
+    bias = 0.0 if found.robot is None else found.robot.parameters.gyro.bias_moving_dps
+    if of_gyro:
+        assert [e.effect for e in found.diagnosis.effects] == ["gyro_bias"]
+        assert bias == pytest.approx(0.2, abs=0.02)
+        assert found.diagnosis.effects[0].parameters["time_constant_s"].value == 0.0
+    else:
+        assert "gyro_bias" not in [e.effect for e in found.diagnosis.effects]
+        assert bias == 0.0
+        assert found.diagnosis.verdict != "explained"
+        assert "speed" in [place.coordinate for place in found.diagnosis.located]
+
+
 @pytest.mark.parametrize("lag_s", [0.0, 1.0])
 def test_a_bias_that_comes_with_the_motion_is_named_and_goes_into_the_file(
     lag_s: float, resting: Robot
