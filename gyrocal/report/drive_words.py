@@ -88,6 +88,8 @@ def _effect_sentence(effect: NamedEffect) -> str:
 def _other(a: Alternative) -> str:
     if 1 / _ALIKE < a.evidence_ratio < _ALIKE:
         return f"{a.effect} (about as well)"
+    if a.evidence_ratio < 1.0:
+        return f"{a.effect} (likelier: {1.0 / a.evidence_ratio:.3g} to 1 for it)"
     return f"{a.effect} ({a.evidence_ratio:.2g} to 1 against it)"
 
 

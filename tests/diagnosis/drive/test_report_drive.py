@@ -12,12 +12,13 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
+from gyrocal.diagnosis.result import Alternative
 from gyrocal.errors import InputError
 from gyrocal.records.drive import DriveBlock, format_drive_log
 from gyrocal.records.robot import read_robot
 from gyrocal.report import style
 from gyrocal.report.diagnosis_drive import drive_figures, seconds_of
-from gyrocal.report.drive_words import drive_sentences, drive_tables
+from gyrocal.report.drive_words import _other, drive_sentences, drive_tables
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
 
@@ -135,3 +136,12 @@ def test_several_recordings_need_a_robot(tmp_path: Path) -> None:
     config = DiagnoseConfig(tmp_path / "a", tmp_path / "out", others=(tmp_path / "b",))
     with pytest.raises(InputError, match="--robot"):
         write_diagnosis(config, lambda share, what: None)
+
+
+def test_a_rival_is_said_to_be_less_likely_or_likelier() -> None:
+    said = [_other(Alternative("gyro_bias", ratio)) for ratio in (9.0, 2.0, 0.005)]
+    assert said == [
+        "gyro_bias (9 to 1 against it)",
+        "gyro_bias (about as well)",
+        "gyro_bias (likelier: 200 to 1 for it)",
+    ]
