@@ -16,7 +16,7 @@ from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import DIRECTION, Law, Model
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
-from gyrocal.diagnosis.names import ALIKE_NATS, Named
+from gyrocal.diagnosis.names import ALIKE_NATS, EACH_RATE, Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect, UnnamedPart
@@ -31,7 +31,6 @@ from gyrocal.physics.timewise import WARM_UP
 #: A law that the search of a table put in has a name where every model without it is worse by this, nats, beyond what laws
 #: pay there: odds of 12 to 1. Of seven laws with less on 48 recordings five were there.
 _NAMED_BEYOND_TOLL = 2.5
-_EACH_RATE = "each rate"
 
 
 def named_effects(found: Examination) -> list[NamedEffect]:
@@ -39,9 +38,9 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     named = [(n.gain, _law(found, n)) for n in found.naming.named]
     named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
     named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.nats > _NAMED_BEYOND_TOLL]
-    gain = found.naming.unnamed.get(_EACH_RATE, 0.0)
+    gain = found.naming.unnamed.get(EACH_RATE, 0.0)
     if gain > GAIN:
-        size = estimates.of_draws(found.naming.fitted, _EACH_RATE, found.model.basis.frame.rate_scale_dps)
+        size = estimates.of_draws(found.naming.fitted, EACH_RATE, found.model.basis.frame.rate_scale_dps)
         p = block_p_value(gain, len(BLOCKS))
         found_as = _effect(
             found, REFERENCE_RATE_ERROR.id, {"amplitude": size}, p, _instead_of_each_rate(found)
@@ -134,7 +133,7 @@ def _input_share(found: Examination) -> Estimate:
 
 def _of_the_input(found: Examination) -> bool:
     """Whether a surface of the input, not of the output, is a finding by itself: not where a law of the rate explains it."""
-    laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", _EACH_RATE)]
+    laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", EACH_RATE)]
     return found.naming.input_gain > GAIN and not laws_of_rate
 
 
@@ -227,8 +226,8 @@ def layers_of(found: Examination) -> list[Step]:
     for block, nats in found.naming.unnamed.items():
         names = [n for n, b in model.blocks.items() if b == block]
         owners = [n.law.effect for n in found.naming.named if n.block == block and not model.holds(n.law)]
-        title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == _EACH_RATE else block
-        if names and (BLOCKS[block].stays or block == _EACH_RATE):
+        title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == EACH_RATE else block
+        if names and (BLOCKS[block].stays or block == EACH_RATE):
             steps.append(Step(title, nats, partial(Model.without, names=names)))
     return sorted(steps, key=lambda step: -step.nats)
 

@@ -44,7 +44,7 @@ _UNLIKELY = 50.0
 #: Block whose laws may be narrower than its smooth parts.
 _SHARP = "odd rate"
 #: Block of errors of single rates, which explain whatever laws of the rate do.
-_EACH_RATE = "each rate"
+EACH_RATE = "each rate"
 #: Laws of one block. A search ends by what they gain; only the plays of a hysteresis without a corner ever were as many.
 _MOST_LAWS = 3
 
@@ -290,7 +290,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     whole_nll : what the block explains, the surface being as it fits best beside it
     """
     without = evidence(fitted, block)[1]
-    if block == _EACH_RATE and _SHARP in without.model.blocks.values():
+    if block == EACH_RATE and _SHARP in without.model.blocks.values():
         # Smooth parts that grow where errors of each rate go would lend a law what it does not explain.
         without = evidence(without, _SHARP)[1]
     worth = without.nll - whole_nll
@@ -303,7 +303,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.
     replaces = all(_of_robot(n) or _passes(n) for n in named) or not BLOCKS[block].stays
     # Errors of single rates are as simple as a law is.
-    slack = 0.0 if block == _EACH_RATE else REPLACED + len(named)
+    slack = 0.0 if block == EACH_RATE else REPLACED + len(named)
     if alone.fitted.nll <= whole_nll + slack:
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
     beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws)) if replaces else fitted

@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 from gyrocal.fusion import Navigator, RobotParameters, Rows
 from gyrocal.fusion.robot import SEPARATION_RELATIVE_STD
 from gyrocal.inference.spread import mean_square
+from gyrocal.physics.drive import TICK_WAITS_S
 from gyrocal.records.robot import Robot
 from gyrocal.units import DPH_TO_DPS
 
@@ -42,7 +43,6 @@ _WALK_SPREAD = 1.5
 NIS_RANGE, LAG1_LIMIT = (0.75, 1.33), 0.1
 #: Seconds over which the gyro's samples at rest are averaged to tell its angle random walk, and how many are needed.
 _REST_BIN_S, _LEAST_BINS = 0.1, 20
-_STILL_S = 0.6
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Shares of the bias that is thought possible beforehand, from which the rests of a log choose.
 _BIAS_SHARES = tuple(2.0**-k for k in range(6))
@@ -55,7 +55,7 @@ def rest_walk(rows: Rows) -> float | None:
     moving = np.flatnonzero(np.abs(rows.left_m) + np.abs(rows.right_m) > 0.0)
     after = np.searchsorted(moving, np.arange(rows.t_s.size))
     ends = np.concatenate([[-math.inf], rows.t_s[moving], [math.inf]])
-    rest = (rows.t_s - ends[after] > _STILL_S) & (ends[after + 1] - rows.t_s > _STILL_S)
+    rest = (rows.t_s - ends[after] > TICK_WAITS_S[1]) & (ends[after + 1] - rows.t_s > TICK_WAITS_S[1])
     rest &= np.isfinite(rows.gyro_dps)
     if np.count_nonzero(rest) < _LEAST_BINS:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
-from gyrocal.diagnosis.drive.laws import KINDS, PER_SI
+from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, SCALES, TruthAnswer
@@ -245,7 +245,7 @@ def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
         seen = Remark(Said.SAMPLES_OF_ROWS)
     if name == "delay" and yaw.window_s > 0:
         parameters["encoder_window_s"] = Estimate.exact(yaw.window_s, "s")
-    if KINDS[name].figure == "bias_moving_dps":
+    if name in MOVING:
         parameters["time_constant_s"] = Estimate.exact(KINDS[name].lag_s, "s")
     return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
 

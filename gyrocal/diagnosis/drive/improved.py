@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.findings import Scale
-from gyrocal.diagnosis.drive.laws import KINDS, reference_temp_c
+from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -96,7 +96,7 @@ def figures_of(
 
 def _moving(yaw: YawAnswer) -> str:
     """The law of the bias that follows the motion; empty where none is named."""
-    return next((n for n in yaw.named if n.startswith("moving_")), "")
+    return next((n for n in yaw.named if n in MOVING), "")
 
 
 def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:

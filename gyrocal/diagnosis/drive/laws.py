@@ -36,6 +36,8 @@ _SMALL = 1e-3
 HALF_CURVATURES = (0.1, 0.3, 1.0)
 #: Lags with which a bias that comes with the motion is tried to follow it, s: at once, or as what was shaken or loaded settles.
 MOVING_LAGS_S = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+#: Names of these laws, each with its lag.
+MOVING = {f"moving_{lag_s:g}": lag_s for lag_s in MOVING_LAGS_S}
 #: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
 #: A bias at rest of its own is looked for where the log begins with a rest this long, or has as much of it later, s.
@@ -85,7 +87,7 @@ KINDS: Mapping[str, Kind] = {
     "track": Kind("effective_track", said_below_zero=Said.TURNS_INWARD),
     "asymmetry": Kind(WHEEL_ASYMMETRY.id),
     "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", "motion", said=Said.BIAS_IN_MOTION),
-    **{f"moving_{lag:g}": replace(_SHAKEN, lag_s=lag) for lag in MOVING_LAGS_S},
+    **{name: replace(_SHAKEN, lag_s=lag_s) for name, lag_s in MOVING.items()},
     "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC"),
     "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
     "slip_turn_rate": _SLIP,
@@ -218,8 +220,8 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
         found["step"] = law(frame, GYRO_BIAS, where=series.moved.astype(np.float64))
     # Without a later rest it is the step.
     if float(np.sum(series.dt_s[series.resting & series.moved])) >= _LEAST_REST_S:
-        for lag_s in MOVING_LAGS_S:
-            found[f"moving_{lag_s:g}"] = law(frame, GYRO_BIAS, where=series.moving(lag_s))
+        for name, lag_s in MOVING.items():
+            found[name] = law(frame, GYRO_BIAS, where=series.moving(lag_s))
     temp = frame.conditions.temp_c
     if temp is not None:
         slope = law(frame, BIAS_TEMPERATURE)
