@@ -64,6 +64,7 @@ class Said(Enum):
     BIAS_IN_MOTION = auto()
     BIAS_WHILE_MOVING = auto()
     BIAS_NO_REST = auto()
+    BIAS_JUMPS = auto()
     TRACK_MIXED_UP = auto()
 
 

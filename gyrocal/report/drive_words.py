@@ -12,6 +12,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
 from gyrocal.diagnosis.drive.findings import undecided
 from gyrocal.diagnosis.drive.improved import DriveEstimate
+from gyrocal.diagnosis.drive.laws import KINDS
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS
 from gyrocal.report.page import Table
@@ -108,6 +109,8 @@ def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) 
     lines = []
     for e in said:
         remark = "" if e.named else ", not distinct enough to be named"
+        if e.name == KINDS["jump"].shown:
+            remark = ", and no robot file holds it"
         if e.name == GYRO_BIAS.id and not e.named:
             remark = ", and the rest at the start takes it off" if at_rest else ", as the robot file expects"
         lines.append(

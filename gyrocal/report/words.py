@@ -135,7 +135,7 @@ def stretch_words(place: Located) -> str:
         first, last = round(place.low), round(place.high)
         return f"data set {first}" if first == last else f"data sets {first} to {last}"
     unit, low, high = place.unit, place.low, place.high
-    if place.coordinate in _IN_HOURS:
+    if place.coordinate in _IN_HOURS and high >= S_PER_H:
         unit, low, high = "h", low / S_PER_H, high / S_PER_H
     return f"at {low:g} {unit}" if low == high else f"{span_text(low, high)} {unit}"
 

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
-from gyrocal.diagnosis.drive.findings import OUT, Scale, named_effects, not_testable, places, scales, verdict
+from gyrocal.diagnosis.drive.findings import (
+    OUT,
+    Scale,
+    bias_jump,
+    named_effects,
+    not_testable,
+    places,
+    scales,
+    verdict,
+)
 from gyrocal.diagnosis.drive.heldout import improvements
 from gyrocal.diagnosis.drive.improved import (
     DriveEstimate,
@@ -159,6 +168,8 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     if truth is not None and truth.mirrored:
         notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = scales(yaw, truth)
+    if "jump" in yaw.chosen:
+        notes.append(bias_jump(yaw))
     clock = uneven_clock(log.t_s)
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
     return Examined(
@@ -222,7 +233,7 @@ def _shown(
 
 def _foretold(found: Examined) -> Figures:
     """The figures of a log as another drive is to take them."""
-    return replace(found.figures, bias_dps=foretold_bias(found.yaw, found.truth))
+    return replace(found.figures, bias_dps=foretold_bias(found.yaw, found.truth), bias_before_dps=0.0)
 
 
 def _compared(

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
-from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import BELIEVED, INTERESTS, SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, INTERESTS, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import (
@@ -78,7 +78,7 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
 
 
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
-    """What the truth shows, scales of gyro and wheels and a slope of the bias (deg/s per degC), and the track that is left.
+    """What the truth shows, scales of gyro and wheels and laws of the bias (`ALONE`), and the track that is left.
 
     Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro), so that only the truth tells the three apart.
     What it does not show goes to whichever of the three it speaks least against.
@@ -94,8 +94,9 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
             beside = Scale(beside.value + tilt.value, float(np.hypot(beside.std, tilt.std)))
             if abs(beside.value) > BELIEVED * beside.std:
                 found["gyro_scale"] = beside
-        if truth.told("bias_slope") ** 2 >= GAIN:
-            found["bias_slope"] = Scale(truth.values["bias_slope"], truth.stds["bias_slope"])
+        for name in ALONE:
+            if truth.told(name) ** 2 >= GAIN:
+                found[name] = Scale(truth.values[name], truth.stds[name])
     if tilt.value > 0.0:
         found[ROBOT_TILT.id] = tilt
     if "track" not in yaw.chosen:
@@ -252,7 +253,8 @@ def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
 
 def _said(name: str, value: float) -> Remark | None:
     """What is said of a law of some size where it is named."""
-    said = KINDS[name].said or (KINDS[name].said_below_zero if value < 0 else None)
+    kind = KINDS.get(name, Kind(name))
+    said = kind.said or (kind.said_below_zero if value < 0 else None)
     return None if said is None else Remark(said)
 
 
@@ -283,8 +285,8 @@ def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
 def _of_scale(
     name: str, scale: Scale, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> NamedEffect:
-    effect = {"track": SKID_SLIP.id, "bias_slope": BIAS_TEMPERATURE.id}.get(name, name)
-    seen = beside = None
+    effect = {"track": SKID_SLIP.id, "slope": BIAS_TEMPERATURE.id, AT_ONCE: GYRO_BIAS.id}.get(name, name)
+    seen, beside = _said(name, scale.value), None
     others: dict[str, float] = {}
     if name == ROBOT_TILT.id:
         tilt = 2.0 * RAD_TO_DEG * float(np.sqrt(scale.value))
@@ -293,7 +295,6 @@ def _of_scale(
         parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     if name == "track":
         parameters |= {"law": Estimate.exact(0.0, "1"), "shape": Estimate.exact(0.0, "1")}
-        seen = _said(name, scale.value)
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others[UNIT_OR_SIGN.id] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)
@@ -357,7 +358,23 @@ def places(
     if any(e.effect == ROBOT_TILT.id for e in effects):
         odd.pop("heading", None)
     left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
+    if "jump" in yaw.chosen:
+        end_s = float(series.t_s[-1])
+        left = [
+            replace(one, low=yaw.jump_s, high=end_s, unit="s", target="bias")
+            if one.coordinate == "time"
+            else one
+            for one in left
+        ]
     return [*found.values(), *left, *_noisy(series, yaw)]
+
+
+def bias_jump(yaw: YawAnswer) -> Remark:
+    """When and by how much the bias jumps."""
+    before, std = yaw.estimate("jump")
+    begin_s = yaw.model.frame.series.t_s[0]
+    times = {name: at_s - begin_s for name, at_s in yaw.laws["jump"].shape.items()}
+    return Remark(Said.BIAS_JUMPS, {"jump_dps": -before, "half_dps": NORMAL_95 * std, **times})
 
 
 def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:

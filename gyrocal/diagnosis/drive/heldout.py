@@ -46,7 +46,7 @@ def improvements(yaw: YawAnswer, effects: Sequence[str]) -> tuple[Improvement | 
 
 
 def _of(yaw: YawAnswer, effect: str) -> list[str]:
-    return [n for n, law in yaw.laws.items() if law.effect == effect and n != "bias"]
+    return [n for n, law in yaw.laws.items() if law.effect == effect and n not in ("bias", "jump")]
 
 
 def _fold(yaw: YawAnswer) -> Ints:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,32 +71,37 @@ def figures_of(
     series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale], truth: TruthAnswer | None
 ) -> Figures:
     """What the log says should be taken out of it: the bias, and all that is named."""
+    told = _told(yaw, parts, tuple(yaw.named))
 
     def value(name: str) -> float:
-        return yaw.estimate(name)[0] if name in yaw.named else 0.0
-
-    def scale(name: str) -> float:
-        return parts[name].value if name in parts else 0.0
+        return told[name][0] if name in told else 0.0
 
     half = 0.5 * value("asymmetry")
-    moving = _moving(yaw)
+    moving = _moving(told)
     return Figures(
         bias_dps=bias_of(yaw, truth)[0],
         temp_c=reference_temp_c(series),
         bias_motion_dps=value("step"),
-        bias_moving_dps=value(moving) if moving else 0.0,
-        bias_moving_s=KINDS[moving].lag_s if moving else 0.0,
-        bias_slope_dps_per_c=value("slope") + scale("bias_slope"),
-        gyro_scale=scale("gyro_scale"),
-        left_scale=(1 + scale("wheel_scale")) * (1 - half) - 1,
-        right_scale=(1 + scale("wheel_scale")) * (1 + half) - 1,
+        bias_moving_dps=value(moving),
+        bias_moving_s=MOVING.get(moving, 0.0),
+        bias_before_dps=yaw.estimate("jump")[0] if "jump" in yaw.chosen else 0.0,
+        bias_before_s=yaw.jump_s,
+        bias_slope_dps_per_c=value("slope"),
+        gyro_scale=value("gyro_scale"),
+        left_scale=(1 + value("wheel_scale")) * (1 - half) - 1,
+        right_scale=(1 + value("wheel_scale")) * (1 + half) - 1,
         delay_s=value("delay"),
     )
 
 
-def _moving(yaw: YawAnswer) -> str:
-    """The law of the bias that follows the motion; empty where none is named."""
-    return next((n for n in yaw.named if n in MOVING), "")
+def _told(yaw: YawAnswer, parts: Mapping[str, Scale], named: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of laws that the heading difference names, and of what the truth shows."""
+    return {n: yaw.estimate(n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
+
+
+def _moving(told: Iterable[str]) -> str:
+    """The law of the bias that follows the motion; empty where there is none."""
+    return next((n for n in told if n in MOVING), "")
 
 
 def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
@@ -169,8 +174,8 @@ def _of_gyro(
         told = None
         if name == "bias":
             told = (*bias_of(yaw, truth), False)
-        elif name == "slope" and "bias_slope" in parts:
-            told = (parts["bias_slope"].value, parts["bias_slope"].std, True)
+        elif kind.figure and name in parts:
+            told = (parts[name].value, parts[name].std, True)
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
             told = (*_estimate(yaw, name), name in yaw.named)
         if told is not None:
@@ -240,14 +245,12 @@ def improved_robot(
     keys: dict[str, Any] = {}
     if series.robot.static_s == 0:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
-    for law in (n for n in lasting if KINDS[n].figure):
-        keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = yaw.estimate(law)
-    if moving := _moving(yaw):
+    told = _told(yaw, parts, lasting)
+    for law in (n for n in told if n in KINDS and KINDS[n].figure):
+        keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = told[law]
+    if moving := _moving(told):
         keys["gyro.bias_moving_s"] = KINDS[moving].lag_s
-    if "bias_slope" in parts:
-        slope = parts["bias_slope"]
-        keys["gyro.bias_slope_dps_per_c"], keys["gyro.bias_slope_dps_per_c_std"] = slope.value, slope.std
-    if "slope" in yaw.named or "bias_slope" in parts:
+    if "slope" in told:
         keys["gyro.temp_c"] = figures.temp_c
     if yaw.window_s > 0:
         keys["encoders.window_s"] = yaw.window_s
@@ -275,7 +278,9 @@ def improved_robot(
 
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
     bias, std = bias_of(yaw, truth)
-    changes = abs(_CHANGES * bias)
+    # A bias that has jumped has shown by how much it may be another one.
+    jumped = yaw.estimate("jump")[0] if "jump" in yaw.chosen else 0.0
+    changes = float(np.hypot(_CHANGES * bias, jumped))
     keys = {
         "gyro.bias_dps": foretold_bias(yaw, truth),
         "gyro.bias_dps_std": std,

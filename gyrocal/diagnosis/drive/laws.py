@@ -36,8 +36,9 @@ _SMALL = 1e-3
 HALF_CURVATURES = (0.1, 0.3, 1.0)
 #: Lags with which a bias that comes with the motion is tried to follow it, s: at once, or as what was shaken or loaded settles.
 MOVING_LAGS_S = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
-#: Names of these laws, each with its lag.
+#: Names of these laws, each with its lag, and that without one.
 MOVING = {f"moving_{lag_s:g}": lag_s for lag_s in MOVING_LAGS_S}
+AT_ONCE = "moving_0"
 #: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
 #: A bias at rest of its own is looked for where the log begins with a rest this long, or has as much of it later, s.
@@ -88,6 +89,7 @@ KINDS: Mapping[str, Kind] = {
     "asymmetry": Kind(WHEEL_ASYMMETRY.id),
     "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", "motion", said=Said.BIAS_IN_MOTION),
     **{name: replace(_SHAKEN, lag_s=lag_s) for name, lag_s in MOVING.items()},
+    "jump": Kind("gyro_bias_before_jump", "bias_before_dps", "deg/s"),
     "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC"),
     "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
     "slip_turn_rate": _SLIP,
@@ -236,6 +238,12 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
         for half in HALF_CURVATURES:
             found[f"slip_saturating_{half:g}"] = law(frame, SKID_SLIP, law=saturating, shape=half)
     return found
+
+
+def jump(frame: Frame, at_s: float) -> Law:
+    """A bias that is another one until an instant."""
+    one = law(frame, GYRO_BIAS, where=(frame.series.t_s < at_s).astype(np.float64))
+    return replace(one, shape={"until_s": at_s})
 
 
 def wheel_laws(frame: Frame, side: float, radius_m: float) -> tuple[Law, Law]:

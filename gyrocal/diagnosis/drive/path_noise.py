@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,7 @@ class Knots:
     """Truth, which is known in `rows` of a log, averaged over equal times, shape (k,); `at` is the knot of each of these rows.
 
     Positions, headings or both; what it lacks is None.
-    `warmer_c` is the gyro's temperature above that of its bias, row by row, where nothing but the truth could tell its law.
+    `alone` are laws of the bias that nothing but the truth could tell, each as what one unit of it adds to the rate in each row.
     """
 
     rows: Ints
@@ -39,7 +40,7 @@ class Knots:
     t_s: Floats
     position: Complexes | None
     heading: Floats | None
-    warmer_c: Floats | None
+    alone: Mapping[str, Floats]
 
     def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
         """Mean of a row-wise channel over each knot."""

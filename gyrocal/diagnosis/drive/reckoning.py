@@ -25,6 +25,7 @@ class Figures:
     bias_dps, temp_c : constant bias, and the temperature that it belongs to
     bias_motion_dps : added from the first motion on
     bias_moving_dps, bias_moving_s : follows the motion, with a lag
+    bias_before_dps, bias_before_s : added until an instant of the log, s
     bias_slope_dps_per_c : bias by temperature
     gyro_scale, left_scale, right_scale : measured = (1 + scale) times true
     delay_s : the gyro is late; below 0: the encoders are
@@ -36,6 +37,8 @@ class Figures:
     bias_motion_dps: float = 0.0
     bias_moving_dps: float = 0.0
     bias_moving_s: float = 0.0
+    bias_before_dps: float = 0.0
+    bias_before_s: float = 0.0
     bias_slope_dps_per_c: float = 0.0
     gyro_scale: float = 0.0
     left_scale: float = 0.0
@@ -89,7 +92,11 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
     """Reckon a log with the errors in `figures` taken out of it, each channel brought to the time of the earlier one."""
     rest = rest_mean_dps(series) if figures.bias_from_rest else None
     bias, at_c = rest if rest is not None else (figures.bias_dps, figures.temp_c)
-    rate = series.gyro_dps - bias - figures.bias_motion_dps * series.moved
+    before = figures.bias_before_dps * (series.t_s < figures.bias_before_s)
+    if rest is not None:
+        # The rest at the start has seen it.
+        before = before - before[0]
+    rate = series.gyro_dps - bias - before - figures.bias_motion_dps * series.moved
     if figures.bias_moving_dps:
         rate = rate - figures.bias_moving_dps * series.moving(figures.bias_moving_s)
     temp = temperature_c(series)

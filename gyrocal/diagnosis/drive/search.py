@@ -17,12 +17,13 @@ from gyrocal.diagnosis.drive.laws import (
     candidate_laws,
     constant_laws,
     frame_of,
+    jump,
     strangers,
     wheel_laws,
 )
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
-from gyrocal.units import RAD_TO_DEG
+from gyrocal.units import NORMAL_95, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +42,8 @@ _CLEARLY = 0.8
 _SHIFT, _ROUNDS = 0.2, 3
 #: Radii of wheels, m, and how many peaks of each side's spectrum are looked at.
 _RADII_M, _PEAKS = (0.02, 0.6), 3
+#: Instants of a drive at which the bias may jump, and how many about the likeliest are looked at again.
+_INSTANTS, _CLOSER = 40, 16
 #: Parts of a drive in which a named law must be the same.
 _PARTS = 24
 
@@ -111,6 +114,11 @@ class YawAnswer:
     def law_rad(self, name: str) -> Floats:
         """What a law adds to the difference in each interval."""
         return np.asarray(self.values[self.chosen.index(name)] * self.laws[name].column)
+
+    @property
+    def jump_s(self) -> float:
+        """When the bias jumps; before all rows where it does not."""
+        return self.laws["jump"].shape["until_s"] if "jump" in self.chosen else -np.inf
 
     @property
     def motion_bias(self) -> MotionBias:
@@ -205,24 +213,28 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     if (wider := _widened(series, known, free.own, chosen)) != known:
         known, told = wider, free.knowing(wider)
         chosen = _selected(told, least, list(laws))
-    wheels = _wheels(frame, model, everything, chosen, known)
-    if wheels:
-        everything |= wheels
-        columns |= {name: x.column for name, x in wheels.items()}
+    beyond = _wheels(frame, model, everything, chosen, known) | _jump(model, everything, chosen, known)
+    if beyond:
+        everything |= beyond
+        columns |= {name: x.column for name, x in beyond.items()}
         free = evidence(model, columns)
         told = free.knowing(known)
-        first = [*(n for n in chosen if n in constant or (n == "delay" and ahead_s)), *wheels]
-        chosen = _selected(told, first, list(laws))
+        chosen = _selected(told, [*least, *beyond], list(laws))
     odd = {}
     for coordinate, block in blocks.items():
         names = [f"{coordinate}:{k}" for k in range(block.shape[1])]
         # Against laws that are free: a robot file that grants too little of them is no structure without a name.
         gain = free.added(chosen, names)
         odd[coordinate] = (gain, len(names), float(stats.chi2.sf(gain, len(names))))
+    if "jump" in chosen:
+        gain = _gain(told, chosen, "jump")
+        odd["time"] = min((gain, 1, _jump_p(gain)), odd.get("time", (0.0, 1, 1.0)), key=lambda one: one[2])
     located = tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P)
     beside = [n for n in columns if n.split(":")[0] in located and ":" in n]
     named = _named(told, chosen, beside, ahead_s)
-    chosen = [n for n in chosen if n in constant or n == "delay" or n in named or _pair_of(n) in named]
+    chosen = [
+        n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
+    ]
     values, covariance = told.own.solve(chosen)
     uneven = _uneven(model, everything, chosen, named)
     if uneven:
@@ -331,7 +343,7 @@ def _least(gained: Mapping[str, float]) -> float:
 def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s: float) -> dict[str, float]:
     """Gain of each law that earns its name, the strongest first; `beside` are columns without one."""
     everything = [*chosen, *beside]
-    gains = {n: _gain(told, everything, n) for n in chosen if n not in ("bias", "delay", "wheel_sin")}
+    gains = {n: _gain(told, everything, n) for n in chosen if n not in ("bias", "delay", "jump", "wheel_sin")}
     if "wheel_cos" in chosen:
         others = [n for n in everything if _pair_of(n) != "wheel_cos"]
         gains["wheel_cos"] = told.added(others, ["wheel_cos", "wheel_sin"])
@@ -388,6 +400,38 @@ def _wheels(
             if gain > best[0]:
                 best = (gain, pair)
     return best[1]
+
+
+def _jump_p(gain: float) -> float:
+    """Chance of a gain at the best of all instants where no bias jumps."""
+    return min(_INSTANTS * float(stats.chi2.sf(gain, 1)), 1.0)
+
+
+def _jump(
+    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], known: Mapping[str, tuple[float, float]]
+) -> dict[str, Law]:
+    """A bias that jumps and stays, at the likeliest instant, if it is beyond chance."""
+    begin_s, end_s = model.frame.series.t_s[[0, -1]]
+    apart_s = (end_s - begin_s) / _INSTANTS
+    columns = {n: laws[n].column for n in chosen}
+
+    def gains(instants_s: Floats) -> Floats:
+        tried = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
+        told = evidence(model, columns | tried).knowing(known)
+        return np.array([told.added(chosen, [n]) for n in tried])
+
+    instants_s = begin_s + apart_s * (np.arange(_INSTANTS) + 0.5)
+    gained = gains(instants_s)
+    if _jump_p(gained.max()) >= STRANGER_P:
+        return {}
+    closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
+    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
+    likely_s = instants_s[gained > gained.max() - NORMAL_95**2]
+    found = jump(model.frame, float(instants_s[np.argmax(gained)]))
+    # The next instant that was looked at is outside.
+    step_s = 2.0 * apart_s / _CLOSER
+    span = {"earliest_s": float(likely_s.min() - step_s), "latest_s": float(likely_s.max() + step_s)}
+    return {"jump": replace(found, shape={**found.shape, **span})}
 
 
 def _resolution(frame: Frame, side: float, radius_m: float) -> float:

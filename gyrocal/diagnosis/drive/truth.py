@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import AT_ONCE, reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -39,8 +39,11 @@ _MODEL_STD = 1e-4
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 #: Truth that spans less of the drive, or a path that spans less of its own size, is none: a receiver that was off or stuck.
 _LEAST_SHARE, _LEAST_SIZE = 0.2, 0.01
-#: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m), slope of the bias (deg/s per degC).
-_SCALE, _CLOCK_S, _LEVER_M, _SLOPE = 0.2, 0.3, 1.0, 0.02
+#: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m).
+_SCALE, _CLOCK_S, _LEVER_M = 0.2, 0.3, 1.0
+#: Laws of the bias of a vehicle of one speed, which the truth alone can tell, by their names in `KINDS`, and what is thought
+#: possible of each: slope (deg/s per degC), and what is added in motion (deg/s).
+ALONE = {"slope": 0.02, AT_ONCE: 0.2}
 #: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
 _HORIZONS = (0.06, 0.12, 0.25, 0.5, 1.0)
 #: Levels' logarithms beforehand: the truth's are free, those of dead reckoning are known from the heading difference.
@@ -48,7 +51,7 @@ _FREE, _WAY_FREE = 4.0, 1.0
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
-#: Parts of a drive in which the gyro may be late.
+#: Parts of a drive in which the gyro may be late, or have a bias of its own.
 _PARTS = 8
 #: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
 _UNTOLD = 1e6
@@ -56,7 +59,7 @@ _UNTOLD = 1e6
 SCALES = ("gyro_scale", "wheel_scale")
 INTERESTS = ("gyro_bias", *SCALES)
 #: What the path is laid anew for until it moves no more.
-_MOVING = (*INTERESTS, "bias_slope")
+_MOVING = (*INTERESTS, *ALONE)
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,8 @@ class TruthAnswer:
     ----------
     values, stds : mapping
         ``gyro_bias`` (deg/s, beyond what was taken out), ``gyro_scale``, ``wheel_scale`` (relative), ``lever_ahead``,
-        ``lever_left`` (m), ``clock`` (s, the truth is late), ``mounting`` (rad, where there are headings), ``bias_slope``
-        (deg/s per degC, where nothing but the truth could tell it).
+        ``lever_left`` (m), ``clock`` (s, the truth is late), ``mounting`` (rad, where there are headings), and those
+        of `ALONE` where nothing but the truth could tell them.
     covariance : ndarray, shape (3, 3)
         Of `INTERESTS`.
     odd : mapping
@@ -108,9 +111,7 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    temp = None if series.differential else temperature_c(series)
-    warmer_c = None if temp is None else temp - reference_temp_c(series)
-    knots = Knots(rows, at, count, series.t_s, None, None, warmer_c)
+    knots = Knots(rows, at, count, series.t_s, None, None, _alone(series))
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -119,6 +120,18 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
         heading = knots.mean(apart)
     where = knots.mean(position) if series.has_truth else None
     return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
+
+
+def _alone(series: DriveSeries) -> dict[str, Floats]:
+    """Laws of `ALONE` that a log could hold."""
+    if series.differential:
+        return {}
+    temp, found = temperature_c(series), {}
+    if temp is not None:
+        found["slope"] = temp - reference_temp_c(series)
+    if series.resting.any():
+        found[AT_ONCE] = series.moving(0.0)
+    return found
 
 
 @dataclass(frozen=True)
@@ -136,8 +149,8 @@ class _State:
 def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     v = state.values
     turned = v["gyro_bias"] * (base.t_s - base.t_s[0])
-    if knots.warmer_c is not None:
-        turned = turned + v["bias_slope"] * np.cumsum(knots.warmer_c * base.dt_s)
+    for name, rate in knots.alone.items():
+        turned = turned + v[name] * np.cumsum(rate * base.dt_s)
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
     if state.strayed is not None:
         whole = np.concatenate([[0.0], np.cumsum(state.strayed)])
@@ -167,8 +180,8 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
     }
-    if knots.warmer_c is not None:
-        columns["bias_slope"] = by(-DEG_TO_RAD * np.cumsum(knots.warmer_c * path.dt_s), nothing)
+    for name, rate in knots.alone.items():
+        columns[name] = by(-DEG_TO_RAD * np.cumsum(rate * path.dt_s), nothing)
     if knots.position is not None:
         columns |= {
             "east": stacked(knots, one, flat),
@@ -193,7 +206,9 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     errors = {
         "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
         "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
-        "time": [(turned * share, nothing), (nothing, path.way_m * share)],
+        "time": [(turned * share, nothing), (nothing, path.way_m * share)]
+        # A bias that is another one from some time on, or for a while.
+        + [(path.dt_s * (part == k), nothing) for k in range(_PARTS - 1)],
         # A gyro that is late in one part of the drive and not in others.
         "delay": [(np.diff(turning * (part == k), prepend=0.0), nothing) for k in range(_PARTS)],
         "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
@@ -270,7 +285,7 @@ def _problem(
         "clock": (0.0, _CLOCK_S),
         "lever_ahead": (0.0, _LEVER_M),
         "lever_left": (0.0, _LEVER_M),
-        "bias_slope": (-v["bias_slope"], _SLOPE),
+        **{name: (-v[name], std) for name, std in ALONE.items()},
     }
     spread = path_noise(knots, path, noise, bias, wander_s)
     residual = stacked(knots, apart, headings, -v["gyro_bias"])
@@ -414,9 +429,7 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
     at = [names.index(n) for n in INTERESTS]
-    told = [
-        n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", "bias_slope") if n in found
-    ]
+    told = [n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", *ALONE) if n in found]
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},

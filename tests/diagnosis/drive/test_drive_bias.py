@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.diagnosis.drive.yaw import evidence
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot
+from gyrocal.report.remarks import remark_words
 from tests.diagnosis.drive.fleet import Plan, drive
 
 NAN = np.full(6000, np.nan)
@@ -137,3 +138,55 @@ def test_what_strong_one_over_f_noise_would_make_too_is_hardly_evidence(resting:
     assert told.added(beside, ["step"]) < 0.7 * told.own.added(beside, ["step"])
     # What 1/f noise does not make keeps what it gains.
     assert told.added(beside, ["delay"]) == pytest.approx(told.own.added(beside, ["delay"]), abs=0.5)
+
+
+def test_a_bias_that_jumps_and_stays_is_located_and_no_robot_file_holds_it(resting: Robot) -> None:
+    log = drive(RESTS, 8)
+    jumped = replace(log, gyro_dps=log.gyro_dps + 0.05 * (log.t_s > 200.0))
+    found = diagnose_drive("log", jumped, resting)
+    assert found.diagnosis.verdict == "unexplained"
+    (place,) = [p for p in found.diagnosis.located if p.remains]
+    assert (place.coordinate, place.target) == ("time", "bias")
+    shape = found.yaw.laws["jump"].shape
+    assert place.low == shape["until_s"]
+    assert shape["earliest_s"] <= 200.0 <= shape["latest_s"]
+    assert shape["latest_s"] - shape["earliest_s"] < 60.0
+    before, std = found.yaw.estimate("jump")
+    assert before == pytest.approx(-0.05, abs=3 * std)
+    said = " ".join(remark_words(n) for n in found.diagnosis.notes)
+    assert "The gyro's bias jumps by 0.04" in said
+    gyro = (resting if found.robot is None else found.robot).parameters.gyro
+    assert (gyro.scale, gyro.bias_motion_dps, gyro.bias_moving_dps) == (0.0, 0.0, 0.0)
+    # As it is, the same drive has none.
+    assert "jump" not in examine("log", log, resting, None).yaw.chosen
+
+
+def test_a_jump_that_encoders_cannot_show_is_seen_by_the_truth(resting: Robot) -> None:
+    plan = replace(RESTS, shape="random", wheel_noise=0.01, turn_noise=0.05, truth_m=0.01, minutes=10.0)
+    log = drive(plan, 8)
+    jumped = replace(log, gyro_dps=log.gyro_dps + 0.02 * (log.t_s > 300.0))
+    found = diagnose_drive("log", jumped, resting)
+    assert "jump" not in found.yaw.chosen
+    assert "time" in [p.coordinate for p in found.diagnosis.located if p.remains]
+    assert "gyro_scale" not in [e.effect for e in found.diagnosis.effects]
+
+
+@pytest.mark.parametrize("added_dps", [0.0, 0.05])
+def test_the_truth_tells_a_bias_in_motion_of_a_vehicle_of_one_speed(added_dps: float, resting: Robot) -> None:
+    log = drive(replace(RESTS, truth_m=0.02), 8)
+    moving = np.abs(log.left_m) + np.abs(log.right_m) > 0
+    way_m = 0.5 * (log.left_m + log.right_m)
+    log = replace(
+        log, left_m=way_m, right_m=way_m, speed_only=True, gyro_dps=log.gyro_dps + added_dps * moving
+    )
+    found = diagnose_drive("log", log, resting)
+    if added_dps == 0.0:
+        assert found.diagnosis.verdict == "consistent"
+        return
+    (effect,) = found.diagnosis.effects
+    assert effect.effect == "gyro_bias"
+    amplitude = effect.parameters["amplitude"]
+    assert amplitude.value == pytest.approx(50.0, abs=3 * amplitude.std)
+    assert found.robot is not None
+    assert found.robot.parameters.gyro.bias_moving_dps == pytest.approx(0.05, abs=0.005)
+    assert found.diagnosis.verdict == "explained"

@@ -31,7 +31,7 @@ def _knots(path: Reckoned) -> Knots:
     rows = np.r_[0:300, 300:_ROWS:4]
     at = (path.t_s[rows] // 10.0).astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), None)
+    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), {})
     return Knots(
         rows,
         at,
@@ -39,7 +39,7 @@ def _knots(path: Reckoned) -> Knots:
         knots.mean(path.t_s),
         knots.mean(path.at_m),
         np.zeros(count.size),
-        None,
+        {},
     )
 
 
