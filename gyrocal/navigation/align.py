@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 #: The methods, in words for the output.
 METHODS = {
     "start": "start pose: position and heading of the truth at its first row; nothing is estimated",
+    "headings": "rotation by the mean difference of headings; positions begin at the origin",
     "positions": "rotation and shift by least squares on all truth positions (three parameters; sigma by delete-a-block jackknife, 10 blocks)",
 }
 _BLOCKS = 10
@@ -52,6 +53,40 @@ class PositionErrors:
     return_m: float | None
 
 
+@dataclass(frozen=True)
+class HeadingErrors:
+    """Aligned less true headings, deg."""
+
+    rows: int
+    rms_deg: float
+    max_deg: float
+    end_deg: float
+
+
+def wrapped_deg(angle_deg: Floats) -> Floats:
+    """Angles between -180 and 180 deg."""
+    return np.asarray((angle_deg + 180.0) % 360.0 - 180.0)
+
+
+def align_headings(estimate_deg: Floats, truth_deg: Floats) -> Alignment:
+    """Rotation by the mean difference of headings, shape (n,); positions stay where they start."""
+    apart = truth_deg - estimate_deg
+    near = float(RAD_TO_DEG * np.angle(np.mean(np.exp(1j * DEG_TO_RAD * apart))))
+    rotation_deg = near + float(np.mean(wrapped_deg(apart - near)))
+    return Alignment("headings", rotation_deg, 0.0, 0.0, (0.0, 0.0, 0.0))
+
+
+def heading_errors(aligned_deg: Floats, truth_deg: Floats) -> HeadingErrors:
+    """Errors of aligned headings, shape (n,), against truth."""
+    error = wrapped_deg(aligned_deg - truth_deg)
+    return HeadingErrors(
+        int(error.size),
+        float(np.sqrt(np.mean(error**2))),
+        float(np.max(np.abs(error))),
+        float(error[-1]),
+    )
+
+
 def align_start(estimate: Floats, truth: Floats) -> Alignment:
     """Lay the pose (x_m, y_m, heading_deg) of the estimate at the first truth row on that of the truth."""
     rotation_deg = float(truth[2] - estimate[2])
@@ -75,7 +110,7 @@ def align_positions(estimate: Floats, truth: Floats) -> Alignment:
     left_out = np.array([_fit(np.delete(estimate, g, axis=0), np.delete(truth, g, axis=0)) for g in groups])
     # Rotations are compared around the full fit, or those near +-180 deg would seem to scatter by 360.
     spread = left_out - np.array(fitted)
-    spread[:, 0] = (spread[:, 0] + 180.0) % 360.0 - 180.0
+    spread[:, 0] = wrapped_deg(spread[:, 0])
     spread -= spread.mean(axis=0)
     sigma = np.sqrt((blocks - 1) / blocks * np.sum(spread**2, axis=0))
     return Alignment("positions", *fitted, (float(sigma[0]), float(sigma[1]), float(sigma[2])))

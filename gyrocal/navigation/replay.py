@@ -16,8 +16,10 @@ from gyrocal.fusion import (
 )
 from gyrocal.navigation.align import (
     PositionErrors,
+    align_headings,
     align_positions,
     align_start,
+    heading_errors,
     position_errors,
 )
 from gyrocal.navigation.equip import DriveSource, aligned, equip
@@ -29,6 +31,7 @@ from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
 from gyrocal.records.robot import Robot
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 #: Rows of a trajectory that are kept, at most; the filter itself takes every row.
 KEPT_ROWS = 20_000
@@ -165,17 +168,13 @@ def _run(
     source: DriveSource, robot: Robot, navigators: list[Navigator], found: Survey
 ) -> tuple[Floats, Floats, list[Recorder]]:
     """All conditions over the log, block by block."""
-    stride = math.ceil(found.rows / KEPT_ROWS)
-    truth_stride = max(1, math.ceil(found.truth_rows / KEPT_ROWS))
+    every, positions, headings = (_Thinned(n) for n in (found.rows, found.truth_rows, found.truth_headings))
     recorders = [Recorder() for _ in navigators]
     kept: list[Floats] = []
-    row = truth_row = 0
     for rows, truth in aligned(source, robot.parameters):
-        index = np.arange(row, row + rows.t_s.size)
-        with_truth = np.isfinite(truth[:, 0] + truth[:, 1])
-        order = truth_row + np.cumsum(with_truth) - 1
-        wanted = (order % truth_stride == 0) | (order == found.truth_rows - 1)
-        keep = (index % stride == 0) | (index == found.rows - 1) | (with_truth & wanted)
+        keep = every.of(np.ones(rows.t_s.size, dtype=np.bool_))
+        keep = keep | positions.of(np.isfinite(truth[:, 0] + truth[:, 1]))
+        keep = keep | headings.of(np.isfinite(truth[:, 2]))
         kept.append(np.column_stack([rows.t_s, truth])[keep])
         for navigator, recorder in zip(navigators, recorders, strict=True):
             recorder.add(
@@ -184,10 +183,22 @@ def _run(
                 ),
                 keep,
             )
-        row += rows.t_s.size
-        truth_row += int(np.count_nonzero(with_truth))
     t_s, *known = np.concatenate(kept).T
     return t_s, np.stack(known, axis=1), recorders
+
+
+class _Thinned:
+    """Of rows of one kind, which come block by block, at most `KEPT_ROWS` at even spacing, and the last."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows, self._seen = rows, 0
+
+    def of(self, known: Bools) -> Bools:
+        """Which rows of the next block are kept; `known` are those of the kind."""
+        order = self._seen + np.cumsum(known) - 1
+        self._seen += int(np.count_nonzero(known))
+        spacing = max(1, math.ceil(self._rows / KEPT_ROWS))
+        return np.asarray(known & ((order % spacing == 0) | (order == self._rows - 1)))
 
 
 def _check_validity(found: Survey, navigator: Navigator, notes: list[str]) -> None:
@@ -210,7 +221,21 @@ def _check_validity(found: Survey, navigator: Navigator, notes: list[str]) -> No
 
 
 def _compare(track: Track, truth: Floats, found: Survey, method: str | None, returns: bool) -> Track:
-    """The track with its alignment and errors, where there is truth or a return to compare with."""
+    """The track with its alignment and errors of positions and headings, as far as there is truth or a return."""
+    track = _compare_positions(track, truth, found, method, returns)
+    rows = np.flatnonzero(np.isfinite(truth[:, 2]))
+    if rows.size < 3:
+        return track
+    own, told = track.heading_deg[rows], truth[rows, 2]
+    alignment = track.alignment or align_headings(own, told)
+    return replace(
+        track, alignment=alignment, heading_errors=heading_errors(own + alignment.rotation_deg, told)
+    )
+
+
+def _compare_positions(
+    track: Track, truth: Floats, found: Survey, method: str | None, returns: bool
+) -> Track:
     rows = np.flatnonzero(np.isfinite(truth[:, 0] + truth[:, 1]))
     estimate = np.stack([track.x_m, track.y_m, track.heading_deg], axis=1)
     if rows.size < 3:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.navigation.align import align_positions
+from gyrocal.navigation.align import align_positions, wrapped_deg
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
@@ -165,7 +165,5 @@ def in_radians(own_deg: Floats, told: Floats) -> bool:
     range_deg = float(np.ptp(own_deg[known]))
     if range_deg < _TURNED_DEG or float(np.ptp(told[known])) > 0.1 * range_deg:
         return False
-    apart = [
-        float(np.mean(np.abs((unit * said - turned + 180.0) % 360.0 - 180.0))) for unit in (1.0, RAD_TO_DEG)
-    ]
+    apart = [float(np.mean(np.abs(wrapped_deg(unit * said - turned)))) for unit in (1.0, RAD_TO_DEG)]
     return apart[1] < 0.5 * apart[0]

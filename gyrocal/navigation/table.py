@@ -17,7 +17,7 @@ FACTORS = {"filter": "uncalibrated_filter", "calibration": "calibrated", "both":
 MEASURES = {
     "return": "return position error",
     "end": "position error at the end, against truth",
-    "none": "no truth and no return to the start: no position error",
+    "none": "no truth of positions and no return to the start: no position error",
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.fusion import Counts, Navigator, RobotParameters, StaticBias, Trajectory
-from gyrocal.navigation.align import Alignment, PositionErrors
+from gyrocal.navigation.align import Alignment, HeadingErrors, PositionErrors
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Track:
         without: root mean square over all rows; NaN for the paper's filter.
     robot : RobotParameters
         What the filter was told, noise estimated on this log included.
-    alignment, errors : None where there is no truth
+    alignment, errors, heading_errors : None where there is no truth of positions, or of headings
     """
 
     condition: Condition
@@ -82,6 +82,7 @@ class Track:
     robot: RobotParameters
     alignment: Alignment | None = None
     errors: PositionErrors | None = None
+    heading_errors: HeadingErrors | None = None
 
 
 class Recorder:

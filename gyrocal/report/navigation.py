@@ -173,6 +173,10 @@ def _track_summary(track: Track, robot: Robot) -> dict[str, Any]:
         e = track.errors
         result["position_error_m"] = {"rms": e.rms_m, "max": e.max_m, "end": e.end_m, "return": e.return_m}
         result["position_error_m"]["truth_rows"] = e.rows
+    if track.heading_errors:
+        h = track.heading_errors
+        result["heading_error_deg"] = {"rms": h.rms_deg, "max": h.max_deg, "end": h.end_deg}
+        result["heading_error_deg"]["truth_rows"] = h.rows
     if track.alignment:
         a = track.alignment
         result["alignment"] = {"method": METHODS[a.method], "rotation_deg": a.rotation_deg}
@@ -262,15 +266,24 @@ def verdict(replays: Sequence[LogReplay], table: Table) -> str:
     """The result in words: first whether the filter holds and pays, then the table's means."""
     mean, count = table.means[-1].errors_m, len(table.rows)
     if table.measure == "none":
-        return (
-            f"{filter_sentence(replays)} {count} {plural(count, '[log|logs]')} replayed; {MEASURES['none']}."
-        )
+        return f"{filter_sentence(replays)} {count} {plural(count, '[log|logs]')} replayed; {MEASURES['none']}.{_heading_sentence(replays)}"
     sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
     text = f"{filter_sentence(replays)} Mean {MEASURES[table.measure]} of {count} {plural(count, '[log|logs]')}: {', '.join(sizes)}."
     factors = [
         f"{v:.3g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
     ]
     return text + (f" Improvement factors: {', '.join(factors)}." if factors else "")
+
+
+def _heading_sentence(replays: Sequence[LogReplay]) -> str:
+    """Errors of the headings, where they are all that the truth tells."""
+    said = []
+    for condition in CONDITIONS:
+        tracks = [t for r in replays if (t := r.track(condition.id)) is not None]
+        errors = [t.heading_errors.rms_deg for t in tracks if t.heading_errors]
+        if errors:
+            said.append(f"{float(np.mean(errors)):.2g} deg ({condition.label})")
+    return f" Mean rms error of the heading, against truth: {', '.join(said)}." if said else ""
 
 
 def filter_sentence(replays: Sequence[LogReplay]) -> str:
@@ -339,18 +352,20 @@ def _page(
 
 
 def _errors_table(replays: Sequence[LogReplay]) -> PageTable:
-    columns = ("run, condition", "rms, m", "max, m", "end, m", "rotation to truth, deg")
+    columns = ("run, condition", "rms, m", "max, m", "end, m", "heading rms, deg", "rotation to truth, deg")
     rows = []
     for replay in replays:
         for track in replay.tracks:
-            if track.errors is None or track.alignment is None:
+            if track.alignment is None:
                 continue
-            e, a = track.errors, track.alignment
+            e, h, a = track.errors, track.heading_errors, track.alignment
             rotation = f"{a.rotation_deg:.2f}" + (f" ± {a.sigma[0]:.2f}" if a.sigma[0] else "")
-            cells = (f"{e.rms_m:.3f}", f"{e.max_m:.3f}", f"{e.end_m:.3f}", rotation)
+            known = [math.nan] * 3 if e is None else [e.rms_m, e.max_m, e.end_m]
+            known.append(h.rms_deg if h else math.nan)
+            cells = (*("-" if math.isnan(v) else f"{v:.3f}" for v in known), rotation)
             rows.append((f"{replay.name}, {track.condition.label}", *cells))
     csv = "\n".join(",".join(f'"{cell}"' for cell in row) for row in (columns, *rows)) + "\n"
-    return PageTable("errors", "Position error against truth, all along the path", columns, rows, csv)
+    return PageTable("errors", "Errors against truth, all along the path", columns, rows, csv)
 
 
 def _estimates_table(replays: Sequence[LogReplay]) -> PageTable:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
+from gyrocal.navigation.align import wrapped_deg
 from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.table import DIRECTIONS, MEASURES, Row, Table
 from gyrocal.navigation.track import CONDITIONS, Condition, Track
@@ -106,15 +107,18 @@ def _legend_of_directions(figure: Figure, axes: Axes, replays: Sequence[LogRepla
 
 @styled
 def draw_errors(replay: LogReplay) -> Figure:
-    """Heading and position error against time, with the filter's own two sigma."""
-    tracks = [t for t in replay.tracks if t.alignment is not None]
-    with_heading = bool(np.isfinite(replay.truth[:, 2]).any())
-    figure = new_figure(TWO_COLUMNS_IN, 4.4 if with_heading else 3.2)
-    panels = figure.subplots(1 + with_heading, len(tracks), sharex=True, squeeze=False)
+    """Heading and position error, as far as there is a truth of each, against time, with the filter's own two sigma."""
+    tracks = replay.tracks
+    drawn = []
+    if any(t.heading_errors for t in tracks):
+        drawn.append(("heading error, deg", _draw_heading_error))
+    if any(t.errors and t.errors.rows for t in tracks):
+        drawn.append(("position error, m", _draw_position_error))
+    figure = new_figure(TWO_COLUMNS_IN, 2.0 + 1.2 * len(drawn))
+    panels = figure.subplots(len(drawn), len(tracks), sharex=True, squeeze=False)
     for column, track in enumerate(tracks):
-        if with_heading:
-            _draw_heading_error(panels[0, column], replay, track)
-        _draw_position_error(panels[-1, column], replay, track)
+        for row, (_, draw) in enumerate(drawn):
+            draw(panels[row, column], replay, track)
         panels[0, column].set_title(track.condition.label.replace(", ", ",\n"), fontsize=7.5)
         panels[-1, column].set_xlabel("t, s")
     # With and without the filter share a scale; with calibration the errors would vanish on that of those without.
@@ -124,19 +128,17 @@ def draw_errors(replay: LogReplay) -> Figure:
             limits = np.array([axes.get_ylim() for axes in row])
             for axes in row:
                 axes.set_ylim(limits[:, 0].min(), limits[:, 1].max())
-    if with_heading:
-        panels[0, 0].set_ylabel("heading error, deg")
-    panels[-1, 0].set_ylabel("position error, m")
+    for row, (label, _) in enumerate(drawn):
+        panels[row, 0].set_ylabel(label)
     return figure
 
 
 def _draw_heading_error(axes: Axes, replay: LogReplay, track: Track) -> None:
     rows = np.flatnonzero(np.isfinite(replay.truth[:, 2]))
     rows = rows[_thin(rows.size)]
-    rotation = track.alignment.rotation_deg if track.alignment else 0.0
-    error = track.heading_deg[rows] + rotation - replay.truth[rows, 2]
     # A truth that is wrapped to +-180 deg would otherwise show whole turns as errors.
-    error = (error + 180.0) % 360.0 - 180.0
+    rotation = track.alignment.rotation_deg if track.alignment else 0.0
+    error = wrapped_deg(track.heading_deg[rows] + rotation - replay.truth[rows, 2])
     t_s = replay.t_s[rows] - replay.t_s[0]
     if track.condition.filtering:
         sigma = track.std[rows, 2]

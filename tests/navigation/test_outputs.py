@@ -103,3 +103,21 @@ def test_a_caption_says_that_fitted_errors_are_of_another_frame(replays: list[Lo
         figures = module.draw_figures([replay], make_table([replay]))
         (caption,) = [p.caption for p, _ in figures if p.name.startswith("errors_")]
         assert ("not of the same frame" in caption) == said
+
+
+def test_of_headings_alone_the_page_tells_the_error_of_the_heading(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "render", lambda figure, kind: b"picture")
+    log = drive()
+    nothing = np.full(len(log), np.nan)
+    replays = [replay_log(source(replace(log, truth_x_m=nothing, truth_y_m=nothing)), robot())]
+    result = replay_files(replays, robot(), None, lambda share, what: None)
+    condition = json.loads(result.files["summary.json"])["logs"][0]["conditions"]["uncalibrated"]
+    assert "position_error_m" not in condition
+    assert condition["heading_error_deg"]["rms"] > 0
+    rms = f"{condition['heading_error_deg']['rms']:.2g} deg (no calibration, no filter)"
+    assert f"Mean rms error of the heading, against truth: {rms}" in result.verdict
+    (axes, *_) = draw_errors(replays[0]).axes
+    assert axes.get_ylabel() == "heading error, deg"
+    assert len(draw_errors(replays[0]).axes) == 2
+    ((_, *cells, _),) = [row for row in result.errors.rows if row[0].endswith("no calibration, no filter")]
+    assert cells[:3] == ["-"] * 3

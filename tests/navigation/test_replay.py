@@ -174,3 +174,33 @@ def test_lost_samples_are_bridged_and_counted() -> None:
     assert track.errors is not None
     assert (track.counts.no_gyro, track.counts.no_encoders) == (3, 1)
     assert track.errors.end_m < 1.0
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 170.0])
+def test_headings_alone_tell_the_error_of_the_heading(
+    turned_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = drive()
+    nothing = np.full(len(log), np.nan)
+    headings = nothing.copy()
+    headings[3::7] = (log.truth_heading_deg[3::7] + turned_deg + 180.0) % 360.0 - 180.0
+    alone = replace(log, truth_x_m=nothing, truth_y_m=nothing, truth_heading_deg=headings)
+    whole = replay_log(source(log), robot(), calibration())
+    # Rows with a heading are kept, whatever is thinned.
+    monkeypatch.setattr(module, "KEPT_ROWS", len(log) // 7 + 1)
+    found = replay_log(source(alone), robot(), calibration())
+    for track, known in zip(found.tracks, whole.tracks, strict=True):
+        assert track.errors is None
+        assert track.alignment is not None
+        assert track.alignment.method == "headings"
+        assert track.heading_errors is not None
+        assert known.heading_errors is not None
+        assert known.alignment is not None
+        assert track.heading_errors.rows == len(log.t_s[3::7])
+        # A mean difference of zero leaves what scatters about it.
+        apart = (
+            known.heading_deg[3::7] + track.alignment.rotation_deg - turned_deg - log.truth_heading_deg[3::7]
+        )
+        assert np.mean(apart) == pytest.approx(0.0, abs=1e-9)
+        assert track.heading_errors.rms_deg == pytest.approx(np.std(apart), rel=1e-9)
+        assert known.heading_errors.rms_deg >= np.std(apart) * 0.99
