@@ -125,7 +125,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias is another than while it stands, as that of a gyro that is shaken.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
     Said.BIAS_JUMPS: "The gyro's bias jumps by {jump_dps:.2g} deg/s (95 %: +- {half_dps:.1g}) after {until_s:.0f} s (95 %: {earliest_s:.0f} to "
-    "{latest_s:.0f}) and stays there: its figure is that of the end, and no robot file holds the jump",
+    "{latest_s:.0f}) and stays there: its figure is that of the end, and a robot file gets the middle, since nobody knows which of both is next",
     Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "
     "for a track.",
 }

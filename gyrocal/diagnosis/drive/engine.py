@@ -22,6 +22,7 @@ from gyrocal.diagnosis.drive.findings import (
 from gyrocal.diagnosis.drive.heldout import improvements
 from gyrocal.diagnosis.drive.improved import (
     DriveEstimate,
+    believed_bias,
     estimates_of,
     figures_of,
     foretold_bias,
@@ -187,7 +188,7 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
     """Laws of the heading difference that the truth, where there is one, does not speak against, and what it says.
 
     What a wheel does can look like a bias that comes with the motion. The path by the gyro that is laid on the truth has no
-    wheel in its headings.
+    wheel in its headings. Without a truth, a wheel that does something over its speed is likelier to have done this, too.
     """
 
     def asked(one: YawAnswer) -> TruthAnswer | None:
@@ -196,9 +197,11 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
 
     truth = asked(yaw)
     of_motion = [n for n in yaw.named if KINDS[n].group == "motion"]
-    if truth is None or truth.mirrored or not of_motion:
+    if not of_motion:
         return yaw, truth
     other = yaw.without(of_motion)
+    if truth is None or truth.mirrored:
+        return (other if "speed" in yaw.odd else yaw), truth
     instead = asked(other)
     denied = instead is not None and truth.loss - instead.loss > 2.0 * np.log(OUT)
     return (other, instead) if denied else (yaw, truth)
@@ -226,7 +229,9 @@ def _shown(
     rest = rest_mean_dps(found.series)
     before = Figures(bias_dps=0.0 if rest is None else rest[0], bias_from_rest=False)
     # One switch-on: the bias is that of the first part, at rest or not.
-    after = replace(_foretold(part), bias_from_rest=rest is not None)
+    after = replace(
+        _foretold(part), bias_dps=believed_bias(part.yaw, part.truth), bias_from_rest=rest is not None
+    )
     shown.append(_compared(found.series, before, after, from_row=split))
     return shown
 

@@ -118,8 +118,8 @@ def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
     return value + share * truth.values["gyro_bias"], float(np.sqrt(std**2 - share**2 * told))
 
 
-def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
-    """The bias to expect on the next drive, deg/s.
+def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
+    """The constant bias at the end of a drive as far as it is to be believed, deg/s.
 
     Where the robot file does not say how well it knows the bias, its own figure is taken to be off by what the drive
     makes likeliest, and by no more than is granted (empirical Bayes): an estimate that is off from it by no more than its
@@ -137,6 +137,11 @@ def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     away = (bias - given) / (own * std**2)
     likeliest = min(max(away**2 - 1.0 / own, 0.0), granted**2)
     return float(given + away * likeliest * own / (likeliest * own + 1.0))
+
+
+def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
+    """The bias to expect on the next drive, deg/s."""
+    return believed_bias(yaw, truth) + _half_a_jump_dps(yaw)
 
 
 def estimates_of(
@@ -276,11 +281,14 @@ def improved_robot(
     return series.robot.with_figures(keys)
 
 
+def _half_a_jump_dps(yaw: YawAnswer) -> float:
+    """From the bias after its jump to the middle of both: nobody knows which the next switch-on has."""
+    return 0.5 * yaw.estimate("jump")[0] if "jump" in yaw.chosen else 0.0
+
+
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
     bias, std = bias_of(yaw, truth)
-    # A bias that has jumped has shown by how much it may be another one.
-    jumped = yaw.estimate("jump")[0] if "jump" in yaw.chosen else 0.0
-    changes = float(np.hypot(_CHANGES * bias, jumped))
+    changes = float(np.hypot(_CHANGES * bias, _half_a_jump_dps(yaw)))
     keys = {
         "gyro.bias_dps": foretold_bias(yaw, truth),
         "gyro.bias_dps_std": std,
@@ -321,7 +329,7 @@ def _geometry_keys(
     series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale]
 ) -> dict[str, float]:
     """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
-    bias = foretold_bias(yaw, truth) if series.robot.static_s == 0 else bias_of(yaw, truth)[0]
+    bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else bias_of(yaw, truth)[0]
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     track, track_std = _beside_bias(yaw, "track", bias)

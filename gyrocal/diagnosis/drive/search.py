@@ -136,7 +136,11 @@ class YawAnswer:
         chosen = tuple(n for n in self.chosen if n not in denied)
         values, covariance = self.gram.solve(chosen)
         gain = sum(self.named[n] for n in denied)
-        strangers = {**self.strangers, "speed": (gain, len(denied), float(stats.chi2.sf(gain, len(denied))))}
+        denied_p = float(stats.chi2.sf(gain, len(denied)))
+        speed = min(
+            (gain, len(denied), denied_p), self.strangers.get("speed", (0.0, 1, 1.0)), key=lambda one: one[2]
+        )
+        strangers = {**self.strangers, "speed": speed}
         return replace(
             self,
             chosen=chosen,
@@ -226,11 +230,17 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         # Against laws that are free: a robot file that grants too little of them is no structure without a name.
         gain = free.added(chosen, names)
         odd[coordinate] = (gain, len(names), float(stats.chi2.sf(gain, len(names))))
-    if "jump" in chosen:
-        gain = _gain(told, chosen, "jump")
-        odd["time"] = min((gain, 1, _jump_p(gain)), odd.get("time", (0.0, 1, 1.0)), key=lambda one: one[2])
     located = tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P)
     beside = [n for n in columns if n.split(":")[0] in located and ":" in n]
+    if "jump" in chosen:
+        gain = _gain(told, [*chosen, *beside], "jump")
+        if _jump_p(gain) < STRANGER_P:
+            odd["time"] = min(
+                (gain, 1, _jump_p(gain)), odd.get("time", (0.0, 1, 1.0)), key=lambda one: one[2]
+            )
+            located = tuple(dict.fromkeys([*located, "time"]))
+        else:
+            chosen.remove("jump")
     named = _named(told, chosen, beside, ahead_s)
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named

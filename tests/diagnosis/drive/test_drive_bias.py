@@ -190,3 +190,17 @@ def test_the_truth_tells_a_bias_in_motion_of_a_vehicle_of_one_speed(added_dps: f
     assert found.robot is not None
     assert found.robot.parameters.gyro.bias_moving_dps == pytest.approx(0.05, abs=0.005)
     assert found.diagnosis.verdict == "explained"
+
+
+def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(resting: Robot) -> None:
+    log = drive(RESTS, 8)
+    way_m = 0.5 * (log.left_m + log.right_m)
+    moving = np.abs(log.left_m) + np.abs(log.right_m) > 0
+    slow = np.convolve(way_m, np.full(20, 0.05), "same") < 0.7 * np.quantile(way_m, 0.9)
+    stuck = replace(log, left_m=np.where(slow, 0.99 * log.left_m, log.left_m))
+    shaken = replace(stuck, gyro_dps=log.gyro_dps + 0.05 * moving)
+    alone = examine("log", replace(shaken, left_m=log.left_m), resting, None).yaw
+    assert "moving_0" in alone.named
+    both = examine("log", shaken, resting, None).yaw
+    assert "speed" in both.odd
+    assert not any(n == "step" or n.startswith("moving") for n in both.named)
