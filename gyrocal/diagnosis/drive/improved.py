@@ -140,8 +140,24 @@ def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
 
 
 def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
-    """The bias to expect on the next drive, deg/s."""
-    return believed_bias(yaw, truth) + _half_a_jump_dps(yaw)
+    """The bias to expect on the next drive, deg/s.
+
+    Of one that changes within the drive nobody knows which is next: it is between, as far as the robot file's own allows.
+    """
+    bias, (middle, half) = believed_bias(yaw, truth), _unsteady(yaw, truth)
+    if half == 0.0:
+        return bias
+    robot = yaw.model.frame.series.robot
+    given, std = robot.parameters.gyro.bias_dps, robot.initial_std["gyro_bias_dps"]
+    return given + std**2 / (std**2 + half**2) * (bias + middle - given)
+
+
+def _unsteady(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
+    """From the bias to the middle of those that a drive has, and how far they lie from that, deg/s."""
+    if "jump" in yaw.chosen:
+        half = 0.5 * yaw.estimate("jump")[0]
+        return half, abs(half)
+    return 0.0, 0.0 if truth is None else truth.bias_moves_dps
 
 
 def estimates_of(
@@ -227,7 +243,8 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]
             value = float(np.hypot(value, yaw.estimate("wheel_sin")[0]))
         heading = np.interp(np.arange(series.t_s.size), rows, np.concatenate([[0.0], np.cumsum(turn)]))
         metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
-        named = name in yaw.named or (name == "track" and "track" in parts)
+        # A ratio of turns that may be another's is no track's.
+        named = name in (parts if name == "track" else yaw.named)
         found.append(DriveEstimate(KINDS[name].shown, 100 * value, 100 * std, "%", metres, "encoders", named))
     return found
 
@@ -281,14 +298,9 @@ def improved_robot(
     return series.robot.with_figures(keys)
 
 
-def _half_a_jump_dps(yaw: YawAnswer) -> float:
-    """From the bias after its jump to the middle of both: nobody knows which the next switch-on has."""
-    return 0.5 * yaw.estimate("jump")[0] if "jump" in yaw.chosen else 0.0
-
-
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
     bias, std = bias_of(yaw, truth)
-    changes = float(np.hypot(_CHANGES * bias, _half_a_jump_dps(yaw)))
+    changes = float(np.hypot(_CHANGES * bias, _unsteady(yaw, truth)[1]))
     keys = {
         "gyro.bias_dps": foretold_bias(yaw, truth),
         "gyro.bias_dps_std": std,

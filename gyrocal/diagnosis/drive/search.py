@@ -420,22 +420,33 @@ def _jump_p(gain: float) -> float:
 def _jump(
     model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], known: Mapping[str, tuple[float, float]]
 ) -> dict[str, Law]:
-    """A bias that jumps and stays, at the likeliest instant, if it is beyond chance."""
-    begin_s, end_s = model.frame.series.t_s[[0, -1]]
+    """A bias that jumps and stays, at the likeliest instant, if it is beyond chance.
+
+    It has to be likelier than track or wheels that are others from some instant on.
+    """
+    at_s, (begin_s, end_s) = model.frame.nodes.t_s, model.frame.series.t_s[[0, -1]]
     apart_s = (end_s - begin_s) / _INSTANTS
     columns = {n: laws[n].column for n in chosen}
+    wheels = [n for n in ("track", "asymmetry") if n in laws]
 
-    def gains(instants_s: Floats) -> Floats:
+    def gains(instants_s: Floats) -> tuple[Floats, float]:
         tried = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
-        told = evidence(model, columns | tried).knowing(known)
-        return np.array([told.added(chosen, [n]) for n in tried])
+        others = {
+            f"{n}:{k}": np.where(at_s < t, laws[n].column, 0.0)
+            for n in wheels
+            for k, t in enumerate(instants_s)
+        }
+        told = evidence(model, columns | tried | others).knowing(known)
+        return np.array([told.added(chosen, [n]) for n in tried]), max(
+            (told.added(chosen, [n]) for n in others), default=0.0
+        )
 
     instants_s = begin_s + apart_s * (np.arange(_INSTANTS) + 0.5)
-    gained = gains(instants_s)
-    if _jump_p(gained.max()) >= STRANGER_P:
+    gained, rival = gains(instants_s)
+    if _jump_p(gained.max()) >= STRANGER_P or rival > gained.max():
         return {}
     closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
-    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
+    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s)[0])
     likely_s = instants_s[gained > gained.max() - NORMAL_95**2]
     found = jump(model.frame, float(instants_s[np.argmax(gained)]))
     # The next instant that was looked at is outside.

@@ -29,7 +29,7 @@ from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.inference.gls import Regression, regress
-from gyrocal.units import DEG_TO_RAD
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
 BELIEVED = 3.8
@@ -53,6 +53,8 @@ _FREE, _WAY_FREE = 4.0, 1.0
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
 #: Parts of a drive in which the gyro may be late, or have a bias of its own.
 _PARTS = 8
+#: Columns of the bias of single parts among those without a name, less that of the last: their mean is zero.
+_BIAS_PARTS = tuple(f"time:{k}" for k in range(_PARTS - 1))
 #: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
 _UNTOLD = 1e6
 #: Scales that the truth alone tells apart, and what is asked of it beside them.
@@ -80,6 +82,8 @@ class TruthAnswer:
         The truth follows the path in a mirror only.
     loss : float
         Minus twice the restricted log-likelihood of what was taken out of the path beforehand.
+    bias_moves_dps : float
+        How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``gyro_bias`` is the mean then.
     """
 
     values: Mapping[str, float]
@@ -88,6 +92,7 @@ class TruthAnswer:
     odd: Mapping[str, float]
     mirrored: bool = False
     loss: float = 0.0
+    bias_moves_dps: float = 0.0
 
     def told(self, name: str) -> float:
         """A figure in its standard deviations; 0 where the truth is mirrored or says nothing of it."""
@@ -203,14 +208,15 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     nothing = np.zeros(share.size)
     turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
+    within = (part == np.arange(_PARTS)[:, None]).astype(np.float64)
     errors = {
         "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
         "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
-        "time": [(turned * share, nothing), (nothing, path.way_m * share)]
-        # A bias that is another one from some time on, or for a while.
-        + [(path.dt_s * (part == k), nothing) for k in range(_PARTS - 1)],
+        # First a bias that is another one from some time on, or for a while.
+        "time": [(path.dt_s * (within[k] - within[-1]), nothing) for k in range(_PARTS - 1)]
+        + [(turned * share, nothing), (nothing, path.way_m * share)],
         # A gyro that is late in one part of the drive and not in others.
-        "delay": [(np.diff(turning * (part == k), prepend=0.0), nothing) for k in range(_PARTS)],
+        "delay": [(np.diff(turning * inside, prepend=0.0), nothing) for inside in within],
         "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
     }
     found = {
@@ -428,6 +434,8 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         covariance[names.index(name), names.index(name)] += _MODEL_STD**2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
+    of_parts = [v for n, v in zip(names, values, strict=True) if n in _BIAS_PARTS]
+    moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
     at = [names.index(n) for n in INTERESTS]
     told = [n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", *ALONE) if n in found]
     return TruthAnswer(
@@ -436,6 +444,7 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         covariance[np.ix_(at, at)],
         odd,
         loss=laid.loss,
+        bias_moves_dps=moves_dps,
     )
 
 
