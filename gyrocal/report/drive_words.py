@@ -106,6 +106,7 @@ def _shown_sentence(shown: Shown) -> str:
 
 def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) -> list[str]:
     said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
+    jumps = any(e.name == KINDS["jump"].shown for e in estimates)
     lines = []
     for e in said:
         remark = "" if e.named else ", not distinct enough to be named"
@@ -113,6 +114,8 @@ def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) 
             remark = ", and no robot file holds it"
         if e.name == GYRO_BIAS.id and not e.named:
             remark = ", and the rest at the start takes it off" if at_rest else ", as the robot file expects"
+            if jumps:
+                remark = ", after its jump"
         lines.append(
             f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit} costs {e.metres:.2g} m rms {_PATHS[e.path]}{remark}"
         )

@@ -345,6 +345,7 @@ def _geometry_keys(
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     track, track_std = _beside_bias(yaw, "track", bias)
+    track_std = float(np.hypot(track_std, _track_by_place(yaw)))
     # What the scales of the truth, or a slope, make of the ratio of the headings is no track.
     gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
     track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
@@ -361,6 +362,19 @@ def _geometry_keys(
         keys[f"encoders.{side}_scale_std"] = float(np.hypot(wheels.std, 0.5 * std))
         keys[f"initial_std.{side}_scale"] = float(one)
     return keys
+
+
+def _track_by_place(yaw: YawAnswer) -> float:
+    """How far the track differs from place to place (rms, relative), where it does: the next drive has other places."""
+    if "place" not in yaw.odd:
+        return 0.0
+    cells = [n for n in yaw.gram.names if n.startswith("place:")]
+    values = yaw.gram.solve([*yaw.chosen, *cells])[0][-len(cells) :]
+    at = [yaw.gram.names.index(n) for n in cells]
+    track = yaw.gram.names.index("track")
+    # Less what noise makes, which is one for each cell.
+    square = values @ yaw.gram.matrix[np.ix_(at, at)] @ values - len(cells)
+    return float(np.sqrt(max(square, 0.0) / yaw.gram.matrix[track, track]))
 
 
 def _beside_bias(yaw: YawAnswer, name: str, bias_dps: float) -> tuple[float, float]:
