@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.findings import Scale
-from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c
+from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c, strangers
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -369,12 +369,12 @@ def _track_by_place(yaw: YawAnswer) -> float:
     if "place" not in yaw.odd:
         return 0.0
     cells = [n for n in yaw.gram.names if n.startswith("place:")]
-    values = yaw.gram.solve([*yaw.chosen, *cells])[0][-len(cells) :]
-    at = [yaw.gram.names.index(n) for n in cells]
-    track = yaw.gram.names.index("track")
-    # Less what noise makes, which is one for each cell.
-    square = values @ yaw.gram.matrix[np.ix_(at, at)] @ values - len(cells)
-    return float(np.sqrt(max(square, 0.0) / yaw.gram.matrix[track, track]))
+    values, covariance = yaw.gram.solve([*yaw.chosen, *cells])
+    columns = strangers(yaw.model.frame)["place"]
+    turned = columns @ values[-len(cells) :]
+    noise = np.einsum("ij,jk,ik", columns, covariance[-len(cells) :, -len(cells) :], columns)
+    square = max(float(turned @ turned) - float(noise), 0.0)
+    return float(np.sqrt(square) / np.linalg.norm(yaw.laws["track"].column))
 
 
 def _beside_bias(yaw: YawAnswer, name: str, bias_dps: float) -> tuple[float, float]:
