@@ -13,7 +13,8 @@ LEAST_P = 1e-12
 _MOST_DECIMALS = 6
 #: A stretch that begins within this share of its length from zero begins at zero.
 _NEARLY = 0.05
-#: Coordinates in seconds that are read in hours.
+#: Coordinates in seconds that are read in hours, where they come to so many.
+_LEAST_H = 0.5
 _IN_HOURS = ("time", "time_since_power_on", "data_set_index")
 #: What a located excess follows, as a reader would call it; empty where the place says it all.
 _CURVES = {
@@ -135,7 +136,7 @@ def stretch_words(place: Located) -> str:
         first, last = round(place.low), round(place.high)
         return f"data set {first}" if first == last else f"data sets {first} to {last}"
     unit, low, high = place.unit, place.low, place.high
-    if place.coordinate in _IN_HOURS and high >= S_PER_H:
+    if place.coordinate in _IN_HOURS and high >= _LEAST_H * S_PER_H:
         unit, low, high = "h", low / S_PER_H, high / S_PER_H
     return f"at {low:g} {unit}" if low == high else f"{span_text(low, high)} {unit}"
 
