@@ -28,11 +28,11 @@ from gyrocal.diagnosis.drive.improved import (
     foretold_bias,
     improved_robot,
 )
-from gyrocal.diagnosis.drive.laws import KINDS
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
+from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
-from gyrocal.diagnosis.drive.truth import TruthAnswer, ask_truth
+from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth, joint_estimate
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.errors import DataError
@@ -40,6 +40,8 @@ from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.robot import Robot
 
+#: Laws of the bias that a truth may show where the encoders alone do not.
+_BY_TRUTH = ("slope", "step", AT_ONCE)
 #: Part of a single log with truth from which figures are fitted to be shown on the rest.
 _FITTED = 0.6
 
@@ -185,26 +187,61 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
 
 
 def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthAnswer | None]:
-    """Laws of the heading difference that the truth, where there is one, does not speak against, and what it says.
+    """Laws of the heading difference with those that the truth, where there is one, denies or adds, and what it says."""
+    yaw, truth = _undenied(series, yaw, _asked(series, yaw))
+    if truth is None or truth.mirrored or not series.differential:
+        return yaw, truth
+    added: list[str] = []
+    while True:
+        tried = [(_with_truth(series, yaw, n), n) for n in _BY_TRUTH if n in yaw.laws and n not in yaw.chosen]
+        (gain, told), name = max(tried, key=lambda one: one[0][0], default=((0.0, truth), ""))
+        if gain < GAIN:
+            return yaw, truth
+        for other in added:
+            # What was taken first may have stood for this one.
+            less = yaw.less([other]).with_law(name, gain)
+            beside, _ = _with_truth(series, less, other)
+            if beside < GAIN:
+                return less, _asked(series, less)
+        added.append(name)
+        yaw, truth = yaw.with_law(name, gain), told
+
+
+def _asked(series: DriveSeries, yaw: YawAnswer) -> TruthAnswer | None:
+    figures = replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
+    laws = {n: yaw.estimate(n)[1] for n in ALONE if n in yaw.chosen} if series.differential else ALONE
+    return ask_truth(series, figures, yaw.motion_bias, yaw.model.noise, laws)
+
+
+def _undenied(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+) -> tuple[YawAnswer, TruthAnswer | None]:
+    """Without laws of the motion that the truth speaks against.
 
     What a wheel does can look like a bias that comes with the motion. The path by the gyro that is laid on the truth has no
     wheel in its headings. Without a truth, a wheel that does something over its speed is likelier to have done this, too.
     """
-
-    def asked(one: YawAnswer) -> TruthAnswer | None:
-        figures = replace(figures_of(series, one, {}, None), bias_from_rest=False)
-        return ask_truth(series, figures, one.motion_bias, one.model.noise)
-
-    truth = asked(yaw)
     of_motion = [n for n in yaw.named if KINDS[n].group == "motion"]
     if not of_motion:
         return yaw, truth
     other = yaw.without(of_motion)
     if truth is None or truth.mirrored:
         return (other if "speed" in yaw.odd else yaw), truth
-    instead = asked(other)
+    instead = _asked(series, other)
     denied = instead is not None and truth.loss - instead.loss > 2.0 * np.log(OUT)
     return (other, instead) if denied else (yaw, truth)
+
+
+def _with_truth(series: DriveSeries, yaw: YawAnswer, name: str) -> tuple[float, TruthAnswer | None]:
+    """What another law of the bias gains by encoders and truth together, and what the truth says beside it."""
+    if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
+        return 0.0, None
+    wider = yaw.with_law(name, 0.0)
+    truth = _asked(series, wider)
+    if truth is None or truth.odd.get("time", 1.0) < STRANGER_P:
+        return 0.0, None
+    (both, both_std), (own, own_std) = joint_estimate(wider, truth, name), wider.estimate(name)
+    return yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2, truth
 
 
 def _shown(

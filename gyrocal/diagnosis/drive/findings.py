@@ -12,7 +12,7 @@ from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, INTERESTS, SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, INTERESTS, SCALES, TruthAnswer, joint_estimate
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import (
@@ -95,7 +95,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
             if abs(beside.value) > BELIEVED * beside.std:
                 found["gyro_scale"] = beside
         for name in ALONE:
-            if truth.told(name) ** 2 >= GAIN:
+            if name not in yaw.named and truth.told(name) ** 2 >= GAIN:
                 found[name] = Scale(truth.values[name], truth.stds[name])
     if tilt.value > 0.0:
         found[ROBOT_TILT.id] = tilt
@@ -196,7 +196,7 @@ def named_effects(
     for name, gain in yaw.named.items():
         if name == "track":
             continue
-        gains.append((gain, _of_law(name, gain, yaw)))
+        gains.append((gain, _of_law(name, gain, yaw, truth)))
     for name, scale in parts.items():
         gain = (scale.value / scale.std) ** 2
         gains.append((gain, _of_scale(name, scale, series, yaw, truth)))
@@ -229,9 +229,9 @@ def _effect(
     return NamedEffect(effect, law.family, parameters, p, others, None, law.runtime, seen=seen, beside=beside)
 
 
-def _of_law(name: str, gain: float, yaw: YawAnswer) -> NamedEffect:
+def _of_law(name: str, gain: float, yaw: YawAnswer, truth: TruthAnswer | None) -> NamedEffect:
     law = yaw.laws[name]
-    value, std = yaw.estimate(name)
+    value, std = joint_estimate(yaw, truth, name)
     seen, degrees = _said(name, value), 1
     if name == "wheel_cos":
         other, _ = yaw.estimate("wheel_sin")

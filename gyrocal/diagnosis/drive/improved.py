@@ -13,7 +13,7 @@ from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c, strang
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer, joint_estimate
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.drive import ROBOT_TILT
@@ -71,7 +71,7 @@ def figures_of(
     series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale], truth: TruthAnswer | None
 ) -> Figures:
     """What the log says should be taken out of it: the bias, and all that is named."""
-    told = _told(yaw, parts, tuple(yaw.named))
+    told = _told(yaw, truth, parts, tuple(yaw.named))
 
     def value(name: str) -> float:
         return told[name][0] if name in told else 0.0
@@ -79,7 +79,7 @@ def figures_of(
     half = 0.5 * value("asymmetry")
     moving = _moving(told)
     return Figures(
-        bias_dps=bias_of(yaw, truth)[0],
+        bias_dps=joint_estimate(yaw, truth, "bias")[0],
         temp_c=reference_temp_c(series),
         bias_motion_dps=value("step"),
         bias_moving_dps=value(moving),
@@ -94,28 +94,16 @@ def figures_of(
     )
 
 
-def _told(yaw: YawAnswer, parts: Mapping[str, Scale], named: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _told(
+    yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale], named: Sequence[str]
+) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of laws that the heading difference names, and of what the truth shows."""
-    return {n: yaw.estimate(n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
+    return {n: joint_estimate(yaw, truth, n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
 
 
 def _moving(told: Iterable[str]) -> str:
     """The law of the bias that follows the motion; empty where there is none."""
     return next((n for n in told if n in MOVING), "")
-
-
-def bias_of(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
-    """Constant bias and its standard deviation, deg/s; with what the truth adds.
-
-    The truth shows the bias in motion, of which a step from rest to motion is a part.
-    """
-    value, std = yaw.estimate("bias")
-    if truth is None or truth.mirrored:
-        return value, std
-    known = yaw.motion_bias
-    share = known.shared / known.std_dps**2
-    told = max(known.std_dps**2 - truth.stds["gyro_bias"] ** 2, 0.0)
-    return value + share * truth.values["gyro_bias"], float(np.sqrt(std**2 - share**2 * told))
 
 
 def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
@@ -125,7 +113,7 @@ def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     makes likeliest, and by no more than is granted (empirical Bayes): an estimate that is off from it by no more than its
     own error would make half of all drives worse.
     """
-    bias, std = bias_of(yaw, truth)
+    bias, std = joint_estimate(yaw, truth, "bias")
     series = yaw.model.frame.series
     given, granted = yaw.known.get("bias", (series.robot.parameters.gyro.bias_dps, np.inf))
     if "initial_std.gyro_bias_dps" in series.robot.given:
@@ -194,11 +182,12 @@ def _of_gyro(
     for name, kind in KINDS.items():
         told = None
         if name == "bias":
-            told = (*bias_of(yaw, truth), False)
+            told = (*joint_estimate(yaw, truth, "bias"), False)
         elif kind.figure and name in parts:
             told = (parts[name].value, parts[name].std, True)
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
-            told = (*_estimate(yaw, name), name in yaw.named)
+            known = joint_estimate(yaw, truth, name) if name in yaw.chosen else _beside(yaw, name)
+            told = (*known, name in yaw.named)
         if told is not None:
             value, std, named = told
             metres = cost_m(series, figures, kind.figure, value)
@@ -220,10 +209,8 @@ def _spokesman(yaw: YawAnswer, group: str) -> str:
     return next((n for n in found if n in yaw.named), found[0])
 
 
-def _estimate(yaw: YawAnswer, name: str) -> tuple[float, float]:
-    """A law's coefficient, in the final fit or added to it."""
-    if name in yaw.chosen:
-        return yaw.estimate(name)
+def _beside(yaw: YawAnswer, name: str) -> tuple[float, float]:
+    """Coefficient of a law that is not in the final fit, added to it."""
     values, covariance = yaw.gram.solve([*yaw.chosen, name])
     return float(values[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
 
@@ -267,7 +254,7 @@ def improved_robot(
     keys: dict[str, Any] = {}
     if series.robot.static_s == 0:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
-    told = _told(yaw, parts, lasting)
+    told = _told(yaw, truth, parts, lasting)
     for law in (n for n in told if n in KINDS and KINDS[n].figure):
         keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = told[law]
     if moving := _moving(told):
@@ -299,7 +286,7 @@ def improved_robot(
 
 
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
-    bias, std = bias_of(yaw, truth)
+    bias, std = joint_estimate(yaw, truth, "bias")
     changes = float(np.hypot(_CHANGES * bias, _unsteady(yaw, truth)[1]))
     keys = {
         "gyro.bias_dps": foretold_bias(yaw, truth),
@@ -341,7 +328,7 @@ def _geometry_keys(
     series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale]
 ) -> dict[str, float]:
     """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
-    bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else bias_of(yaw, truth)[0]
+    bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else joint_estimate(yaw, truth, "bias")[0]
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     track, track_std = _beside_bias(yaw, "track", bias)

@@ -31,7 +31,8 @@ class Knots:
     """Truth, which is known in `rows` of a log, averaged over equal times, shape (k,); `at` is the knot of each of these rows.
 
     Positions, headings or both; what it lacks is None.
-    `alone` are laws of the bias that nothing but the truth could tell, each as what one unit of it adds to the rate in each row.
+    `alone` are laws of the bias that the truth is asked for, each as what one unit of it adds to the rate in each row, and what
+    it is known to beforehand.
     """
 
     rows: Ints
@@ -40,7 +41,7 @@ class Knots:
     t_s: Floats
     position: Complexes | None
     heading: Floats | None
-    alone: Mapping[str, Floats]
+    alone: Mapping[str, tuple[Floats, float]]
 
     def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
         """Mean of a row-wise channel over each knot."""

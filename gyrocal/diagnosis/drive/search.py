@@ -58,14 +58,14 @@ class MotionBias:
     ----------
     std_dps : float
         Standard deviation.
-    shared : float
-        Covariance with the constant bias, (deg/s)^2.
+    shared : mapping
+        Covariance with each law in the fit, in deg/s times its unit.
     t_s, weight : ndarray, shape (m,)
         Ends of the intervals, and what 1 rad that the gyro falls short by in each adds to the bias found, deg/s.
     """
 
     std_dps: float
-    shared: float
+    shared: Mapping[str, float]
     t_s: Floats
     weight: Floats
 
@@ -88,6 +88,7 @@ class YawAnswer:
     named : law -> gain, of those that earn their name
     strangers : coordinate -> (gain, degrees of freedom, p-value) of columns without a name
     odd : coordinates located by them
+    told : what all laws gain beside each other, with what was known beforehand
     ahead_s, window_s : delay and window of the encoders that were taken out before the fit
     known : what was known of coefficients beforehand: mean and standard deviation of each
     uneven : named laws that change between the parts of the drive: the next drive has others
@@ -103,9 +104,21 @@ class YawAnswer:
     odd: tuple[str, ...]
     ahead_s: float
     window_s: float
-    gram: Gram
+    told: Evidence
     known: Mapping[str, tuple[float, float]]
     uneven: frozenset[str]
+
+    @property
+    def gram(self) -> Gram:
+        """All tests of the log at the level of 1/f noise that was found."""
+        return self.told.own
+
+    def with_law(self, name: str, gain: float) -> YawAnswer:
+        """The same with one law more, which something else shows."""
+        chosen = (*self.chosen, name)
+        values, covariance = self.gram.solve(chosen)
+        named = {**self.named, name: gain}
+        return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
 
     def estimate(self, name: str) -> tuple[float, float]:
         """Value and standard deviation of a law's coefficient, SI; a delay with what was taken out before."""
@@ -130,24 +143,25 @@ class YawAnswer:
         columns = np.column_stack([self.laws[n].column for n in self.chosen])
         weight = self.model.given(columns).inverse() @ shared
         return MotionBias(
-            float(np.sqrt(shared[parts].sum())), float(shared[parts[0]]), self.model.frame.nodes.t_s, weight
+            float(np.sqrt(shared[parts].sum())),
+            dict(zip(self.chosen, shared.tolist(), strict=True)),
+            self.model.frame.nodes.t_s,
+            weight,
         )
+
+    def less(self, laws: Sequence[str]) -> YawAnswer:
+        """The same with some laws less."""
+        chosen = tuple(n for n in self.chosen if n not in laws)
+        values, covariance = self.gram.solve(chosen)
+        named = {n: g for n, g in self.named.items() if n not in laws}
+        return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
 
     def without(self, denied: Sequence[str]) -> YawAnswer:
         """The same less laws that something else speaks against: what they had explained has no name."""
-        chosen = tuple(n for n in self.chosen if n not in denied)
-        values, covariance = self.gram.solve(chosen)
         gain = sum(self.named[n] for n in denied)
-        denied_p = float(stats.chi2.sf(gain, len(denied)))
-        return replace(
-            self,
-            chosen=chosen,
-            values=values,
-            covariance=covariance,
-            named={n: g for n, g in self.named.items() if n not in denied},
-            strangers=_odder(self.strangers, "speed", (gain, len(denied), denied_p)),
-            odd=tuple(dict.fromkeys([*self.odd, "speed"])),
-        )
+        test = (gain, len(denied), float(stats.chi2.sf(gain, len(denied))))
+        odd = tuple(dict.fromkeys([*self.odd, "speed"]))
+        return replace(self.less(denied), strangers=_odder(self.strangers, "speed", test), odd=odd)
 
     @property
     def left_rad(self) -> Floats:
@@ -249,7 +263,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P),
         ahead_s,
         window_s,
-        told.own,
+        told,
         known,
         frozenset(uneven),
     )

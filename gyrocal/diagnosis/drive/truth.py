@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -25,7 +25,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     stacked,
 )
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
-from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
+from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.inference.gls import Regression, regress
@@ -41,8 +41,8 @@ _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 _LEAST_SHARE, _LEAST_SIZE = 0.2, 0.01
 #: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m).
 _SCALE, _CLOCK_S, _LEVER_M = 0.2, 0.3, 1.0
-#: Laws of the bias of a vehicle of one speed, which the truth alone can tell, by their names in `KINDS`, and what is thought
-#: possible of each: slope (deg/s per degC), and what is added in motion (deg/s).
+#: Laws of the bias, by their names in `KINDS`, that the truth may tell beside its mean, and what is thought possible of each on a
+#: vehicle of one speed: slope (deg/s per degC), and what is added in motion (deg/s).
 ALONE = {"slope": 0.02, AT_ONCE: 0.2}
 #: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
 _HORIZONS = (0.06, 0.12, 0.25, 0.5, 1.0)
@@ -107,7 +107,7 @@ class TruthAnswer:
         return abs(self.told(name)) > BELIEVED
 
 
-def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
+def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float]) -> Knots | None:
     position, headings = series.truth_x_m + 1j * series.truth_y_m, series.truth_heading_deg
     rows = np.flatnonzero(np.isfinite(position if series.has_truth else headings))
     if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
@@ -116,7 +116,7 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, series.t_s, None, None, _alone(series))
+    knots = Knots(rows, at, count, series.t_s, None, None, _alone(series, laws))
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -127,15 +127,13 @@ def _knots(series: DriveSeries, reckoned: Reckoned) -> Knots | None:
     return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
 
 
-def _alone(series: DriveSeries) -> dict[str, Floats]:
-    """Laws of `ALONE` that a log could hold."""
-    if series.differential:
-        return {}
+def _alone(series: DriveSeries, laws: Mapping[str, float]) -> dict[str, tuple[Floats, float]]:
+    """Those of some laws of `ALONE` that a log could hold."""
     temp, found = temperature_c(series), {}
-    if temp is not None:
-        found["slope"] = temp - reference_temp_c(series)
-    if series.resting.any():
-        found[AT_ONCE] = series.moving(0.0)
+    if "slope" in laws and temp is not None:
+        found["slope"] = (temp - reference_temp_c(series), laws["slope"])
+    if AT_ONCE in laws and series.resting.any():
+        found[AT_ONCE] = (series.moving(0.0), laws[AT_ONCE])
     return found
 
 
@@ -154,7 +152,7 @@ class _State:
 def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     v = state.values
     turned = v["gyro_bias"] * (base.t_s - base.t_s[0])
-    for name, rate in knots.alone.items():
+    for name, (rate, _) in knots.alone.items():
         turned = turned + v[name] * np.cumsum(rate * base.dt_s)
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
     if state.strayed is not None:
@@ -185,7 +183,7 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
     }
-    for name, rate in knots.alone.items():
+    for name, (rate, _) in knots.alone.items():
         columns[name] = by(-DEG_TO_RAD * np.cumsum(rate * path.dt_s), nothing)
     if knots.position is not None:
         columns |= {
@@ -291,7 +289,7 @@ def _problem(
         "clock": (0.0, _CLOCK_S),
         "lever_ahead": (0.0, _LEVER_M),
         "lever_left": (0.0, _LEVER_M),
-        **{name: (-v[name], std) for name, std in ALONE.items()},
+        **{name: (-v[name], std) for name, (_, std) in knots.alone.items()},
     }
     spread = path_noise(knots, path, noise, bias, wander_s)
     residual = stacked(knots, apart, headings, -v["gyro_bias"])
@@ -386,7 +384,9 @@ def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
     return float(np.angle(np.vdot(a, b)))
 
 
-def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: YawNoise) -> TruthAnswer | None:
+def ask_truth(
+    series: DriveSeries, figures: Figures, bias: MotionBias, noise: YawNoise, laws: Mapping[str, float]
+) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
     Parameters
@@ -395,9 +395,11 @@ def ask_truth(series: DriveSeries, figures: Figures, bias: MotionBias, noise: Ya
         What the heading difference has found, taken out first.
     bias : MotionBias
         How well that knows the bias in motion.
+    laws : mapping
+        Laws of `ALONE` that are free, and what each is known to beforehand.
     """
     base = reckon(series, figures)
-    knots = _knots(series, base)
+    knots = _knots(series, base, laws)
     if knots is None:
         return None
     if knots.position is None:
@@ -452,3 +454,22 @@ def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:
     """Twice the log likelihood that columns add."""
     wider = replace(problem, columns={**problem.columns, **more})
     return problem.solve(logs).left - wider.solve(logs).left
+
+
+def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
+    """A law of the heading difference and its standard deviation, with what the truth adds.
+
+    The truth shows the bias in motion, of which the constant one and what comes with the motion are parts, and the laws that
+    it was asked for.
+    """
+    value, std = yaw.estimate(name)
+    if truth is None or truth.mirrored:
+        return value, std
+    if name in truth.values:
+        return value + truth.values[name], truth.stds[name]
+    if name != "bias" and KINDS[name].group != "motion":
+        return value, std
+    known = yaw.motion_bias
+    share = known.shared[name] / known.std_dps**2
+    told = max(known.std_dps**2 - truth.stds["gyro_bias"] ** 2, 0.0)
+    return value + share * truth.values["gyro_bias"], float(np.sqrt(max(std**2 - share**2 * told, 0.0)))

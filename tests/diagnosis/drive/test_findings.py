@@ -10,10 +10,9 @@ import pytest
 from scipy.stats import norm
 
 from gyrocal.diagnosis.drive import findings
-from gyrocal.diagnosis.drive.improved import bias_of
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer
+from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer, joint_estimate
 from gyrocal.diagnosis.remarks import Said
 
 
@@ -115,10 +114,10 @@ def test_a_bias_is_known_as_well_as_the_truth_tells_what_it_shares_with_it(
     shared: float, std: float, expected: float
 ) -> None:
     """A constant bias of 0.1 deg/s that is the bias in motion, or that has nothing of it, and a truth that may know less."""
-    known = SimpleNamespace(shared=0.01 * shared, std_dps=0.1)
+    known = SimpleNamespace(shared={"bias": 0.01 * shared}, std_dps=0.1)
     found = yaw(estimate=lambda _: (0.5, 0.1), motion_bias=known)
     told = truth(0.0, 0.0, std)
     told.values["gyro_bias"] = 0.2  # type: ignore[index]
-    value, left = bias_of(found, told)
+    value, left = joint_estimate(found, told, "bias")
     assert value == pytest.approx(0.5 + 0.2 * shared)
     assert left == pytest.approx(expected)

@@ -63,7 +63,7 @@ def test_each_part_is_what_draws_of_it_scatter_by() -> None:
     quiet = YawNoise(_ARW_DPS, _SLIP, 0.0, 0.0, 0.0, 0.0, 0.0)
     # A bias of the second half of the drive: its error is that of the path's turns there.
     weight = np.where(path.t_s > 60.0, 20.0, 0.0)
-    parts = path_noise(knots, path, quiet, MotionBias(0.0, 0.0, path.t_s, weight), 60.0)
+    parts = path_noise(knots, path, quiet, MotionBias(0.0, {"bias": 0.0}, path.t_s, weight), 60.0)
     none, no_heading = np.zeros(_ROWS), np.zeros(knots.count.size)
     by_gyro, by_way, by_truth = [], [], []
     for _ in range(_DRAWS):
@@ -84,7 +84,7 @@ def test_a_bias_that_wanders_turns_the_path_as_its_processes_do() -> None:
     path = _path()
     knots = _knots(path)
     noise = YawNoise(0.0, _SLIP, 0.0, 0.0, _FLICKER_DPS, 0.0, 0.0)
-    parts = path_noise(knots, path, noise, MotionBias(0.0, 0.0, path.t_s, np.zeros(_ROWS)), 60.0)
+    parts = path_noise(knots, path, noise, MotionBias(0.0, {"bias": 0.0}, path.t_s, np.zeros(_ROWS)), 60.0)
     lag = np.abs(path.t_s[:, None] - path.t_s[None, :])
     kernel = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * _FLICKER_DPS**2
     kernel = kernel + noise.walk_dps_per_rt_s**2 * np.minimum(path.t_s[:, None], path.t_s[None, :])
