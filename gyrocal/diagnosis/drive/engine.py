@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
 from gyrocal.diagnosis.drive.findings import (
@@ -193,24 +194,28 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
         return yaw, truth
     added: list[str] = []
     while True:
-        tried = [(_with_truth(series, yaw, n), n) for n in _BY_TRUTH if n in yaw.laws and n not in yaw.chosen]
-        (gain, told), name = max(tried, key=lambda one: one[0][0], default=((0.0, truth), ""))
-        if gain < GAIN:
+        tried = [
+            (_with_truth(series, yaw, truth, n), n)
+            for n in _BY_TRUTH
+            if n in yaw.laws and n not in yaw.chosen
+        ]
+        (gain, found), name = max(tried, key=lambda one: one[0][0], default=((0.0, None), ""))
+        if found is None or gain < GAIN:
             return yaw, truth
         for other in added:
             # What was taken first may have stood for this one.
             less = yaw.less([other]).with_law(name, gain)
-            beside, _ = _with_truth(series, less, other)
-            if beside < GAIN:
-                return less, _asked(series, less)
+            alone = _asked(series, less, truth)
+            if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
+                return less, alone
         added.append(name)
-        yaw, truth = yaw.with_law(name, gain), told
+        yaw, truth = yaw.with_law(name, gain), found
 
 
-def _asked(series: DriveSeries, yaw: YawAnswer) -> TruthAnswer | None:
+def _asked(series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None) -> TruthAnswer | None:
     figures = replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
     laws = {n: yaw.estimate(n)[1] for n in ALONE if n in yaw.chosen} if series.differential else ALONE
-    return ask_truth(series, figures, yaw.motion_bias, yaw.model.noise, laws)
+    return ask_truth(series, figures, yaw.motion_bias, yaw.model.noise, laws, near)
 
 
 def _undenied(
@@ -232,16 +237,24 @@ def _undenied(
     return (other, instead) if denied else (yaw, truth)
 
 
-def _with_truth(series: DriveSeries, yaw: YawAnswer, name: str) -> tuple[float, TruthAnswer | None]:
-    """What another law of the bias gains by encoders and truth together, and what the truth says beside it."""
+def _with_truth(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, name: str
+) -> tuple[float, TruthAnswer | None]:
+    """What another law of the bias gains by encoders and truth together, and what the truth says beside it.
+
+    Structure without a name has to be explained by it, and better than by itself.
+    """
     if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
-    truth = _asked(series, wider)
-    if truth is None or truth.odd.get("time", 1.0) < STRANGER_P:
+    found = _asked(series, wider, truth)
+    if found is None or min(found.odd.values(), default=1.0) < STRANGER_P:
         return 0.0, None
-    (both, both_std), (own, own_std) = joint_estimate(wider, truth, name), wider.estimate(name)
-    return yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2, truth
+    (both, both_std), (own, own_std) = joint_estimate(wider, found, name), wider.estimate(name)
+    gain = yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2
+    structure = min(truth.odd.values(), default=1.0)
+    better = structure >= STRANGER_P or stats.chi2.sf(gain, 1) < structure
+    return (gain, found) if better else (0.0, None)
 
 
 def _shown(

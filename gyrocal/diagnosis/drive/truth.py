@@ -65,6 +65,14 @@ _MOVING = (*INTERESTS, *ALONE)
 
 
 @dataclass(frozen=True)
+class _Levels:
+    """Logarithms of the levels of noise, and the memory of what wanders in the truth."""
+
+    logs: Floats
+    wander_s: float
+
+
+@dataclass(frozen=True)
 class TruthAnswer:
     """What the truth says.
 
@@ -82,6 +90,8 @@ class TruthAnswer:
         The truth follows the path in a mirror only.
     loss : float
         Minus twice the restricted log-likelihood of what was taken out of the path beforehand.
+    levels : _Levels, optional
+        Noise of truth and way.
     bias_moves_dps : float
         How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``gyro_bias`` is the mean then.
     """
@@ -92,6 +102,7 @@ class TruthAnswer:
     odd: Mapping[str, float]
     mirrored: bool = False
     loss: float = 0.0
+    levels: _Levels | None = None
     bias_moves_dps: float = 0.0
 
     def told(self, name: str) -> float:
@@ -332,13 +343,13 @@ class _Laid:
 
     state: _State
     problem: _Problem
-    logs: Floats
+    levels: _Levels
     loss: float
 
     @property
     def left(self) -> Floats:
         """Rows that the best coefficients leave."""
-        return self.problem.left(self.problem.solve(self.logs).values)
+        return self.problem.left(self.problem.solve(self.levels.logs).values)
 
     def miss_m(self, knots: Knots) -> float:
         """Rms distance that is left between path and truth, m."""
@@ -346,24 +357,27 @@ class _Laid:
         return float(np.sqrt(np.mean(self.left[:k] ** 2 + self.left[k : 2 * k] ** 2)))
 
 
-def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _Laid:
-    """Gauss and Newton over growing parts of the drive, then levels and path in turn."""
-    logs = _first_levels(knots)
+def _laid(
+    knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise, near: _Levels | None = None
+) -> _Laid:
+    """Gauss and Newton over growing parts of the drive, then levels and path in turn; levels `near` others once."""
+    begun = near or _Levels(_first_levels(knots), WANDERS_S[1])
+    logs, wander_s = begun.logs, begun.wander_s
+    wanders_s, rounds = ((wander_s,), (2,)) if near else (WANDERS_S, (0, 2))
     state = _State(dict.fromkeys(_MOVING, 0.0), 0.0)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
-    wander_s = WANDERS_S[1]
     for horizon in _HORIZONS:
-        near = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
+        within = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
         if horizon == _HORIZONS[0]:
-            state = replace(state, turn=_first_turn(knots, at, near))
-        keep = stacked(knots, near + 1j * near, near, 1.0) != 0.0
+            state = replace(state, turn=_first_turn(knots, at, within))
+        keep = stacked(knots, within + 1j * within, within, 1.0) != 0.0
         last = horizon == _HORIZONS[-1]
         for round_ in range(4 if last else 2):
             part = _problem(knots, base, state, bias, noise, wander_s).cut(keep)
-            if last and round_ in (0, 2):
+            if last and round_ in rounds:
                 first = logs if round_ else _first_levels(knots)
-                tried = {w: _problem(knots, base, state, bias, noise, w) for w in WANDERS_S}
+                tried = {w: _problem(knots, base, state, bias, noise, w) for w in wanders_s}
                 fitted = {w: _levels(one, first) for w, one in tried.items()}
                 wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w]).loss)
                 part, logs = tried[wander_s], fitted[wander_s]
@@ -373,7 +387,8 @@ def _laid(knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise) -> _L
             state = _State(moved, state.turn + step["turn"])
             if last:
                 state = replace(state, strayed=part.noise.strayed(part.left(solved.values), logs))
-    return _Laid(state, _problem(knots, base, state, bias, noise, wander_s), logs, solved.loss)
+    levels = _Levels(logs, wander_s)
+    return _Laid(state, _problem(knots, base, state, bias, noise, wander_s), levels, solved.loss)
 
 
 def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
@@ -385,7 +400,12 @@ def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
 
 
 def ask_truth(
-    series: DriveSeries, figures: Figures, bias: MotionBias, noise: YawNoise, laws: Mapping[str, float]
+    series: DriveSeries,
+    figures: Figures,
+    bias: MotionBias,
+    noise: YawNoise,
+    laws: Mapping[str, float],
+    near: TruthAnswer | None = None,
 ) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
@@ -397,16 +417,19 @@ def ask_truth(
         How well that knows the bias in motion.
     laws : mapping
         Laws of `ALONE` that are free, and what each is known to beforehand.
+    near : TruthAnswer, optional
+        Of nearly the same path: its levels of noise are begun from.
     """
+    levels = None if near is None else near.levels
     base = reckon(series, figures)
     knots = _knots(series, base, laws)
     if knots is None:
         return None
     if knots.position is None:
-        return _answer(knots, base, _laid(knots, base, bias, noise))
+        return _answer(knots, base, _laid(knots, base, bias, noise, levels))
     if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
-    laid = _laid(knots, base, bias, noise)
+    laid = _laid(knots, base, bias, noise, levels)
     mirrored = False
     miss = laid.miss_m(knots)
     if miss > _ODD * float(np.std(knots.position)):
@@ -420,7 +443,7 @@ def ask_truth(
 
 
 def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
-    state, problem, logs = laid.state, laid.problem, laid.logs
+    state, problem, logs = laid.state, laid.problem, laid.levels.logs
     odd: dict[str, float] = {}
     beside: dict[str, Floats] = {}
     for coordinate, block in _strangers(knots, _reckoned(knots, base, state)).items():
@@ -446,6 +469,7 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         covariance[np.ix_(at, at)],
         odd,
         loss=laid.loss,
+        levels=laid.levels,
         bias_moves_dps=moves_dps,
     )
 
