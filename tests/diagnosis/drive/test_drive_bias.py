@@ -204,3 +204,36 @@ def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(resting: Rob
     both = examine("log", shaken, resting, None).yaw
     assert "speed" in both.odd
     assert not any(n == "step" or n.startswith("moving") for n in both.named)
+
+
+@pytest.mark.parametrize(("slope", "seeds"), [(0.0, range(3)), (1.5, range(1))])
+def test_encoders_and_truth_together_show_a_bias_that_neither_shows(
+    slope: float, seeds: range, tmp_path: Path
+) -> None:
+    path = tmp_path / "rough.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 0.0\n")
+    robot = read_robot(path)
+    plan = Plan(
+        "random", 10.0, 10.0, rest_s=0.0, arw_dps_rt_s=0.001, bias_walk=0.0, turn_noise=0.02, wheel_noise=0.005,
+        truth_m=0.005, truth_heading_deg=0.2, effects={"bias_temperature": slope},
+    )  # fmt: skip
+    for seed in seeds:
+        log = drive(plan, seed)
+        nothing = np.full(len(log), np.nan)
+        alone = examine(
+            "log", replace(log, truth_x_m=nothing, truth_y_m=nothing, truth_heading_deg=nothing), robot, None
+        )
+        assert "slope" not in alone.yaw.named
+        found = diagnose_drive("log", log, robot)
+        names = [e.effect for e in found.diagnosis.effects]
+        if slope == 0.0:
+            assert names == []
+            continue
+        assert names == ["bias_temperature"]
+        amplitude = found.diagnosis.effects[0].parameters["amplitude"]
+        assert amplitude.value == pytest.approx(slope, abs=3 * amplitude.std)
+        assert amplitude.std < 0.25 * slope
+        assert found.robot is not None
+        gyro = found.robot.parameters.gyro
+        assert gyro.bias_slope_dps_per_c == pytest.approx(1e-3 * amplitude.value)
+        assert gyro.bias_slope_dps_per_c_std == pytest.approx(1e-3 * amplitude.std)
