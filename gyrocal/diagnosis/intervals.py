@@ -16,7 +16,7 @@ Interval = tuple[float, float]
 _RISE_95 = 3.841
 #: The same for the instant of a jump, at which the likelihood has a corner: -2 log(1 - sqrt(0.95))
 #: (B. E. Hansen, Econometrica 68, 2000, p. 575).
-_RISE_INSTANT_95 = 7.352
+RISE_INSTANT_95 = 7.352
 #: Shapes are refined over these factors either way, in turn, at so many points each.
 _REFINED_OVER, _REFINED_AT = (1.5, 1.12), 7
 #: An end of an interval is sought in steps of this ratio, then by halving the last one.
@@ -76,7 +76,7 @@ def profile_interval(loss: Callable[[float], float], best: float, limits: Interv
 def instant_interval(loss: Callable[[float], float], best: float, instants: Floats) -> Interval:
     """The same for the instant of a jump, among instants in order."""
     floor = loss(best)
-    inside = np.array([loss(float(x)) - floor < _RISE_INSTANT_95 for x in instants])
+    inside = np.array([loss(float(x)) - floor < RISE_INSTANT_95 for x in instants])
     inside[np.argmin(np.abs(instants - best))] = True
     first, last = np.flatnonzero(inside)[[0, -1]]
     # The rise lies somewhere between the last instant inside and the next one outside.

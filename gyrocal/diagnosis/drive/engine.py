@@ -29,7 +29,7 @@ from gyrocal.diagnosis.drive.improved import (
     foretold_bias,
     improved_robot,
 )
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
@@ -214,7 +214,11 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
 
 def _asked(series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None) -> TruthAnswer | None:
     figures = replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
-    laws = {n: yaw.estimate(n)[1] for n in ALONE if n in yaw.chosen} if series.differential else ALONE
+    # Laws that the encoders know are free within what they know.
+    laws = {n: yaw.estimate(n)[1] for n in yaw.chosen if n in ALONE or n in MOVING}
+    if not series.differential:
+        groups = {KINDS[n].group or n for n in laws}
+        laws |= {n: std for n, std in ALONE.items() if (KINDS[n].group or n) not in groups}
     return ask_truth(series, figures, yaw.motion_bias, yaw.model.noise, laws, near)
 
 

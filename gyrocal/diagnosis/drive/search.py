@@ -23,7 +23,8 @@ from gyrocal.diagnosis.drive.laws import (
 )
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
-from gyrocal.units import NORMAL_95, RAD_TO_DEG
+from gyrocal.diagnosis.intervals import RISE_INSTANT_95
+from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 #: Gain, degrees of freedom and p-value of structure.
@@ -464,7 +465,7 @@ def _jump(
         return {}
     closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
     instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s)[0])
-    likely_s = instants_s[gained > gained.max() - NORMAL_95**2]
+    likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
     found = jump(model.frame, float(instants_s[np.argmax(gained)]))
     # The next instant that was looked at is outside.
     step_s = 2.0 * apart_s / _CLOSER

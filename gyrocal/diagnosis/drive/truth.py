@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -60,8 +60,6 @@ _UNTOLD = 1e6
 #: Scales that the truth alone tells apart, and what is asked of it beside them.
 SCALES = ("gyro_scale", "wheel_scale")
 INTERESTS = ("gyro_bias", *SCALES)
-#: What the path is laid anew for until it moves no more.
-_MOVING = (*INTERESTS, *ALONE)
 
 
 @dataclass(frozen=True)
@@ -141,10 +139,11 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float]) -
 def _alone(series: DriveSeries, laws: Mapping[str, float]) -> dict[str, tuple[Floats, float]]:
     """Those of some laws of `ALONE` that a log could hold."""
     temp, found = temperature_c(series), {}
-    if "slope" in laws and temp is not None:
-        found["slope"] = (temp - reference_temp_c(series), laws["slope"])
-    if AT_ONCE in laws and series.resting.any():
-        found[AT_ONCE] = (series.moving(0.0), laws[AT_ONCE])
+    for name, std in laws.items():
+        if name == "slope" and temp is not None:
+            found[name] = (temp - reference_temp_c(series), std)
+        elif name in MOVING and series.resting.any():
+            found[name] = (series.moving(MOVING[name]), std)
     return found
 
 
@@ -364,7 +363,7 @@ def _laid(
     begun = near or _Levels(_first_levels(knots), WANDERS_S[1])
     logs, wander_s = begun.logs, begun.wander_s
     wanders_s, rounds = ((wander_s,), (2,)) if near else (WANDERS_S, (0, 2))
-    state = _State(dict.fromkeys(_MOVING, 0.0), 0.0)
+    state = _State(dict.fromkeys((*INTERESTS, *knots.alone), 0.0), 0.0)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
     for horizon in _HORIZONS:
@@ -462,7 +461,9 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
     of_parts = [v for n, v in zip(names, values, strict=True) if n in _BIAS_PARTS]
     moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
     at = [names.index(n) for n in INTERESTS]
-    told = [n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", *ALONE) if n in found]
+    told = [
+        n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", *knots.alone) if n in found
+    ]
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},
