@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,9 +31,10 @@ from gyrocal.diagnosis.drive.improved import (
 )
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
+from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw, instant_of_p
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth, joint_estimate
+from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.errors import DataError
@@ -43,6 +44,8 @@ from gyrocal.records.robot import Robot
 
 #: Laws of the bias that a truth may show where the encoders alone do not.
 _BY_TRUTH = ("slope", "step", AT_ONCE)
+#: Instants at which a truth is asked for a jump of the bias first, and how often three times as closely about the likeliest.
+_INSTANTS, _CLOSER = 8, 3
 #: Part of a single log with truth from which figures are fitted to be shown on the rest.
 _FITTED = 0.6
 
@@ -173,7 +176,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
         notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = scales(yaw, truth)
     if "jump" in yaw.chosen:
-        notes.append(bias_jump(yaw))
+        notes.append(bias_jump(yaw, truth))
     clock = uneven_clock(log.t_s)
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
     return Examined(
@@ -190,7 +193,10 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
 def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthAnswer | None]:
     """Laws of the heading difference with those that the truth, where there is one, denies or adds, and what it says."""
     yaw, truth = _undenied(series, yaw, _asked(series, yaw))
-    if truth is None or truth.mirrored or not series.differential:
+    if truth is None or truth.mirrored:
+        return yaw, truth
+    yaw, truth = _with_jump(series, yaw, truth)
+    if not series.differential:
         return yaw, truth
     added: list[str] = []
     while True:
@@ -212,14 +218,49 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
         yaw, truth = yaw.with_law(name, gain), found
 
 
+def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:
+    """With a jump of the bias that the truth shows where the encoders do not, where it is the time that is oddest.
+
+    A path that such a jump has bent is laid anew for each instant: small errors about a wrong path would not tell it.
+    """
+    surest = min(truth.odd.values(), default=1.0)
+    if "jump" in yaw.chosen or surest >= STRANGER_P or truth.odd["time"] > surest:
+        return yaw, truth
+    step_s = series.duration_s / _INSTANTS
+    losses: dict[float, float] = {}
+
+    def look(instants_s: Iterable[float]) -> float:
+        for at_s in instants_s:
+            found = _asked(series, yaw.jumping(at_s), truth)
+            losses[at_s] = np.inf if found is None else found.loss
+        return min(losses, key=lambda at_s: losses[at_s])
+
+    best_s = look(float(series.t_s[0]) + step_s * (k + 0.5) for k in range(_INSTANTS))
+    for _ in range(_CLOSER):
+        step_s /= 3.0
+        best_s = look([best_s + step_s * k for k in (-2, -1, 1, 2)])
+    likely_s = [at_s for at_s, loss in losses.items() if loss < losses[best_s] + RISE_INSTANT_95]
+    # The next instant that was looked at is outside.
+    span_s = min(likely_s) - step_s, max(likely_s) + step_s
+    wider = yaw.with_jump(instant_of_p(best_s, span_s, truth.odd["time"]))
+    found = _asked(series, wider, truth)
+    if found is None or found.odd["time"] < truth.odd["time"]:
+        return yaw, truth
+    return wider, found
+
+
+def _taken_out(series: DriveSeries, yaw: YawAnswer) -> Figures:
+    """What the encoders know, before the truth is asked."""
+    return replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
+
+
 def _asked(series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None) -> TruthAnswer | None:
-    figures = replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
     # Laws that the encoders know are free within what they know.
-    laws = {n: yaw.estimate(n)[1] for n in yaw.chosen if n in ALONE or n in MOVING}
+    laws = {n: yaw.estimate(n)[1] for n in yaw.chosen if n in ALONE or n in MOVING or n == "jump"}
     if not series.differential:
         groups = {KINDS[n].group or n for n in laws}
         laws |= {n: std for n, std in ALONE.items() if (KINDS[n].group or n) not in groups}
-    return ask_truth(series, figures, yaw.motion_bias, yaw.model.noise, laws, near)
+    return ask_truth(series, _taken_out(series, yaw), yaw.motion_bias, yaw.model.noise, laws, near)
 
 
 def _undenied(

@@ -369,9 +369,9 @@ def places(
     return [*found.values(), *left, *_noisy(series, yaw)]
 
 
-def bias_jump(yaw: YawAnswer) -> Remark:
+def bias_jump(yaw: YawAnswer, truth: TruthAnswer | None) -> Remark:
     """When and by how much the bias jumps."""
-    before, std = yaw.estimate("jump")
+    before, std = joint_estimate(yaw, truth, "jump")
     begin_s = yaw.model.frame.series.t_s[0]
     times = {name: at_s - begin_s for name, at_s in yaw.laws["jump"].shape.items()}
     return Remark(Said.BIAS_JUMPS, {"jump_dps": -before, "half_dps": NORMAL_95 * std, **times})

@@ -84,7 +84,7 @@ def figures_of(
         bias_motion_dps=value("step"),
         bias_moving_dps=value(moving),
         bias_moving_s=MOVING.get(moving, 0.0),
-        bias_before_dps=yaw.estimate("jump")[0] if "jump" in yaw.chosen else 0.0,
+        bias_before_dps=joint_estimate(yaw, truth, "jump")[0] if "jump" in yaw.chosen else 0.0,
         bias_before_s=yaw.jump_s,
         bias_slope_dps_per_c=value("slope"),
         gyro_scale=value("gyro_scale"),
@@ -143,7 +143,7 @@ def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
 def _unsteady(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
     """From the bias to the middle of those that a drive has, and how far they lie from that, deg/s."""
     if "jump" in yaw.chosen:
-        half = 0.5 * yaw.estimate("jump")[0]
+        half = 0.5 * joint_estimate(yaw, truth, "jump")[0]
         return half, abs(half)
     return 0.0, 0.0 if truth is None else truth.bias_moves_dps
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -148,6 +148,43 @@ class YawAnswer:
             dict(zip(self.chosen, shared.tolist(), strict=True)),
             self.model.frame.nodes.t_s,
             weight,
+        )
+
+    def jumping(self, at_s: float) -> YawAnswer:
+        """Coefficients, and what they are known to, if the bias jumped at an instant; all else as it is."""
+        laws = {**self.laws, "jump": jump(self.model.frame, at_s)}
+        chosen = (*self.chosen, "jump")
+        values, covariance = (
+            gram_of(self.model, {n: laws[n].column for n in chosen}).knowing(self.known).solve(chosen)
+        )
+        return replace(self, laws=laws, chosen=chosen, values=values, covariance=covariance)
+
+    def with_jump(self, instant: Instant) -> YawAnswer:
+        """The same with a jump of the bias that something else shows."""
+        frame = self.model.frame
+        laws = {**self.laws, "jump": _at(frame, instant)}
+        columns = {n: x.column for n, x in laws.items()}
+        for coordinate, block in strangers(frame).items():
+            columns |= {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
+        told = evidence(self.model, columns).knowing(self.known)
+        chosen = (*self.chosen, "jump")
+        # A law that stood for the jump has less to say beside it; delays and wheels out of true look like no jump.
+        gains = {
+            n: g if n in ("delay", "wheel_cos") else _gain(told, chosen, n) for n, g in self.named.items()
+        }
+        lost = [n for n, g in gains.items() if g < GAIN and n not in ("track", "asymmetry")]
+        chosen = tuple(n for n in chosen if n not in lost)
+        values, covariance = told.own.solve(chosen)
+        return replace(
+            self,
+            laws=laws,
+            told=told,
+            chosen=chosen,
+            values=values,
+            covariance=covariance,
+            named={n: g for n, g in gains.items() if g >= GAIN},
+            strangers=_odder(self.strangers, "time", (instant.gain, 1, instant.p_value)),
+            odd=tuple(dict.fromkeys([*self.odd, "time"])),
         )
 
     def less(self, laws: Sequence[str]) -> YawAnswer:
@@ -430,9 +467,44 @@ def _wheels(
     return best[1]
 
 
+@dataclass(frozen=True)
+class Instant:
+    """When a bias jumps, s, the 95 % interval of that, and twice the log likelihood that it gains."""
+
+    at_s: float
+    earliest_s: float
+    latest_s: float
+    gain: float
+
+    @property
+    def p_value(self) -> float:
+        """Chance of the gain at the best of all instants where no bias jumps."""
+        return _jump_p(self.gain)
+
+
 def _jump_p(gain: float) -> float:
-    """Chance of a gain at the best of all instants where no bias jumps."""
     return min(_INSTANTS * float(stats.chi2.sf(gain, 1)), 1.0)
+
+
+def instant_of_p(at_s: float, span_s: tuple[float, float], p_value: float) -> Instant:
+    """An instant that something else shows, with the gain of such a chance."""
+    return Instant(at_s, *span_s, float(stats.chi2.isf(max(p_value, 1e-300) / _INSTANTS, 1)))
+
+
+def likeliest_instant(begin_s: float, end_s: float, gains: Callable[[Floats], Floats]) -> Instant | None:
+    """The likeliest instant of a jump by what each gains; None where it may be chance."""
+    apart_s = (end_s - begin_s) / _INSTANTS
+    instants_s = np.asarray(begin_s + apart_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
+    gained = gains(instants_s)
+    if _jump_p(gained.max()) >= STRANGER_P:
+        return None
+    closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
+    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
+    likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
+    # The next instant that was looked at is outside.
+    step_s = 2.0 * apart_s / _CLOSER
+    ends_s = float(likely_s.min() - step_s), float(likely_s.max() + step_s)
+    return Instant(float(instants_s[np.argmax(gained)]), *ends_s, float(gained.max()))
 
 
 def _jump(
@@ -442,35 +514,37 @@ def _jump(
 
     It has to be likelier than track or wheels that are others from some instant on.
     """
-    at_s, (begin_s, end_s) = model.frame.nodes.t_s, model.frame.series.t_s[[0, -1]]
-    apart_s = (end_s - begin_s) / _INSTANTS
+    series, ends_s = model.frame.series, model.frame.nodes.t_s
     columns = {n: laws[n].column for n in chosen}
-    wheels = [n for n in ("track", "asymmetry") if n in laws]
 
-    def gains(instants_s: Floats) -> tuple[Floats, float]:
-        tried = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
-        others = {
-            f"{n}:{k}": np.where(at_s < t, laws[n].column, 0.0)
-            for n in wheels
-            for k, t in enumerate(instants_s)
-        }
-        told = evidence(model, columns | tried | others).knowing(known)
-        return np.array([told.added(chosen, [n]) for n in tried]), max(
-            (told.added(chosen, [n]) for n in others), default=0.0
-        )
+    def gains(of: Mapping[str, Floats]) -> Floats:
+        told = evidence(model, {**columns, **of}).knowing(known)
+        return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
 
-    instants_s = begin_s + apart_s * (np.arange(_INSTANTS) + 0.5)
-    gained, rival = gains(instants_s)
-    if _jump_p(gained.max()) >= STRANGER_P or rival > gained.max():
+    def of_bias(instants_s: Floats) -> Floats:
+        of = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
+        return gains(of)
+
+    found = likeliest_instant(float(series.t_s[0]), float(series.t_s[-1]), of_bias)
+    if found is None:
         return {}
-    closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
-    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s)[0])
-    likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
-    found = jump(model.frame, float(instants_s[np.argmax(gained)]))
-    # The next instant that was looked at is outside.
-    step_s = 2.0 * apart_s / _CLOSER
-    span = {"earliest_s": float(likely_s.min() - step_s), "latest_s": float(likely_s.max() + step_s)}
-    return {"jump": replace(found, shape={**found.shape, **span})}
+    tried_s = np.linspace(ends_s[0], ends_s[-1], _INSTANTS + 2)[1:-1].tolist()
+    wheels = {
+        f"{n}:{k}": np.where(ends_s < t, laws[n].column, 0.0)
+        for n in ("track", "asymmetry")
+        if n in laws
+        for k, t in enumerate(tried_s)
+    }
+    if wheels and gains(wheels).max() > found.gain:
+        return {}
+    return {"jump": _at(model.frame, found)}
+
+
+def _at(frame: Frame, instant: Instant) -> Law:
+    """The law of a bias that is another one until an instant."""
+    span = {"earliest_s": instant.earliest_s, "latest_s": instant.latest_s}
+    found = jump(frame, instant.at_s)
+    return replace(found, shape={**found.shape, **span})
 
 
 def _resolution(frame: Frame, side: float, radius_m: float) -> float:

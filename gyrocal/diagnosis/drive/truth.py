@@ -116,7 +116,7 @@ class TruthAnswer:
         return abs(self.told(name)) > BELIEVED
 
 
-def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float]) -> Knots | None:
+def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float], jump_s: float) -> Knots | None:
     position, headings = series.truth_x_m + 1j * series.truth_y_m, series.truth_heading_deg
     rows = np.flatnonzero(np.isfinite(position if series.has_truth else headings))
     if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
@@ -125,7 +125,7 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float]) -
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, series.t_s, None, None, _alone(series, laws))
+    knots = Knots(rows, at, count, series.t_s, None, None, _alone(series, laws, jump_s))
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -136,14 +136,16 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float]) -
     return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
 
 
-def _alone(series: DriveSeries, laws: Mapping[str, float]) -> dict[str, tuple[Floats, float]]:
-    """Those of some laws of `ALONE` that a log could hold."""
+def _alone(series: DriveSeries, laws: Mapping[str, float], jump_s: float) -> dict[str, tuple[Floats, float]]:
+    """Those of some laws of the bias that a log could hold."""
     temp, found = temperature_c(series), {}
     for name, std in laws.items():
         if name == "slope" and temp is not None:
             found[name] = (temp - reference_temp_c(series), std)
         elif name in MOVING and series.resting.any():
             found[name] = (series.moving(MOVING[name]), std)
+        elif name == "jump":
+            found[name] = ((series.t_s < jump_s).astype(np.float64), std)
     return found
 
 
@@ -415,13 +417,13 @@ def ask_truth(
     bias : MotionBias
         How well that knows the bias in motion.
     laws : mapping
-        Laws of `ALONE` that are free, and what each is known to beforehand.
+        Laws of the bias that are free, and what each is known to beforehand.
     near : TruthAnswer, optional
         Of nearly the same path: its levels of noise are begun from.
     """
     levels = None if near is None else near.levels
     base = reckon(series, figures)
-    knots = _knots(series, base, laws)
+    knots = _knots(series, base, laws, figures.bias_before_s)
     if knots is None:
         return None
     if knots.position is None:

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.series import drive_series
+from gyrocal.diagnosis.drive.truth import joint_estimate
 from gyrocal.diagnosis.drive.yaw import evidence
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot
@@ -165,10 +166,17 @@ def test_a_jump_that_encoders_cannot_show_is_seen_by_the_truth(resting: Robot) -
     plan = replace(RESTS, shape="random", wheel_noise=0.01, turn_noise=0.05, truth_m=0.01, minutes=10.0)
     log = drive(plan, 8)
     jumped = replace(log, gyro_dps=log.gyro_dps + 0.02 * (log.t_s > 300.0))
+    nothing = np.full(len(log), np.nan)
+    unseen = examine("log", replace(jumped, truth_x_m=nothing, truth_y_m=nothing), resting, None)
+    assert "jump" not in unseen.yaw.chosen
     found = diagnose_drive("log", jumped, resting)
-    assert "jump" not in found.yaw.chosen
     assert "time" in [p.coordinate for p in found.diagnosis.located if p.remains]
-    assert "gyro_scale" not in [e.effect for e in found.diagnosis.effects]
+    assert found.diagnosis.effects == ()
+    shape = found.yaw.laws["jump"].shape
+    assert shape["earliest_s"] <= 300.0 <= shape["latest_s"]
+    before, std = joint_estimate(found.yaw, found.truth, "jump")
+    assert before == pytest.approx(-0.02, abs=3 * std)
+    assert std < 0.004
 
 
 @pytest.mark.parametrize("added_dps", [0.0, 0.05])
