@@ -159,6 +159,25 @@ def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
     assert left(found.candidates) < 0.5 * left(((1.0, found.ranked[0]),))
 
 
+def test_errors_of_few_rates_are_the_tables_and_no_shape_in_rate() -> None:
+    """Six rates: shapes in rate follow any errors of them, and would be in the file between the rates as well."""
+    rng = np.random.default_rng(8)
+    sizes = np.linspace(0.0, 100.0, 7)[1:]
+    of_each = rng.normal(0.0, 3e-4, sizes.size)
+    share = np.concatenate([of_each[::-1], [0.0], of_each])
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 8)
+    temp = np.repeat([20.0, 30.0, 40.0, 50.0, 45.0, 35.0, 25.0, 15.0], share.size)
+    gyro = rate * (1.0 + 1e-5 * (temp - 30.0) + np.tile(share, 8)) + 3e-4 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("off.csv"), rate, gyro, temp, t_s=30.0 * np.arange(float(rate.size)))
+    found = examine(series_of_table(table), 1e-3)
+    (effect,) = named_effects(found)
+    assert effect.effect == "reference_rate_error"
+    low, high = effect.parameters["amplitude"].interval_95
+    assert low < 300.0 < high
+    models = [(weight, c.fitted.model) for weight, c in found.candidates]
+    assert sum(w for w, m in models if "odd rate" not in m.blocks.values()) > 0.5
+
+
 def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_beside_them() -> None:
     found = examine(series_of_table(_knee(6, 1)), 1e-3)
     assert found.naming.named == ()
