@@ -10,7 +10,8 @@ Layers      ``examine`` leads: ``within`` (patterns inside data sets), ``means``
             ``parts`` (what a calibration may contain), ``layers`` (all of it in one model, all variances at once),
             ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil``, ``changes``.
 Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
-            ``jumps`` (at an instant), ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).
+            ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
+            ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).
 Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
             ``correction`` (with what stays), both as coefficient files, the latter weighed by ``fresh_run``;
             ``residual`` (what is left row by row), ``locate`` (where), ``answer`` and ``untimed`` (names as records).

@@ -16,8 +16,8 @@ from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import DIRECTION, Law, Model
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
-from gyrocal.diagnosis.names import ALIKE_NATS, EACH_RATE, Named
-from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.names import ALIKE_NATS, Named
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect, UnnamedPart
 from gyrocal.diagnosis.staircase import Step

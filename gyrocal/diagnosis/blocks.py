@@ -9,7 +9,7 @@ import numpy as np
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Model
-from gyrocal.diagnosis.parts import SURFACE
+from gyrocal.diagnosis.parts import EACH_RATE, SURFACE
 from gyrocal.inference.additive import Component
 
 #: Blocks whose removal costs less, nats, are not there.
@@ -17,7 +17,7 @@ _ABSENT = 2.5
 #: What is simpler stands for what it replaces where it explains no worse than by this, nats.
 REPLACED = 2.0
 #: Blocks that a wrong direction of the surface looks like.
-BENT = ("odd rate", "even rate", "each rate")
+BENT = ("odd rate", "even rate", EACH_RATE)
 #: Where the variance of the surface's own terms starts a second time (logarithm of the share of the record's).
 _AWAKE = 0.0
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.

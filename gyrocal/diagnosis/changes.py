@@ -22,7 +22,7 @@ from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.thermal import SHUPE_GRADIENT, THERMAL_HYSTERESIS
+from gyrocal.physics.thermal import SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import S_PER_H
 
@@ -31,8 +31,8 @@ Value = TypeVar("Value", bound=float)
 
 STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
-#: Laws of the temperature's history that act on the bias alone, and their shape.
-HISTORY = {SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
+#: Laws of the temperature's history that act on the bias alone, and their shape; the first has none.
+HISTORY = {SHUPE.id: "", SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
 #: Time constants of a warm-up, s: of a minute, as a small gyro's, to two hours.
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 #: A warm-up that the record does not outlast by half is a drift: its end is not seen.
@@ -109,7 +109,7 @@ class Changes:
         known = self._warm_ups if effect == WARM_UP.id else self._history[effect]
         name = HISTORY.get(effect, "tau_s")
         if not spread:
-            return Law(effect, {name: at}, known[at][:, None])
+            return Law(effect, _shape(name, at), known[at][:, None])
         mixture = _spread_over(list(known)[::_THINNED], at, spread)
         columns = np.sum([weight * known[x] for x, weight in mixture.items()], axis=0)[:, None]
         return Law(effect, {name: at}, columns, spread=spread, mixture=tuple(mixture.items()))
@@ -136,10 +136,11 @@ class Changes:
         laws = laws_of(self.means, blank)
         found: dict[str, dict[float, Floats]] = {}
         for effect, name in HISTORY.items():
-            tried = [trial.shape[name] for trial in laws.trials(CATALOGUE[effect])]
-            # A search over models refines no shape: its grid is as fine as that of a warm-up.
-            grid = np.geomspace(min(tried), max(tried), len(_WARM_UPS_S)).tolist() if tried else []
-            found[effect] = {at: laws.at(CATALOGUE[effect], {name: at})[:, 0] for at in grid}
+            grid = [trial.shape.get(name, 0.0) for trial in laws.trials(CATALOGUE[effect])]
+            if name and grid:
+                # A search over models refines no shape: its grid is as fine as that of a warm-up.
+                grid = np.geomspace(min(grid), max(grid), len(_WARM_UPS_S)).tolist()
+            found[effect] = {at: laws.at(CATALOGUE[effect], _shape(name, at))[:, 0] for at in grid}
         return found
 
     def _risen(self, row: int, rise_s: float) -> Floats:
@@ -150,6 +151,10 @@ class Changes:
         away = (t_s - 0.5 * (t_s[row - 1] + t_s[row])) / rise_s
         risen = 1.0 / (1.0 + np.exp(-np.clip(away, -50.0, 50.0)))
         return np.asarray(risen - risen[-1])
+
+
+def _shape(name: str, at: float) -> dict[str, float]:
+    return {name: at} if name else {}
 
 
 def _grown(t_s: Floats, power: float) -> Floats:

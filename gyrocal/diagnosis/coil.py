@@ -17,8 +17,8 @@ from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, n
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.laws import Laws, effects_of
 from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
-from gyrocal.diagnosis.parts import Coil, Part, drifts, passing, remembering
-from gyrocal.inference.additive import Contrasts
+from gyrocal.diagnosis.parts import EACH_RATE, Coil, Part, drifts, passing, remembering
+from gyrocal.inference.additive import START, Contrasts
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
@@ -176,6 +176,24 @@ class TableSearch:
             found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll + paid))
         # With a sine of so small a phase that the cubic does as well, neither surface nor law would be what it says.
         return [with_law for with_law, c in zip(found, nearest, strict=True) if with_law.score < c.score]
+
+    def with_errors_of_each_rate(self, near: Sequence[Candidate]) -> list[Candidate]:
+        """Models with errors of each rate of the table alone in place of shapes in rate, which pay together what a law pays.
+
+        A few rates are followed by anything smooth as well as by errors that know nothing of each other, and only one of
+        the two is the gyro's.
+        """
+        draws = self.base.components.get(EACH_RATE)
+        shapes = [p.name for p in self.base.parts if p.block == _OF_RATE]
+        found = []
+        for c in near:
+            plain = c.fitted.model.without(shapes)
+            if draws is None or len(plain.components) == len(c.fitted.model.components):
+                continue
+            plain = replace(plain, components={**plain.components, EACH_RATE: draws})
+            fitted = c.fitted.refit(plain, start={**c.fitted.fit.log_variance, EACH_RATE: START})
+            found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - TOLL_NATS))
+        return found
 
     def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
         """A model beside smooth parts, which pay together what a law pays."""

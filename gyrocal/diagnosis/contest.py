@@ -9,9 +9,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import REPLACED
 from gyrocal.diagnosis.intervals import refined
 from gyrocal.diagnosis.laws import Laws, Trial, likeliest
 from gyrocal.diagnosis.layers import Fitted, Law, Model
+from gyrocal.diagnosis.misfit import changing
 from gyrocal.physics.effect import Effect
 from gyrocal.units import NORMAL_95
 
@@ -63,8 +65,9 @@ def best_law(
         return None
 
     def loss(found: Fitted, effect: Effect) -> float:
-        """What had more shapes to choose from has to gain more."""
-        return found.nll - effect.search.prior_nats + 0.5 * float(np.log(shapes[effect.id]))
+        """What had more shapes to choose from has to gain more; one that changes with temperature is a law all the same."""
+        changes = changing(found, found.model.laws[-1:], laws).nll + REPLACED
+        return min(found.nll, changes) - effect.search.prior_nats + 0.5 * float(np.log(shapes[effect.id]))
 
     refits = [(_with(current, _refined(trial, laws, gain_of), logs), trial.effect) for _, trial in top]
     refits.sort(key=lambda x: loss(*x))

@@ -13,7 +13,16 @@ from gyrocal.diagnosis.blocks import around_itself, evidence
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
-from gyrocal.diagnosis.parts import BLOCKS, PASSING, SURFACE, Part, legendre_to_powers, passing, polynomials
+from gyrocal.diagnosis.parts import (
+    BLOCKS,
+    EACH_RATE,
+    PASSING,
+    SURFACE,
+    Part,
+    legendre_to_powers,
+    passing,
+    polynomials,
+)
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
@@ -78,7 +87,7 @@ def _beside_wander(found: Examination, blocks: Sequence[str]) -> dict[str, float
         return {}
     fitted = found.naming.fitted
     passes = passing(found.model.means, found.model.basis.frame)
-    wander = {c.name: c for c in passes if PASSING.get(c.name) != "each rate"}
+    wander = {c.name: c for c in passes if PASSING.get(c.name) != EACH_RATE}
     free = replace(fitted.model, components={**wander, **fitted.model.components})
     beside = fitted.refit(free)
     return {b: evidence(beside, b)[0] for b in blocks}

@@ -28,7 +28,7 @@ from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming, name
-from gyrocal.diagnosis.parts import PASSING, Basis, passing
+from gyrocal.diagnosis.parts import EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
 from gyrocal.diagnosis.within import Pattern, patterns
@@ -126,7 +126,7 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     first = ranked[0].fitted
     best = alive(first.refit(replace(first.model, components={**first.model.components, **drifting})))
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
-    settled, worth = present(settle_direction(best)[0])
+    settled, worth = present(errors_of_each_rate(settle_direction(best)[0], draws_of(base)))
     beside = replace(settled.model, components={**settled.model.components, **drifting})
     plain = _plain(worth, search, ranked, laws)
     naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws)
@@ -137,8 +137,11 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     of_rate.sort(key=lambda c: c.score)
     both = sorted([*ranked, *smooth, *plain, *of_rate, *by_law], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
-    near = tuple(averaged(both)) if joint or naming.named or naming.unnamed else ()
-    models = near, tuple(ranked), tuple(smooth), tuple(of_rate)
+    near = averaged(both) if joint or naming.named or naming.unnamed else []
+    if near:
+        of_each_rate = search.with_errors_of_each_rate([c for _, c in near])
+        near = averaged(sorted([*both, *of_each_rate], key=lambda c: c.score))
+    models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
     return Examination(series, found, best, worth, naming, laws, *models, aside)
 
 
@@ -192,13 +195,13 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
 
 def draws_of(full: Model) -> Component | None:
     """The component of an error of each rate, where the record has rates enough."""
-    return next((c for n, c in full.components.items() if PASSING.get(n) == "each rate"), None)
+    return next((c for n, c in full.components.items() if PASSING.get(n) == EACH_RATE), None)
 
 
 def wandering(full: Model) -> list[Component]:
     """What passes and is random in time: the bias and the scale factor, and noise."""
     stays = {p.name for p in full.parts}
-    return [c for n, c in full.components.items() if n not in stays and PASSING.get(n) != "each rate"]
+    return [c for n, c in full.components.items() if n not in stays and PASSING.get(n) != EACH_RATE]
 
 
 def fit_twice(model: Model) -> Fitted:

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
@@ -139,7 +139,7 @@ def effects_of(block: str) -> list[Effect]:
         if not wanted(effect) or effect.family != own.family:
             continue
         # What no robot evaluates would be in no file, and in place of errors of single rates in no smooth part either.
-        if block == "each rate" and not effect.runtime:
+        if block == EACH_RATE and not effect.runtime:
             continue
         by_rate = "rate_dps" in effect.needs
         if own.family == "time" and by_rate != (block == "scale in time"):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gyrocal.diagnosis.examine import Examination, block_curve
-from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.result import Located, UnnamedPart
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.physics.catalogue import CATALOGUE
@@ -175,7 +175,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     passed = () if found.comes_again > 0.5 else ("warm-up",)
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
-        if block in named or block in ("each rate", WANDERING) or block_p_value(nats, len(BLOCKS)) > level:
+        if block in named or block in (EACH_RATE, WANDERING) or block_p_value(nats, len(BLOCKS)) > level:
             continue
         place = stretch(found, block, block_curve(fitted, solution, block))
         parts.append(

@@ -18,7 +18,8 @@ from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
-from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.misfit import changing, with_misfit
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import RATE_ORDER
@@ -43,8 +44,6 @@ _LINE = 2.0
 _UNLIKELY = 50.0
 #: Block whose laws may be narrower than its smooth parts.
 _SHARP = "odd rate"
-#: Block of errors of single rates, which explain whatever laws of the rate do.
-EACH_RATE = "each rate"
 #: Laws of one block. A search ends by what they gain; only the plays of a hysteresis without a corner ever were as many.
 _MOST_LAWS = 3
 
@@ -309,7 +308,8 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws)) if replaces else fitted
     if BLOCKS[block].lasts:
         # What a law leaves is its misfit; the only law of a family stands for all that is like it.
-        earned = share >= _NAMED_SHARE or len(effects_of(block)) == 1
+        at_most = (without.nll - changing(alone.fitted, [n.law for n in named], laws).nll) / worth
+        earned = at_most >= _NAMED_SHARE or len(effects_of(block)) == 1
         return _Answer(beside, named, alone.near, alone.fitted.nll) if earned else unnamed
     # A walk follows a line without being one: each law must say more than the walk does.
     says_more = fitted.nll - beside.nll > GAIN * len(named)
@@ -356,12 +356,8 @@ def _alone(
             break
         another = found.named and best.effect.id not in found.kinds
         bends = BLOCKS[block].family == BIAS_DRIFT.family
-        if (
-            another
-            and not bends
-            and reshaped(found.fitted, laws).nll - reshaped(best.fitted, laws).nll < least
-        ):
-            # It mends no more than the shape that the first one had on the grid; in time the first would bend into it.
+        if another and not bends and _beyond_misfit(found, best.fitted, laws) < least:
+            # In time the first would bend into it.
             break
         told_apart = min(best.rivals.values(), default=np.inf) > ALIKE_NATS
         left = worth - (without.nll - best.fitted.nll)
@@ -372,6 +368,17 @@ def _alone(
         law = Named(best.fitted.model.laws[-1], block, gain, 0.0, best.rivals, best.shapes)
         found = _Alone(best.fitted, [*found.named, law], found.near)
     return _paired(fitted, without, block, trials, laws, found)
+
+
+def _beyond_misfit(found: _Alone, best: Fitted, laws: Laws) -> float:
+    """What a further law explains beyond what the first ones would if they nearly held, nats.
+
+    Else it mends the shape that they had on the grid, or a corner that is round.
+    """
+    before, after = reshaped(found.fitted, laws), reshaped(best, laws)
+    first = slice(len(before.model.laws) - len(found.named), len(before.model.laws))
+    nearly = [with_misfit(f, f.model.laws[first], laws) for f in (before, after)]
+    return nearly[0].nll - nearly[1].nll
 
 
 def _paired(

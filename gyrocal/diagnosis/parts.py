@@ -25,6 +25,9 @@ from gyrocal.physics.surface import SHAPE
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+#: Component, and block, of errors of single rates, which explain whatever laws of the rate do.
+EACH_RATE = "each rate"
+
 #: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
 Coil = tuple[float, float] | None
 
@@ -123,7 +126,7 @@ BLOCKS = {
     "supply": Block("supply", "supply"),
     "bias in time": Block("time", "time", stays=False, lasts=False),
     "scale in time": Block("time", "time", stays=False),
-    "each rate": Block("rate shape", "rate", stays=False, lasts=False),
+    EACH_RATE: Block("rate shape", "rate", stays=False, lasts=False),
 }
 
 
@@ -375,7 +378,7 @@ PASSING = {
     "bias walk": "bias in time",
     "scale line": "scale in time",
     "scale walk": "scale in time",
-    "each rate": "each rate",
+    EACH_RATE: EACH_RATE,
 }
 
 
@@ -391,7 +394,7 @@ def passing(means: Means, frame: Frame) -> list[Component]:
         sizes = np.round(np.abs(means.rate_dps) / _SAME_RATE_DPS)
         kinds = np.unique(sizes[sizes > 0])
         if 3 < kinds.size < _MOST_RATES:
-            found.append(Component("each rate", np.where(sizes[:, None] == kinds, u[:, None], 0.0)))
+            found.append(Component(EACH_RATE, np.where(sizes[:, None] == kinds, u[:, None], 0.0)))
         found.append(Component("jitter", covariance=np.diag(u**2)))
     return found + noise(means)
 

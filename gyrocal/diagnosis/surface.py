@@ -19,7 +19,7 @@ from gyrocal.diagnosis.correction import file_without_surface
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import SURFACE, design_at, legendre_to_powers, passing
+from gyrocal.diagnosis.parts import EACH_RATE, SURFACE, design_at, legendre_to_powers, passing
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.additive import solve
 from gyrocal.physics.surface import SHAPE, Surface
@@ -73,7 +73,7 @@ def _under_noise_found(fitted: Fitted) -> Coefficients:
     model, frame = fitted.model, fitted.model.basis.frame
     means = model.means
     carried = carried_terms(means.series)
-    kept = {"each rate", *(c.name for c in passing(means, frame) if c.covariance is not None)}
+    kept = {EACH_RATE, *(c.name for c in passing(means, frame) if c.covariance is not None)}
     noise = [c for n, c in model.components.items() if n in kept]
     columns = design_at(means.gyro_dps, means.temp_c, frame)[:, carried]
     solution = solve(means.error_dps, columns, noise, fitted.fit.variance)

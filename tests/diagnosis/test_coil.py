@@ -83,6 +83,23 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
 
 
+def test_a_bias_that_follows_the_temperature_rate_is_told_from_one_that_remembers() -> None:
+    """A difference from an inside that follows within half a minute is nearly the rate, and had been its name."""
+    rng = np.random.default_rng(4)
+    t_s = 40.0 * np.arange(120, dtype=np.float64)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
+    temp_c = 30.0 + 20.0 * np.sin(t_s / 700.0)
+    c_per_min = 60.0 * 20.0 / 700.0 * np.cos(t_s / 700.0)
+    gyro = rate * (1.0 + 5e-5 * (temp_c - 30.0)) + 3e-3 * c_per_min + 3e-4 * rng.standard_normal(t_s.size)
+    found = examine(series_of_table(DataSetTable(Path("rate.csv"), rate, gyro, temp_c, t_s=t_s)), 1e-3)
+    best = found.ranked[0]
+    assert best.coil is None
+    assert best.effects == {"shupe"}
+    (named,) = named_effects(found)
+    assert named.effect == "shupe"
+    assert named.parameters["amplitude"].value == pytest.approx(3.0, rel=0.1)
+
+
 def test_a_coil_that_never_got_warm_is_not_looked_for() -> None:
     """Heated once, from 20 to 60 degC: behind a lag of eight hours the coil has not left 22 degC."""
     t_s = np.linspace(0.0, 3600.0, 61)
@@ -140,6 +157,25 @@ def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
         return float(np.std(file.correct(again.t_s, again.gyro_dps, again.temp_c) - again.rate_dps))
 
     assert left(found.candidates) < 0.5 * left(((1.0, found.ranked[0]),))
+
+
+def test_errors_of_few_rates_are_the_tables_and_no_shape_in_rate() -> None:
+    """Six rates: shapes in rate follow any errors of them, and would be in the file between the rates as well."""
+    rng = np.random.default_rng(8)
+    sizes = np.linspace(0.0, 100.0, 7)[1:]
+    of_each = rng.normal(0.0, 3e-4, sizes.size)
+    share = np.concatenate([of_each[::-1], [0.0], of_each])
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 8)
+    temp = np.repeat([20.0, 30.0, 40.0, 50.0, 45.0, 35.0, 25.0, 15.0], share.size)
+    gyro = rate * (1.0 + 1e-5 * (temp - 30.0) + np.tile(share, 8)) + 3e-4 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("off.csv"), rate, gyro, temp, t_s=30.0 * np.arange(float(rate.size)))
+    found = examine(series_of_table(table), 1e-3)
+    (effect,) = named_effects(found)
+    assert effect.effect == "reference_rate_error"
+    low, high = effect.parameters["amplitude"].interval_95
+    assert low < 300.0 < high
+    models = [(weight, c.fitted.model) for weight, c in found.candidates]
+    assert sum(w for w, m in models if "odd rate" not in m.blocks.values()) > 0.5
 
 
 def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_beside_them() -> None:

@@ -143,9 +143,26 @@ def test_a_dead_zone_between_two_rates_is_seen_by_its_law_alone() -> None:
     found = examine(series_of_table(table), 0.01)
     (law,) = found.naming.named
     assert law.law.effect == "dead_zone"
-    assert 0.02 < law.law.shape["width_dps"] < 0.05
+    width = of_law(found.naming.fitted, law.law, found.laws, []).parameters["width_dps"]
+    assert width.interval_95 == pytest.approx((0.02, 0.05), rel=0.01), "no rate between the two was visited"
     for _, candidate in found.candidates:
         assert [law.effect for law in candidate.fitted.model.laws] == ["dead_zone"]
+
+
+def test_of_a_dead_zone_below_the_least_rate_no_more_is_known() -> None:
+    rng = np.random.default_rng(6)
+    sizes = np.array([0.5, 1.0, 2.0, 5.0, 20.0, 50.0, 100.0])
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0] * 3, sizes]), 6)
+    error = np.where(rate == 0.0, -5e-3, 0.0) + 3e-4 * rng.standard_normal(rate.size)
+    temp = 25.0 + 0.02 * rng.standard_normal(rate.size)
+    table = DataSetTable(
+        Path("rest.csv"), rate, rate + error, temp, t_s=20.0 * np.arange(rate.size, dtype=np.float64)
+    )
+    found = diagnose(table, options=Options(heldout=False))
+    (effect,) = found.effects
+    low, high = effect.parameters["width_dps"].interval_95
+    assert low < 1e-3
+    assert high == pytest.approx(0.5, rel=0.01)
 
 
 def test_the_file_of_a_table_has_the_law_where_the_law_says_more_than_smooth_parts() -> None:

@@ -1,0 +1,71 @@
+"""Laws of the rate that a gyro obeys only nearly, in tables of sweeps at temperatures up and down."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.examine import Examination, examine
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.misfit import changing, with_misfit
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.physics.catalogue import find_effect
+from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
+
+_SIZES = np.array([0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 80.0, 100.0])
+_RATE: Floats = np.tile(np.concatenate([-_SIZES[::-1], [0.0], _SIZES]), 8)
+_TEMP: Floats = np.repeat([20.0, 30.0, 40.0, 50.0, 45.0, 35.0, 25.0, 15.0], 21)
+
+
+def _table(error_dps: Floats) -> DataSetTable:
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(_RATE.size)
+    gyro = _RATE * (1.0 + 1e-5 * (_TEMP - 30.0)) + error_dps + noise
+    return DataSetTable(Path("nearly.csv"), _RATE, gyro, _TEMP, t_s=30.0 * np.arange(float(_RATE.size)))
+
+
+def _named(error_dps: Floats) -> Examination:
+    return examine(series_of_table(_table(error_dps)), 1e-3)
+
+
+def test_a_corner_that_is_round_is_no_second_effect() -> None:
+    """What a hard corner leaves of a soft one looks like what is lost at rest."""
+    soft = 15.0 * np.log1p(np.exp(-np.abs(_RATE) / 15.0)) + np.maximum(_RATE, 0.0)
+    naming = _named(1e-3 * soft).naming
+    assert [n.law.effect for n in naming.named] == ["scale_asymmetry"]
+    assert "even rate" in naming.unnamed, "what the law leaves stays in the model"
+
+
+def test_a_law_whose_size_changes_with_temperature_has_its_name() -> None:
+    """Of one size for all temperatures it explains less of its block than a name takes."""
+    (named,) = _named(4e-4 * (1.0 + 1.2 * (_TEMP - 32.5) / 17.5) * np.maximum(_RATE, 0.0)).naming.named
+    assert named.law.effect == "scale_asymmetry"
+    assert named.share < 0.6
+
+
+def test_what_a_law_leaves_follows_its_size_its_shape_and_its_corner() -> None:
+    means = means_of(series_of_table(_table(np.zeros(_RATE.size))))
+    fitted = fit_model(full_model(means, memory=False))
+    laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
+
+    def misfit(effect: str, **shape: float) -> tuple[Floats, Floats]:
+        law = Law(effect, shape, laws.at(find_effect(effect), shape))
+        beside = with_misfit(fitted, [law], laws).model.components[f"misfit of {law.name}"]
+        assert beside.columns is not None
+        return law.columns[:, 0], beside.columns
+
+    law, left = misfit("scale_asymmetry")
+    assert left[:, 0] == pytest.approx(law * (means.temp_c - 32.5) / 17.5)
+    # A mean over rates is the law itself where all of them are on one side of the corner.
+    widest = np.abs(left[:, -1])
+    assert widest[_RATE == -100.0].max() < 1e-6 * widest[_RATE == 0.0].min()
+    # A knee moves with temperature, too.
+    assert misfit("saturation", knee_dps=60.0, softness_dps=0.0)[1].shape[1] == left.shape[1] + 1
+    for beside in (with_misfit, changing):
+        assert beside(fitted, [Law("bias_drift", {}, law[:, None])], laws) is fitted
