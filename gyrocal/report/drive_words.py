@@ -17,7 +17,7 @@ from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffe
 from gyrocal.physics.drive import GYRO_BIAS
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import statement
-from gyrocal.report.words import part_words, region_words
+from gyrocal.report.words import p_equals, part_words, region_words
 
 #: Evidence that tells nothing apart.
 _ALIKE = 3.0
@@ -47,7 +47,7 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
             where = place.coordinate.replace("_", " ")
             what = "scatter" if place.statistic == "variance" else "structure"
             lines.append(
-                f"Unexplained {what} remains over {where}: {region_words(place)} (p = {place.p_value:.1g})"
+                f"Unexplained {what} remains over {where}: {region_words(place)} ({p_equals(place.p_value)})"
             )
     if undecided(found.yaw, diagnosis.effects):
         percent = 100.0 * found.yaw.estimate("track")[0]

@@ -124,8 +124,9 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.BIAS_IN_MOTION: "In motion the gyro's bias is another than at the rest at the start.",
     Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias is another than while it stands, as that of a gyro that is shaken.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
-    Said.BIAS_JUMPS: "The gyro's bias jumps by {jump_dps:.2g} deg/s (95 %: +- {half_dps:.1g}) after {until_s:.0f} s (95 %: {earliest_s:.0f} to "
-    "{latest_s:.0f}) and stays there: its figure is that of the end, and a robot file gets the middle, since nobody knows which of both is next",
+    Said.BIAS_JUMPS: "The gyro's bias jumps by {jump_dps:.3g} deg/s (95 %: {least_dps:.3g} to {most_dps:.3g}) at {until_s:.0f} s (95 %: "
+    "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
+    "between both, for nobody knows which is next",
     Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "
     "for a track.",
 }

@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.findings import (
     OUT,
     Scale,
     bias_jump,
+    joint_estimate,
     named_effects,
     not_testable,
     places,
@@ -29,11 +30,12 @@ from gyrocal.diagnosis.drive.improved import (
     foretold_bias,
     improved_robot,
 )
+from gyrocal.diagnosis.drive.jumps import instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw, instant_of_p
+from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
-from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth, joint_estimate
+from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis

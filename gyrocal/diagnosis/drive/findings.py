@@ -12,7 +12,7 @@ from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, INTERESTS, SCALES, TruthAnswer, joint_estimate
+from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, INTERESTS, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import (
@@ -75,6 +75,25 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
     unit = DRIVE_CATALOGUE[effect].parameters[0].unit
     per = PER_SI[unit]
     return Estimate.normal(per * value, per * std, unit)
+
+
+def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
+    """A law of the heading difference and its standard deviation, with what the truth adds.
+
+    The truth shows the bias in motion, of which the constant one and what comes with the motion are parts, and the laws that
+    it was asked for.
+    """
+    value, std = yaw.estimate(name)
+    if truth is None or truth.mirrored:
+        return value, std
+    if name in truth.values:
+        return value + truth.values[name], truth.stds[name]
+    if name != "bias" and KINDS[name].group != "motion":
+        return value, std
+    known = yaw.motion_bias
+    share = known.shared[name] / known.std_dps**2
+    told = max(known.std_dps**2 - truth.stds["gyro_bias"] ** 2, 0.0)
+    return value + share * truth.values["gyro_bias"], float(np.sqrt(max(std**2 - share**2 * told, 0.0)))
 
 
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
@@ -374,7 +393,9 @@ def bias_jump(yaw: YawAnswer, truth: TruthAnswer | None) -> Remark:
     before, std = joint_estimate(yaw, truth, "jump")
     begin_s = yaw.model.frame.series.t_s[0]
     times = {name: at_s - begin_s for name, at_s in yaw.laws["jump"].shape.items()}
-    return Remark(Said.BIAS_JUMPS, {"jump_dps": -before, "half_dps": NORMAL_95 * std, **times})
+    half = NORMAL_95 * std
+    sizes = {"jump_dps": -before, "least_dps": -before - half, "most_dps": -before + half}
+    return Remark(Said.BIAS_JUMPS, sizes | times)
 
 
 def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal.diagnosis.drive.findings import Scale
+from gyrocal.diagnosis.drive.findings import Scale, joint_estimate
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c, strangers
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer, joint_estimate
+from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.drive import ROBOT_TILT
@@ -191,6 +191,8 @@ def _of_gyro(
         if told is not None:
             value, std, named = told
             metres = cost_m(series, figures, kind.figure, value)
+            # A jump is what comes after less what was before it.
+            value = -value if name == "jump" else value
             found.append(DriveEstimate(kind.shown, value, std, kind.unit, metres, "gyro", named))
     for name in SCALES:
         scale = parts.get(name)

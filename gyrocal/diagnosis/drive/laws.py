@@ -89,7 +89,7 @@ KINDS: Mapping[str, Kind] = {
     "asymmetry": Kind(WHEEL_ASYMMETRY.id),
     "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", "motion", said=Said.BIAS_IN_MOTION),
     **{name: replace(_SHAKEN, lag_s=lag_s) for name, lag_s in MOVING.items()},
-    "jump": Kind("gyro_bias_before_jump", "bias_before_dps", "deg/s"),
+    "jump": Kind("gyro_bias_jump", "bias_before_dps", "deg/s"),
     "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC"),
     "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
     "slip_turn_rate": _SLIP,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.ndimage import median_filter
 
+from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     Frame,
@@ -23,7 +24,6 @@ from gyrocal.diagnosis.drive.laws import (
 )
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
-from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
@@ -45,8 +45,6 @@ _CLEARLY = 0.8
 _SHIFT, _ROUNDS = 0.2, 3
 #: Radii of wheels, m, and how many peaks of each side's spectrum are looked at.
 _RADII_M, _PEAKS = (0.02, 0.6), 3
-#: Instants of a drive at which the bias may jump, and how many about the likeliest are looked at again.
-_INSTANTS, _CLOSER = 40, 16
 #: Parts of a drive in which a named law must be the same.
 _PARTS = 24
 
@@ -162,7 +160,7 @@ class YawAnswer:
     def with_jump(self, instant: Instant) -> YawAnswer:
         """The same with a jump of the bias that something else shows."""
         frame = self.model.frame
-        laws = {**self.laws, "jump": _at(frame, instant)}
+        laws = {**self.laws, "jump": law_at(frame, instant)}
         columns = {n: x.column for n, x in laws.items()}
         for coordinate, block in strangers(frame).items():
             columns |= {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
@@ -267,7 +265,9 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     if (wider := _widened(series, known, free.own, chosen)) != known:
         known, told = wider, free.knowing(wider)
         chosen = _selected(told, least, list(laws))
-    beyond = _wheels(frame, model, everything, chosen, known) | _jump(model, everything, chosen, known)
+    beyond = _wheels(frame, model, everything, chosen, known) | jump_of(
+        model, everything, chosen, known, STRANGER_P
+    )
     if beyond:
         everything |= beyond
         columns |= {name: x.column for name, x in beyond.items()}
@@ -278,8 +278,8 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     if "jump" in chosen:
         gain = _gain(told, [*chosen, *beside], "jump")
-        if _jump_p(gain) < STRANGER_P:
-            odd = _odder(odd, "time", (gain, 1, _jump_p(gain)))
+        if chance(gain) < STRANGER_P:
+            odd = _odder(odd, "time", (gain, 1, chance(gain)))
         else:
             chosen.remove("jump")
     named = _named(told, chosen, beside, ahead_s)
@@ -465,86 +465,6 @@ def _wheels(
             if gain > best[0]:
                 best = (gain, pair)
     return best[1]
-
-
-@dataclass(frozen=True)
-class Instant:
-    """When a bias jumps, s, the 95 % interval of that, and twice the log likelihood that it gains."""
-
-    at_s: float
-    earliest_s: float
-    latest_s: float
-    gain: float
-
-    @property
-    def p_value(self) -> float:
-        """Chance of the gain at the best of all instants where no bias jumps."""
-        return _jump_p(self.gain)
-
-
-def _jump_p(gain: float) -> float:
-    return min(_INSTANTS * float(stats.chi2.sf(gain, 1)), 1.0)
-
-
-def instant_of_p(at_s: float, span_s: tuple[float, float], p_value: float) -> Instant:
-    """An instant that something else shows, with the gain of such a chance."""
-    return Instant(at_s, *span_s, float(stats.chi2.isf(max(p_value, 1e-300) / _INSTANTS, 1)))
-
-
-def likeliest_instant(begin_s: float, end_s: float, gains: Callable[[Floats], Floats]) -> Instant | None:
-    """The likeliest instant of a jump by what each gains; None where it may be chance."""
-    apart_s = (end_s - begin_s) / _INSTANTS
-    instants_s = np.asarray(begin_s + apart_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
-    gained = gains(instants_s)
-    if _jump_p(gained.max()) >= STRANGER_P:
-        return None
-    closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
-    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
-    likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
-    # The next instant that was looked at is outside.
-    step_s = 2.0 * apart_s / _CLOSER
-    ends_s = float(likely_s.min() - step_s), float(likely_s.max() + step_s)
-    return Instant(float(instants_s[np.argmax(gained)]), *ends_s, float(gained.max()))
-
-
-def _jump(
-    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], known: Mapping[str, tuple[float, float]]
-) -> dict[str, Law]:
-    """A bias that jumps and stays, at the likeliest instant, if it is beyond chance.
-
-    It has to be likelier than track or wheels that are others from some instant on.
-    """
-    series, ends_s = model.frame.series, model.frame.nodes.t_s
-    columns = {n: laws[n].column for n in chosen}
-
-    def gains(of: Mapping[str, Floats]) -> Floats:
-        told = evidence(model, {**columns, **of}).knowing(known)
-        return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
-
-    def of_bias(instants_s: Floats) -> Floats:
-        of = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
-        return gains(of)
-
-    found = likeliest_instant(float(series.t_s[0]), float(series.t_s[-1]), of_bias)
-    if found is None:
-        return {}
-    tried_s = np.linspace(ends_s[0], ends_s[-1], _INSTANTS + 2)[1:-1].tolist()
-    wheels = {
-        f"{n}:{k}": np.where(ends_s < t, laws[n].column, 0.0)
-        for n in ("track", "asymmetry")
-        if n in laws
-        for k, t in enumerate(tried_s)
-    }
-    if wheels and gains(wheels).max() > found.gain:
-        return {}
-    return {"jump": _at(model.frame, found)}
-
-
-def _at(frame: Frame, instant: Instant) -> Law:
-    """The law of a bias that is another one until an instant."""
-    span = {"earliest_s": instant.earliest_s, "latest_s": instant.latest_s}
-    found = jump(frame, instant.at_s)
-    return replace(found, shape={**found.shape, **span})
 
 
 def _resolution(frame: Frame, side: float, radius_m: float) -> float:

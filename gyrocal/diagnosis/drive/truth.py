@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import AT_ONCE, MOVING, reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -25,7 +25,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     stacked,
 )
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
-from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias, YawAnswer
+from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.inference.gls import Regression, regress
@@ -481,22 +481,3 @@ def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:
     """Twice the log likelihood that columns add."""
     wider = replace(problem, columns={**problem.columns, **more})
     return problem.solve(logs).left - wider.solve(logs).left
-
-
-def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
-    """A law of the heading difference and its standard deviation, with what the truth adds.
-
-    The truth shows the bias in motion, of which the constant one and what comes with the motion are parts, and the laws that
-    it was asked for.
-    """
-    value, std = yaw.estimate(name)
-    if truth is None or truth.mirrored:
-        return value, std
-    if name in truth.values:
-        return value + truth.values[name], truth.stds[name]
-    if name != "bias" and KINDS[name].group != "motion":
-        return value, std
-    known = yaw.motion_bias
-    share = known.shared[name] / known.std_dps**2
-    told = max(known.std_dps**2 - truth.stds["gyro_bias"] ** 2, 0.0)
-    return value + share * truth.values["gyro_bias"], float(np.sqrt(max(std**2 - share**2 * told, 0.0)))

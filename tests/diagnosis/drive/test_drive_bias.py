@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
+from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.series import drive_series
-from gyrocal.diagnosis.drive.truth import joint_estimate
 from gyrocal.diagnosis.drive.yaw import evidence
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from gyrocal.diagnosis.drive import findings
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer, joint_estimate
+from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer
 from gyrocal.diagnosis.remarks import Said
 
 
@@ -118,6 +118,6 @@ def test_a_bias_is_known_as_well_as_the_truth_tells_what_it_shares_with_it(
     found = yaw(estimate=lambda _: (0.5, 0.1), motion_bias=known)
     told = truth(0.0, 0.0, std)
     told.values["gyro_bias"] = 0.2  # type: ignore[index]
-    value, left = joint_estimate(found, told, "bias")
+    value, left = findings.joint_estimate(found, told, "bias")
     assert value == pytest.approx(0.5 + 0.2 * shared)
     assert left == pytest.approx(expected)

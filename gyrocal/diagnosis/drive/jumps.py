@@ -1,0 +1,106 @@
+"""A bias that jumps within a drive and stays: when, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.diagnosis.drive.laws import Frame, Law, jump
+from gyrocal.diagnosis.drive.yaw import YawModel, evidence
+from gyrocal.diagnosis.intervals import RISE_INSTANT_95
+
+Floats = NDArray[np.float64]
+
+#: Instants of a drive at which the bias may jump, and how many about the likeliest are looked at again.
+_INSTANTS, _CLOSER = 40, 16
+
+
+@dataclass(frozen=True)
+class Instant:
+    """When a bias jumps, s, the 95 % interval of that, and twice the log likelihood that it gains."""
+
+    at_s: float
+    earliest_s: float
+    latest_s: float
+    gain: float
+
+    @property
+    def p_value(self) -> float:
+        """Chance of the gain at the best of all instants where no bias jumps."""
+        return chance(self.gain)
+
+
+def chance(gain: float) -> float:
+    """Chance of a gain at the best of all instants where no bias jumps."""
+    return min(_INSTANTS * float(stats.chi2.sf(gain, 1)), 1.0)
+
+
+def instant_of_p(at_s: float, span_s: tuple[float, float], p_value: float) -> Instant:
+    """An instant that something else shows, with the gain of such a chance."""
+    return Instant(at_s, *span_s, float(stats.chi2.isf(max(p_value, 1e-300) / _INSTANTS, 1)))
+
+
+def _likeliest(
+    begin_s: float, end_s: float, gains: Callable[[Floats], Floats], least: float
+) -> Instant | None:
+    """The likeliest instant of a jump by what each gains; None where it may be chance."""
+    apart_s = (end_s - begin_s) / _INSTANTS
+    instants_s = np.asarray(begin_s + apart_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
+    gained = gains(instants_s)
+    if chance(float(gained.max())) >= least:
+        return None
+    closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
+    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
+    likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
+    # The next instant that was looked at is outside.
+    step_s = 2.0 * apart_s / _CLOSER
+    ends_s = float(likely_s.min() - step_s), float(likely_s.max() + step_s)
+    return Instant(float(instants_s[np.argmax(gained)]), *ends_s, float(gained.max()))
+
+
+def jump_of(
+    model: YawModel,
+    laws: Mapping[str, Law],
+    chosen: Sequence[str],
+    known: Mapping[str, tuple[float, float]],
+    least: float,
+) -> dict[str, Law]:
+    """A bias that jumps and stays, at the likeliest instant, if it is less likely to be chance than `least`.
+
+    It has to be likelier than track or wheels that are others from some instant on.
+    """
+    series, ends_s = model.frame.series, model.frame.nodes.t_s
+    columns = {n: laws[n].column for n in chosen}
+
+    def gains(of: Mapping[str, Floats]) -> Floats:
+        told = evidence(model, {**columns, **of}).knowing(known)
+        return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
+
+    def of_bias(instants_s: Floats) -> Floats:
+        of = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
+        return gains(of)
+
+    found = _likeliest(float(series.t_s[0]), float(series.t_s[-1]), of_bias, least)
+    if found is None:
+        return {}
+    tried_s = np.linspace(ends_s[0], ends_s[-1], _INSTANTS + 2)[1:-1].tolist()
+    wheels = {
+        f"{n}:{k}": np.where(ends_s < t, laws[n].column, 0.0)
+        for n in ("track", "asymmetry")
+        if n in laws
+        for k, t in enumerate(tried_s)
+    }
+    if wheels and gains(wheels).max() > found.gain:
+        return {}
+    return {"jump": law_at(model.frame, found)}
+
+
+def law_at(frame: Frame, instant: Instant) -> Law:
+    """The law of a bias that is another one until an instant."""
+    span = {"earliest_s": instant.earliest_s, "latest_s": instant.latest_s}
+    found = jump(frame, instant.at_s)
+    return replace(found, shape={**found.shape, **span})
