@@ -161,10 +161,7 @@ class YawAnswer:
         """The same with a jump of the bias that something else shows."""
         frame = self.model.frame
         laws = {**self.laws, "jump": law_at(frame, instant)}
-        columns = {n: x.column for n, x in laws.items()}
-        for coordinate, block in strangers(frame).items():
-            columns |= {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
-        told = evidence(self.model, columns).knowing(self.known)
+        told = evidence(self.model, _columns_of(laws, strangers(frame))).knowing(self.known)
         chosen = (*self.chosen, "jump")
         # A law that stood for the jump has less to say beside it; delays and wheels out of true look like no jump.
         gains = {
@@ -255,8 +252,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     everything = constant | laws
     model = yaw_model(frame, list(everything.values()))
     blocks = strangers(frame)
-    columns = {name: x.column for name, x in everything.items()}
-    columns |= {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
+    columns = _columns_of(everything, blocks)
     known = known_before(series)
     free = evidence(model, columns)
     told = free.knowing(known)
@@ -320,6 +316,12 @@ def _without_name(free: Evidence, chosen: Sequence[str], prefix: str, block: Flo
 def _odder(odd: Mapping[str, Test], coordinate: str, test: Test) -> dict[str, Test]:
     """Tests by coordinate with one more, of which the surer counts."""
     return {**odd, coordinate: min(test, odd.get(coordinate, test), key=lambda one: one[2])}
+
+
+def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Columns of laws by their names, and of those without one by coordinate and number."""
+    unnamed = {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
+    return {n: x.column for n, x in laws.items()} | unnamed
 
 
 def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
