@@ -31,7 +31,7 @@ from gyrocal.diagnosis.drive.improved import (
     improved_robot,
 )
 from gyrocal.diagnosis.drive.jumps import instant_of_p
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
@@ -257,12 +257,10 @@ def _taken_out(series: DriveSeries, yaw: YawAnswer) -> Figures:
 
 
 def _asked(series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None) -> TruthAnswer | None:
-    # Laws that the encoders know are free within what they know.
-    laws = {n: yaw.estimate(n)[1] for n in yaw.chosen if n in ALONE or n in MOVING or n == "jump"}
-    if not series.differential:
-        groups = {KINDS[n].group or n for n in laws}
-        laws |= {n: std for n, std in ALONE.items() if (KINDS[n].group or n) not in groups}
-    return ask_truth(series, _taken_out(series, yaw), yaw.motion_bias, yaw.model.noise, laws, near)
+    laws = yaw.bias_laws
+    groups = {KINDS[n].group or n for n in laws.names}
+    alone = [] if series.differential else [n for n in ALONE if (KINDS[n].group or n) not in groups]
+    return ask_truth(series, _taken_out(series, yaw), laws, yaw.model.noise, alone, near)
 
 
 def _undenied(

@@ -12,7 +12,7 @@ from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, INTERESTS, SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import (
@@ -78,22 +78,11 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
 
 
 def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
-    """A law of the heading difference and its standard deviation, with what the truth adds.
-
-    The truth shows the bias in motion, of which the constant one and what comes with the motion are parts, and the laws that
-    it was asked for.
-    """
+    """A law of the heading difference and its standard deviation, with what the truth adds."""
     value, std = yaw.estimate(name)
-    if truth is None or truth.mirrored:
+    if truth is None or truth.mirrored or name not in truth.values:
         return value, std
-    if name in truth.values:
-        return value + truth.values[name], truth.stds[name]
-    if name != "bias" and KINDS[name].group != "motion":
-        return value, std
-    known = yaw.motion_bias
-    share = known.shared[name] / known.std_dps**2
-    told = max(known.std_dps**2 - truth.stds["gyro_bias"] ** 2, 0.0)
-    return value + share * truth.values["gyro_bias"], float(np.sqrt(max(std**2 - share**2 * told, 0.0)))
+    return value + truth.values[name], truth.stds[name]
 
 
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
@@ -192,12 +181,10 @@ def _against(c: float, std: float, truth: TruthAnswer | None) -> dict[str, float
     cases = {"track": (0.0, 0.0), "gyro_scale": (1 / (1 + c) - 1, 0.0), "wheel_scale": (0.0, c)}
     if truth is None or truth.mirrored:
         return dict.fromkeys(cases, 0.0)
-    at = [INTERESTS.index(n) for n in SCALES]
-    covariance = truth.covariance[np.ix_(at, at)]
     seen = np.array([truth.values[n] for n in SCALES])
     found = {}
     for name, expected in cases.items():
-        spread = covariance + np.diag([std**2 * (name == n) for n in SCALES])
+        spread = truth.covariance + np.diag([std**2 * (name == n) for n in SCALES])
         away = seen - np.array(expected)
         found[name] = float(away @ np.linalg.solve(spread, away))
     return found
@@ -317,7 +304,7 @@ def _of_scale(
         if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others[UNIT_OR_SIGN.id] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)
-    if name == "track" or (name in INTERESTS and (truth is None or not truth.believed(name))):
+    if name == "track" or (name in SCALES and (truth is None or not truth.believed(name))):
         against = _against(*yaw.estimate("track"), truth)
         for other, chi2 in against.items():
             ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))

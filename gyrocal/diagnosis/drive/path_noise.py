@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from gyrocal.diagnosis.drive.reckoning import Complexes, Floats, Reckoned
-from gyrocal.diagnosis.drive.search import MotionBias
+from gyrocal.diagnosis.drive.search import BiasLaws
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD
@@ -19,7 +19,7 @@ Ints = NDArray[np.int64]
 
 #: Cells of time in each of which the gyro's noise makes one turn: two to a knot of the truth.
 _CELLS = 300
-#: What the encoders add to the error of the bias found by them at the least, of the gyro's part of its variance.
+#: What the encoders add to the error of the laws of the bias at the least, of the gyro's part of its variance.
 _LEAST_REST = 1e-2
 #: Memories of what wanders in the truth of which the likeliest is taken, s: multipath of satellites lasts minutes, a map's
 #: errors as long as the robot takes through a room.
@@ -31,8 +31,7 @@ class Knots:
     """Truth, which is known in `rows` of a log, averaged over equal times, shape (k,); `at` is the knot of each of these rows.
 
     Positions, headings or both; what it lacks is None.
-    `alone` are laws of the bias that the truth is asked for, each as what one unit of it adds to the rate in each row, and what
-    it is known to beforehand.
+    `laws` are those of the bias, each as what one unit of it adds to the rate in each row; the encoders know the first `told`.
     """
 
     rows: Ints
@@ -41,7 +40,8 @@ class Knots:
     t_s: Floats
     position: Complexes | None
     heading: Floats | None
-    alone: Mapping[str, tuple[Floats, float]]
+    laws: Mapping[str, Floats]
+    told: int
 
     def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
         """Mean of a row-wise channel over each knot."""
@@ -50,14 +50,14 @@ class Knots:
         return np.asarray(np.bincount(self.at, rows[self.rows]) / self.count)
 
 
-def stacked(knots: Knots, positions: Complexes, headings: Floats, bias: float = 0.0) -> Floats:
-    """Positions and headings, as far as the truth has them, one below the other; last the bias that is known beforehand."""
-    return np.append(_blocks(knots, positions, headings), bias)
+def stacked(knots: Knots, positions: Complexes, headings: Floats, told: Floats | None = None) -> Floats:
+    """Positions and headings, as far as the truth has them, one below the other; last the laws that the encoders tell."""
+    return np.append(_blocks(knots, positions, headings), np.zeros(knots.told) if told is None else told)
 
 
 @dataclass(frozen=True)
 class PathNoise:
-    """Parts of the covariance of positions, headings and the known bias, stacked.
+    """Parts of the covariance of positions, headings and the laws that the encoders tell, stacked.
 
     `turned` is what a turn within each cell between `edges_s` does to them, `kernel` the covariance of these turns.
     """
@@ -109,8 +109,8 @@ def cell_edges_s(knots: Knots, path: Reckoned) -> Floats:
     return np.linspace(path.t_s[0], path.t_s[-1], min(_CELLS, 2 * knots.count.size) + 1)
 
 
-def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias, wander_s: float) -> PathNoise:
-    """Covariance of positions, headings and known bias by its parts, for a path and the levels of its noise.
+def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, wander_s: float) -> PathNoise:
+    """Covariance of positions, headings and known laws by its parts, for a path and the levels of its noise.
 
     `wander_s` is the memory of what wanders in the truth.
     """
@@ -123,7 +123,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias, 
     after = np.clip((knots.t_s[:, None] - edges[None, :-1]) / width, 0.0, 1.0)
     # The part of a turn within a cell acts from that turn on.
     turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
-    turn = np.vstack([_blocks(knots, turned, after), bias.weight_between(edges)])
+    turn = np.vstack([_blocks(knots, turned, after), known.weights_between(edges)])
     lag = np.abs(middle[:, None] - middle[None, :])
     since = middle - begin
     rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
@@ -133,13 +133,13 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias, 
     ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
     along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
     gyro = turn @ kernel @ turn.T
-    # The path follows the same gyro: taken for independent, both would swear to one noise. What else the bias found is off
+    # The path follows the same gyro: taken for independent, both would swear to one noise. What else the laws found are off
     # by is the encoders', of which the path has nothing.
-    gyro[-1, -1] = max(bias.std_dps**2, (1.0 + _LEAST_REST) * gyro[-1, -1])
-    k = knots.count.size
+    k, told = knots.count.size, knots.told
+    gyro[-told:, -told:] = _at_least(known.covariance, (1.0 + _LEAST_REST) * gyro[-told:, -told:])
     one = 1.0 / knots.count
     fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / wander_s)
-    zero, last = np.zeros((k, k)), np.zeros((1, 1))
+    zero, last = np.zeros((k, k)), np.zeros((told, told))
 
     def each(of_position: Floats, of_heading: Floats) -> Floats:
         parts = [of_position] * 2 if knots.position is not None else []
@@ -157,6 +157,16 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, bias: MotionBias, 
         each(zero, np.diag(one)) if knots.heading is not None else None,
         each(zero, fade) if knots.heading is not None else None,
     )
+
+
+def _at_least(covariance: Floats, least: Floats) -> Floats:
+    """A covariance, in no direction smaller than another one."""
+    size = np.sqrt(np.diag(covariance))
+    root = np.linalg.cholesky(covariance / np.outer(size, size) + 1e-12 * np.eye(size.size)) * size[:, None]
+    white = np.linalg.solve(root, np.linalg.solve(root, least).T)
+    share, axes = np.linalg.eigh(0.5 * (white + white.T))
+    wide = root @ axes * np.sqrt(np.maximum(share, 1.0))
+    return np.asarray(wide @ wide.T)
 
 
 def _blocks(knots: Knots, positions: Complexes, headings: Floats) -> Floats:

@@ -50,29 +50,32 @@ _PARTS = 24
 
 
 @dataclass(frozen=True)
-class MotionBias:
-    """What the heading difference knows of the bias in motion, and how the gyro's noise has moved that.
+class BiasLaws:
+    """What the heading difference knows of the laws of the gyro's bias, and how the gyro's noise has moved that.
 
     Attributes
     ----------
-    std_dps : float
-        Standard deviation.
-    shared : mapping
-        Covariance with each law in the fit, in deg/s times its unit.
-    t_s, weight : ndarray, shape (m,)
-        Ends of the intervals, and what 1 rad that the gyro falls short by in each adds to the bias found, deg/s.
+    names : tuple of str
+        Of p laws, the constant bias first.
+    covariance : ndarray, shape (p, p)
+        Of their coefficients.
+    t_s : ndarray, shape (m,)
+        Ends of the intervals.
+    weights : ndarray, shape (p, m)
+        What 1 rad that the gyro falls short by in each interval adds to each coefficient.
     """
 
-    std_dps: float
-    shared: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: Floats
     t_s: Floats
-    weight: Floats
+    weights: Floats
 
-    def weight_between(self, edges_s: Floats) -> Floats:
-        """Mean weight of the turns between edges."""
+    def weights_between(self, edges_s: Floats) -> Floats:
+        """Mean weights of the turns between edges, shape (p, cells)."""
         ends_s = np.concatenate([edges_s[:1], self.t_s])
-        whole = np.concatenate([[0.0], np.cumsum(self.weight * np.diff(ends_s))])
-        return np.asarray(np.diff(np.interp(edges_s, ends_s, whole)) / np.diff(edges_s))
+        whole = np.cumsum(self.weights * np.diff(ends_s), axis=1)
+        at_edges = [np.interp(edges_s, ends_s, [0.0, *one]) for one in whole]
+        return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges_s))
 
 
 @dataclass(frozen=True)
@@ -135,17 +138,15 @@ class YawAnswer:
         return self.laws["jump"].shape["until_s"] if "jump" in self.chosen else -np.inf
 
     @property
-    def motion_bias(self) -> MotionBias:
-        """The bias in motion, constant and step together, as the heading difference knows it."""
-        parts = [k for k, n in enumerate(self.chosen) if n == "bias" or KINDS[n].group == "motion"]
-        shared = self.covariance[parts].sum(axis=0)
+    def bias_laws(self) -> BiasLaws:
+        """The laws of the gyro's bias, as the heading difference knows them."""
+        at = [k for k, n in enumerate(self.chosen) if KINDS[n].figure.startswith("bias")]
         columns = np.column_stack([self.laws[n].column for n in self.chosen])
-        weight = self.model.given(columns).inverse() @ shared
-        return MotionBias(
-            float(np.sqrt(shared[parts].sum())),
-            dict(zip(self.chosen, shared.tolist(), strict=True)),
+        return BiasLaws(
+            tuple(self.chosen[k] for k in at),
+            self.covariance[np.ix_(at, at)],
             self.model.frame.nodes.t_s,
-            weight,
+            (self.model.given(columns).inverse() @ self.covariance[:, at]).T,
         )
 
     def jumping(self, at_s: float) -> YawAnswer:

@@ -2,13 +2,13 @@
 
 The error of a reckoned path is no noise of single positions: an error of the heading moves all that follows. The path
 is linearised, and its covariance is what the gyro's noise (white, 1/f, walk) and the wheels' slip make of it, beside a
-truth whose own noise is white and wandering; what the heading difference knows of the bias comes in as one more row,
-whose error is in part the noise of the same gyro.
+truth whose own noise is white and wandering; what the heading difference knows of the laws of the bias comes in as further
+rows, whose errors are in part the noise of the same gyro.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     stacked,
 )
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
-from gyrocal.diagnosis.drive.search import STRANGER_P, MotionBias
+from gyrocal.diagnosis.drive.search import STRANGER_P, BiasLaws
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.inference.gls import Regression, regress
@@ -33,8 +33,8 @@ from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
 BELIEVED = 3.8
-#: What time stamps and straight steps between rows are worth: no scale is known better, relative.
-_MODEL_STD = 1e-4
+#: What time stamps and straight steps between rows are worth, and the quartz of a clock: no scale is known better, relative.
+_MODEL_STD = 3e-5
 #: Knots that the truth is averaged to, as the cost grows with their cube, and how many a path is laid on at the least.
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 #: Truth that spans less of the drive, or a path that spans less of its own size, is none: a receiver that was off or stuck.
@@ -57,9 +57,8 @@ _PARTS = 8
 _BIAS_PARTS = tuple(f"time:{k}" for k in range(_PARTS - 1))
 #: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
 _UNTOLD = 1e6
-#: Scales that the truth alone tells apart, and what is asked of it beside them.
+#: Scales that the truth alone tells apart.
 SCALES = ("gyro_scale", "wheel_scale")
-INTERESTS = ("gyro_bias", *SCALES)
 
 
 @dataclass(frozen=True)
@@ -77,11 +76,11 @@ class TruthAnswer:
     Attributes
     ----------
     values, stds : mapping
-        ``gyro_bias`` (deg/s, beyond what was taken out), ``gyro_scale``, ``wheel_scale`` (relative), ``lever_ahead``,
-        ``lever_left`` (m), ``clock`` (s, the truth is late), ``mounting`` (rad, where there are headings), and those
-        of `ALONE` where nothing but the truth could tell them.
-    covariance : ndarray, shape (3, 3)
-        Of `INTERESTS`.
+        Laws of the bias by their names in `KINDS`, ``bias`` always (beyond what was taken out), ``gyro_scale``,
+        ``wheel_scale`` (relative), ``lever_ahead``, ``lever_left`` (m), ``clock`` (s, the truth is late), and
+        ``mounting`` (rad, where there are headings).
+    covariance : ndarray, shape (2, 2)
+        Of `SCALES`.
     odd : mapping
         Coordinate -> p-value of structure that nothing here explains.
     mirrored : bool
@@ -116,7 +115,7 @@ class TruthAnswer:
         return abs(self.told(name)) > BELIEVED
 
 
-def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float], jump_s: float) -> Knots | None:
+def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, Floats], told: int) -> Knots | None:
     position, headings = series.truth_x_m + 1j * series.truth_y_m, series.truth_heading_deg
     rows = np.flatnonzero(np.isfinite(position if series.has_truth else headings))
     if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
@@ -125,7 +124,7 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float], j
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, series.t_s, None, None, _alone(series, laws, jump_s))
+    knots = Knots(rows, at, count, series.t_s, None, None, laws, told)
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -136,16 +135,20 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, float], j
     return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
 
 
-def _alone(series: DriveSeries, laws: Mapping[str, float], jump_s: float) -> dict[str, tuple[Floats, float]]:
-    """Those of some laws of the bias that a log could hold."""
+def _rates(series: DriveSeries, laws: Iterable[str], jump_s: float) -> dict[str, Floats]:
+    """What one unit of some laws of the bias adds to the rate in each row, of those that a log could hold."""
     temp, found = temperature_c(series), {}
-    for name, std in laws.items():
-        if name == "slope" and temp is not None:
-            found[name] = (temp - reference_temp_c(series), std)
+    for name in laws:
+        if name == "bias":
+            found[name] = np.ones(series.t_s.size)
+        elif name == "slope" and temp is not None:
+            found[name] = temp - reference_temp_c(series)
+        elif name == "step":
+            found[name] = series.moved.astype(np.float64)
         elif name in MOVING and series.resting.any():
-            found[name] = (series.moving(MOVING[name]), std)
+            found[name] = series.moving(MOVING[name])
         elif name == "jump":
-            found[name] = ((series.t_s < jump_s).astype(np.float64), std)
+            found[name] = (series.t_s < jump_s).astype(np.float64)
     return found
 
 
@@ -163,8 +166,8 @@ class _State:
 
 def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     v = state.values
-    turned = v["gyro_bias"] * (base.t_s - base.t_s[0])
-    for name, (rate, _) in knots.alone.items():
+    turned = np.zeros(base.t_s.size)
+    for name, rate in knots.laws.items():
         turned = turned + v[name] * np.cumsum(rate * base.dt_s)
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
     if state.strayed is not None:
@@ -190,13 +193,12 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     columns = {
         "turn": by(np.ones(at.size), nothing),
         "clock": stacked(knots, -knots.mean(speed), -knots.mean(rate)),
-        "gyro_bias": by(-DEG_TO_RAD * (path.t_s - path.t_s[0]), nothing)
-        + stacked(knots, 0.0 * one, flat, 1.0),
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
     }
-    for name, (rate, _) in knots.alone.items():
-        columns[name] = by(-DEG_TO_RAD * np.cumsum(rate * path.dt_s), nothing)
+    for at_told, (name, rate) in enumerate(knots.laws.items()):
+        law = by(-DEG_TO_RAD * np.cumsum(rate * path.dt_s), nothing)
+        columns[name] = law + stacked(knots, 0.0 * one, flat, np.arange(knots.told) == at_told)
     if knots.position is not None:
         columns |= {
             "east": stacked(knots, one, flat),
@@ -285,7 +287,7 @@ class _Problem:
 
 
 def _problem(
-    knots: Knots, base: Reckoned, state: _State, bias: MotionBias, noise: YawNoise, wander_s: float
+    knots: Knots, base: Reckoned, state: _State, laws: BiasLaws, noise: YawNoise, wander_s: float
 ) -> _Problem:
     path = _reckoned(knots, base, state)
     at = knots.mean(path.at_m)
@@ -301,13 +303,13 @@ def _problem(
         "clock": (0.0, _CLOCK_S),
         "lever_ahead": (0.0, _LEVER_M),
         "lever_left": (0.0, _LEVER_M),
-        **{name: (-v[name], std) for name, (_, std) in knots.alone.items()},
+        **{name: (-v[name], ALONE[name]) for name in knots.laws if name not in laws.names},
     }
-    spread = path_noise(knots, path, noise, bias, wander_s)
-    residual = stacked(knots, apart, headings, -v["gyro_bias"])
+    spread = path_noise(knots, path, noise, laws, wander_s)
+    residual = stacked(knots, apart, headings, -np.array([v[name] for name in laws.names]))
     if state.strayed is not None:
-        # As noise about zero again; the bias known beforehand has not been moved.
-        residual[:-1] += spread.turned[:-1] @ state.strayed
+        # As noise about zero again; what is known beforehand has not been moved.
+        residual[: -knots.told] += spread.turned[: -knots.told] @ state.strayed
     return _Problem(residual, _columns(knots, path), known, spread)
 
 
@@ -359,26 +361,26 @@ class _Laid:
 
 
 def _laid(
-    knots: Knots, base: Reckoned, bias: MotionBias, noise: YawNoise, near: _Levels | None = None
+    knots: Knots, base: Reckoned, laws: BiasLaws, noise: YawNoise, near: _Levels | None = None
 ) -> _Laid:
     """Gauss and Newton over growing parts of the drive, then levels and path in turn; levels `near` others once."""
     begun = near or _Levels(_first_levels(knots), WANDERS_S[1])
     logs, wander_s = begun.logs, begun.wander_s
     wanders_s, rounds = ((wander_s,), (2,)) if near else (WANDERS_S, (0, 2))
-    state = _State(dict.fromkeys((*INTERESTS, *knots.alone), 0.0), 0.0)
+    state = _State(dict.fromkeys((*SCALES, *knots.laws), 0.0), 0.0)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
     for horizon in _HORIZONS:
         within = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
         if horizon == _HORIZONS[0]:
             state = replace(state, turn=_first_turn(knots, at, within))
-        keep = stacked(knots, within + 1j * within, within, 1.0) != 0.0
+        keep = stacked(knots, within + 1j * within, within, np.ones(knots.told)) != 0.0
         last = horizon == _HORIZONS[-1]
         for round_ in range(4 if last else 2):
-            part = _problem(knots, base, state, bias, noise, wander_s).cut(keep)
+            part = _problem(knots, base, state, laws, noise, wander_s).cut(keep)
             if last and round_ in rounds:
                 first = logs if round_ else _first_levels(knots)
-                tried = {w: _problem(knots, base, state, bias, noise, w) for w in wanders_s}
+                tried = {w: _problem(knots, base, state, laws, noise, w) for w in wanders_s}
                 fitted = {w: _levels(one, first) for w, one in tried.items()}
                 wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w]).loss)
                 part, logs = tried[wander_s], fitted[wander_s]
@@ -389,7 +391,7 @@ def _laid(
             if last:
                 state = replace(state, strayed=part.noise.strayed(part.left(solved.values), logs))
     levels = _Levels(logs, wander_s)
-    return _Laid(state, _problem(knots, base, state, bias, noise, wander_s), levels, solved.loss)
+    return _Laid(state, _problem(knots, base, state, laws, noise, wander_s), levels, solved.loss)
 
 
 def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
@@ -403,9 +405,9 @@ def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
 def ask_truth(
     series: DriveSeries,
     figures: Figures,
-    bias: MotionBias,
+    laws: BiasLaws,
     noise: YawNoise,
-    laws: Mapping[str, float],
+    alone: Sequence[str] = (),
     near: TruthAnswer | None = None,
 ) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
@@ -414,29 +416,30 @@ def ask_truth(
     ----------
     figures : Figures
         What the heading difference has found, taken out first.
-    bias : MotionBias
-        How well that knows the bias in motion.
-    laws : mapping
-        Laws of the bias that are free, and what each is known to beforehand.
+    laws : BiasLaws
+        How well that knows the laws of the bias.
+    alone : sequence of str
+        Laws of `ALONE` that are asked for beside them, of which it knows nothing.
     near : TruthAnswer, optional
         Of nearly the same path: its levels of noise are begun from.
     """
     levels = None if near is None else near.levels
     base = reckon(series, figures)
-    knots = _knots(series, base, laws, figures.bias_before_s)
+    rates = _rates(series, [*laws.names, *alone], figures.bias_before_s)
+    knots = _knots(series, base, rates, len(laws.names))
     if knots is None:
         return None
     if knots.position is None:
-        return _answer(knots, base, _laid(knots, base, bias, noise, levels))
+        return _answer(knots, base, _laid(knots, base, laws, noise, levels))
     if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
-    laid = _laid(knots, base, bias, noise, levels)
+    laid = _laid(knots, base, laws, noise, levels)
     mirrored = False
     miss = laid.miss_m(knots)
     if miss > _ODD * float(np.std(knots.position)):
         other = replace(knots, position=np.conj(knots.position), heading=None)
-        turned = _laid(other, base, bias, noise)
-        plain = _laid(replace(knots, heading=None), base, bias, noise)
+        turned = _laid(other, base, laws, noise)
+        plain = _laid(replace(knots, heading=None), base, laws, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
     answer = _answer(knots, base, laid)
     # What a path misses of its mirror image is no structure of the drive.
@@ -462,10 +465,8 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
     of_parts = [v for n, v in zip(names, values, strict=True) if n in _BIAS_PARTS]
     moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
-    at = [names.index(n) for n in INTERESTS]
-    told = [
-        n for n in (*INTERESTS, "lever_ahead", "lever_left", "clock", "mounting", *knots.alone) if n in found
-    ]
+    at = [names.index(n) for n in SCALES]
+    told = [n for n in (*knots.laws, *SCALES, "lever_ahead", "lever_left", "clock", "mounting") if n in found]
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,14 +13,15 @@ from scipy.stats import norm
 from gyrocal.diagnosis.drive import findings
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import INTERESTS, TruthAnswer
+from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Said
 
 
 def truth(gyro: float, wheels: float, std: float) -> TruthAnswer:
     """A truth that knows the scales of gyro and wheels independently of each other."""
-    values = dict.fromkeys(INTERESTS, 0.0) | {"gyro_scale": gyro, "wheel_scale": wheels}
-    return TruthAnswer(values, dict.fromkeys(INTERESTS, std), std**2 * np.eye(3), {})
+    return TruthAnswer(
+        {"gyro_scale": gyro, "wheel_scale": wheels}, dict.fromkeys(SCALES, std), std**2 * np.eye(2), {}
+    )
 
 
 def series(**robot: Any) -> DriveSeries:
@@ -107,17 +109,10 @@ def test_a_gyro_that_reads_far_too_little_may_be_tilted(scale: float, tilted: bo
     assert ("robot_tilt" in [a.effect for a in found.alternatives]) == tilted
 
 
-@pytest.mark.parametrize(
-    ("shared", "std", "expected"), [(1.0, 0.02, 0.02), (0.0, 0.02, 0.1), (1.0, 0.3, 0.1)]
-)
-def test_a_bias_is_known_as_well_as_the_truth_tells_what_it_shares_with_it(
-    shared: float, std: float, expected: float
-) -> None:
-    """A constant bias of 0.1 deg/s that is the bias in motion, or that has nothing of it, and a truth that may know less."""
-    known = SimpleNamespace(shared={"bias": 0.01 * shared}, std_dps=0.1)
-    found = yaw(estimate=lambda _: (0.5, 0.1), motion_bias=known)
-    told = truth(0.0, 0.0, std)
-    told.values["gyro_bias"] = 0.2  # type: ignore[index]
-    value, left = findings.joint_estimate(found, told, "bias")
-    assert value == pytest.approx(0.5 + 0.2 * shared)
-    assert left == pytest.approx(expected)
+def test_a_law_is_the_one_that_encoders_and_truth_tell_together() -> None:
+    told = truth(0.0, 0.0, 0.02)
+    told.values["bias"], told.stds["bias"] = 0.2, 0.02  # type: ignore[index]
+    found = yaw(estimate=lambda _: (0.5, 0.1))
+    assert findings.joint_estimate(found, told, "bias") == pytest.approx((0.7, 0.02))
+    assert findings.joint_estimate(found, told, "delay") == (0.5, 0.1)
+    assert findings.joint_estimate(found, replace(told, mirrored=True), "bias") == (0.5, 0.1)

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.path_noise import Knots, path_noise, stacked
 from gyrocal.diagnosis.drive.reckoning import Reckoned
-from gyrocal.diagnosis.drive.search import MotionBias
+from gyrocal.diagnosis.drive.search import BiasLaws
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD
 
 _ROWS, _DT_S, _DRAWS = 600, 0.2, 400
 _LONG = 0.03
+_LAWS = 2
 _ARW_DPS, _SLIP, _FLICKER_DPS = 0.05, 0.01, 0.002
 
 
@@ -31,7 +32,7 @@ def _knots(path: Reckoned) -> Knots:
     rows = np.r_[0:300, 300:_ROWS:4]
     at = (path.t_s[rows] // 10.0).astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), {})
+    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), {}, _LAWS)
     return Knots(
         rows,
         at,
@@ -40,7 +41,13 @@ def _knots(path: Reckoned) -> Knots:
         knots.mean(path.at_m),
         np.zeros(count.size),
         {},
+        _LAWS,
     )
+
+
+def _known(path: Reckoned, weights: NDArray[np.float64]) -> BiasLaws:
+    """Two laws whose errors are all the gyro's."""
+    return BiasLaws(("bias", "slope"), 1e-12 * np.eye(_LAWS), path.t_s, weights)
 
 
 def _spread(draws: list[NDArray[np.float64]], like: NDArray[np.float64]) -> float:
@@ -61,16 +68,18 @@ def test_each_part_is_what_draws_of_it_scatter_by() -> None:
     path = _path()
     knots = _knots(path)
     quiet = YawNoise(_ARW_DPS, _SLIP, 0.0, 0.0, 0.0, 0.0, 0.0)
-    # A bias of the second half of the drive: its error is that of the path's turns there.
-    weight = np.where(path.t_s > 60.0, 20.0, 0.0)
-    parts = path_noise(knots, path, quiet, MotionBias(0.0, {"bias": 0.0}, path.t_s, weight), 60.0)
+    # A bias of the second half of the drive, and a law of the first half and the second: their errors are those of the path's
+    # turns there.
+    late = path.t_s > 60.0
+    weights = np.stack([np.where(late, 20.0, 0.0), np.where(late, 5.0, -10.0)])
+    parts = path_noise(knots, path, quiet, _known(path, weights), 60.0)
     none, no_heading = np.zeros(_ROWS), np.zeros(knots.count.size)
     by_gyro, by_way, by_truth = [], [], []
     for _ in range(_DRAWS):
         turns = DEG_TO_RAD * _ARW_DPS * np.sqrt(_DT_S) * rng.standard_normal(_ROWS)
         turned = np.cumsum(turns)
         moved = knots.mean(path.moved_by(turned, none))
-        by_gyro.append(stacked(knots, moved, knots.mean(turned), float(weight @ turns)))
+        by_gyro.append(stacked(knots, moved, knots.mean(turned), weights @ turns))
         way = _SLIP * np.sqrt(0.5 * path.way_m) * rng.standard_normal(_ROWS)
         by_way.append(stacked(knots, knots.mean(path.moved_by(none, way)), no_heading))
         seen = rng.standard_normal(_ROWS) + 1j * rng.standard_normal(_ROWS)
@@ -84,7 +93,7 @@ def test_a_bias_that_wanders_turns_the_path_as_its_processes_do() -> None:
     path = _path()
     knots = _knots(path)
     noise = YawNoise(0.0, _SLIP, 0.0, 0.0, _FLICKER_DPS, 0.0, 0.0)
-    parts = path_noise(knots, path, noise, MotionBias(0.0, {"bias": 0.0}, path.t_s, np.zeros(_ROWS)), 60.0)
+    parts = path_noise(knots, path, noise, _known(path, np.zeros((_LAWS, _ROWS))), 60.0)
     lag = np.abs(path.t_s[:, None] - path.t_s[None, :])
     kernel = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * _FLICKER_DPS**2
     kernel = kernel + noise.walk_dps_per_rt_s**2 * np.minimum(path.t_s[:, None], path.t_s[None, :])
