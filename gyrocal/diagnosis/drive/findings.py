@@ -85,6 +85,16 @@ def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tupl
     return value + truth.values[name], truth.stds[name]
 
 
+def told_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
+    """The same with what is open between laws that explain as much."""
+    value, std = joint_estimate(yaw, truth, name)
+    return (
+        (value, float(np.hypot(std, yaw.unsure_of_lag(name))))
+        if KINDS[name].group == "motion"
+        else (value, std)
+    )
+
+
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     """What the truth shows, scales of gyro and wheels and laws of the bias (`ALONE`), and the track that is left.
 
@@ -237,7 +247,7 @@ def _effect(
 
 def _of_law(name: str, gain: float, yaw: YawAnswer, truth: TruthAnswer | None) -> NamedEffect:
     law = yaw.laws[name]
-    value, std = joint_estimate(yaw, truth, name)
+    value, std = told_estimate(yaw, truth, name)
     seen, degrees = _said(name, value), 1
     if name == "wheel_cos":
         other, _ = yaw.estimate("wheel_sin")

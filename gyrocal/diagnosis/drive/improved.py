@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal.diagnosis.drive.findings import Scale, joint_estimate
+from gyrocal.diagnosis.drive.findings import Scale, joint_estimate, told_estimate
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c, strangers
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
@@ -98,7 +98,7 @@ def _told(
     yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale], named: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of laws that the heading difference names, and of what the truth shows."""
-    return {n: joint_estimate(yaw, truth, n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
+    return {n: told_estimate(yaw, truth, n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
 
 
 def _moving(told: Iterable[str]) -> str:
@@ -186,7 +186,7 @@ def _of_gyro(
         elif kind.figure and name in parts:
             told = (parts[name].value, parts[name].std, True)
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
-            known = joint_estimate(yaw, truth, name) if name in yaw.chosen else _beside(yaw, name)
+            known = told_estimate(yaw, truth, name) if name in yaw.chosen else _beside(yaw, name)
             told = (*known, name in yaw.named)
         if told is not None:
             value, std, named = told

@@ -41,7 +41,7 @@ MOVING = {f"moving_{lag_s:g}": lag_s for lag_s in MOVING_LAGS_S}
 AT_ONCE = "moving_0"
 #: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
-#: A bias at rest of its own is looked for where the log begins with a rest this long, or has as much of it later, s.
+#: A bias at rest of its own is looked for where the log begins with a rest this long, s, or has one later.
 _LEAST_REST_S = 5.0
 #: Temperatures are means over so long, s, or a tenth of a short log: gyros have more inertia than that.
 _TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE = 10.0, 0.1
@@ -220,8 +220,8 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
     series, found = frame.series, {}
     if series.first_rest_s >= _LEAST_REST_S:
         found["step"] = law(frame, GYRO_BIAS, where=series.moved.astype(np.float64))
-    # Without a later rest it is the step.
-    if float(np.sum(series.dt_s[series.resting & series.moved])) >= _LEAST_REST_S:
+    # Without a later rest it is the step, and with the shortest that one may be denied.
+    if np.any(series.resting & series.moved):
         for name, lag_s in MOVING.items():
             found[name] = law(frame, GYRO_BIAS, where=series.moving(lag_s))
     temp = frame.conditions.temp_c

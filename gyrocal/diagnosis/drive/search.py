@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,6 +136,17 @@ class YawAnswer:
     def jump_s(self) -> float:
         """When the bias jumps; before all rows where it does not."""
         return self.laws["jump"].shape["until_s"] if "jump" in self.chosen else -np.inf
+
+    def unsure_of_lag(self, name: str) -> float:
+        """How far a bias in motion is from what it would be by the other laws of the motion (rms), by how likely these are.
+
+        Where the encoders do not show it by themselves, they have nothing to say of its lag.
+        """
+        if _gain(self.told, self.chosen, name) < GAIN:
+            return 0.0
+        motions = _of_motion(self.laws)
+        likely, values = _likely_motions(self.told, self.chosen, motions)
+        return float(np.sqrt(likely @ (values - values[motions.index(name)]) ** 2))
 
     @property
     def bias_laws(self) -> BiasLaws:
@@ -271,6 +282,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         free = evidence(model, columns)
         told = free.knowing(known)
         chosen = _selected(told, [*least, *beyond], list(laws))
+    chosen = _middling(told, chosen, _of_motion(laws))
     odd = {c: _without_name(free, chosen, f"{c}:", block) for c, block in blocks.items()}
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     if "jump" in chosen:
@@ -401,6 +413,33 @@ def _selected(told: Evidence, first: Sequence[str], candidates: Sequence[str]) -
         chosen.append(best)
         gained[best] = gains[best]
     return [n for n in chosen if n in first or _gain(told, chosen, n) >= _least(gained)]
+
+
+def _of_motion(laws: Iterable[str]) -> list[str]:
+    """Laws of a bias that comes with the motion: they differ by the lag alone."""
+    return [n for n in laws if KINDS[n].group == "motion"]
+
+
+def _likely_motions(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> tuple[Floats, Floats]:
+    """How likely each law of the motion is in place of that which is chosen, and its coefficient then."""
+    beside = [n for n in chosen if KINDS[n].group != "motion"]
+    gains = np.array([told.added(beside, [n]) for n in motions])
+    likely = np.exp(0.5 * (gains - gains.max()))
+    values = np.array([told.own.solve([*beside, n])[0][-1] for n in motions])
+    return likely / likely.sum(), values
+
+
+def _middling(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> list[str]:
+    """With that law of the motion, of those that are as likely as not, whose bias is nearest to the mean of all.
+
+    A later rest that is short tells little of the lag, and of the bias only together with that.
+    """
+    taken = next((n for n in chosen if n in motions), None)
+    if taken is None:
+        return list(chosen)
+    likely, values = _likely_motions(told, chosen, motions)
+    away = np.where(likely >= 0.5 * likely.max(), np.abs(values - likely @ values), np.inf)
+    return [motions[int(np.argmin(away))] if n == taken else n for n in chosen]
 
 
 def _least(gained: Mapping[str, float]) -> float:

@@ -47,6 +47,8 @@ _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
 _LEAST_TICK_M, _STILL = 1e-6, 1e-5
 #: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
 _REST_MEAN_S = 0.1
+#: Weight under the noise, of the largest, below which a mixture of columns is nothing but rounding.
+_TOLD = 1e-9
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
 LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
@@ -143,6 +145,8 @@ def _field(frame: Frame, noise: YawNoise, left_out: Floats) -> MarkovField:
     separation = robot.wheel_separation_m
     c = frame.conditions
     turn = nodes.between(np.cumsum(c.gyro_yaw_rad))
+    # From left to right and back within an interval is a way, too.
+    turned = nodes.between(np.cumsum(np.abs(c.gyro_yaw_rad)))
     way = nodes.between(np.cumsum(np.abs(frame.series.left_m) + np.abs(frame.series.right_m)))
     rate = np.divide(turn, dt, out=np.zeros_like(dt), where=dt > 0)
     unsteady = (max(noise.tick_m, _LEAST_TICK_M) / separation) ** 2 + (noise.jitter_s * rate) ** 2
@@ -167,7 +171,7 @@ def _field(frame: Frame, noise: YawNoise, left_out: Floats) -> MarkovField:
     before = np.column_stack([-np.ones_like(dt), zero, zero, zero, zero, zero])
     after = np.column_stack([np.ones_like(dt), -dt, -dt, -dt, -dt, turn])
     white = (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * dt
-    slipping = (noise.slip_m_per_rt_m / separation) ** 2 * way + noise.turn**2 * np.abs(turn)
+    slipping = (noise.slip_m_per_rt_m / separation) ** 2 * way + noise.turn**2 * turned
     start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, levels[3]])
     quiet = np.maximum(push, 1e-24)
     return MarkovField(start, keep, quiet, before, after, white + slipping * moving + left_out + 1e-18)
@@ -212,12 +216,12 @@ def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
     """Estimate the noise with all `laws` free in the mean, then again without the intervals that stand out."""
     y = difference(frame)
     usual = usual_noise(frame.series)
-    columns = _independent(np.column_stack([x.column for x in laws]))
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
     starting = ~frame.nodes.resting & ~frame.series.moved[frame.nodes.rows[:-1]]
     left_out = np.where(frame.nodes.broken | starting, LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
+    columns = _independent(np.column_stack([x.column for x in laws]), _field(frame, usual, left_out))
     noise, log_std = _levels(frame, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     outliers = _outliers(model, columns)
@@ -236,17 +240,16 @@ def _with_usual_flicker(model: YawModel) -> YawModel:
     return replace(model, usual=replace(model.usual, flicker_dps=flicker_dps))
 
 
-def _independent(columns: Floats) -> Floats:
-    """The columns that add something to those before them."""
-    kept: list[Floats] = []
-    basis = np.zeros((columns.shape[0], 0))
-    for column in columns.T:
-        free = column - basis @ (basis.T @ column)
-        free = free - basis @ (basis.T @ free)
-        if np.linalg.norm(free) > 1e-6 * np.linalg.norm(column) > 0:
-            basis = np.column_stack([basis, free / np.linalg.norm(free)])
-            kept.append(column)
-    return np.column_stack(kept)
+def _independent(columns: Floats, field: MarkovField) -> Floats:
+    """Columns of the same span that have nothing in common under the noise of a field.
+
+    Laws that differ by a lag alone do so by a millionth of their weight, and less than arithmetic tells is left out.
+    """
+    gram = field.given(columns).gram
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    weight, axes = np.linalg.eigh(gram / np.outer(size, size))
+    told = weight > _TOLD * weight[-1]
+    return np.asarray(columns / size @ axes[:, told] / np.sqrt(weight[told]))
 
 
 def _levels(

@@ -13,9 +13,10 @@ from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.checks import missing_rows, uneven_clock
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
-from gyrocal.diagnosis.drive.laws import frame_of, law
+from gyrocal.diagnosis.drive.laws import MOVING, candidate_laws, frame_of, law
 from gyrocal.diagnosis.drive.search import align, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of, tick_size
+from gyrocal.diagnosis.drive.yaw import _field, _independent, usual_noise
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.physics.drive import SKID_SLIP
@@ -520,6 +521,50 @@ def test_intervals_cover(robot: Robot) -> None:
             covered += abs(value - truth) < 1.96 * std
             trials += 1
     assert covered >= stats.binom.ppf(1e-3, trials, 0.93)
+
+
+def _to_and_fro(seed: int) -> DriveBlock:
+    """Turns of all sizes, each the other way than that before, within a fifth of a second; a rest at both ends and between."""
+    rng = np.random.default_rng(seed)
+    rows, dt_s = 6000, 0.05
+    t_s = dt_s * np.arange(float(rows))
+    moving = (np.abs(t_s - 75.0) < 55.0) | (np.abs(t_s - 210.0) < 70.0)
+    turn = np.searchsorted(np.cumsum(rng.uniform(2.0, 6.0, 300)), t_s)
+    rate_dps = np.where(moving, (rng.uniform(0.0, 30.0, 400) * np.resize([1, -1], 400))[turn], 0.0)
+    rate_dps = np.where(moving, np.convolve(rate_dps, np.full(4, 0.25), "same"), 0.0)
+    way_m = np.where(moving, 0.3 + 0.1 * (turn % 7), 0.0) * dt_s
+    slip_deg = 0.5 * np.sqrt(np.abs(rate_dps) * dt_s) * rng.standard_normal(rows)
+    half_m = 0.25 * np.deg2rad(rate_dps * dt_s + slip_deg) + np.diff(rng.normal(0.0, 1e-5, rows), prepend=0.0)
+    nothing = np.full(rows, np.nan)
+    return DriveBlock(
+        2, t_s, way_m - half_m, way_m + half_m, rate_dps + rng.normal(0.0, 0.05, rows), *[nothing] * 4
+    )
+
+
+def test_turns_to_and_fro_within_an_interval_slip_like_others(resting: Robot) -> None:
+    """And the level of that is found beside the many laws that a bias in motion may follow after a rest."""
+    log = _to_and_fro(1)
+    yaw = examine_yaw(drive_series("d", log, resting, None))
+    assert yaw.model.noise.turn == pytest.approx(0.5 * np.sqrt(np.pi / 180.0), rel=0.05)
+    assert not yaw.named
+    nodes = yaw.model.frame.nodes
+    turned, net = (
+        nodes.between(np.cumsum(np.deg2rad(x) * 0.05)) for x in (np.abs(log.gyro_dps), log.gyro_dps)
+    )
+    to_and_fro = (turned > np.deg2rad(0.2)) & (np.abs(net) < 0.2 * turned)
+    assert np.count_nonzero(to_and_fro) > 3
+    # What a law does to such an interval is smooth over a few rows.
+    assert np.all(yaw.model.white[to_and_fro] > 0.3 * yaw.model.noise.turn**2 * turned[to_and_fro])
+
+
+def test_laws_that_differ_by_a_lag_alone_leave_columns_that_arithmetic_can_tell(resting: Robot) -> None:
+    series = drive_series("d", _to_and_fro(2), resting, None)
+    frame = frame_of(series, nodes_of(series), 0.0, 0.0, 0.0)
+    laws = [x for name, x in candidate_laws(frame).items() if name in MOVING]
+    field = _field(frame, usual_noise(series), np.zeros(frame.nodes.dt_s.size))
+    apart = _independent(np.column_stack([*(x.column for x in laws), laws[0].column]), field)
+    assert 1 < apart.shape[1] <= len(laws)
+    assert field.given(apart).gram == pytest.approx(np.eye(apart.shape[1]), abs=1e-5)
 
 
 def test_the_real_drive() -> None:
