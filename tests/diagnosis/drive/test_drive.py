@@ -536,9 +536,8 @@ def _to_and_fro(seed: int) -> DriveBlock:
     slip_deg = 0.5 * np.sqrt(np.abs(rate_dps) * dt_s) * rng.standard_normal(rows)
     half_m = 0.25 * np.deg2rad(rate_dps * dt_s + slip_deg) + np.diff(rng.normal(0.0, 1e-5, rows), prepend=0.0)
     nothing = np.full(rows, np.nan)
-    return DriveBlock(
-        2, t_s, way_m - half_m, way_m + half_m, rate_dps + rng.normal(0.0, 0.05, rows), *[nothing] * 4
-    )
+    gyro_dps = rate_dps + rng.normal(0.0, 0.05, rows)
+    return DriveBlock(2, t_s, way_m - half_m, way_m + half_m, gyro_dps, nothing, nothing, nothing, nothing)
 
 
 def test_turns_to_and_fro_within_an_interval_slip_like_others(resting: Robot) -> None:
