@@ -278,8 +278,12 @@ def _undenied(
     if truth is None or truth.mirrored:
         return (other if "speed" in yaw.odd else yaw), truth
     instead = _asked(series, other)
-    denied = instead is not None and truth.loss - instead.loss > 2.0 * np.log(OUT)
-    return (other, instead) if denied else (yaw, truth)
+    return (other, instead) if instead is not None and _denied(truth, instead) else (yaw, truth)
+
+
+def _denied(truth: TruthAnswer, without: TruthAnswer) -> bool:
+    """Whether a truth speaks against a law: it fits the path better without."""
+    return truth.loss - without.loss > 2.0 * np.log(OUT)
 
 
 def _with_truth(
@@ -287,16 +291,20 @@ def _with_truth(
 ) -> tuple[float, TruthAnswer | None]:
     """What another law of the bias gains by encoders and truth together, and what the truth says beside it.
 
-    Structure without a name has to be explained by it, and better than by itself.
+    Structure without a name has to be explained by it, and better than by itself. A scale of the gyro that is less sure
+    beside it than the law is beside the scale may have stood for it, as on a path that turns one way.
     """
     if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
     found = _asked(series, wider, truth)
-    if found is None or min(found.odd.values(), default=1.0) < STRANGER_P:
+    if found is None or min(found.odd.values(), default=1.0) < STRANGER_P or _denied(found, truth):
         return 0.0, None
     (both, both_std), (own, own_std) = joint_estimate(wider, found, name), wider.estimate(name)
     gain = yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2
+    beside = found.told("gyro_scale") ** 2
+    if truth.believed("gyro_scale") and gain > max(beside, 2.0 * np.log(OUT)):
+        gain += truth.told("gyro_scale") ** 2 - beside
     structure = min(truth.odd.values(), default=1.0)
     better = structure >= STRANGER_P or stats.chi2.sf(gain, 1) < structure
     return (gain, found) if better else (0.0, None)
