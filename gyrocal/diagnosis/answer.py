@@ -144,7 +144,7 @@ class _Searched:
     Attributes
     ----------
     nats : float
-        How much worse the best model without it is.
+        How much worse the best model without it is; 0 of a law that only mends what others leave.
     law : Law or None
         None: the lag of the coil.
     rivals : mapping
@@ -169,7 +169,8 @@ def _searched(found: Examination) -> list[_Searched]:
         without = [c for c in found.ranked if law.effect not in c.effects]
         # The best model with each comes last and stays.
         rivals = {e: c.score - best.score for c in reversed(without) for e in c.effects - best.effects}
-        searched.append(_Searched(law.effect, without[0].score - best.score, law, rivals))
+        nats = 0.0 if law.name in found.mending else without[0].score - best.score
+        searched.append(_Searched(law.effect, nats, law, rivals))
     return searched
 
 

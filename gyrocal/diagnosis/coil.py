@@ -17,8 +17,16 @@ from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, n
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.laws import Laws, effects_of
 from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
-from gyrocal.diagnosis.parts import EACH_RATE, Coil, Part, drifts, passing, remembering
-from gyrocal.inference.additive import START, Contrasts
+from gyrocal.diagnosis.parts import (
+    EACH_RATE,
+    Coil,
+    Part,
+    drifts,
+    of_each_direction,
+    passing,
+    remembering,
+)
+from gyrocal.inference.additive import START, Component, Contrasts
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
@@ -59,6 +67,8 @@ _BESIDE_SMOOTH = 3
 BEGUN_WITH = 6
 #: Block of smooth shapes in temperature, and that of the rate whose laws may stand beside it.
 SHAPES, _OF_RATE = "temperature", "odd rate"
+#: Those that a table may have of its own in each direction.
+_EVEN_IN_RATE = "even rate"
 #: Models within this of the best one are averaged.
 AVERAGED_NATS = 4.0
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
@@ -181,19 +191,27 @@ class TableSearch:
         """Models with errors of each rate of the table alone in place of shapes in rate, which pay together what a law pays.
 
         A few rates are followed by anything smooth as well as by errors that know nothing of each other, and only one of
-        the two is the gyro's.
+        the two is the gyro's. A table may err in each direction by itself: then those that are even in rate are its own too.
         """
         draws = self.base.components.get(EACH_RATE)
-        shapes = [p.name for p in self.base.parts if p.block == _OF_RATE]
-        found = []
-        for c in near:
-            plain = c.fitted.model.without(shapes)
-            if draws is None or len(plain.components) == len(c.fitted.model.components):
-                continue
-            plain = replace(plain, components={**plain.components, EACH_RATE: draws})
-            fitted = c.fitted.refit(plain, start={**c.fitted.fit.log_variance, EACH_RATE: START})
-            found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - TOLL_NATS))
-        return found
+        if draws is None:
+            return []
+        odd = [c for c in near if self._shapes(c.fitted.model, _OF_RATE)]
+        plain = [self._with_draws(c, _OF_RATE, [draws], TOLL_NATS) for c in odd]
+        own = [draws, of_each_direction(self.base.means, self.base.basis.frame)]
+        even = [c for c in (*near, *plain) if self._shapes(c.fitted.model.alive(c.fitted.fit), _EVEN_IN_RATE)]
+        return plain + [self._with_draws(c, _EVEN_IN_RATE, own, 0.0) for c in even]
+
+    def _shapes(self, model: Model, block: str) -> list[str]:
+        """Components of a block that a model has."""
+        return [p.name for p in self.base.parts if p.block == block and p.name in model.components]
+
+    def _with_draws(self, c: Candidate, block: str, draws: Sequence[Component], saved: float) -> Candidate:
+        """A model with errors of each rate in place of a block of shapes in rate, for which it paid."""
+        plain = c.fitted.model.without(self._shapes(c.fitted.model, block))
+        plain = replace(plain, components={**plain.components, **{d.name: d for d in draws}})
+        fitted = c.fitted.refit(plain, start={**c.fitted.fit.log_variance, **{d.name: START for d in draws}})
+        return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - saved)
 
     def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
         """A model beside smooth parts, which pay together what a law pays."""

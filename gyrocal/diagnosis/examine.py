@@ -27,12 +27,14 @@ from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, name
-from gyrocal.diagnosis.parts import EACH_RATE, PASSING, Basis, passing
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
 from gyrocal.diagnosis.within import Pattern, patterns
 from gyrocal.inference.additive import Component, Solution
+from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
 
@@ -64,6 +66,8 @@ class Examination:
         Those beside smooth parts, the best first.
     of_rate : tuple of Candidate
         Those with a law of the rate, the best first.
+    mending : frozenset of str
+        Laws of the best of `ranked` that only mend what its others leave.
     strays : Strays
         Data sets of a table that are off by themselves.
     """
@@ -78,6 +82,7 @@ class Examination:
     ranked: tuple[Candidate, ...] = ()
     smooth: tuple[Candidate, ...] = ()
     of_rate: tuple[Candidate, ...] = ()
+    mending: frozenset[str] = frozenset()
     strays: Strays = NO_STRAYS
 
     @property
@@ -141,8 +146,10 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     if near:
         of_each_rate = search.with_errors_of_each_rate([c for _, c in near])
         near = averaged(sorted([*both, *of_each_rate], key=lambda c: c.score))
+    own = {law.name: () for law in first.model.laws}
+    mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
     models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
-    return Examination(series, found, best, worth, naming, laws, *models, aside)
+    return Examination(series, found, best, worth, naming, laws, *models, frozenset(mending), aside)
 
 
 def _by_law(best: Candidate, naming: Naming, idle: Sequence[str]) -> Candidate:
@@ -174,9 +181,13 @@ def _plain(
 def _beyond_doubt(
     worth: Mapping[str, float], ranked: Sequence[Candidate], plain: Sequence[Candidate], laws: Laws
 ) -> dict[str, float]:
-    """The blocks that may have a name: of shapes in temperature beside other laws, what laws alone do not explain as well."""
+    """The blocks that may have a name: of shapes in temperature beside other laws, what laws alone do not explain as well.
+
+    What time did is told by the search, beside the lag of the coil and what remembers; alone anything may look like it.
+    """
+    worth = {block: nats for block, nats in worth.items() if BLOCKS[block].family != BIAS_DRIFT.family}
     if SHAPES not in worth or not (ranked[0].coil or ranked[0].changes):
-        return dict(worth)
+        return worth
     shapes = plain[0].score - ranked[0].score if plain else worth[SHAPES]
     return {block: nats for block, nats in worth.items() if block != SHAPES or shapes > _least(laws)}
 

@@ -18,7 +18,7 @@ from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
-from gyrocal.diagnosis.misfit import changing, with_misfit
+from gyrocal.diagnosis.misfit import changing, with_misfit, without_mending
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
@@ -134,7 +134,7 @@ def name(
     fitted, laws = tied_anew(fitted, laws)
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
-    named = _mechanisms(still_there(named, shaped, left))
+    shaped, named = _no_misfits(shaped, _mechanisms(still_there(named, shaped, left)), laws)
     return Naming(around_itself(shaped), tuple(named), left, nearest, input_gain), laws
 
 
@@ -232,6 +232,15 @@ def _mechanisms(named: list[Named]) -> list[Named]:
         if CATALOGUE[n.law.effect].family == RATE_ORDER.family and n.law.effect != RATE_ORDER.id
     ]
     return [n for n in named if not others or n.law.effect != RATE_ORDER.id]
+
+
+def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
+    """Drop laws that only mend what others leave that hold nearly."""
+    blocks = fitted.model.blocks
+    held = {n.law.name: [c for c, b in blocks.items() if b == n.block] for n in named}
+    held = {law.name: held[law.name] for law in fitted.model.laws if law.name in held}
+    fitted = without_mending(fitted, held, laws)
+    return fitted, [n for n in named if n.law.name not in held or fitted.model.holds(n.law)]
 
 
 def _jumped(jump: Jump) -> Named:

@@ -391,12 +391,22 @@ def passing(means: Means, frame: Frame) -> list[Component]:
         ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
         found.append(Component("scale line", (ahead * u)[:, None]))
         found.append(Component("scale walk", covariance=walk * np.outer(u, u)))
-        sizes = np.round(np.abs(means.rate_dps) / _SAME_RATE_DPS)
-        kinds = np.unique(sizes[sizes > 0])
-        if 3 < kinds.size < _MOST_RATES:
-            found.append(Component(EACH_RATE, np.where(sizes[:, None] == kinds, u[:, None], 0.0)))
+        each = _by_size(means, u)
+        if 3 < each.shape[1] < _MOST_RATES:
+            found.append(Component(EACH_RATE, each))
         found.append(Component("jitter", covariance=np.diag(u**2)))
     return found + noise(means)
+
+
+def of_each_direction(means: Means, frame: Frame) -> Component:
+    """What errors of each rate, which are odd in the rate, have of their own in each direction."""
+    return Component("each direction", _by_size(means, np.abs(means.rate_dps) / frame.rate_scale_dps))
+
+
+def _by_size(means: Means, values: Floats) -> Floats:
+    """Values at each size of rate by itself, shape (n, sizes)."""
+    sizes = np.round(np.abs(means.rate_dps) / _SAME_RATE_DPS)
+    return np.where(sizes[:, None] == np.unique(sizes[sizes > 0]), values[:, None], 0.0)
 
 
 def drifts(means: Means, frame: Frame) -> list[Component]:

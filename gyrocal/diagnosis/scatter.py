@@ -34,8 +34,9 @@ _DEEPER = 1.5
 _FEWEST_DEAD, _MOST_DEAD_SHARE = 3, 0.5
 #: What is lost must stand out of the noise of a row by this factor.
 _LOST_SIGMAS = 5.0
-#: Output steps that make less than this share of the variance of a sample are no effect.
-_STEP_VARIANCE = 0.05
+#: Output steps that make less than this share of the variance of a sample are no effect: where they are less than two
+#: standard deviations of the noise, rounding is white and independent of it, and averages away as the noise does (Widrow).
+_STEP_VARIANCE = 0.25
 #: A step is known to this share: distances of many steps are whole multiples of it.
 _STEP_KNOWN = 1e-3
 #: Sample clocks nearer to nominal than this are as good as any; one that is off is so by this many standard deviations,

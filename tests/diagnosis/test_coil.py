@@ -178,6 +178,21 @@ def test_errors_of_few_rates_are_the_tables_and_no_shape_in_rate() -> None:
     assert sum(w for w, m in models if "odd rate" not in m.blocks.values()) > 0.5
 
 
+def test_errors_of_each_rate_in_each_direction_may_be_the_tables() -> None:
+    """Shapes that are even in rate follow them as well, and would be in the file by themselves."""
+    rng = np.random.default_rng(9)
+    sizes = np.linspace(0.0, 100.0, 7)[1:]
+    signed = np.concatenate([-sizes[::-1], [0.0], sizes])
+    rate = np.tile(signed, 8)
+    temp = np.repeat([20.0, 30.0, 40.0, 50.0, 45.0, 35.0, 25.0, 15.0], signed.size)
+    off = np.tile(rng.normal(0.0, 3e-4, signed.size), 8)
+    gyro = rate * (1.0 + 1e-5 * (temp - 30.0) + off) + 3e-4 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("off.csv"), rate, gyro, temp, t_s=30.0 * np.arange(float(rate.size)))
+    models = [(w, c.fitted.model) for w, c in examine(series_of_table(table), 1e-3).candidates]
+    models = [(w, c.fitted.model) for w, c in examine(series_of_table(table), 1e-3).candidates]
+    assert sum(w for w, m in models if "each direction" in m.components) > 0.1
+
+
 def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_beside_them() -> None:
     found = examine(series_of_table(_knee(6, 1)), 1e-3)
     assert found.naming.named == ()

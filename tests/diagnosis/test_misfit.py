@@ -1,4 +1,4 @@
-"""Laws of the rate that a gyro obeys only nearly, in tables of sweeps at temperatures up and down."""
+"""Laws that a gyro obeys only nearly, in tables of sweeps at temperatures up and down."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.misfit import changing, with_misfit
+from gyrocal.diagnosis.misfit import changing, with_misfit, without_mending
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.records.datasets import DataSetTable
@@ -67,5 +67,30 @@ def test_what_a_law_leaves_follows_its_size_its_shape_and_its_corner() -> None:
     assert widest[_RATE == -100.0].max() < 1e-6 * widest[_RATE == 0.0].min()
     # A knee moves with temperature, too.
     assert misfit("saturation", knee_dps=60.0, softness_dps=0.0)[1].shape[1] == left.shape[1] + 1
-    for beside in (with_misfit, changing):
-        assert beside(fitted, [Law("bias_drift", {}, law[:, None])], laws) is fitted
+    assert changing(fitted, [Law("bias_drift", {}, law[:, None])], laws) is fitted
+
+
+def test_what_acts_on_the_bias_may_act_on_the_scale_factor_where_that_has_no_name_of_its_own() -> None:
+    means = means_of(series_of_table(_table(np.zeros(_RATE.size))))
+    fitted = fit_model(full_model(means, memory=False))
+    laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
+    column, warmth = np.ones((_RATE.size, 1)), (_TEMP - 32.5) / 17.5
+    for effect, left in (("warm_up", (warmth, _RATE / 100.0)), ("bias_step", (warmth,))):
+        law = Law(effect, {}, column)
+        beside = with_misfit(fitted, [law], laws).model.components[f"misfit of {law.name}"]
+        assert beside.columns == pytest.approx(np.column_stack(left))
+
+
+@pytest.mark.parametrize("stepped", [False, True])
+def test_a_law_that_mends_another_is_dropped_and_one_that_is_there_stays(stepped: bool) -> None:
+    """A warm-up of the scale factor looks like a step of it."""
+    t_s = 30.0 * np.arange(float(_RATE.size))
+    warm, late = np.exp(-t_s / 600.0), t_s > 900.0
+    found = 1e-3 * warm * (30.0 + (0.0 if stepped else 0.3) * _RATE)
+    means = means_of(series_of_table(_table(found + 3e-4 * (stepped * late) * _RATE)))
+    model = full_model(means, memory=False)
+    both = Law("warm_up", {"tau_s": 600.0}, warm[:, None]), Law("scale_step", {}, (late * _RATE)[:, None])
+    fitted = fit_model(model.with_laws(*both))
+    laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
+    left = without_mending(fitted, {law.name: () for law in both}, laws).model.laws
+    assert left == (both if stepped else both[:1])
