@@ -283,7 +283,7 @@ def _undenied(
 
 def _denied(truth: TruthAnswer, without: TruthAnswer) -> bool:
     """Whether a truth speaks against a law: it fits the path better without."""
-    return truth.loss - without.loss > 2.0 * np.log(OUT)
+    return bool(truth.loss - without.loss > 2.0 * np.log(OUT))
 
 
 def _with_truth(
