@@ -365,10 +365,10 @@ SAME_WORD = {
     "gyrocal.planning.planned": {"rate_order", "temperature_order"},
 }
 #: What the truth of a drive is asked for: parameters of its path, that effects are named after.
-OF_A_PATH = {"gyro_bias", "gyro_scale", "wheel_scale"}
+OF_A_PATH = {"gyro_scale", "wheel_scale"}
 SAME_WORD |= {
     "gyrocal.diagnosis.drive.findings": OF_A_PATH,
-    "gyrocal.diagnosis.drive.improved": OF_A_PATH - {"gyro_bias"},
+    "gyrocal.diagnosis.drive.improved": OF_A_PATH,
     "gyrocal.diagnosis.drive.reckoning": {"wheel_scale"},
     "gyrocal.diagnosis.drive.truth": OF_A_PATH,
 }

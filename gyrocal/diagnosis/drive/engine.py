@@ -41,6 +41,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.drive import GYRO_SCALE
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.robot import Robot
 
@@ -200,7 +201,6 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
     yaw, truth = _with_jump(series, yaw, truth)
     if not series.differential:
         return yaw, truth
-    added: list[str] = []
     while True:
         tried = [
             (_with_truth(series, yaw, truth, n), n)
@@ -210,13 +210,12 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
         (gain, found), name = max(tried, key=lambda one: one[0][0], default=((0.0, None), ""))
         if found is None or gain < GAIN:
             return yaw, truth
-        for other in added:
+        for other in (n for n in yaw.named if KINDS[n].figure.startswith("bias") and n != "jump"):
             # What was taken first may have stood for this one.
             less = yaw.less([other]).with_law(name, gain)
             alone = _asked(series, less, truth)
             if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
                 return less, alone
-        added.append(name)
         yaw, truth = yaw.with_law(name, gain), found
 
 
@@ -302,9 +301,9 @@ def _with_truth(
         return 0.0, None
     (both, both_std), (own, own_std) = joint_estimate(wider, found, name), wider.estimate(name)
     gain = yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2
-    beside = found.told("gyro_scale") ** 2
-    if truth.believed("gyro_scale") and gain > max(beside, 2.0 * np.log(OUT)):
-        gain += truth.told("gyro_scale") ** 2 - beside
+    beside = found.told(GYRO_SCALE.id) ** 2
+    if truth.believed(GYRO_SCALE.id) and gain > max(beside, 2.0 * np.log(OUT)):
+        gain += truth.told(GYRO_SCALE.id) ** 2 - beside
     structure = min(truth.odd.values(), default=1.0)
     better = structure >= STRANGER_P or stats.chi2.sf(gain, 1) < structure
     return (gain, found) if better else (0.0, None)

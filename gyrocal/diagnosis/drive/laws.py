@@ -110,6 +110,35 @@ class Law:
 
 
 @dataclass(frozen=True)
+class BiasLaws:
+    """What the heading difference knows of the laws of the gyro's bias, and how the gyro's noise has moved that.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of p laws, the constant bias first.
+    covariance : ndarray, shape (p, p)
+        Of their coefficients.
+    t_s : ndarray, shape (m,)
+        Ends of the intervals.
+    weights : ndarray, shape (p, m)
+        What 1 rad that the gyro falls short by in each interval adds to each coefficient.
+    """
+
+    names: tuple[str, ...]
+    covariance: Floats
+    t_s: Floats
+    weights: Floats
+
+    def weights_between(self, edges_s: Floats) -> Floats:
+        """Mean weights of the turns between edges, shape (p, cells)."""
+        ends_s = np.concatenate([edges_s[:1], self.t_s])
+        whole = np.cumsum(self.weights * np.diff(ends_s), axis=1)
+        at_edges = [np.interp(edges_s, ends_s, [0.0, *one]) for one in whole]
+        return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges_s))
+
+
+@dataclass(frozen=True)
 class Frame:
     """What the laws are worked out on: smooth conditions, the gyro taken `ahead_s` later and over `window_s`.
 

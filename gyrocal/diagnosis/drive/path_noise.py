@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from gyrocal.diagnosis.drive.laws import BiasLaws
 from gyrocal.diagnosis.drive.reckoning import Complexes, Floats, Reckoned
-from gyrocal.diagnosis.drive.search import BiasLaws
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD

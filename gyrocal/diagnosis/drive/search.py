@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.ndimage import median_filter
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
+    BiasLaws,
     Frame,
     Law,
     candidate_laws,
@@ -22,6 +23,7 @@ from gyrocal.diagnosis.drive.laws import (
     strangers,
     wheel_laws,
 )
+from gyrocal.diagnosis.drive.motions import likely_motions, middling, of_motion
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
 from gyrocal.units import RAD_TO_DEG
@@ -47,35 +49,6 @@ _SHIFT, _ROUNDS = 0.2, 3
 _RADII_M, _PEAKS = (0.02, 0.6), 3
 #: Parts of a drive in which a named law must be the same.
 _PARTS = 24
-
-
-@dataclass(frozen=True)
-class BiasLaws:
-    """What the heading difference knows of the laws of the gyro's bias, and how the gyro's noise has moved that.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of p laws, the constant bias first.
-    covariance : ndarray, shape (p, p)
-        Of their coefficients.
-    t_s : ndarray, shape (m,)
-        Ends of the intervals.
-    weights : ndarray, shape (p, m)
-        What 1 rad that the gyro falls short by in each interval adds to each coefficient.
-    """
-
-    names: tuple[str, ...]
-    covariance: Floats
-    t_s: Floats
-    weights: Floats
-
-    def weights_between(self, edges_s: Floats) -> Floats:
-        """Mean weights of the turns between edges, shape (p, cells)."""
-        ends_s = np.concatenate([edges_s[:1], self.t_s])
-        whole = np.cumsum(self.weights * np.diff(ends_s), axis=1)
-        at_edges = [np.interp(edges_s, ends_s, [0.0, *one]) for one in whole]
-        return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges_s))
 
 
 @dataclass(frozen=True)
@@ -144,8 +117,8 @@ class YawAnswer:
         """
         if _gain(self.told, self.chosen, name) < GAIN:
             return 0.0
-        motions = _of_motion(self.laws)
-        likely, values = _likely_motions(self.told, self.chosen, motions)
+        motions = of_motion(self.laws)
+        likely, values = likely_motions(self.told, self.chosen, motions)
         return float(np.sqrt(likely @ (values - values[motions.index(name)]) ** 2))
 
     @property
@@ -282,7 +255,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         free = evidence(model, columns)
         told = free.knowing(known)
         chosen = _selected(told, [*least, *beyond], list(laws))
-    chosen = _middling(told, chosen, _of_motion(laws))
+    chosen = middling(told, chosen, of_motion(laws))
     odd = {c: _without_name(free, chosen, f"{c}:", block) for c, block in blocks.items()}
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     if "jump" in chosen:
@@ -413,33 +386,6 @@ def _selected(told: Evidence, first: Sequence[str], candidates: Sequence[str]) -
         chosen.append(best)
         gained[best] = gains[best]
     return [n for n in chosen if n in first or _gain(told, chosen, n) >= _least(gained)]
-
-
-def _of_motion(laws: Iterable[str]) -> list[str]:
-    """Laws of a bias that comes with the motion: they differ by the lag alone."""
-    return [n for n in laws if KINDS[n].group == "motion"]
-
-
-def _likely_motions(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> tuple[Floats, Floats]:
-    """How likely each law of the motion is in place of that which is chosen, and its coefficient then."""
-    beside = [n for n in chosen if KINDS[n].group != "motion"]
-    gains = np.array([told.added(beside, [n]) for n in motions])
-    likely = np.exp(0.5 * (gains - gains.max()))
-    values = np.array([told.own.solve([*beside, n])[0][-1] for n in motions])
-    return likely / likely.sum(), values
-
-
-def _middling(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> list[str]:
-    """With that law of the motion, of those that are as likely as not, whose bias is nearest to the mean of all.
-
-    A later rest that is short tells little of the lag, and of the bias only together with that.
-    """
-    taken = next((n for n in chosen if n in motions), None)
-    if taken is None:
-        return list(chosen)
-    likely, values = _likely_motions(told, chosen, motions)
-    away = np.where(likely >= 0.5 * likely.max(), np.abs(values - likely @ values), np.inf)
-    return [motions[int(np.argmin(away))] if n == taken else n for n in chosen]
 
 
 def _least(gained: Mapping[str, float]) -> float:

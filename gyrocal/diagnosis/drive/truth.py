@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, MOVING, reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import AT_ONCE, MOVING, BiasLaws, reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -25,7 +25,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     stacked,
 )
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
-from gyrocal.diagnosis.drive.search import STRANGER_P, BiasLaws
+from gyrocal.diagnosis.drive.search import STRANGER_P
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.inference.gls import Regression, regress

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.drive.laws import BiasLaws
 from gyrocal.diagnosis.drive.path_noise import Knots, path_noise, stacked
 from gyrocal.diagnosis.drive.reckoning import Reckoned
-from gyrocal.diagnosis.drive.search import BiasLaws
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
 from gyrocal.units import DEG_TO_RAD
