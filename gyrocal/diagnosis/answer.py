@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from gyrocal.diagnosis import estimates
+from gyrocal.diagnosis.blocks import ODD, plain
 from gyrocal.diagnosis.coil import averaged
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.lag_posterior import lag_estimates
@@ -49,7 +50,12 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     if _of_the_input(found):
         share = _input_share(found)
         p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
-        named.append((found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, {})))
+        # What leaves as little of what is odd in the rate explains it as well.
+        near = found.naming.nearest.get(ODD, {})
+        rivals = {e: max(near[e], 0.0) for e in FIT_DIRECTION.looks_like if e in near}
+        named.append(
+            (found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, rivals))
+        )
     by_effect: dict[str, list[NamedEffect]] = {}
     for _, effect in sorted(named, key=lambda x: -x[0]):
         by_effect.setdefault(effect.effect, []).append(effect)
@@ -133,7 +139,7 @@ def _input_share(found: Examination) -> Estimate:
 
 def _of_the_input(found: Examination) -> bool:
     """Whether a surface of the input, not of the output, is a finding by itself: not where a law of the rate explains it."""
-    laws_of_rate = [n for n in found.naming.named if n.block in ("odd rate", EACH_RATE)]
+    laws_of_rate = [n for n in found.naming.named if n.block in (ODD, EACH_RATE)]
     return found.naming.input_gain > GAIN and not laws_of_rate
 
 
@@ -216,7 +222,7 @@ def layers_of(found: Examination) -> list[Step]:
     steps = [_step_of_table(found, s) for s in _searched(found)]
     if _of_the_input(found):
         bend = model.bend_of(found.naming.fitted.solve())
-        less = partial(Model.directed, direction="output", bend=bend)
+        less = partial(plain, direction="output", bend=bend)
         steps.append(Step(FIT_DIRECTION.id, found.naming.input_gain, less))
     for effect in dict.fromkeys(n.law.effect for n in found.naming.named):
         own = [n for n in found.naming.named if n.law.effect == effect and model.holds(n.law)]

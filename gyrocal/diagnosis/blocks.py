@@ -6,18 +6,22 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import EACH_RATE, SURFACE
 from gyrocal.inference.additive import Component
 
+Floats = NDArray[np.float64]
+
 #: Blocks whose removal costs less, nats, are not there.
 _ABSENT = 2.5
 #: What is simpler stands for what it replaces where it explains no worse than by this, nats.
 REPLACED = 2.0
-#: Blocks that a wrong direction of the surface looks like.
-BENT = ("odd rate", "even rate", EACH_RATE)
+#: Block of what is odd in the rate, and all that a wrong direction of the surface looks like.
+ODD = "odd rate"
+BENT = (ODD, "even rate", EACH_RATE)
 #: Where the variance of the surface's own terms starts a second time (logarithm of the share of the record's).
 _AWAKE = 0.0
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
@@ -26,12 +30,10 @@ _BENDS = 12
 _SETTLED_DPS = 1e-4
 
 
-def settle_direction(
-    fitted: Fitted, shaped: Callable[[Fitted], Fitted] = lambda fitted: fitted
-) -> tuple[Fitted, float]:
+def settle_direction(fitted: Fitted, shaped: Callable[[Fitted], Fitted] = lambda fitted: fitted) -> Fitted:
     """The model with a surface of the output or of the input, where either does as well as what is between.
 
-    Also how much better the input is, nats. Around itself: what bends is the surface that stands beside all else.
+    Around itself: what bends is the surface that stands beside all else.
 
     Parameters
     ----------
@@ -40,7 +42,7 @@ def settle_direction(
     """
     model = fitted.model
     if np.unique(np.round(model.means.rate_dps, 2)).size <= len(model.flat):
-        return fitted, 0.0
+        return fitted
     bend = model.bend_of(fitted.solve())
     free = fitted.refit(model.directed("free", bend))
     bend = free.model.bend_of(free.solve())
@@ -49,10 +51,30 @@ def settle_direction(
     if model.direction == "output":
         # Beside a law of the rate what is between may have led its bend astray.
         ways["output"] = min(fitted, ways["output"], key=lambda f: f.nll)
-    gain = ways["output"].nll - ways["input"].nll
-    best = ways["input"] if gain > 0.0 else ways["output"]
+    best = min(ways.values(), key=lambda f: f.nll)
     # What is between the two is neither: it takes evidence to be believed.
-    return (best if best.nll < free.nll + GAIN else free), gain
+    return best if best.nll < free.nll + GAIN else free
+
+
+def plain(model: Model, direction: str, bend: Floats) -> Model:
+    """The model with a surface of this direction and without what is odd in the rate, which makes up for a wrong one."""
+    return model.without([n for n, b in model.blocks.items() if b == ODD]).directed(direction, bend)
+
+
+def gain_of_input(fitted: Fitted) -> tuple[float, float]:
+    """How much better a surface over the input is than one over the output, and what it leaves of the model, nats.
+
+    Neither has smooth parts that are odd in the rate beside it.
+    """
+    bend = fitted.model.bend
+    if bend is None or fitted.model.direction == "output":
+        return 0.0, 0.0
+    bend = fitted.model.bend_of(fitted.solve())
+    ways = {
+        d: min(_either_surface(fitted, plain(fitted.model, d, bend)), key=lambda f: f.nll)
+        for d in ("output", "input")
+    }
+    return around_itself(ways["output"]).nll - ways["input"].nll, ways["input"].nll - fitted.nll
 
 
 def around_itself(fitted: Fitted) -> Fitted:
@@ -83,7 +105,7 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
 
     A few rates can be followed by anything smooth; independent errors of one size are the simpler account of them.
     """
-    odd = [n for n, b in fitted.model.blocks.items() if b == "odd rate"]
+    odd = [n for n, b in fitted.model.blocks.items() if b == ODD]
     if draws is None or not odd:
         return fitted
     without = fitted.model.without(odd)
@@ -99,6 +121,12 @@ def _either_surface(fitted: Fitted, model: Model) -> list[Fitted]:
     """
     awake = {**fitted.fit.log_variance, **{p.name: _AWAKE for p in model.parts if p.block == "surface"}}
     return [fitted.refit(model), fitted.refit(model, start=awake)]
+
+
+def less(fitted: Fitted, block: str) -> Fitted:
+    """The model without a block, its surface of the same direction."""
+    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    return min(_either_surface(fitted, fitted.model.without(names)), key=lambda f: f.nll)
 
 
 def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:

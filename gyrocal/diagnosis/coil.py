@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import ODD
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.laws import Laws, effects_of
@@ -66,7 +67,7 @@ _BESIDE_SMOOTH = 3
 #: And of so many sets with a law of the rate; a search without shapes in temperature begins with as many.
 BEGUN_WITH = 6
 #: Block of smooth shapes in temperature, and that of the rate whose laws may stand beside it.
-SHAPES, _OF_RATE = "temperature", "odd rate"
+SHAPES, _OF_RATE = "temperature", ODD
 #: Those that a table may have of its own in each direction.
 _EVEN_IN_RATE = "even rate"
 #: Models within this of the best one are averaged.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -131,8 +131,8 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     )
 
 
-def reshaped(fitted: Fitted, laws: Laws) -> Fitted:
-    """The model with each law at the shape that does best beside everything else that is in it by now.
+def reshaped(fitted: Fitted, laws: Laws, only: Collection[str] | None = None) -> Fitted:
+    """The model with each law, or only those of some names, at the shape that does best beside everything else that is in it by now.
 
     Its shape was found before the others were in the model, and while the noise stood in for them. Instants of jumps stay
     where they are, and laws that are spread over several shapes have no single one. Which law is named is decided before
@@ -141,7 +141,8 @@ def reshaped(fitted: Fitted, laws: Laws) -> Fitted:
     """
     for law in fitted.model.laws:
         free = _free(law)
-        if not free or "at_s" in free or law.from_end or law.spread or law.mixture:
+        asked = only is None or law.name in only
+        if not asked or not free or "at_s" in free or law.from_end or law.spread or law.mixture:
             continue
         shape = _best_shape(_beside(fitted, law, laws, []), law.shape, free)
         moved = replace(law, shape=shape, columns=laws.at(CATALOGUE[law.effect], shape))

@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 #: Blocks that follow the temperature, and with it the order of the plan.
 _FOLLOWING = ("memory", "temperature")
-#: Where the variances of smooth parts start a second time: low, so that what passes is tried first.
+#: Where variances start that are to be tried last.
 _LOW_START = -9.0
 
 
@@ -109,12 +109,12 @@ def examine(series: Series, level: float) -> Examination:
     if series.is_table and np.ptp(series.rate_dps) > 0:
         return _table(left, found)
     full = full_model(means)
-    whole, _ = settle_direction(alive(fit_twice(full)))
+    whole = settle_direction(alive(fit_anyhow(full)))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
     passes = wandering(full)
     jumped, jumps = _with_jumps(whole, passes, laws)
     if jumps:
-        jumped, _ = settle_direction(jumped)
+        jumped = settle_direction(jumped)
     settled, worth = present(errors_of_each_rate(jumped, draws_of(full)))
     naming, laws = name(settled, worth, laws, jumps, passes)
     return Examination(left, found, whole, worth, naming, laws)
@@ -131,7 +131,7 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     first = ranked[0].fitted
     best = alive(first.refit(replace(first.model, components={**first.model.components, **drifting})))
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
-    settled, worth = present(errors_of_each_rate(settle_direction(best)[0], draws_of(base)))
+    settled, worth = present(errors_of_each_rate(settle_direction(best), draws_of(base)))
     beside = replace(settled.model, components={**settled.model.components, **drifting})
     plain = _plain(worth, search, ranked, laws)
     naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws)
@@ -215,12 +215,14 @@ def wandering(full: Model) -> list[Component]:
     return [c for n, c in full.components.items() if n not in stays and PASSING.get(n) != EACH_RATE]
 
 
-def fit_twice(model: Model) -> Fitted:
-    """The better of two fits: from equal shares, and from what passes."""
-    first = fit_model(model)
-    low = {p.name: _LOW_START for p in model.parts if p.block != "surface"}
-    second = fit_model(model, low)
-    return min(first, second, key=lambda f: f.nll)
+def fit_anyhow(model: Model) -> Fitted:
+    """The best of three fits: from equal shares, from what passes, and from what stays.
+
+    A scale factor that wanders and one that remembers the temperature follow each other, and whichever came first stays.
+    """
+    staying = {p.name: _LOW_START for p in model.parts if p.block != "surface"}
+    passing = {n: _LOW_START for n, b in PASSING.items() if b != EACH_RATE}
+    return min((fit_model(model, start) for start in (None, staying, passing)), key=lambda f: f.nll)
 
 
 def alive(fitted: Fitted) -> Fitted:

@@ -25,6 +25,7 @@ from gyrocal.diagnosis.parts import (
 )
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
+from gyrocal.inference.rounding import harmonic
 from gyrocal.physics.rate import ROUNDS
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
@@ -48,6 +49,8 @@ THERMOMETER = "thermometer"
 ROUNDING = "rounding"
 #: Rounding of less than this share of the scatter of samples is none: means of ten thousand of them know no better.
 _FINE = 0.01
+#: Harmonics of the steps of the output, that stand for all of them.
+_HARMONICS = 5
 #: Rounds in which the surface is freed of rounding and says where between two steps the output is.
 _PHASES = 4
 #: Prior variance of a law for the scan of shapes, in that of what the surface leaves: strong laws hide in it.
@@ -332,15 +335,19 @@ def of_steps(means: Means, design: Floats, surface: Floats) -> list[Component]:
     design, surface : terms, shape (n, 12), and their coefficients as far as they are known, shape (12,)
     """
     raw = means.series.raw
-    step, most_dps, scatter_dps = raw.lattice_dps, raw.rounding_dps, raw.sample_std_dps
-    if step is None or scatter_dps is None or most_dps < _FINE * scatter_dps:
+    step, scatter_dps = raw.lattice_dps, raw.sample_std_dps
+    if step is None or scatter_dps is None:
+        return []
+    sizes_dps = [harmonic(step, scatter_dps, k + 1) for k in range(_HARMONICS)]
+    sizes_dps = [size for size in sizes_dps if size >= _FINE * scatter_dps]
+    if not sizes_dps:
         return []
     for _ in range(_PHASES):
         phase = 2.0 * np.pi * (means.rate_dps + design @ surface) / step
-        waves = np.column_stack([np.sin(phase), np.cos(phase)])
-        both = np.concatenate([design, waves], axis=1)
+        both = np.column_stack([design, np.sin(phase), np.cos(phase)])
         surface = np.linalg.lstsq(both, means.error_dps, rcond=1e-12)[0][: len(surface)]
-    return [Component(ROUNDING, waves, held=0.5 * most_dps**2)]
+    waves = [size * f((k + 1) * phase) for k, size in enumerate(sizes_dps) for f in (np.sin, np.cos)]
+    return [Component(ROUNDING, np.column_stack(waves), held=0.5)]
 
 
 def beyond_input(rows: Basis, bend: Floats) -> Floats:

@@ -12,7 +12,17 @@ from functools import partial
 
 import numpy as np
 
-from gyrocal.diagnosis.blocks import BENT, REPLACED, around_itself, evidence, present, settle_direction
+from gyrocal.diagnosis.blocks import (
+    BENT,
+    ODD,
+    REPLACED,
+    around_itself,
+    evidence,
+    gain_of_input,
+    less,
+    present,
+    settle_direction,
+)
 from gyrocal.diagnosis.contest import best_law, best_pair
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.jumps import Jump, with_jumps
@@ -42,8 +52,6 @@ _DROPPED = 4.0
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
-#: Block whose laws may be narrower than its smooth parts.
-_SHARP = "odd rate"
 #: Laws of one block. A search ends by what they gain; only the plays of a hysteresis without a corner ever were as many.
 _MOST_LAWS = 3
 
@@ -78,7 +86,7 @@ class Named:
 class Naming:
     """The model at the end: names, and the blocks that have none, with their evidence in nats.
 
-    `input_gain`: how much better a surface over the input is than one over the output, nats.
+    `input_gain`: how much better a surface over the input is than one over the output, nats; 0 where something else is.
     """
 
     fitted: Fitted
@@ -119,7 +127,7 @@ def name(
         # A walk that smooth parts had taken the place of: laws that it can follow are none.
         fitted = _beside(fitted, passes)
     fitted, named = _backward(fitted, named)
-    settled, input_gain = settle_direction(fitted, partial(reshaped, laws=laws))
+    settled = settle_direction(fitted, partial(reshaped, laws=laws))
     fitted, named = settled, _as_fitted(named, fitted, settled)
     # What a law's first surface or shape had left to smooth parts may be gone.
     fitted, left = present(around_itself(fitted), laws)
@@ -135,7 +143,8 @@ def name(
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
     shaped, named = _no_misfits(shaped, _mechanisms(still_there(named, shaped, left)), laws)
-    return Naming(around_itself(shaped), tuple(named), left, nearest, input_gain), laws
+    shaped = around_itself(shaped)
+    return Naming(shaped, tuple(named), left, nearest, _of_input(shaped)), laws
 
 
 def _name_blocks(
@@ -189,15 +198,21 @@ def _instead(
 
 def _unseen(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
     """The model with a law of the rate that no smooth part is like enough to show, as a dead zone between two rates is."""
-    if any(CATALOGUE[n.law.effect].family == BLOCKS[_SHARP].family for n in named):
+    if any(CATALOGUE[n.law.effect].family == BLOCKS[ODD].family for n in named):
         return fitted, []
-    trials = [t for e in effects_of(_SHARP) for t in laws.trials(e)]
-    best = best_law(fitted, fitted, _SHARP, trials, laws)
+    trials = [t for e in effects_of(ODD) for t in laws.trials(e)]
+    best = best_law(fitted, fitted, ODD, trials, laws)
     gain = 0.0 if best is None else fitted.nll - best.fitted.nll
     if best is None or gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
         return fitted, []
     law = best.fitted.model.laws[-1]
-    return best.fitted, [Named(law, _SHARP, gain, 1.0, best.rivals, best.shapes)]
+    return best.fitted, [Named(law, ODD, gain, 1.0, best.rivals, best.shapes)]
+
+
+def _of_input(fitted: Fitted) -> float:
+    """How much better a surface over the input is than one over the output, where that is most of what is odd in the rate."""
+    gain, left = gain_of_input(fitted)
+    return gain if gain >= _NAMED_SHARE * (gain + left) else 0.0
 
 
 def _with_laws(fitted: Fitted, more: Sequence[Law]) -> Fitted:
@@ -297,15 +312,19 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     ----------
     whole_nll : what the block explains, the surface being as it fits best beside it
     """
-    without = evidence(fitted, block)[1]
-    if block == EACH_RATE and _SHARP in without.model.blocks.values():
+    without = less(fitted, block)
+    if block == EACH_RATE and ODD in without.model.blocks.values():
         # Smooth parts that grow where errors of each rate go would lend a law what it does not explain.
-        without = evidence(without, _SHARP)[1]
+        without = less(without, ODD)
     worth = without.nll - whole_nll
     alone = _simplest(fitted, without, block, laws, worth)
     unnamed = _Answer(fitted, [], alone.near, fitted.nll)
     if not alone.named:
         return unnamed
+    if block == EACH_RATE and alone.fitted.nll > whole_nll:
+        # Errors of single rates have no shape that a grid could miss.
+        shaped = reshaped(alone.fitted, laws, [n.law.name for n in alone.named])
+        alone = replace(alone, fitted=shaped, named=_as_fitted(alone.named, alone.fitted, shaped))
     share = (without.nll - alone.fitted.nll) / worth
     named = [replace(n, share=share) for n in alone.named]
     # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.

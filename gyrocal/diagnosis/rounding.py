@@ -11,6 +11,7 @@ from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.names import Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -18,22 +19,28 @@ Floats = NDArray[np.float64]
 def beyond_rounding(found: Examination) -> tuple[Examination, list[Remark]]:
     """What was found in a run, less laws and smooth parts that rounding may make; and the remark that says so.
 
-    Rounding is one error for each output, whatever that depends on: it can follow any law that is smaller than itself.
+    Rounding is one error for each output, whatever that depends on: it can follow any law that is not surely larger than itself.
     """
     bound = 0.0 if found.ranked else found.series.raw.rounding_dps
     fitted = found.naming.fitted
     solution, model = fitted.solve(), fitted.model
 
-    def beneath(curve_dps: Floats) -> bool:
-        return bool(0.5 * np.ptp(curve_dps) < bound)
+    def beneath(curve_dps: Floats, surely: float = 1.0) -> bool:
+        return bool(0.5 * np.ptp(curve_dps) * surely < bound)
+
+    def beneath_law(n: Named) -> bool:
+        amplitudes = solution.amplitudes.get(n.law.name)
+        if amplitudes is None:
+            return beneath(block_curve(fitted, solution, n.block))
+        at = solution.starts[n.law.name] + int(np.argmax(np.abs(amplitudes)))
+        std, size = np.sqrt(solution.covariance[at, at]), np.max(np.abs(amplitudes))
+        return beneath(n.law.columns @ amplitudes, max(1.0 - NORMAL_95 * std / size, 0.0))
 
     blocks = {b for b in found.naming.unnamed if beneath(block_curve(fitted, solution, b))}
     kept: list[Named] = []
     gone: list[Named] = []
     for n in found.naming.named:
-        amplitudes = solution.amplitudes.get(n.law.name)
-        own = block_curve(fitted, solution, n.block) if amplitudes is None else n.law.columns @ amplitudes
-        (gone if beneath(own) else kept).append(n)
+        (gone if beneath_law(n) else kept).append(n)
     patterns = tuple(p for p in found.patterns if not beneath(p.values))
     if not (blocks or gone) and len(patterns) == len(found.patterns):
         return found, []

@@ -18,7 +18,7 @@ from gyrocal.diagnosis.series import (
     sample_notes,
 )
 from gyrocal.errors import DataError
-from gyrocal.inference.rounding import lattice
+from gyrocal.inference.rounding import lattice, lattice_of_means
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.smooth import Frame
 from gyrocal.records.datasets import DataSetTable
@@ -77,7 +77,7 @@ def series_of_table(table: DataSetTable) -> Series:
     white, notes = _white(table)
     times = mean(t_s)
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
-    step_c = lattice(table.temp_c) or 0.0
+    step_c = lattice_of_means(table.temp_c) or 0.0
     history = temperature_history(times, read, count[filled], step_c)
     course_c = history.temp_at(times)
     if (

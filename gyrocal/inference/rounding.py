@@ -16,6 +16,8 @@ Counts = NDArray[np.int64]
 
 #: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
 _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
+#: Share of means that stand where the one before stood, from which on these tell the steps of what was read.
+_STANDING = 0.3
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
 #: can be told from that rounding.
 _OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
@@ -25,6 +27,8 @@ _ONE_STEP, _NO_STEP = 1.5, 0.1
 _NOISES = np.geomspace(0.02, 2.0, 60)
 #: Places of a mean between two steps that are tried.
 _PLACES = np.linspace(-1.0, 1.0, 81)
+#: Steps to either side that noise may carry an output over; with more it knows of none.
+_EDGES = 20
 #: Steps that come less often than this may be spikes, or the end of a movement, and would be taken for noise.
 _LEAST_SHARE = 0.02
 #: An output of more values than this has noise enough to carry it over its steps.
@@ -54,6 +58,19 @@ def lattice(values: Floats) -> float | None:
     if np.mean(off < _OFF_LATTICE + _ROUNDED / small) < _ON_LATTICE or small < _LEAST_LATTICE:
         return None
     return float(np.sum(gaps) / np.sum(np.round(multiples)))
+
+
+def lattice_of_means(values: Floats) -> float | None:
+    """Step of the lattice that means of a few readings lie on, but for those during which the readings went to the next step.
+
+    Means have finer steps than what they are means of. What stands twice in a row was read on one step all the time.
+    """
+    fine = lattice(values)
+    standing = values[1:][np.diff(values) == 0.0]
+    if standing.size < max(_STANDING * values.size, _LATTICE_VALUES):
+        return fine
+    coarse = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size))
+    return fine if coarse is None else max(coarse, fine or 0.0)
 
 
 @dataclass
@@ -131,14 +148,26 @@ def least_noise(records: Sequence[tuple[Floats, Counts]], step: float) -> float:
 
 
 def mean_error(step: float, scatter: float) -> float:
-    """How far the mean of many rounded samples may be off: the first harmonic of the steps that noise leaves.
+    """How far the mean of many rounded samples may be off, wherever between two steps it is: all that noise leaves of half a step."""
+    noise = _noise_steps(step, scatter)
+    if noise == 0.0:
+        return 0.5 * step
+    place, edges = np.linspace(0.0, 0.5, _PLACES.size), np.arange(_EDGES) + 0.5
+    up, down = (special.ndtr((x[:, None] - edges) / noise).sum(axis=1) for x in (place, -place))
+    return step * float(np.max(np.abs(up - down - place)))
 
-    The scatter of the samples has a twelfth of the square of a step in it, which is none of the noise's.
-    """
-    noise_steps2 = max((scatter / step) ** 2 - 1.0 / 12.0, 0.0)
-    return step / math.pi * math.exp(-2.0 * math.pi**2 * noise_steps2)
+
+def harmonic(step: float, scatter: float, order: int = 1) -> float:
+    """Size of a harmonic of what rounding does to means, over where between two steps they are."""
+    noise = _noise_steps(step, scatter)
+    return step / (math.pi * order) * math.exp(-2.0 * (math.pi * order * noise) ** 2)
+
+
+def _noise_steps(step: float, scatter: float) -> float:
+    """Noise in steps: the scatter of the samples has a twelfth of the square of a step in it, which is none of the noise's."""
+    return math.sqrt(max((scatter / step) ** 2 - 1.0 / 12.0, 0.0))
 
 
 def slope_error(step: float, scatter: float) -> float:
-    """The share by which what is slow may come out too large or too small: the slope of that harmonic."""
-    return 2.0 * math.pi * mean_error(step, scatter) / step
+    """The share by which what is slow may come out too large or too small: the slope of the first harmonic."""
+    return 2.0 * math.pi * harmonic(step, scatter) / step

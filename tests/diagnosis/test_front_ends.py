@@ -97,4 +97,4 @@ def test_a_direction_that_was_found_is_not_given_up_for_one_that_fits_worse() ->
     bend = beside.model.bend_of(beside.solve())
     found = blocks.around_itself(beside.refit(beside.model.directed("output", bend), 20))
     assert found.model.direction == "output"
-    assert blocks.settle_direction(found)[0].nll <= found.nll
+    assert blocks.settle_direction(found).nll <= found.nll

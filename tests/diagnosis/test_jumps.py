@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis import jumps
-from gyrocal.diagnosis.examine import examine, fit_twice, wandering
+from gyrocal.diagnosis.examine import examine, fit_anyhow, wandering
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, laws_of
 from gyrocal.diagnosis.layers import full_model, surface_of
@@ -28,7 +28,7 @@ def jumps_in(added_dps: NDArray[np.float64], seed: int) -> list[Jump]:
     temp = 25.0 + 0.1 * np.sin(t / 500.0)
     table = DataSetTable(Path("rest.csv"), np.zeros(_SETS), 0.01 + noise + added_dps, temp, t_s=t)
     full = full_model(means_of(series_of_table(table)))
-    fitted = fit_twice(full)
+    fitted = fit_anyhow(full)
     laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
     return with_jumps(fitted, wandering(full), laws)[1]
 

@@ -48,13 +48,13 @@ def warming() -> Examination:
 def test_what_rounding_may_make_is_not_found(warming: Examination) -> None:
     coarse = replace(warming, series=replace(warming.series, raw=raw(0.0)))
     found, (said,) = beyond_rounding(coarse)
-    assert said.facts["hidden_mdps"] == pytest.approx(1e3 * _STEP_DPS / np.pi)
+    assert said.facts["hidden_mdps"] == pytest.approx(1e3 * _STEP_DPS / 2)
     assert (found.naming.named, found.model.laws) == ((), ())
 
 
 def test_what_is_larger_stays(warming: Examination) -> None:
     assert [n.law.effect for n in warming.naming.named] == ["warm_up"]
-    fine = replace(warming.series, raw=replace(raw(0.0), lattice_dps=0.02))
+    fine = replace(warming.series, raw=replace(raw(0.0), lattice_dps=0.015))
     assert beyond_rounding(replace(warming, series=fine))[1] == []
 
 

@@ -5,18 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.inference.rounding import StepCounts, least_noise, mean_error, slope_error
+from gyrocal.inference.rounding import StepCounts, harmonic, least_noise, mean_error, slope_error
 
 
-@pytest.mark.parametrize("noise_steps", [0.3, 0.4, 0.5])
+@pytest.mark.parametrize("noise_steps", [0.05, 0.15, 0.3, 0.4, 0.5])
 def test_the_mean_is_off_by_as_much_at_most(noise_steps: float) -> None:
     rng = np.random.default_rng(1)
-    truth = np.linspace(-0.5, 0.5, 21)
+    truth = np.linspace(-0.5, 0.5, 81)
     means = np.array([np.round(rng.normal(m, noise_steps, 200_000)).mean() for m in truth])
     scatter = np.hypot(noise_steps, 12**-0.5)
     assert np.max(np.abs(means - truth)) == pytest.approx(mean_error(1.0, scatter), rel=0.1, abs=0.003)
-    slope = (means[11] - means[9]) / (truth[11] - truth[9])
-    assert abs(slope - 1.0) == pytest.approx(slope_error(1.0, scatter), rel=0.1, abs=0.04)
+    assert abs(harmonic(1.0, scatter)) == pytest.approx(
+        2.0 * abs(np.mean((means - truth)[1:] * np.sin(2.0 * np.pi * truth[1:]))), rel=0.1, abs=0.003
+    )
+
+
+@pytest.mark.parametrize("noise_steps", [0.3, 0.4, 0.5])
+def test_what_is_slow_comes_out_too_large_or_too_small(noise_steps: float) -> None:
+    rng = np.random.default_rng(1)
+    low, high = (np.round(rng.normal(m, noise_steps, 400_000)).mean() for m in (-0.05, 0.05))
+    scatter = np.hypot(noise_steps, 12**-0.5)
+    assert abs((high - low) / 0.1 - 1.0) == pytest.approx(slope_error(1.0, scatter), rel=0.1, abs=0.04)
 
 
 def test_it_goes_with_the_step() -> None:

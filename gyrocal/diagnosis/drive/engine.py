@@ -232,8 +232,7 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
 
     def look(instants_s: Iterable[float]) -> float:
         for at_s in instants_s:
-            found = _asked(series, yaw.jumping(at_s), truth)
-            losses[at_s] = np.inf if found is None else found.loss
+            losses[at_s] = _loss_with_jump(series, yaw, truth, at_s)
         return min(losses, key=lambda at_s: losses[at_s])
 
     best_s = look(float(series.t_s[0]) + step_s * (k + 0.5) for k in range(_INSTANTS))
@@ -248,6 +247,14 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
     if found is None or found.odd["time"] < truth.odd["time"]:
         return yaw, truth
     return wider, found
+
+
+def _loss_with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, at_s: float) -> float:
+    """Loss of the path with a bias that jumps at an instant; infinite where the log says nothing of such a jump."""
+    jumping = yaw.jumping(at_s)
+    told = series.t_s[0] < at_s < series.t_s[-1] and jumping.estimate("jump")[1] > 0.0
+    found = _asked(series, jumping, truth) if told else None
+    return np.inf if found is None else found.loss
 
 
 def _taken_out(series: DriveSeries, yaw: YawAnswer) -> Figures:

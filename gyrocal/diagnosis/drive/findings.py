@@ -23,6 +23,7 @@ from gyrocal.physics.drive import (
     ENCODER_OVERCOUNT,
     GYRO_BIAS,
     GYRO_DELAY,
+    GYRO_SCALE,
     ROBOT_TILT,
     SKID_SLIP,
     START_STOP_SLIP,
@@ -105,7 +106,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     tilt = _tilt(yaw, truth)
     if truth is not None:
         for name in SCALES:
-            if truth.believed(name):
+            if truth.believed(name) and not (name == GYRO_SCALE.id and _goes_by_place(yaw, truth)):
                 found[name] = Scale(truth.values[name], truth.stds[name])
         if "gyro_scale" in found and tilt.value > 0.0:
             beside = found.pop("gyro_scale")
@@ -120,6 +121,8 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     if "track" not in yaw.chosen:
         return found
     c, std = yaw.estimate("track")
+    if abs(c) < _ANY_SCALE and _turns_are_odd(yaw, truth):
+        return found
     if found:
         c = (1 + c) * (1 - tilt.value) - 1
         g, w = (found[n].value if n in found else 0.0 for n in SCALES)
@@ -127,7 +130,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         left = (1 + c) * (1 + g) / (1 + w) - 1
         if left**2 >= GAIN * spread**2:
             found["track"] = Scale(left, spread)
-    elif "track" in yaw.named and not _turns_are_odd(truth):
+    elif "track" in yaw.named:
         against = _against(c, std, truth)
         best = min(against, key=lambda n: against[n])
         # Beside a slip law the constant is a part of that law's shape.
@@ -181,9 +184,22 @@ def _lacks_by_heading(yaw: YawAnswer, beside: Sequence[str], truth: TruthAnswer 
     return bool(level - least > 2.0 * np.log(OUT))
 
 
-def _turns_are_odd(truth: TruthAnswer | None) -> bool:
+def _goes_by_place(yaw: YawAnswer, truth: TruthAnswer) -> bool:
+    """Whether what the gyro's turns miss the truth by goes by where the robot is: of a slope it is, of no scale.
+
+    A truth that is too coarse to tell where leaves it to the encoders, where the gyro lacks something of its turns.
+    """
+    if truth.values["gyro_scale"] < 0.0 and "place" in yaw.odd:
+        return True
+    surest = min(truth.odd.values(), default=1.0)
+    return surest < STRANGER_P and truth.odd.get("place") == surest
+
+
+def _turns_are_odd(yaw: YawAnswer, truth: TruthAnswer | None) -> bool:
     """Whether the gyro's turns miss the truth in a way that no scale makes: then their ratio tells no track either."""
-    return truth is not None and not truth.mirrored and truth.odd["turn_rate"] < STRANGER_P
+    if truth is None or truth.mirrored:
+        return False
+    return truth.odd["turn_rate"] < STRANGER_P or _goes_by_place(yaw, truth)
 
 
 def _against(c: float, std: float, truth: TruthAnswer | None) -> dict[str, float]:

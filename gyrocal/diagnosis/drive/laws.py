@@ -307,7 +307,7 @@ def strangers(frame: Frame) -> dict[str, Floats]:
         "turn_rate": [turn * (turn > 0), turn * c.gyro_dps, turn * c.gyro_dps**2],
         "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way],
     }
-    ground = _by_place(series, heading, way, turn)
+    ground = by_place(c.t_s, heading, way, turn)
     if ground:
         rows["place"] = ground
     found = {name: frame.nodes.between(np.cumsum(np.stack(v, axis=1), axis=0)) for name, v in rows.items()}
@@ -315,7 +315,7 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     return found | {"delay": (delay * at)[:, None]}
 
 
-def _by_place(series: DriveSeries, heading_rad: Floats, way_m: Floats, turn_rad: Floats) -> list[Floats]:
+def by_place(t_s: Floats, heading_rad: Floats, way_m: Floats, turn_rad: Floats) -> list[Floats]:
     """Turns in each cell of the ground to which the robot comes back, less their share of all turns.
 
     A track that wanders is another one each time; that of a patch of ground is the same.
@@ -327,7 +327,7 @@ def _by_place(series: DriveSeries, heading_rad: Floats, way_m: Floats, turn_rad:
     turned = {}
     for one in np.unique(cell):
         inside = cell == one
-        come_s = series.t_s[np.flatnonzero(np.diff(inside.astype(np.int64), prepend=0) == 1)]
+        come_s = t_s[np.flatnonzero(np.diff(inside.astype(np.int64), prepend=0) == 1)]
         turns_rad = float(np.sum(np.abs(turn_rad[inside])))
         if np.any(np.diff(come_s) > _BACK_S) and turns_rad > DEG_TO_RAD * _TURNED_DEG:
             turned[one] = turns_rad

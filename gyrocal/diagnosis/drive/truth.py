@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, MOVING, BiasLaws, reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import AT_ONCE, MOVING, BiasLaws, by_place, reference_temp_c, temperature_c
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -230,6 +230,8 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         # A gyro that is late in one part of the drive and not in others.
         "delay": [(np.diff(turning * inside, prepend=0.0), nothing) for inside in within],
         "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
+        # A slope lies where it lies.
+        "place": [(turns, nothing) for turns in by_place(path.t_s, path.heading_rad, path.way_m, turned)],
     }
     found = {
         name: np.stack(
@@ -240,6 +242,7 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
             axis=1,
         )
         for name, parts in errors.items()
+        if parts
     }
     # What moves positions alone is not seen in headings alone.
     seen = {name: block[:, np.any(block != 0.0, axis=0)] for name, block in found.items()}

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
+from gyrocal.diagnosis.drive.engine import _loss_with_jump, diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
+from gyrocal.diagnosis.drive.reckoning import Figures, reckon
+from gyrocal.diagnosis.drive.search import GAIN, _gain
 from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.diagnosis.drive.yaw import evidence
 from gyrocal.records.drive import DriveBlock
@@ -245,3 +247,51 @@ def test_encoders_and_truth_together_show_a_bias_that_neither_shows(
         gyro = found.robot.parameters.gyro
         assert gyro.bias_slope_dps_per_c == pytest.approx(1e-3 * amplitude.value)
         assert gyro.bias_slope_dps_per_c_std == pytest.approx(1e-3 * amplitude.std)
+
+
+def test_laws_of_the_bias_that_hide_each_other_are_found_together(resting: Robot) -> None:
+    """A step up as the drive begins, and a slope down as the gyro warms: either alone gains nothing."""
+    plan = Plan(
+        "lawn", 10.0, 20.0, rest_s=30.0, tick_m=2e-4, arw_dps_rt_s=0.0005, bias_walk=0.0, wheel_noise=2e-4
+    )
+    effects = {"gyro_bias": 12.0, "bias_temperature": -3.0}
+    found = examine("log", drive(replace(plan, effects=effects), 3), resting, None).yaw
+    assert {"step", "slope"} <= set(found.named)
+    for name, amplitude in (("step", 0.012), ("slope", -0.003)):
+        value, std = found.estimate(name)
+        assert value == pytest.approx(amplitude, abs=3.0 * std)
+        assert _gain(found.told, [n for n in found.chosen if n not in ("step", "slope")], name) < GAIN
+
+
+def test_an_instant_outside_of_a_log_is_no_jump(resting: Robot) -> None:
+    log = drive(replace(RESTS, truth_m=0.02), 8)
+    found = examine("log", log, resting, None)
+    assert found.truth is not None
+    begin_s, end_s = log.t_s[0], log.t_s[-1]
+    for at_s in (begin_s - 5.0, begin_s, begin_s + 1e-3, end_s, end_s + 5.0):
+        assert _loss_with_jump(found.series, found.yaw, found.truth, at_s) == np.inf
+    assert np.isfinite(_loss_with_jump(found.series, found.yaw, found.truth, 0.5 * (begin_s + end_s)))
+
+
+def test_a_gyro_that_lacks_turns_in_one_place_has_no_scale(resting: Robot) -> None:
+    """As on a slope: seen by the truth, and by the encoders where the truth is too coarse to tell where."""
+    plan = replace(RESTS, shape="eights", minutes=10.0, truth_m=0.02, truth_heading_deg=0.2)
+    log = drive(plan, 8)
+    found = examine("log", log, resting, None)
+    assert found.truth is not None
+    east_m = reckon(found.series, Figures()).at_m.real
+    slope = east_m > np.median(east_m)
+    tilted = replace(log, gyro_dps=np.where(slope, 0.98, 1.0) * log.gyro_dps)
+    answer = diagnose_drive("log", tilted, resting)
+    assert answer.diagnosis.effects == ()
+    assert "place" in [p.coordinate for p in answer.diagnosis.located if p.remains]
+    scaled = diagnose_drive("log", replace(log, gyro_dps=0.98 * log.gyro_dps), resting)
+    assert [e.effect for e in scaled.diagnosis.effects] == ["gyro_scale"]
+
+
+def test_a_slip_that_one_curvature_shows_is_no_structure_without_a_name(resting: Robot) -> None:
+    """All turns of squares are alike, so that columns without a name do what the law does."""
+    plan = replace(RESTS, shape="square", minutes=10.0)
+    log = drive(replace(plan, effects={"skid_slip": -30.0, "exponent": 2.0}), 8)
+    found = diagnose_drive("log", log, resting)
+    assert "skid_slip" in [e.effect for e in found.diagnosis.effects]
