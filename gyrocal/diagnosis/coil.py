@@ -172,10 +172,11 @@ class TableSearch:
         """The best models, each with the law of the rate that gains most beside the first, where it is worth what it pays.
 
         Errors of each rate of the table follow a knee through every rate that was visited, and between two of them know
-        nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true.
+        nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true. A law that no robot can
+        evaluate would leave the file without what smooth parts have of it.
         """
         best = ranked[0].fitted
-        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e)]
+        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e) if t.effect.runtime]
         won = best_law(best, best, _OF_RATE, trials, laws)
         if won is None:
             return []

@@ -23,6 +23,7 @@ from gyrocal.diagnosis.parts import (
     passing,
     polynomials,
 )
+from gyrocal.diagnosis.rising import rising
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
@@ -105,9 +106,9 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     without : blocks that are left out of it
     """
     if found.candidates:
-        models = [(weight, candidate.fitted) for weight, candidate in found.candidates]
+        models = [(weight, rising(candidate.fitted)) for weight, candidate in found.candidates]
     else:
-        models = [(1.0, _less(found.naming.fitted, without))]
+        models = [(1.0, rising(_less(found.naming.fitted, without)))]
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
     again = found.comes_again
     items, total = _items([(f.model, s) for _, f, s in solved], again)

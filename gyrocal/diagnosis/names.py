@@ -32,7 +32,7 @@ from gyrocal.diagnosis.misfit import changing, with_misfit, without_mending
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.rate import RATE_ORDER
+from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
 from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 
 #: Evidence within which two laws explain the data alike, nats: 20 to 1.
@@ -240,7 +240,10 @@ def still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) 
 
 
 def _mechanisms(named: list[Named]) -> list[Named]:
-    """Less the orders of the rate beside a law of the rate: they claim no mechanism, and are its misfit."""
+    """Less what is the misfit of another law: orders of the rate beside any, and the lesser of what swallows small rates."""
+    gains = {e.id: sum(n.gain for n in named if n.law.effect == e.id) for e in (DEAD_ZONE, TRUNCATION)}
+    if all(gains.values()):
+        named = [n for n in named if n.law.effect != min(gains, key=lambda e: gains[e])]
     others = [
         n
         for n in named

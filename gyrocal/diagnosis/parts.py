@@ -300,7 +300,8 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
     found = []
     spacing = frame.rate_scale_dps / (_RATE_BUMPS - 1.0)
     sizes = np.abs(means.rate_dps)
-    visited = _apart(sizes[sizes > 0.0], spacing)
+    # What is nearer to rest tells of the shapes near zero alone: through it an order of the rate could have any size elsewhere.
+    visited = _apart(sizes[sizes > 0.5 * spacing], spacing)
     centers = spacing * np.arange(_RATE_BUMPS)
     near_zero = np.arange(0.0, np.arcsinh(1e3), _NEAR_ZERO_BUMP)
     for parity, block, orders, first in (

@@ -66,8 +66,15 @@ def equip(
     kind: str,
     coefficients: Coefficients | None,
     power_on_t_s: float | None,
+    *,
+    sides: bool = True,
 ) -> Equipment:
     """What this log and the robot file give; for the model with the noise that the file leaves open.
+
+    Parameters
+    ----------
+    sides : bool
+        Whether the log has a distance of each side.
 
     Raises
     ------
@@ -78,7 +85,7 @@ def equip(
     equipment = Equipment(robot.parameters, kind, coefficients, rest, power_on_t_s)
     if kind == "paper":
         return equipment
-    parameters = fit_noise(_first(source, robot.parameters), robot, equipment.navigator)
+    parameters = fit_noise(_first(source, robot.parameters), robot, equipment.navigator, sides=sides)
     return Equipment(parameters, kind, coefficients, rest, power_on_t_s)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from gyrocal.errors import DataError
 from gyrocal.fusion import Navigator, RobotParameters, Rows
 from gyrocal.fusion.robot import SEPARATION_RELATIVE_STD
 from gyrocal.inference.spread import mean_square
@@ -48,6 +49,8 @@ _WALK = "angle_random_walk_deg_per_rt_h"
 _BIAS_SHARES = tuple(2.0**-k for k in range(6))
 #: No noise figure is known better than this share of its value.
 _FIRMEST = 0.05
+#: Misfit of a filter whose path is no longer finite: more than that of any other.
+_RUNAWAY = 1e12
 
 
 def rest_walk(rows: Rows) -> float | None:
@@ -72,7 +75,9 @@ def rest_walk(rows: Rows) -> float | None:
     return 60.0 * math.sqrt(0.5 * mean_square(steps**2) * size * dt_s)
 
 
-def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> RobotParameters:
+def fit_noise(
+    rows: Rows, robot: Robot, navigator: Callable[..., Navigator], *, sides: bool = True
+) -> RobotParameters:
     """The robot with its noise figures by maximum posterior likelihood on these rows.
 
     A figure that the file gives with a standard deviation is held by it, one without by a factor of e, and one that the
@@ -83,6 +88,8 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> 
     ----------
     navigator : callable
         Makes a navigator that starts at the first row, from what it is to be told of the robot and whether it filters.
+    sides : bool
+        Whether the rows have a distance of each side; of one speed nothing but the rests tells of noise.
     """
     parameters = robot.parameters
     walk = None if f"noise.{_WALK}" in robot.given else rest_walk(rows)
@@ -105,8 +112,15 @@ def fit_noise(rows: Rows, robot: Robot, navigator: Callable[..., Navigator]) -> 
         return replace(base, noise=replace(base.noise, **noise))
 
     def cost(logs: Floats) -> float:
-        return float(np.sum(((logs - usual) / spread) ** 2)) + misfit(rows, navigator(told(logs, wide)))
+        try:
+            found = misfit(rows, navigator(told(logs, wide)))
+        except DataError:
+            # With such levels the filter runs away; with those that are chosen it must not, or replay says so.
+            found = _RUNAWAY
+        return float(np.sum(((logs - usual) / spread) ** 2)) + found
 
+    if not sides:
+        return told(usual, parameters)
     bounds = [(u - 3.0 * s, min(u + 3.0 * s, 0.0)) for u, s in zip(usual, spread, strict=True)]
     best = minimize(
         cost, usual, method="L-BFGS-B", bounds=bounds, options={"maxiter": 15, "eps": 1e-3, "ftol": 1e-6}

@@ -100,7 +100,14 @@ def replay_log(
     notes = [*check(found, robot.wheel_separation_m), *found.notes()]
     conditions = _possible(found, robot, coefficients, notes)
     equipped = {
-        c.calibrated: equip(source, robot, kind, coefficients if c.calibrated else None, power_on_t_s)
+        c.calibrated: equip(
+            source,
+            robot,
+            kind,
+            coefficients if c.calibrated else None,
+            power_on_t_s,
+            sides=not found.speed_only,
+        )
         for c in conditions
     }
     navigators = [equipped[c.calibrated].navigator(filtering=c.filtering) for c in conditions]

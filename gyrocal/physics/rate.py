@@ -33,8 +33,9 @@ _SAME_TIME_S = 1e-6
 #: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
 ROUNDS = 10
 
-#: What a dead zone swallows: what stands at the input at rest, every small input, or of larger ones too (lock-in).
-_AT_REST, _SMALL, _LOCKED = 0.0, 1.0, 2.0
+#: What a dead zone swallows: what stands at the input at rest, every small input, of larger ones less and less (lock-in), or
+#: of larger ones as much as of the largest small one (a dead band).
+_AT_REST, _SMALL, _LOCKED, _BAND = 0.0, 1.0, 2.0, 3.0
 
 _SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
@@ -50,6 +51,8 @@ def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
         swallowed = inside.astype(np.float64)
     elif p["form"] == _SMALL:
         swallowed = np.where(inside, x, 0.0)
+    elif p["form"] == _BAND:
+        swallowed = np.clip(x, -1.0, 1.0)
     else:
         swallowed = x - np.sign(x) * np.sqrt(np.maximum(x**2 - 1.0, 0.0))
     return np.asarray(-MDPS * p["amplitude"] * swallowed)
@@ -57,7 +60,7 @@ def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     half_dps = MDPS * p["amplitude"]
-    if c.gyro_dps is None and surface is not None and p.get("of_output"):
+    if c.gyro_dps is None and surface is not None and p["of_output"]:
         return np.asarray(-half_dps * _output_sign(c, surface))
     if c.gyro_dps is None:
         # What is less than a step is cut away whole: there means lose half of themselves on the average, and not
@@ -135,7 +138,7 @@ def _dead_widths(offer: Offer) -> list[dict[str, float]]:
     widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
     last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
     # Of inputs within the zone two at least, or one and the rest are all the same to any form.
-    forms = [_AT_REST, _SMALL, _LOCKED] if np.count_nonzero(small > 0) > 2 else [_AT_REST]
+    forms = [_AT_REST, _SMALL, _LOCKED, _BAND] if np.count_nonzero(small > 0) > 2 else [_AT_REST, _BAND]
     return [{"width_dps": float(x), "form": form} for form in forms for x in (*widths, last)]
 
 
@@ -198,6 +201,9 @@ def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 
 def _truncation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     half = MDPS * p["amplitude"]
+    if p["of_output"]:
+        output = "w + PREFIX_surface@f@(w, temp_c)"
+        return f"{n(half)} * (@real@)(({output} < 0) - ({output} > 0))"
     return f"fmax@f@({n(-half)}, fmin@f@({n(half)}, {n(-0.5)} * w))"
 
 
@@ -269,12 +275,14 @@ DEAD_ZONE = Effect(
     id="dead_zone",
     family="rate shape",
     equation="output 0 while |w| < w_d: e = -k there, k what stood at the input at rest; or of any input, "
-    "e = -k w/w_d there, and with lock-in e = -k (w - sign(w) sqrt(w^2 - w_d^2))/w_d beyond",
+    "e = -k w/w_d there, and beyond with lock-in e = -k (w - sign(w) sqrt(w^2 - w_d^2))/w_d, of a dead band e = -k sign(w)",
     statement="The output stays at zero for small inputs (dead zone, lock-in), so that the Earth's rate is lost at rest.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 2.0, "input that is lost, the largest"),
         shape("width_dps", "deg/s", 1e-6, 10.0, 0.01, "half width w_d"),
-        choice("form", "1", _AT_REST, _LOCKED, _AT_REST, "0: lost at rest, 1: any small input, 2: lock-in"),
+        choice(
+            "form", "1", _AT_REST, _BAND, _AT_REST, "0: lost at rest, 1: any small input, 2: lock-in, 3: band"
+        ),
     ),
     needs=("rate_dps",),
     seen_in="rate",
@@ -295,9 +303,12 @@ DEAD_ZONE = Effect(
 TRUNCATION = Effect(
     id="truncation",
     family="rate shape",
-    equation="e = -k sign(w), k = q/2; e = -w/2 below a step, on the average",
+    equation="e = -k sign(w), k = q/2; e = -w/2 below a step, on the average; or e = -k sign(g), g the output",
     statement="The output is cut toward zero instead of rounded, which leaves half a step of either sign.",
-    parameters=(amplitude("mdeg/s", 1000.0, 1.5, "half the output's step", positive=True),),
+    parameters=(
+        amplitude("mdeg/s", 1000.0, 1.5, "half the output's step", positive=True),
+        choice("of_output", "1", 0.0, 1.0, 0.0, "1: the sign is that of the output, the bias in it"),
+    ),
     needs=("rate_dps",),
     seen_in="rate",
     looks_like=("dead_zone", "rate_order"),

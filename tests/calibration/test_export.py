@@ -188,6 +188,7 @@ SETS = {effect_id: (typical_term(effect_id),) for effect_id in RUNTIME} | {
     "two lags": tuple(map(typical_term, ("thermal_lag", "shupe", "scale_asymmetry"))),
     "no state": tuple(map(typical_term, ("sagnac_sine", "temperature_order"))),
     "soft knee": (typical_term("saturation", knee_dps=60.0, softness_dps=2.5),),
+    "cut by the sign of the output": (typical_term("truncation", of_output=1.0),),
 }
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.errors import DataError
 from gyrocal.fusion import Aligner, Navigator, RobotParameters, Rows
+from gyrocal.navigation import levels
 from gyrocal.navigation.equip import equip
 from gyrocal.navigation.judge import judge
 from gyrocal.navigation.levels import rest_walk, whiteness
@@ -117,6 +119,38 @@ def test_encoders_that_are_smoothed_leave_the_heading_to_the_gyro() -> None:
     alone, filtered = found.tracks
     np.testing.assert_array_equal(filtered.x_m, alone.x_m)
     assert filter_sentence([found]).endswith("is left to the gyro.")
+
+
+def test_of_one_speed_no_turns_of_the_wheels_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing but its rests tells of noise: fitted to wheels that never turn, levels ran away, and the replay with them."""
+    one = log_of(draw(np.random.default_rng(5)))
+    middle = 0.5 * (one.left_m + one.right_m)
+    one = replace(one, left_m=middle, right_m=middle, speed_only=True)
+    usual = levels.misfit
+
+    def at_rest(rows: Rows, navigator: Navigator) -> float:
+        assert not navigator.filtering
+        return usual(rows, navigator)
+
+    monkeypatch.setattr(levels, "misfit", at_rest)
+    found = replay_log(source(one), SILENT, method="start")
+    (track,) = found.tracks
+    assert np.isfinite(track.x_m).all()
+
+
+def test_levels_with_which_the_filter_runs_away_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, calls = levels.misfit, []
+
+    def sometimes(rows: Rows, navigator: Navigator) -> float:
+        calls.append(navigator.filtering)
+        if navigator.filtering and len(calls) % 2 == 0:
+            raise DataError("position or heading is no longer finite")
+        return usual(rows, navigator)
+
+    monkeypatch.setattr(levels, "misfit", sometimes)
+    found = replayed(draw(np.random.default_rng(3), duration_s=60.0))
+    assert len(calls) > 2
+    assert np.isfinite(found.tracks[1].x_m).all()
 
 
 def test_robot_and_replay_share_their_defaults(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from gyrocal.physics.drive import (
     UNIT_OR_SIGN,
     WHEEL_ASYMMETRY,
     WHEEL_ECCENTRICITY,
+    WHEEL_SCALE,
 )
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95, RAD_TO_DEG
@@ -54,6 +55,8 @@ _LIKELIER = 2.0 * float(np.log(3.0))
 #: Wheels and gyros are seldom off by so much, tracks have been by 130 %: a smaller ratio of turns that the truth
 #: leaves open is given no name, for it may be any of the three.
 _ANY_SCALE = 0.05
+#: By what an error of the gyro's turns or of the way goes that is no scale.
+_CHANGES_BY = {GYRO_SCALE.id: "turn_rate", WHEEL_SCALE.id: "speed"}
 #: Scales that make the same ratio of encoder turn to gyro turn.
 _RATIO = frozenset({SKID_SLIP.id, *SCALES})
 
@@ -106,7 +109,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     tilt = _tilt(yaw, truth)
     if truth is not None:
         for name in SCALES:
-            if truth.believed(name) and not (name == GYRO_SCALE.id and _goes_by_place(yaw, truth)):
+            if truth.believed(name) and not _changes(name, yaw, truth):
                 found[name] = Scale(truth.values[name], truth.stds[name])
         if "gyro_scale" in found and tilt.value > 0.0:
             beside = found.pop("gyro_scale")
@@ -182,6 +185,13 @@ def _lacks_by_heading(yaw: YawAnswer, beside: Sequence[str], truth: TruthAnswer 
         for away in (values[-2:, None], values[-2:, None] - sloped)
     )
     return bool(level - least > 2.0 * np.log(OUT))
+
+
+def _changes(scale: str, yaw: YawAnswer, truth: TruthAnswer) -> bool:
+    """Whether what misses the truth is of one way to turn or of some speeds only: another path has other shares of them."""
+    if truth.odd.get(_CHANGES_BY[scale], 1.0) < STRANGER_P:
+        return True
+    return scale == GYRO_SCALE.id and _goes_by_place(yaw, truth)
 
 
 def _goes_by_place(yaw: YawAnswer, truth: TruthAnswer) -> bool:

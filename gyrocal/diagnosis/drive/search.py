@@ -116,10 +116,12 @@ class YawAnswer:
 
         Where the encoders do not show it by themselves, they have nothing to say of its lag.
         """
-        if _gain(self.told, self.chosen, name) < GAIN:
+        # A jump that is tried at an instant is none of the laws that were looked at.
+        chosen = [n for n in self.chosen if n in self.gram.names]
+        if _gain(self.told, chosen, name) < GAIN:
             return 0.0
         motions = of_motion(self.laws)
-        likely, values = likely_motions(self.told, self.chosen, motions)
+        likely, values = likely_motions(self.told, chosen, motions)
         return float(np.sqrt(likely @ (values - values[motions.index(name)]) ** 2))
 
     @property

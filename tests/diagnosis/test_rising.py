@@ -1,0 +1,79 @@
+"""A dead zone cannot be undone: the file follows what lies beyond it and makes no noise of what is within."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.layers import fit_model, full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.rising import rising
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
+
+#: Half width of the zone, deg/s.
+_WIDTH = 0.02
+
+
+def banded(rate_dps: Floats, temp_c: Floats) -> Floats:
+    """Output of a gyro with a dead band: nothing comes out below its width, and so much less above."""
+    inside = np.clip(rate_dps, -_WIDTH, _WIDTH)
+    return np.asarray(1.002 * rate_dps - inside + 0.01 + 2e-4 * (temp_c - 20.0))
+
+
+def table(sizes: list[float], seed: int) -> DataSetTable:
+    rates = np.array([-s for s in sizes] + [0.0] * 6 + sizes)
+    rate, temp = (x.ravel() for x in np.meshgrid(rates, np.linspace(-10.0, 50.0, 7)))
+    # A table at rest is servoed, and moves by some thousandths of a degree.
+    rng = np.random.default_rng(seed)
+    rate = rate + 0.004 * rng.standard_normal(rate.size)
+    gyro = banded(rate, temp) + 2e-4 * rng.standard_normal(rate.size)
+    t_s = 30.0 * np.arange(rate.size)
+    return DataSetTable(Path("band.csv"), rate, gyro, temp, t_s=t_s)
+
+
+@pytest.mark.parametrize("sizes", [[6.0, 15.0, 57.0, 100.0], [0.01, 0.2, 6.0, 15.0, 57.0, 100.0]])
+def test_the_file_of_a_gyro_with_a_dead_band_is_right_beyond_it_and_calm_within(sizes: list[float]) -> None:
+    found = diagnose(series_of_table(table(sizes, 1)), None, Options(heldout=False))
+    assert found.improved is not None
+    robot = Compensator(found.improved)
+    temp = np.linspace(0.0, 40.0, 41)
+    for size in (0.0, *(s for s in sizes if s > _WIDTH)):
+        rate = np.full(temp.size, size)
+        off = robot.correct(np.arange(temp.size) * 1.0, banded(rate, temp), temp) - rate
+        assert np.max(np.abs(off)) < 0.25 * _WIDTH, size
+    # A robot that stands, and whose samples have noise, must not be thrown from one edge of the zone to the other.
+    noise = 2e-3 * np.random.default_rng(2).standard_normal(4000)
+    still = banded(np.zeros(4000), np.full(4000, 20.0)) + noise
+    corrected = robot.correct(np.arange(4000) * 0.01, still, np.full(4000, 20.0))
+    assert np.std(corrected) < 2.5 * np.std(noise)
+
+
+def test_what_goes_is_fitted_beside_what_stays() -> None:
+    means = means_of(series_of_table(table([0.01, 6.0, 15.0, 57.0, 100.0], 3)))
+    fitted = fit_model(full_model(means, memory=False))
+    calm = rising(fitted)
+    assert "odd near zero, within" in calm.model.components
+    assert all(part.name != "odd near zero, within" for part in calm.model.parts)
+    np.testing.assert_allclose(calm.solve().left, fitted.solve().left, atol=1e-7)
+
+
+def test_a_gyro_without_a_dead_zone_keeps_all_its_shapes() -> None:
+    rng = np.random.default_rng(4)
+    rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 13), np.linspace(-10.0, 50.0, 5)))
+    gyro = 1.002 * rate + 1e-5 * np.abs(rate) + 3e-4 * rng.standard_normal(rate.size)
+    fitted = fit_model(full_model(means_of(series_of_table(DataSetTable(Path("t.csv"), rate, gyro, temp)))))
+    assert rising(fitted) is fitted
+
+
+def test_small_rates_alone_bring_no_order_of_the_rate() -> None:
+    """Through ±0.01 deg/s within the zone a fifth order could pass with any size at the rates between."""
+    means = means_of(series_of_table(table([0.01, 30.0, 100.0], 5)))
+    assert all(part.name != "odd orders" for part in full_model(means).parts)
