@@ -30,14 +30,14 @@ from gyrocal.diagnosis.parts import (
 from gyrocal.inference.additive import START, Component, Contrasts
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
+from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
-from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
-#: Time constants that are tried for a coil, s, and those that coils have: 95 % of a logarithm that is normal (physics report,
-#: G4: 1 to 10 min). Where a table hardly tells, a lag of a quarter of an hour else moves a coil by ten degrees for nothing.
-LAG_BOUNDS_S, _USUAL_LAGS_S = (30.0, 1500.0), (60.0, 600.0)
+#: Time constants that are tried for a coil, s. Where a table hardly tells, a lag of a quarter of an hour would move a coil by
+#: ten degrees for nothing, were it not for those that coils have (`THERMAL_LAG`).
+LAG_BOUNDS_S = (30.0, 1500.0)
 #: Shares of the whole lag; what lies between them is told by its posterior (`lag_posterior`).
 _SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
 #: Time constants between the bounds, each a quarter longer than the one before.
@@ -375,16 +375,12 @@ class TableSearch:
         return bool(np.ptp(coil_c) >= _REACHED * np.ptp(m.temp_c))
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
-        """What the laws of a model pay, nats: a coil's time constant its prior too, a normal one of its logarithm."""
+        """What the laws of a model pay, nats: a coil's time constant its prior too."""
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
         paid = _ODD_NATS * sum(not change.plain for change in changes)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
-        if coil is None:
-            return paid
-        low, high = np.log(_USUAL_LAGS_S)
-        off = (np.log(coil[1]) - 0.5 * (low + high)) / ((high - low) / (2.0 * NORMAL_95))
-        return paid + 0.5 * float(off**2)
+        return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
 
 
 def _best(candidates: list[Candidate]) -> list[Candidate]:

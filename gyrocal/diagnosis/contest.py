@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import REPLACED
 from gyrocal.diagnosis.intervals import refined
-from gyrocal.diagnosis.laws import Laws, Trial, likeliest
+from gyrocal.diagnosis.laws import GAIN, Laws, Trial, likeliest
 from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.diagnosis.misfit import changing
 from gyrocal.physics.effect import Effect
@@ -31,6 +31,16 @@ class Winner:
     fitted: Fitted
     rivals: dict[str, float]
     shapes: int
+
+    @property
+    def law(self) -> Law:
+        """The law itself."""
+        return self.fitted.model.laws[-1]
+
+    @property
+    def least_nats(self) -> float:
+        """What it has to gain to be believed: more where it had more shapes to choose from, or has an unusual one."""
+        return GAIN + 0.5 * float(np.log(self.shapes)) - self.effect.search.nats_before(self.law.shape)
 
 
 def best_law(
@@ -56,7 +66,7 @@ def best_law(
     best: dict[str, tuple[float, Trial]] = {}
     shapes: dict[str, int] = {}
     for trial in trials:
-        own, gain = trial.effect.id, gain_of(trial) + trial.effect.search.prior_nats
+        own, gain = trial.effect.id, gain_of(trial) + trial.effect.search.nats_before(trial.shape)
         shapes[own] = shapes.get(own, 0) + 1
         if own not in best or gain > best[own][0]:
             best[own] = gain, trial
@@ -67,7 +77,8 @@ def best_law(
     def loss(found: Fitted, effect: Effect) -> float:
         """What had more shapes to choose from has to gain more; one that changes with temperature is a law all the same."""
         changes = changing(found, found.model.laws[-1:], laws).nll + REPLACED
-        return min(found.nll, changes) - effect.search.prior_nats + 0.5 * float(np.log(shapes[effect.id]))
+        before = effect.search.nats_before(found.model.laws[-1].shape)
+        return min(found.nll, changes) - before + 0.5 * float(np.log(shapes[effect.id]))
 
     refits = [(_with(current, _refined(trial, laws, gain_of), logs), trial.effect) for _, trial in top]
     refits.sort(key=lambda x: loss(*x))

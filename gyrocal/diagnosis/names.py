@@ -203,10 +203,9 @@ def _unseen(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitted,
     trials = [t for e in effects_of(ODD) for t in laws.trials(e)]
     best = best_law(fitted, fitted, ODD, trials, laws)
     gain = 0.0 if best is None else fitted.nll - best.fitted.nll
-    if best is None or gain < GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats:
+    if best is None or gain < best.least_nats:
         return fitted, []
-    law = best.fitted.model.laws[-1]
-    return best.fitted, [Named(law, ODD, gain, 1.0, best.rivals, best.shapes)]
+    return best.fitted, [Named(best.law, ODD, gain, 1.0, best.rivals, best.shapes)]
 
 
 def _of_input(fitted: Fitted) -> float:
@@ -382,7 +381,7 @@ def _alone(
         if not found.named:
             behind = {best.effect.id: 0.0, **best.rivals}
             found = replace(found, near={e: worth - gain + more for e, more in behind.items()})
-        least = GAIN + 0.5 * np.log(best.shapes) - best.effect.search.prior_nats
+        least = best.least_nats
         if gain < least:
             break
         another = found.named and best.effect.id not in found.kinds
@@ -396,7 +395,7 @@ def _alone(
         if another and not (told_apart and enough):
             # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
             break
-        law = Named(best.fitted.model.laws[-1], block, gain, 0.0, best.rivals, best.shapes)
+        law = Named(best.law, block, gain, 0.0, best.rivals, best.shapes)
         found = _Alone(best.fitted, [*found.named, law], found.near)
     return _paired(fitted, without, block, trials, laws, found)
 

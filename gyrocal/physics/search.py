@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.offer import Offer, Requirement
 from gyrocal.physics.surface import Surface
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -79,6 +80,8 @@ class Search:
         Another effect to what a hand must do to tell the two apart, where no profile can.
     prior_nats : float
         Evidence it starts with. What claims no mechanism starts below a law.
+    usual : mapping
+        Parameter of its shape to the ends between which 95 % of what is built lie, evenly over its logarithm.
     natural : tuple of float, optional
         The amplitude that physics leads one to expect, and the standard deviation of its logarithm about that: without it
         a shape that does next to nothing beyond the surface may have any amplitude.
@@ -102,9 +105,19 @@ class Search:
     alike_without: Mapping[str, str] = field(default_factory=dict)
     told_apart: Mapping[str, str] = field(default_factory=dict)
     prior_nats: float = 0.0
+    usual: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     natural: tuple[float, float] | None = None
     draws: bool = False
     by_columns: bool = True
     scatters: bool = False
     adds_up: bool = False
     accounts_for: tuple[str, ...] = ()
+
+    def nats_before(self, given: Shape) -> float:
+        """Evidence that it starts with at some shape: less for one that is unusual."""
+        lost = 0.0
+        for name, ends in self.usual.items():
+            low, high = np.log(ends)
+            off = (np.log(given[name]) - 0.5 * (low + high)) / ((high - low) / (2.0 * NORMAL_95))
+            lost += 0.5 * float(off**2)
+        return self.prior_nats - lost

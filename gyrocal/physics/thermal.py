@@ -189,6 +189,8 @@ THERMAL_LAG = Effect(
         grid=scales("tau_s", 30.0, 1800.0, 10),
         refined=("tau_s",),
         requires=(_SOME_CHANGE, either(temperature_changes(10.0), table_turns)),
+        # Physics report, G4: 1 to 10 min. A shorter one may be the smoothing of a noisy thermometer.
+        usual={"tau_s": (60.0, 600.0)},
     ),
     fold=on_model("Error by the lag as modelled, mdeg/s"),
     c_text=CText(_thermal_lag_c, (_LAGGED,)),

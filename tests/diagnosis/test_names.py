@@ -15,8 +15,8 @@ from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import GAIN, effects_of
-from gyrocal.diagnosis.layers import Fitted
-from gyrocal.diagnosis.names import Named, Naming, still_there
+from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.names import Named, Naming, _mechanisms, still_there
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
@@ -189,6 +189,16 @@ def test_the_file_of_a_table_has_the_law_where_the_law_says_more_than_smooth_par
 def test_an_error_of_each_rate_has_no_law_that_would_be_in_no_file() -> None:
     assert all(effect.runtime for effect in effects_of("each rate"))
     assert any(not effect.runtime for block in BLOCKS for effect in effects_of(block))
+
+
+def test_what_swallows_small_rates_has_one_name() -> None:
+    def named(effect: str, gain: float) -> Named:
+        return Named(Law(effect, {}, np.zeros((1, 1))), "odd rate", gain, 1.0, {}, 1)
+
+    dead, cut, other = named("dead_zone", 40.0), named("truncation", 50.0), named("shupe", 9.0)
+    assert _mechanisms([cut, dead, other]) == [cut, other]
+    assert _mechanisms([cut, dead, other, named("dead_zone", 20.0)])[0] is dead
+    assert _mechanisms([dead]) == [dead]
 
 
 def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:

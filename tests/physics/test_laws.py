@@ -271,3 +271,12 @@ def test_a_soft_knee_becomes_the_hard_one_away_from_it() -> None:
     np.testing.assert_allclose(soft[[0, 2, 4]], hard[[0, 2, 4]], atol=1e-12)
     # At the knee itself s log 2 are missing.
     np.testing.assert_allclose(soft[[1, 3]], [0.01 * 0.5 * np.log(2), -0.01 * 0.5 * np.log(2)])
+
+
+def test_truncation_goes_by_the_output_where_its_bias_is_larger_than_the_rate() -> None:
+    bias = np.zeros((4, 3))
+    bias[0, 0] = 0.1
+    surface = Surface(bias, 0.0, 100.0, 20.0, 30.0)
+    c = at([-5.0, -0.05, 0.0, 0.05, 5.0])
+    loss_mdps = 1e3 * find_effect("truncation").unit_dps(c, {"of_output": 1.0}, surface)
+    np.testing.assert_allclose(loss_mdps, [1.0, -1.0, -1.0, -1.0, -1.0])

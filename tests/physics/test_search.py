@@ -144,3 +144,12 @@ def test_what_a_robot_evaluates_has_its_law_as_c(effect: Effect) -> None:
     if effect.c_text is not None:
         law = effect.c_text.law(effect.typical(), repr, CMemory())
         assert all(f"PREFIX_{name.split('@')[0]}" in "".join(effect.c_text.helpers) for name in law.split("PREFIX_")[1:])  # fmt: skip
+
+
+def test_an_unusual_shape_starts_with_less_evidence() -> None:
+    search = find_effect("thermal_lag").search
+    assert search.nats_before({"tau_s": np.sqrt(60.0 * 600.0)}) == pytest.approx(0.0)
+    # At an end of what 95 % have, a normal density is exp(-1.96^2/2) of its middle.
+    for end in (60.0, 600.0):
+        assert search.nats_before({"tau_s": end}) == pytest.approx(-0.5 * 1.96**2, rel=1e-3)
+    assert find_effect("shupe").search.nats_before({}) == 0.0
