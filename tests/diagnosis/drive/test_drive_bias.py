@@ -295,3 +295,13 @@ def test_a_slip_that_one_curvature_shows_is_no_structure_without_a_name(resting:
     log = drive(replace(plan, effects={"skid_slip": -30.0, "exponent": 2.0}), 8)
     found = diagnose_drive("log", log, resting)
     assert "skid_slip" in [e.effect for e in found.diagnosis.effects]
+
+
+def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:
+    """Another path turns more to the other side."""
+    log = drive(replace(RESTS, shape="random", truth_m=0.02, truth_heading_deg=0.2), 8)
+    one_sided = replace(log, gyro_dps=np.where(log.gyro_dps > 0.0, 1.009, 1.0) * log.gyro_dps)
+    found = diagnose_drive("log", one_sided, resting)
+    assert "gyro_scale" not in [e.effect for e in found.diagnosis.effects]
+    assert "turn_rate" in [p.coordinate for p in found.diagnosis.located if p.remains]
+    assert found.robot is None or found.robot.parameters.gyro.scale == 0.0
