@@ -57,6 +57,7 @@ def offer_of(series: Series) -> Offer:
         channels=frozenset(f.name for f in fields(c) if getattr(c, f.name) is not None),
         lacking=series.untestable,
         supply_v=None if series.supply_v is None else float(np.median(series.supply_v)),
+        continuous=not series.is_table and series.raw.samples > 0 and series.raw.lattice_dps is None,
     )
 
 

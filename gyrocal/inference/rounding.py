@@ -16,6 +16,8 @@ Counts = NDArray[np.int64]
 
 #: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
 _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
+#: Steps between values from which the step is found, nearer ones first.
+_REACHES = (8.0, 64.0, 512.0)
 #: Share of means that stand where the one before stood, from which on these tell the steps of what was read.
 _STANDING = 0.3
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
@@ -53,6 +55,10 @@ def lattice(values: Floats) -> float | None:
     if gaps.size < _LATTICE_VALUES - 1:
         return None
     small = float(np.median(gaps[gaps < _ONE_STEP * gaps.min()]))
+    # Files round the step as well: what that leaves open of it adds up over many steps.
+    for reach in _REACHES:
+        near = gaps[gaps < reach * small]
+        small = float(np.sum(near) / np.sum(np.round(near / small)))
     multiples = gaps / small
     off = np.abs(multiples - np.round(multiples))
     if np.mean(off < _OFF_LATTICE + _ROUNDED / small) < _ON_LATTICE or small < _LEAST_LATTICE:

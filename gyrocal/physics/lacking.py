@@ -19,6 +19,7 @@ class Why(Enum):
     LATE = auto()
     STEADY_TEMPERATURE = auto()
     NO_CHANNEL = auto()
+    CONTINUOUS = auto()
     # What a run did not log or do.
     ANGLE_NOT_LOGGED = auto()
     SUPPLY_NOT_LOGGED = auto()

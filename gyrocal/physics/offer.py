@@ -38,6 +38,7 @@ class Offer:
     channels : fields of `Conditions` that the record has
     lacking : coordinate to the reason why the record cannot show it
     supply_v : usual supply, V; None where it was not read
+    continuous : whether single samples of the output were read, and lie on no lattice
     """
 
     t_s: tuple[float, float]
@@ -51,6 +52,7 @@ class Offer:
     channels: frozenset[str]
     lacking: Mapping[str, Reason]
     supply_v: float | None = None
+    continuous: bool = False
 
     @property
     def span_s(self) -> float:
@@ -103,6 +105,11 @@ def both_ways(offer: Offer) -> Reason | None:
 def data_at_rest(offer: Offer) -> Reason | None:
     """Rows at rest."""
     return None if np.any(np.abs(offer.rates_dps) < _REST_DPS) else Lack(Why.NO_REST)
+
+
+def on_a_lattice(offer: Offer) -> Reason | None:
+    """Samples on a lattice, or none that would show it."""
+    return Lack(Why.CONTINUOUS) if offer.continuous else None
 
 
 def steps_of_rate(offer: Offer) -> Reason | None:

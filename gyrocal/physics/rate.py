@@ -21,7 +21,7 @@ from gyrocal.physics.effect import (
 )
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
-from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates
+from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates, on_a_lattice
 from gyrocal.physics.search import Search, Shape, Unit
 from gyrocal.physics.surface import Surface
 
@@ -137,8 +137,11 @@ def _dead_widths(offer: Offer) -> list[dict[str, float]]:
         return []
     widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
     last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
-    # Of inputs within the zone two at least, or one and the rest are all the same to any form.
-    forms = [_AT_REST, _SMALL, _LOCKED, _BAND] if np.count_nonzero(small > 0) > 2 else [_AT_REST, _BAND]
+    # Of inputs within the zone two at least, or one and the rest are all the same to any form; without any, a dead band is
+    # a truncation.
+    forms = [_AT_REST]
+    if np.any(small > 0):
+        forms += [_BAND] if np.count_nonzero(small > 0) <= 2 else [_SMALL, _LOCKED, _BAND]
     return [{"width_dps": float(x), "form": form} for form in forms for x in (*widths, last)]
 
 
@@ -318,7 +321,7 @@ TRUNCATION = Effect(
     acts_on="converter",
     search=Search(
         grid=_rate_or_output,
-        requires=(many_rates, both_ways),
+        requires=(many_rates, both_ways, on_a_lattice),
         scatters=True,
         accounts_for=("quantisation",),
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.inference.rounding import StepCounts, harmonic, least_noise, mean_error, slope_error
+from gyrocal.inference.rounding import StepCounts, harmonic, lattice, least_noise, mean_error, slope_error
 
 
 @pytest.mark.parametrize("noise_steps", [0.05, 0.15, 0.3, 0.4, 0.5])
@@ -70,3 +70,13 @@ def test_means_among_samples_and_places_of_other_means_are_no_finer_steps() -> N
         counted.add(segment, np.round(rng.normal(mean, 1.4, 20_000)), 0.1)
     assert counted.step == 1.0
     assert 1.4 > counted.least_noise() > 1.2
+
+
+def test_steps_that_the_file_rounds_are_found_over_many_rates() -> None:
+    """A step of 0.7823 mdeg/s in six decimals is 0.000782 or 0.000783 each, and 0.0006 off after two of them."""
+    rng = np.random.default_rng(3)
+    rates = np.repeat([-150.0, -30.0, 0.1, 30.0, 150.0], 200)
+    step = 0.0007823
+    values = np.round(np.round(rng.normal(rates, 0.01) / step) * step, 6)
+    assert lattice(values) == pytest.approx(step, rel=1e-5)
+    assert lattice(np.round(rng.normal(rates, 0.01), 6)) is None

@@ -153,3 +153,11 @@ def test_an_unusual_shape_starts_with_less_evidence() -> None:
     for end in (60.0, 600.0):
         assert search.nats_before({"tau_s": end}) == pytest.approx(-0.5 * 1.96**2, rel=1e-3)
     assert find_effect("shupe").search.nats_before({}) == 0.0
+
+
+def test_an_output_that_is_cut_shows_its_steps_in_the_samples() -> None:
+    assert find_effect("truncation").why_not(WHOLE) is None
+    lack = find_effect("truncation").why_not(replace(WHOLE, continuous=True))
+    assert isinstance(lack, Lack)
+    assert lack.why is Why.CONTINUOUS
+    assert find_effect("dead_zone").why_not(replace(WHOLE, continuous=True)) is None
