@@ -198,6 +198,11 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
+    if effect.share < 1.0:
+        said.append(
+            f"{effect.effect} only resembles it: the law takes {100.0 * effect.share:.0f} % of the evidence for this {effect.family}, "
+            "and a curve without a name follows the rest."
+        )
     traded = traded_sentence(effect)
     if traded:
         said.append(traded)

@@ -191,6 +191,16 @@ def test_an_error_of_each_rate_has_no_law_that_would_be_in_no_file() -> None:
     assert any(not effect.runtime for block in BLOCKS for effect in effects_of(block))
 
 
+def test_a_ripple_over_temperature_is_of_a_higher_order_that_it_hardly_resembles() -> None:
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+    found = naming_of(2e-3 * np.sin(temp / 1.6), 2)
+    (law,) = found.named
+    assert law.law.effect == "temperature_order"
+    assert law.share < 0.5
+    assert "temperature" in found.unnamed
+    assert not found.fitted.model.holds(law.law)
+
+
 def test_what_swallows_small_rates_has_one_name() -> None:
     def named(effect: str, gain: float) -> Named:
         return Named(Law(effect, {}, np.zeros((1, 1))), "odd rate", gain, 1.0, {}, 1)

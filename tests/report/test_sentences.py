@@ -118,6 +118,14 @@ def test_same_error_before_is_not_said_twice_of_one_effect(shupe: Diagnosis) -> 
     assert any(s.startswith("All named physics together, against the surface alone: ") for s in said)
 
 
+def test_what_a_law_only_resembles_is_said_with_what_it_takes(shupe: Diagnosis) -> None:
+    (effect,) = shupe.effects
+    assert "only resembles" not in "\n".join(plain_sentences(shupe))
+    resembling = replace(shupe, effects=(replace(effect, share=0.57),))
+    told = "shupe only resembles it: the law takes 57 % of the evidence for this thermal transient"
+    assert any(told in s for s in plain_sentences(resembling))
+
+
 def test_nothing_named_has_no_row_of_gain(shupe: Diagnosis) -> None:
     nothing = replace(shupe, effects=(), improvement=HIDDEN, verdict="unexplained")
     assert next(t for t in tables(nothing) if t.name == "improvement").rows == []
