@@ -13,6 +13,7 @@ class Why(Enum):
     # Ranges of a record.
     NO_TURN = auto()
     FEW_RATES = auto()
+    FEW_SIZES = auto()
     ONE_WAY = auto()
     NO_REST = auto()
     NO_STEPS = auto()

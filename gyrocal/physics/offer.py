@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 
 #: Fewer different rates than this carry no shape beyond the cubic.
 _FEWEST_RATES = 6
+#: And fewer sizes of rate no shape that is odd in it: slope and cubic take two, a law one, and one is left to check it.
+_FEWEST_SIZES = 4
 #: Rates below this are rest, deg/s.
 _REST_DPS = 0.01
 #: Half of a gyro's warm-up is over by then, and the rest of it is a drift, s.
@@ -95,6 +97,14 @@ def many_rates(offer: Offer) -> Reason | None:
     if count >= _FEWEST_RATES:
         return None
     return Lack(Why.FEW_RATES, {"count": count, "fewest": _FEWEST_RATES})
+
+
+def many_sizes(offer: Offer) -> Reason | None:
+    """Enough sizes of rate for a shape that is odd in it beyond the cubic."""
+    count = int(np.count_nonzero(offer.sizes_dps > _REST_DPS))
+    if count >= _FEWEST_SIZES:
+        return None
+    return Lack(Why.FEW_SIZES, {"count": count, "fewest": _FEWEST_SIZES})
 
 
 def both_ways(offer: Offer) -> Reason | None:

@@ -21,7 +21,7 @@ from gyrocal.physics.effect import (
 )
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
-from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates, on_a_lattice
+from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates, many_sizes, on_a_lattice
 from gyrocal.physics.search import Search, Shape, Unit
 from gyrocal.physics.surface import Surface
 
@@ -369,7 +369,7 @@ SATURATION = Effect(
     reference="limits of electronics and digitiser",
     runtime=True,
     error_dps=memoryless(_saturation),
-    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates,)),
+    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates, many_sizes)),
     c_text=CText(_saturation_c),
 )
 
@@ -390,7 +390,7 @@ RATE_ORDER = Effect(
     runtime=True,
     error_dps=memoryless(_rate_order),
     # Where a mechanism does as well to within 20 to 1, it is the mechanism.
-    search=Search(grid=_orders, columns=_order_columns, requires=(many_rates,), prior_nats=-3.0),
+    search=Search(grid=_orders, columns=_order_columns, requires=(many_rates, many_sizes), prior_nats=-3.0),
     hiding=Hiding(_draw_order),
     c_text=CText(_rate_order_c, (POWER,)),
 )

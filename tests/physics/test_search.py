@@ -161,3 +161,13 @@ def test_an_output_that_is_cut_shows_its_steps_in_the_samples() -> None:
     assert isinstance(lack, Lack)
     assert lack.why is Why.CONTINUOUS
     assert find_effect("dead_zone").why_not(replace(WHOLE, continuous=True)) is None
+
+
+@pytest.mark.parametrize("name", ["saturation", "rate_order"])
+def test_three_sizes_of_rate_have_nothing_left_to_check_an_odd_law_by(name: str) -> None:
+    """Slope, cubic and any such law go through all three of them, and apart between them."""
+    assert find_effect(name).why_not(WHOLE) is None
+    three = replace(WHOLE, rates_dps=np.array([-100.0, -70.0, -40.0, 0.0, 40.0, 70.0, 100.0]))
+    lack = find_effect(name).why_not(three)
+    assert isinstance(lack, Lack)
+    assert lack.why is Why.FEW_SIZES
