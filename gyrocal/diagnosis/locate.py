@@ -68,8 +68,7 @@ def located(found: Examination, level: float) -> list[Located]:
         if p > level:
             continue
         share = float(np.mean(curves[block] ** 2)) / total
-        left = found.naming.unnamed.get(block, 0.0)
-        remains = block_p_value(left, len(BLOCKS)) < level
+        remains = block_p_value(_left(found, block), len(BLOCKS)) < level
         if block == WANDERING and remains:
             # A bias that wanders by no law is noise, and is told as such (`engine._noise`).
             continue
@@ -90,6 +89,13 @@ def located(found: Examination, level: float) -> list[Located]:
         coordinate = "table_angle" if "angle" in pattern.family else "time_since_step"
         places.append(Located(coordinate, "mean", pattern.p_value, 0.0, False, rms_dps=rms))
     return places
+
+
+def _left(found: Examination, block: str) -> float:
+    """What is left of a block, nats: of one that stands in the model for laws which no robot evaluates, what they lack."""
+    stood_for = [n for n in found.naming.named if n.block == block and not found.model.holds(n.law)]
+    lacking = 1.0 - min(max((n.share for n in stood_for), default=0.0), 1.0)
+    return found.naming.unnamed.get(block, 0.0) * lacking
 
 
 def _jumps(found: Examination) -> list[Located]:

@@ -43,6 +43,10 @@ def table(sizes: list[float], seed: int) -> DataSetTable:
 def test_the_file_of_a_gyro_with_a_dead_band_is_right_beyond_it_and_calm_within(sizes: list[float]) -> None:
     found = diagnose(series_of_table(table(sizes, 1)), None, Options(heldout=False))
     assert found.improved is not None
+    assert [e.effect for e in found.effects][:1] == ["dead_zone"]
+    if min(sizes) < _WIDTH:
+        # The zone itself was seen, and the law of it leaves nothing.
+        assert not any(p.remains for p in found.located if p.coordinate == "rate")
     robot = Compensator(found.improved)
     temp = np.linspace(0.0, 40.0, 41)
     for size in (0.0, *(s for s in sizes if s > _WIDTH)):
