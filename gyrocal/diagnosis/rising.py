@@ -43,9 +43,10 @@ def _freed(fitted: Fitted, part: Part) -> Fitted:
     if not falling.size:
         return fitted
     for narrow in range(1, len(part.columns) + 1):
+        # Of models that are averaged each may keep others: what differs has another name.
         gone, stays = (
-            replace(part, columns=part.columns[own], weights=part.weights[own])
-            for own in (slice(narrow), slice(narrow, None))
+            replace(part, name=f"{part.name}{of}", columns=part.columns[own], weights=part.weights[own])
+            for own, of in ((slice(narrow), ", within"), (slice(narrow, None), f" from {narrow}"))
         )
         split = _split(fitted, part, gone, stays, float(falling.max()))
         if np.min(_slopes(split, stays)[1]) >= _LEAST_RISE - 1.0:
@@ -68,16 +69,16 @@ def _slopes(fitted: Fitted, part: Part) -> tuple[Floats, Floats]:
 def _split(fitted: Fitted, part: Part, gone: Part, stays: Part, edge_dps: float) -> Fitted:
     """The same variances, with the columns that go as a component that does not stay, of the rows within the zone alone."""
     model, fit = fitted.model, fitted.fit
-    within = f"{part.name}, within"
     inside = np.abs(model.means.rate_dps) <= edge_dps
     components = {n: c for n, c in model.components.items() if n != part.name}
-    components[within] = Component(within, np.asarray(model.basis.component(gone).columns) * inside[:, None])
+    swallowed = np.asarray(model.basis.component(gone).columns) * inside[:, None]
+    components[gone.name] = Component(gone.name, swallowed)
     if stays.columns:
-        components[part.name] = model.basis.component(stays)
+        components[stays.name] = model.basis.component(stays)
     parts = tuple(stays if p is part else p for p in model.parts if p is not part or stays.columns)
-    fit = replace(
-        fit,
-        variance={**fit.variance, within: fit.variance[part.name]},
-        log_variance={**fit.log_variance, within: fit.log_variance[part.name]},
+    variance, log_variance = (
+        {**known, gone.name: known[part.name], stays.name: known[part.name]}
+        for known in (fit.variance, fit.log_variance)
     )
+    fit = replace(fit, variance=variance, log_variance=log_variance)
     return replace(fitted, model=replace(model, parts=parts, components=components), fit=fit)

@@ -311,7 +311,8 @@ def _with_truth(
     beside = found.told(GYRO_SCALE.id) ** 2
     if truth.believed(GYRO_SCALE.id) and gain > max(beside, 2.0 * np.log(OUT)):
         gain += truth.told(GYRO_SCALE.id) ** 2 - beside
-    structure = min(truth.odd.values(), default=1.0)
+    # Encoders whose difference to the gyro changes with time, as of a wheel that grows, would have it taken for a bias.
+    structure = min(*truth.odd.values(), yaw.strangers["time"][2], 1.0)
     better = structure >= STRANGER_P or stats.chi2.sf(gain, 1) < structure
     return (gain, found) if better else (0.0, None)
 
