@@ -30,7 +30,9 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
         formula = "\n".join(
             ["Terms beside the surface, with 95 % intervals:", *_formula(found), "", *_valid(found)]
         )
-        files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula)
+        d = found.match.difference
+        began_s = float(d.t_s[0]) if d.has_time and d.since_power_on_s is None else None
+        files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula, began_s)
     return files
 
 

@@ -110,7 +110,8 @@ class Versus:
             "verdict": self.diagnosis.verdict,
             "matching": self.match.to_json(),
             "law": {
-                "says": "output = simulated output + S - S_simulated + sum of the terms, S and S_simulated in deg/s",
+                "says": "output = simulated output + S - S_simulated + sum of the terms, S and S_simulated in deg/s; of a parameter with "
+                "`in_the_sum` the term has that, and smooth terms the rest of its value",
                 "surface": _surface_json(self.law),
                 "simulated_surface": self.match.surface.to_json(),
                 "valid": _valid_json(self.match.difference),
@@ -307,8 +308,14 @@ def _terms_json(law: Coefficients, found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _parameter_json(entry: Mapping[str, Any], estimate: Estimate | None, one_of: bool) -> dict[str, Any]:
+    value = float(entry["value"])
     if estimate is not None:
-        return estimate.to_json() | ({} if one_of else {"value": float(entry["value"])})
-    value, std = float(entry["value"]), float(entry.get("std") or 0.0)
+        low, high = estimate.interval_95
+        told = estimate.to_json()
+        if one_of or low <= value <= high:
+            return told | ({} if one_of else {"value": value})
+        # Smooth parts have the rest of it: the sum needs the share that this term has, and a reader what all of it is.
+        return told | {"in_the_sum": value}
+    std = float(entry.get("std") or 0.0)
     interval = [value - NORMAL_95 * std, value + NORMAL_95 * std]
     return {"value": value, "std": std, "unit": entry.get("unit", ""), "interval_95": interval}

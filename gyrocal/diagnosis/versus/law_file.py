@@ -135,15 +135,20 @@ def added_dps(rate_dps, temp_c, **channels):
 
     Channels by name: t_s, since_power_on_s (s), angle_deg, supply_v, since_step_s, step_dps, data_set_index.
     """
-    w, temp = (np.asarray(x, dtype=float) for x in (rate_dps, temp_c))
-    c = Conditions(w, temp, **{name: np.asarray(x, dtype=float) for name, x in channels.items()})
+    w, temp = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (rate_dps, temp_c))
+    given = {name: np.atleast_1d(np.asarray(x, dtype=float)) for name, x in channels.items()}
+    if BEGAN_S is not None and "t_s" in given:
+        given.setdefault("since_power_on_s", given["t_s"] - BEGAN_S)
+    c = Conditions(w, temp, **given)
     e = SURFACE.added_dps(w, temp) - SIMULATED.added_dps(w, temp)
 @terms@
     return e
 '''
 
 
-def python_file(coefficients: Coefficients, already: Surface, title: str, formula: str) -> str:
+def python_file(
+    coefficients: Coefficients, already: Surface, title: str, formula: str, began_s: float | None = None
+) -> str:
     """Source of a module with one function, ``added_dps(rate_dps, temp_c, **channels)``.
 
     Parameters
@@ -151,6 +156,7 @@ def python_file(coefficients: Coefficients, already: Surface, title: str, formul
     coefficients : surface of the gyro, and terms of bench and robot alike
     already : the surface that the simulation has
     title, formula : for the module's docstring
+    began_s : from which t_s on the time since power-on counts, where nobody said when that was
     """
     laws: dict[str, str] = {}
     modules: dict[str, str] = {}
@@ -175,7 +181,8 @@ def python_file(coefficients: Coefficients, already: Surface, title: str, formul
         _surface_source("SIMULATED", already),
     )
     body = "\n\n".join([*laws.values(), *parts, *surfaces])
-    return head + smooth + "\n" + body + "\n\n" + _TAIL.replace("@terms@", "\n".join(lines))
+    began = f"#: t_s from which since_power_on_s counts where it is not given.\nBEGAN_S = {began_s!r}\n"
+    return head + smooth + "\n" + began + "\n" + body + "\n\n" + _TAIL.replace("@terms@", "\n".join(lines))
 
 
 def _surface_source(name: str, s: Surface) -> str:

@@ -95,3 +95,14 @@ def test_it_needs_numpy_alone_and_asks_for_its_channels(tmp_path: Path) -> None:
     )
     assert done.stdout.split("\n")[:2] == ["[0.01]", "False False"]
     assert "the law needs since_power_on_s: give it by this name" in done.stderr
+
+
+def test_time_since_power_on_counts_from_where_the_record_began() -> None:
+    warm_up = term("warm_up")
+    law = Coefficients(
+        {"model": "t"}, SURFACE, np.eye(12), Valid((-100.0, 100.0), (-10.0, 50.0)), terms=(warm_up,)
+    )
+    added = function_of(python_file(law, SURFACE, "Title.", "- formula", began_s=40.0))
+    told = added([10.0, 10.0], [20.0, 20.0], since_power_on_s=[0.0, 60.0])
+    np.testing.assert_array_equal(added([10.0, 10.0], [20.0, 20.0], t_s=[40.0, 100.0]), told)
+    np.testing.assert_array_equal(added(10.0, 20.0, t_s=40.0), told[:1])
