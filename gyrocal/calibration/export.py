@@ -243,7 +243,8 @@ _DOCUMENT = """\
  *
  * error    error of the gyro at its output (deg/s) and temperature (deg C), deg/s
  * correct  corrected rate: output minus error, deg/s
- * flags    sum of 1: rate, 2: temperature outside the valid range, 4: not finite; 0 is good
+ * flags    sum of 1: rate, 2: temperature outside the valid range, 4: not finite; 0 is good. What a term was
+ *          fitted to is not looked at here; gyrocal apply flags that with 32
  *
 @more@ * C99, @library@. Not for -ffast-math, which breaks the sums of two floats and the tests for NaN.
  * In float the surface is exact to its last digit; the corrected rate has the steps of a float

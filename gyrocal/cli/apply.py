@@ -43,7 +43,8 @@ def command(
     the terms that `diagnose` added. The noise of the sample itself is not in it.
 
     flag is a sum: 1 rate, 2 temperature outside the range that the calibration covers; 4 not finite;
-    8 bad status; 16 temperature held from an earlier sample. 0 is good.
+    8 bad status; 16 temperature held from an earlier sample; 32 beyond what a
+    term was fitted to. 0 is good.
 
     Example: gyrocal apply run --coefficients fog.json -o corrected.csv
     """
