@@ -311,6 +311,7 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
         columns = tuple(Column(_legendre(n)) for n in orders)
         falling = tuple(_STEP**k for k in range(len(columns)))
         found.append(_part(f"{parity} orders", block, columns, falling))
+        # A rate that is near to rest stands for rest, where bumps begin.
         if _apart(sizes[sizes > 0.0], spacing) > _VISITED_RATES * _RATE_BUMPS:
             width = _RATE_BUMP * frame.rate_scale_dps
             bumps = [Factor(f"{parity}_bump", (float(c), width)) for c in centers[first:]]

@@ -6,6 +6,7 @@ there would make noise of what is near to rest, or throw it from one edge of the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.parts import Part
 from gyrocal.inference.additive import Component
 from gyrocal.physics.shapes import ASINH_SHARE
-from gyrocal.physics.smooth import rate_factors
+from gyrocal.physics.smooth import Frame, rate_factors
 
 Floats = NDArray[np.float64]
 
@@ -31,17 +32,22 @@ def rising(fitted: Fitted) -> Fitted:
     The narrowest shapes are fitted to the rows within the zone alone, and explain what was swallowed there; the others
     follow what lies beyond, at the same variances.
     """
+    amplitudes = fitted.solve().amplitudes
     for part in fitted.model.parts:
-        if all(c.rate.kind.endswith("asinh_bump") for c in part.columns):
-            fitted = _freed(fitted, part)
+        if part.name in amplitudes and all(c.rate.kind.endswith("asinh_bump") for c in part.columns):
+            fitted, amplitudes = _freed(fitted, part, amplitudes)
     return fitted
 
 
-def _freed(fitted: Fitted, part: Part) -> Fitted:
-    rates_dps, slopes = _slopes(fitted, part)
+def _freed(
+    fitted: Fitted, part: Part, amplitudes: Mapping[str, Floats]
+) -> tuple[Fitted, Mapping[str, Floats]]:
+    """The model less the narrowest shapes of a part, as many as need be, and its amplitudes."""
+    frame = fitted.model.basis.frame
+    rates_dps, slopes = _slopes(part, amplitudes, frame)
     falling = np.abs(rates_dps[slopes < _LEAST_RISE - 1.0])
     if not falling.size:
-        return fitted
+        return fitted, amplitudes
     for narrow in range(1, len(part.columns) + 1):
         # Of models that are averaged each may keep others: what differs has another name.
         gone, stays = (
@@ -49,21 +55,19 @@ def _freed(fitted: Fitted, part: Part) -> Fitted:
             for own, of in ((slice(narrow), ", within"), (slice(narrow, None), f" from {narrow}"))
         )
         split = _split(fitted, part, gone, stays, float(falling.max()))
-        if np.min(_slopes(split, stays)[1]) >= _LEAST_RISE - 1.0:
+        left = split.solve().amplitudes
+        if not stays.columns or np.min(_slopes(stays, left, frame)[1]) >= _LEAST_RISE - 1.0:
             break
-    return split
+    return split, left
 
 
-def _slopes(fitted: Fitted, part: Part) -> tuple[Floats, Floats]:
+def _slopes(part: Part, amplitudes: Mapping[str, Floats], frame: Frame) -> tuple[Floats, Floats]:
     """Rates, and how fast what a part adds rises there, deg/s for each deg/s."""
-    frame = fitted.model.basis.frame
     reach = np.arcsinh(1.0 / ASINH_SHARE)
     rates_dps = ASINH_SHARE * frame.rate_scale_dps * np.sinh(np.linspace(-reach, reach, _PLACES))
-    amplitudes = fitted.solve().amplitudes.get(part.name, np.zeros(len(part.columns)))
     factors = rate_factors(rates_dps, frame, [c.rate for c in part.columns])
     columns = [w * factors[c.rate] for w, c in zip(part.weights, part.columns, strict=True)]
-    added_dps = np.column_stack(columns) @ amplitudes if columns else np.zeros(_PLACES)
-    return rates_dps, np.gradient(added_dps, rates_dps)
+    return rates_dps, np.gradient(np.column_stack(columns) @ amplitudes[part.name], rates_dps)
 
 
 def _split(fitted: Fitted, part: Part, gone: Part, stays: Part, edge_dps: float) -> Fitted:

@@ -81,7 +81,7 @@ class Search:
     prior_nats : float
         Evidence it starts with. What claims no mechanism starts below a law.
     usual : mapping
-        Parameter of its shape to the ends between which 95 % of what is built lie, evenly over its logarithm.
+        Parameter of its shape to the ends between which 95 % of what is built lie; its logarithm is taken for normal.
     natural : tuple of float, optional
         The amplitude that physics leads one to expect, and the standard deviation of its logarithm about that: without it
         a shape that does next to nothing beyond the surface may have any amplitude.

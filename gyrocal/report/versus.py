@@ -30,9 +30,7 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
         formula = "\n".join(
             ["Terms beside the surface, with 95 % intervals:", *_formula(found), "", *_valid(found)]
         )
-        d = found.match.difference
-        began_s = float(d.t_s[0]) if d.has_time and d.since_power_on_s is None else None
-        files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula, began_s)
+        files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula, _began_s(found))
     return files
 
 
@@ -99,9 +97,16 @@ def _valid(found: Versus) -> list[str]:
         f"Known from {d.rate_dps.min():.4g} to {d.rate_dps.max():.4g} deg/s and from {d.temp_c.min():.4g} to "
         f"{d.temp_c.max():.4g} degC."
     ]
-    if d.has_time and d.since_power_on_s is None:
-        lines.append(f"since_power_on_s, where a law needs it, counts from t_s = {d.t_s[0]:g} s.")
+    began_s = _began_s(found)
+    if began_s is not None:
+        lines.append(f"since_power_on_s, where a law needs it, counts from t_s = {began_s:g} s.")
     return lines
+
+
+def _began_s(found: Versus) -> float | None:
+    """From which t_s on the time since power-on counts, where nobody said when that was."""
+    d = found.match.difference
+    return float(d.t_s[0]) if d.has_time and d.since_power_on_s is None else None
 
 
 def _formula(found: Versus) -> list[str]:

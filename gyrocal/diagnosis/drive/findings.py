@@ -209,7 +209,7 @@ def _turns_are_odd(yaw: YawAnswer, truth: TruthAnswer | None) -> bool:
     """Whether the gyro's turns miss the truth in a way that no scale makes: then their ratio tells no track either."""
     if truth is None or truth.mirrored:
         return False
-    return truth.odd["turn_rate"] < STRANGER_P or _goes_by_place(yaw, truth)
+    return _changes(GYRO_SCALE.id, yaw, truth)
 
 
 def _against(c: float, std: float, truth: TruthAnswer | None) -> dict[str, float]:

@@ -16,7 +16,7 @@ from gyrocal.diagnosis.drive.search import GAIN, _gain
 from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.diagnosis.drive.yaw import evidence
 from gyrocal.records.drive import DriveBlock
-from gyrocal.records.robot import Robot, read_robot
+from gyrocal.records.robot import Robot, read_robot, robot_of
 from gyrocal.report.remarks import remark_words
 from tests.diagnosis.drive.fleet import Plan, drive
 
@@ -295,6 +295,19 @@ def test_a_slip_that_one_curvature_shows_is_no_structure_without_a_name(resting:
     log = drive(replace(plan, effects={"skid_slip": -30.0, "exponent": 2.0}), 8)
     found = diagnose_drive("log", log, resting)
     assert "skid_slip" in [e.effect for e in found.diagnosis.effects]
+
+
+def test_a_jump_is_tried_beside_a_bias_in_motion(resting: Robot) -> None:
+    """A wheel that grows looks like either: what a tried jump says of the lag of the motion was asked of laws without it."""
+    plan = Plan(
+        "random", 8.0, 20.0, rest_s=10.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=5e-4,
+        truth_m=0.3, truth_heading_deg=0.2,
+    )  # fmt: skip
+    log = drive(plan, 1)
+    late = np.arange(len(log)) > len(log) // 2
+    robot = robot_of({"wheel_separation_m": plan.separation_m, "static_s": 10.0}, resting.source)
+    found = examine("log", replace(log, left_m=np.where(late, 1.01, 1.0) * log.left_m), robot, None)
+    assert "time" in found.yaw.odd
 
 
 def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:
