@@ -65,6 +65,8 @@ class Said(Enum):
     BIAS_WHILE_MOVING = auto()
     BIAS_NO_REST = auto()
     BIAS_JUMPS = auto()
+    WHEELS_CHANGE = auto()
+    TRACK_CHANGES = auto()
     TRACK_MIXED_UP = auto()
 
 

@@ -124,9 +124,14 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.BIAS_IN_MOTION: "In motion the gyro's bias is another than at the rest at the start.",
     Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias is another than while it stands, as that of a gyro that is shaken.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
-    Said.BIAS_JUMPS: "The gyro's bias jumps by {jump_dps:.3g} deg/s (95 %: {least_dps:.3g} to {most_dps:.3g}) at {until_s:.0f} s (95 %: "
+    Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",
+    Said.WHEELS_CHANGE: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the way of the right wheel less that of the "
+    "left is another by {change:.3g} % (95 %: {least:.3g} to {most:.3g}), as of a tyre that loses air or a load that shifts; no robot "
+    "file holds that",
+    Said.TRACK_CHANGES: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the encoders' turns are others by {change:.3g} % "
+    "(95 %: {least:.3g} to {most:.3g}), as on another ground; no robot file holds that",
     Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "
     "for a track.",
 }

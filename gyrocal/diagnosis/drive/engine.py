@@ -13,11 +13,9 @@ from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wr
 from gyrocal.diagnosis.drive.findings import (
     OUT,
     Scale,
-    bias_jump,
     joint_estimate,
     named_effects,
     not_testable,
-    places,
     scales,
     verdict,
 )
@@ -32,6 +30,7 @@ from gyrocal.diagnosis.drive.improved import (
 )
 from gyrocal.diagnosis.drive.jumps import instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.places import instants, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
@@ -178,8 +177,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     if truth is not None and truth.mirrored:
         notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = scales(yaw, truth)
-    if "jump" in yaw.chosen:
-        notes.append(bias_jump(yaw, truth))
+    notes += instants(yaw, truth)
     clock = uneven_clock(log.t_s)
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
     return Examined(
@@ -215,8 +213,16 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
             less = yaw.less([other]).with_law(name, gain)
             alone = _asked(series, less, truth)
             if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
-                return less, alone
-        yaw, truth = yaw.with_law(name, gain), found
+                return _wheels_beside(less, alone), alone
+        yaw, truth = _wheels_beside(yaw.with_law(name, gain), found), found
+
+
+def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
+    """With what wheels that differ gain beside a law of the bias that the truth shows: they may have stood for it."""
+    if "asymmetry" not in yaw.named:
+        return yaw
+    value, std = joint_estimate(yaw, truth, "asymmetry")
+    return yaw.gaining({**yaw.named, "asymmetry": (value / std) ** 2})
 
 
 def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:

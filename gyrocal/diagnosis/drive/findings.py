@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, known_before
+from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -33,7 +33,7 @@ from gyrocal.physics.drive import (
     WHEEL_SCALE,
 )
 from gyrocal.physics.lacking import Lack, Reason, Why
-from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95, RAD_TO_DEG
+from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG
 
 #: Evidence against a rival beyond which it is no rival.
 OUT = 20.0
@@ -48,8 +48,6 @@ _KNOWN = 0.02
 #: A delay this near to half a row, of a row, may be that of samples: drives thinned to one and two rows a second came within
 #: 0.1, a noisier one within 0.2. How often a true delay falls there was not measured.
 _HALF_A_ROW = 0.2
-#: Noise above what the robot file says by more than this is no noise of that kind.
-_NOISY = 4.0
 #: A ratio of turns is the track's unless another cause is likelier by more than this (3 to 1): of the three it is known least.
 _LIKELIER = 2.0 * float(np.log(3.0))
 #: Wheels and gyros are seldom off by so much, tracks have been by 130 %: a smaller ratio of turns that the truth
@@ -84,8 +82,10 @@ def estimate(effect: str, value: float, std: float) -> Estimate:
 def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
     """A law of the heading difference and its standard deviation, with what the truth adds."""
     value, std = yaw.estimate(name)
-    if truth is None or truth.mirrored or name not in truth.values:
+    if truth is None or truth.mirrored:
         return value, std
+    if name not in truth.values:
+        return yaw.beside(name, np.array([truth.values[n] for n in yaw.of_bias]), truth.of_laws)
     return value + truth.values[name], truth.stds[name]
 
 
@@ -372,82 +372,9 @@ def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedE
     return gain, _effect(GYRO_BIAS.id, parameters, p, others, Remark(Said.BIAS_NO_REST))
 
 
-def places(
-    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, effects: list[NamedEffect]
-) -> list[Located]:
-    """Where the difference lives: with the named effects, and where something is left that has no name."""
-    # Shares of the gain of what is named; chi-square from p-values would overflow.
-    gains = {effect_of(n, yaw): g for n, g in yaw.named.items()}
-    whole = max(sum(gains.values()), 1e-300)
-    found: dict[str, Located] = {}
-    for effect in effects:
-        coordinate = DRIVE_CATALOGUE[effect.effect].seen_in
-        if coordinate not in found:
-            share = gains.get(effect.effect, float("nan")) / whole
-            found[coordinate] = Located(coordinate, "mean", effect.p_value, share, finding=effect.effect)
-    odd = {c: p for c, (_, _, p) in yaw.strangers.items() if c in yaw.odd}
-    if truth is not None:
-        for coordinate, p in truth.odd.items():
-            if p < STRANGER_P:
-                odd[coordinate] = min(p, odd.get(coordinate, 1.0))
-    ratio, granted = (
-        yaw.estimate("track")[0] if "track" in yaw.chosen else 0.0,
-        known_before(series)["track"][1],
-    )
-    if undecided(yaw, effects) and abs(ratio) > NORMAL_95 * granted:
-        # A ratio of turns that is no name's, and more than the robot file grants.
-        odd["turn_rate"] = min(float(stats.chi2.sf(yaw.named["track"], 1)), odd.get("turn_rate", 1.0))
-    if any(e.effect == ROBOT_TILT.id for e in effects):
-        odd.pop("heading", None)
-    left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
-    if "jump" in yaw.chosen:
-        end_s = float(series.t_s[-1])
-        left = [
-            replace(one, low=yaw.jump_s, high=end_s, unit="s", target="bias")
-            if one.coordinate == "time"
-            else one
-            for one in left
-        ]
-    return [*found.values(), *left, *_noisy(series, yaw)]
-
-
-def bias_jump(yaw: YawAnswer, truth: TruthAnswer | None) -> Remark:
-    """When and by how much the bias jumps."""
-    before, std = joint_estimate(yaw, truth, "jump")
-    begin_s = yaw.model.frame.series.t_s[0]
-    times = {name: at_s - begin_s for name, at_s in yaw.laws["jump"].shape.items()}
-    half = NORMAL_95 * std
-    sizes = {"jump_dps": -before, "least_dps": -before - half, "most_dps": -before + half}
-    return Remark(Said.BIAS_JUMPS, sizes | times)
-
-
 def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:
     """Whether encoders and gyro turn by a ratio of which the log does not say whose it is."""
     return "track" in yaw.named and _RATIO.isdisjoint(e.effect for e in effects)
-
-
-def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
-    """Noise far above what the robot file gives: something lives there that no law here describes.
-
-    Its p-value is that of the level found where the file's is the true one; levels are normal in their logarithm.
-    """
-    noise, usual, found = yaw.model.noise, yaw.model.usual, []
-    given = series.robot.given
-    for field, key, coordinate in (
-        ("slip_m_per_rt_m", "noise.wheel_slip_m_per_rt_m", "speed"),
-        ("turn", "noise.turn_slip_deg_per_rt_deg", "turn_rate"),
-    ):
-        ratio = getattr(noise, field) / getattr(usual, field)
-        if key not in given or ratio <= _NOISY:
-            continue
-        p = float(stats.norm.sf(np.log(ratio) / yaw.model.log_std[field]))
-        if p < STRANGER_P:
-            found.append(
-                Located(
-                    coordinate, "variance", p, float("nan"), remains=True, target="noise", times_given=ratio
-                )
-            )
-    return found
 
 
 def verdict(effects: list[NamedEffect], located: list[Located]) -> Verdict:

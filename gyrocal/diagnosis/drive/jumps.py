@@ -71,32 +71,38 @@ def jump_of(
 ) -> dict[str, Law]:
     """A bias that jumps and stays, at the likeliest instant, if it is less likely to be chance than `least`.
 
-    It has to be likelier than track or wheels that are others from some instant on.
+    Where track or wheels that are others from some instant on are likelier, these instead, at theirs: a law of no name, for
+    no robot file holds it, beside which whatever might have stood for it is to be weighed.
+
+    Returns
+    -------
+    dict of str to Law
+        One by the name ``jump``, one by ``time:`` and the name of a wheel's law, or none.
     """
-    series, ends_s = model.frame.series, model.frame.nodes.t_s
+    ends_s = model.frame.nodes.t_s
     columns = {n: laws[n].column for n in chosen}
 
-    def gains(of: Mapping[str, Floats]) -> Floats:
-        told = evidence(model, {**columns, **of}).knowing(known)
-        return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
+    def until(name: str, at_s: float) -> Floats:
+        return np.where(ends_s < at_s, laws[name].column, 0.0)
 
-    def of_bias(instants_s: Floats) -> Floats:
-        of = {f"jump:{k}": jump(model.frame, t).column for k, t in enumerate(instants_s.tolist())}
-        return gains(of)
+    def likeliest(name: str) -> Instant | None:
+        def gains(instants_s: Floats) -> Floats:
+            of = {f"{name}:{k}": until(name, t) for k, t in enumerate(instants_s.tolist())}
+            told = evidence(model, columns | of).knowing(known)
+            return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
 
-    found = _likeliest(float(series.t_s[0]), float(series.t_s[-1]), of_bias, least)
-    if found is None:
+        return _likeliest(float(model.frame.series.t_s[0]), float(ends_s[-1]), gains, least)
+
+    bias = likeliest("bias")
+    if bias is None:
         return {}
-    tried_s = np.linspace(ends_s[0], ends_s[-1], _INSTANTS + 2)[1:-1].tolist()
-    wheels = {
-        f"{n}:{k}": np.where(ends_s < t, laws[n].column, 0.0)
-        for n in ("track", "asymmetry")
-        if n in laws
-        for k, t in enumerate(tried_s)
-    }
-    if wheels and gains(wheels).max() > found.gain:
-        return {}
-    return {"jump": law_at(model.frame, found)}
+    wheels = {n: likeliest(n) for n in ("track", "asymmetry") if n in laws}
+    likelier = {n: x for n, x in wheels.items() if x is not None and x.gain > bias.gain}
+    if not likelier:
+        return {"jump": law_at(model.frame, bias)}
+    name, instant = max(likelier.items(), key=lambda item: item[1].gain)
+    shape = {"until_s": instant.at_s, "earliest_s": instant.earliest_s, "latest_s": instant.latest_s}
+    return {f"time:{name}": replace(laws[name], shape=shape, column=until(name, instant.at_s))}
 
 
 def law_at(frame: Frame, instant: Instant) -> Law:

@@ -302,8 +302,10 @@ def strangers(frame: Frame) -> dict[str, Floats]:
         # Each wheel's scale in two steps of the speed.
         "speed": [x * step for x in (c.left_m, c.right_m) for step in steps] + [way * np.abs(speed)],
         "time": [turn * share, way * share, way * share**2],
+        # A wheel's way and what a gyro lacks of a turn, as on a slope, and what a field of the earth adds to a gyro.
         "heading": [f(heading) * way for f in (np.cos, np.sin)]
-        + [f(2 * heading) * turn for f in (np.cos, np.sin)],
+        + [f(2 * heading) * turn for f in (np.cos, np.sin)]
+        + [f(heading) * c.dt_s for f in (np.cos, np.sin)],
         "turn_rate": [turn * (turn > 0), turn * c.gyro_dps, turn * c.gyro_dps**2],
         "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way],
     }

@@ -7,10 +7,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.laws import KINDS
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.yaw import Evidence
 
 Floats = NDArray[np.float64]
+
+#: Gain by which a law is 20 times as likely as another: with less, either may have made the log.
+_AS_LIKELY = 2.0 * float(np.log(20.0))
 
 
 def of_motion(laws: Iterable[str]) -> list[str]:
@@ -38,3 +41,19 @@ def middling(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> l
     likely, values = likely_motions(told, chosen, motions)
     away = np.where(likely >= 0.5 * likely.max(), np.abs(values - likely @ values), np.inf)
     return [motions[int(np.argmin(away))] if n == taken else n for n in chosen]
+
+
+def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], least: float) -> list[str]:
+    """With a bias that goes by the temperature in place of one that came with the motion and did not go with it.
+
+    Later rests at which a bias stays as it is in motion deny that the motion made it; what then changed between the rest at
+    the start and the drive is as well, and in gyros more often, the temperature.
+    """
+    laws = list(laws)
+    taken = next((n for n in chosen if KINDS[n].group == "motion"), None)
+    if taken is None or "slope" in chosen or not {"slope", AT_ONCE} <= set(laws):
+        return list(chosen)
+    beside = [n for n in chosen if n != taken]
+    gain, warmed, at_once = (told.added(beside, [n]) for n in (taken, "slope", AT_ONCE))
+    denied, as_likely = at_once < gain - _AS_LIKELY, warmed >= max(least, gain - _AS_LIKELY)
+    return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)

@@ -81,6 +81,8 @@ class TruthAnswer:
         ``mounting`` (rad, where there are headings).
     covariance : ndarray, shape (2, 2)
         Of `SCALES`.
+    of_laws : ndarray, shape (p, p)
+        Covariance of the laws of the bias that the heading difference knows, in the order of `BiasLaws.names`.
     odd : mapping
         Coordinate -> p-value of structure that nothing here explains.
     mirrored : bool
@@ -96,6 +98,7 @@ class TruthAnswer:
     values: Mapping[str, float]
     stds: Mapping[str, float]
     covariance: Floats
+    of_laws: Floats
     odd: Mapping[str, float]
     mirrored: bool = False
     loss: float = 0.0
@@ -229,7 +232,8 @@ def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         + [(turned * share, nothing), (nothing, path.way_m * share)],
         # A gyro that is late in one part of the drive and not in others.
         "delay": [(np.diff(turning * inside, prepend=0.0), nothing) for inside in within],
-        "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)],
+        "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)]
+        + [(path.dt_s * f(path.heading_rad), nothing) for f in (np.cos, np.sin)],
         # A slope lies where it lies.
         "place": [(turns, nothing) for turns in by_place(path.t_s, path.heading_rad, path.way_m, turned)],
     }
@@ -469,11 +473,13 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
     of_parts = [v for n, v in zip(names, values, strict=True) if n in _BIAS_PARTS]
     moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
     at = [names.index(n) for n in SCALES]
+    of_laws = [names.index(n) for n in [*knots.laws][: knots.told]]
     told = [n for n in (*knots.laws, *SCALES, "lever_ahead", "lever_left", "clock", "mounting") if n in found]
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},
         covariance[np.ix_(at, at)],
+        covariance[np.ix_(of_laws, of_laws)],
         odd,
         loss=laid.loss,
         levels=laid.levels,

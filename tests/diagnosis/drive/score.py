@@ -22,9 +22,10 @@ import click
 import numpy as np
 
 from gyrocal.diagnosis.drive.engine import examine
-from gyrocal.diagnosis.drive.findings import named_effects, places, verdict
+from gyrocal.diagnosis.drive.findings import named_effects, verdict
 from gyrocal.diagnosis.drive.improved import DriveEstimate, estimates_of, improved_robot
 from gyrocal.diagnosis.drive.laws import candidate_laws, constant_laws, frame_of, wheel_laws
+from gyrocal.diagnosis.drive.places import places
 from gyrocal.diagnosis.drive.reckoning import laid_on
 from gyrocal.diagnosis.drive.search import known_before
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of

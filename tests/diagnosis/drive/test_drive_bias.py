@@ -15,6 +15,7 @@ from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.search import GAIN, _gain
 from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.diagnosis.drive.yaw import evidence
+from gyrocal.diagnosis.remarks import Said
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot, robot_of
 from gyrocal.report.remarks import remark_words
@@ -308,6 +309,36 @@ def test_a_jump_is_tried_beside_a_bias_in_motion(resting: Robot) -> None:
     robot = robot_of({"wheel_separation_m": plan.separation_m, "static_s": 10.0}, resting.source)
     found = examine("log", replace(log, left_m=np.where(late, 1.01, 1.0) * log.left_m), robot, None)
     assert "time" in found.yaw.odd
+
+
+@pytest.mark.parametrize("shape", ["square", "lawn"])
+def test_a_wheel_that_changes_is_no_bias(shape: str) -> None:
+    """Told since when and by how much; at a steady speed a bias that comes and goes looks much like it."""
+    plan = Plan(
+        shape, 8.0, 20.0, rest_s=10.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=5e-4
+    )
+    log = drive(plan, 1)
+    from_s = float(log.t_s[len(log) // 2])
+    robot = robot_of({"wheel_separation_m": plan.separation_m, "static_s": 10.0}, Path("robot.toml"))
+    wheels = replace(log, left_m=np.where(log.t_s > from_s, 1.01, 1.0) * log.left_m)
+    found = diagnose_drive("log", wheels, robot)
+    assert {e.effect for e in found.diagnosis.effects} <= {"wheel_asymmetry"}
+    assert found.diagnosis.verdict == "partly_explained"
+    assert [
+        (p.target, abs(float(p.low or 0.0) - from_s) < 2.0) for p in found.diagnosis.located if p.low
+    ] == [("wheels", True)]
+    told = next(n for n in found.diagnosis.notes if not isinstance(n, str) and n.said is Said.WHEELS_CHANGE)
+    assert told.facts["least"] < -1.0 < told.facts["most"]
+    assert "the way of the right wheel" in remark_words(told)
+
+
+def test_a_gyro_that_errs_by_heading_is_told_as_such(resting: Robot) -> None:
+    """As one in the field of the earth: a bias of another size on each leg of a square."""
+    log = drive(replace(RESTS, shape="square", truth_m=0.02, truth_heading_deg=0.1), 4)
+    heading = np.cumsum(np.radians(log.gyro_dps) * np.diff(log.t_s, prepend=log.t_s[0]))
+    found = diagnose_drive("log", replace(log, gyro_dps=log.gyro_dps + 0.03 * np.cos(heading)), resting)
+    assert found.diagnosis.verdict != "explained"
+    assert "heading" in [p.coordinate for p in found.diagnosis.located if p.remains]
 
 
 def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:

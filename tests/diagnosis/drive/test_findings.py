@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from gyrocal.diagnosis.drive import findings
+from gyrocal.diagnosis.drive import findings, places
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
@@ -20,7 +21,11 @@ from gyrocal.diagnosis.remarks import Said
 def truth(gyro: float, wheels: float, std: float) -> TruthAnswer:
     """A truth that knows the scales of gyro and wheels independently of each other."""
     return TruthAnswer(
-        {"gyro_scale": gyro, "wheel_scale": wheels}, dict.fromkeys(SCALES, std), std**2 * np.eye(2), {}
+        {"gyro_scale": gyro, "wheel_scale": wheels},
+        dict.fromkeys(SCALES, std),
+        std**2 * np.eye(2),
+        np.zeros((0, 0)),
+        {},
     )
 
 
@@ -60,12 +65,12 @@ def test_noise_far_above_that_of_the_robot_file_is_a_place(
     noise = SimpleNamespace(slip_m_per_rt_m=0.01 * times, turn=0.1)
     keys = ("noise.wheel_slip_m_per_rt_m", "noise.turn_slip_deg_per_rt_deg") if given else ()
     model = SimpleNamespace(noise=noise, usual=usual, log_std={"slip_m_per_rt_m": known, "turn": known})
-    places = findings._noisy(series(given=keys), yaw(model=model))
-    assert [p.coordinate for p in places] == (["speed"] if said else [])
-    assert [p.times_given for p in places] == pytest.approx([times] if said else [])
+    noisy = places._noisy(series(given=keys), yaw(model=model))
+    assert [p.coordinate for p in noisy] == (["speed"] if said else [])
+    assert [p.times_given for p in noisy] == pytest.approx([times] if said else [])
     # The p-value is that of the level, as well as the drive knows it.
-    assert [p.p_value for p in places] == pytest.approx([norm.sf(np.log(5.0) / 0.1)] if said else [])
-    assert all(p.remains for p in places)
+    assert [p.p_value for p in noisy] == pytest.approx([norm.sf(np.log(5.0) / 0.1)] if said else [])
+    assert all(p.remains for p in noisy)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +117,21 @@ def test_a_gyro_that_reads_far_too_little_may_be_tilted(scale: float, tilted: bo
 def test_a_law_is_the_one_that_encoders_and_truth_tell_together() -> None:
     told = truth(0.0, 0.0, 0.02)
     told.values["bias"], told.stds["bias"] = 0.2, 0.02  # type: ignore[index]
-    found = yaw(estimate=lambda _: (0.5, 0.1))
+    told = replace(told, of_laws=np.array([[0.02**2]]))
+    covariance = np.array([[0.1**2, 0.8 * 0.1 * 0.3], [0.8 * 0.1 * 0.3, 0.3**2]])
+    found = yaw(
+        chosen=("bias", "asymmetry"),
+        of_bias=("bias",),
+        covariance=covariance,
+        estimate=lambda name: (0.5, 0.1) if name == "bias" else (2.0, 0.3),
+    )
+    found.beside = partial(YawAnswer.beside, found)  # type: ignore[method-assign]
     assert findings.joint_estimate(found, told, "bias") == pytest.approx((0.7, 0.02))
-    assert findings.joint_estimate(found, told, "delay") == (0.5, 0.1)
+    # As a measurement of the bias alone by the truth would have it, of which 0.7 +- 0.02 is what both know.
+    seen = np.array([1.0, 0.0])
+    precision = 0.02**-2 - 0.1**-2
+    measured = (0.7 * 0.02**-2 - 0.5 * 0.1**-2) / precision
+    both = np.linalg.inv(np.linalg.inv(covariance) + precision * np.outer(seen, seen))
+    mean = both @ (np.linalg.inv(covariance) @ [0.5, 2.0] + precision * measured * seen)
+    assert findings.joint_estimate(found, told, "asymmetry") == pytest.approx((mean[1], np.sqrt(both[1, 1])))
     assert findings.joint_estimate(found, replace(told, mirrored=True), "bias") == (0.5, 0.1)

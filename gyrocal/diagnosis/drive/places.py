@@ -1,0 +1,104 @@
+"""Where a drive's difference lives: with what is named, with what has no name, and from when on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecided
+from gyrocal.diagnosis.drive.laws import Law
+from gyrocal.diagnosis.drive.search import STRANGER_P, YawAnswer, known_before
+from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.truth import TruthAnswer
+from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.diagnosis.result import Located, NamedEffect
+from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT
+from gyrocal.units import NORMAL_95
+
+#: Noise above what the robot file says by more than this is no noise of that kind.
+_NOISY = 4.0
+
+
+def places(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, effects: list[NamedEffect]
+) -> list[Located]:
+    """Where the difference lives: with the named effects, and where something is left that has no name."""
+    # Shares of the gain of what is named; chi-square from p-values would overflow.
+    gains = {effect_of(n, yaw): g for n, g in yaw.named.items()}
+    whole = max(sum(gains.values()), 1e-300)
+    found: dict[str, Located] = {}
+    for effect in effects:
+        coordinate = DRIVE_CATALOGUE[effect.effect].seen_in
+        if coordinate not in found:
+            share = gains.get(effect.effect, float("nan")) / whole
+            found[coordinate] = Located(coordinate, "mean", effect.p_value, share, finding=effect.effect)
+    odd = {c: p for c, (_, _, p) in yaw.strangers.items() if c in yaw.odd}
+    if truth is not None:
+        for coordinate, p in truth.odd.items():
+            if p < STRANGER_P:
+                odd[coordinate] = min(p, odd.get(coordinate, 1.0))
+    ratio, granted = (
+        yaw.estimate("track")[0] if "track" in yaw.chosen else 0.0,
+        known_before(series)["track"][1],
+    )
+    if undecided(yaw, effects) and abs(ratio) > NORMAL_95 * granted:
+        # A ratio of turns that is no name's, and more than the robot file grants.
+        odd["turn_rate"] = min(float(stats.chi2.sf(yaw.named["track"], 1)), odd.get("turn_rate", 1.0))
+    if any(e.effect == ROBOT_TILT.id for e in effects):
+        odd.pop("heading", None)
+    left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
+    of_wheels = (("wheels", law.shape["until_s"]) for law in yaw.changed.values())
+    target, at_s = next(of_wheels, ("bias", yaw.jump_s))
+    if np.isfinite(at_s):
+        end_s = float(series.t_s[-1])
+        left = [
+            replace(one, low=at_s, high=end_s, unit="s", target=target) if one.coordinate == "time" else one
+            for one in left
+        ]
+    return [*found.values(), *left, *_noisy(series, yaw)]
+
+
+def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
+    """When and by how much the bias jumps, or from when on and by how much track or wheels are others."""
+    begin_s = yaw.model.frame.series.t_s[0]
+
+    def told(said: Said, unit: float, before: float, std: float, law: Law) -> Remark:
+        times = {name: at_s - begin_s for name, at_s in law.shape.items()}
+        half = unit * NORMAL_95 * std
+        change = -unit * before
+        return Remark(said, {"change": change, "least": change - half, "most": change + half} | times)
+
+    found = []
+    if "jump" in yaw.chosen:
+        found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
+    for name, law in yaw.changed.items():
+        values, covariance = yaw.gram.solve([*yaw.chosen, name])
+        said = Said.TRACK_CHANGES if name.endswith("track") else Said.WHEELS_CHANGE
+        found.append(told(said, 100.0, float(values[-1]), float(np.sqrt(covariance[-1, -1])), law))
+    return found
+
+
+def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:
+    """Noise far above what the robot file gives: something lives there that no law here describes.
+
+    Its p-value is that of the level found where the file's is the true one; levels are normal in their logarithm.
+    """
+    noise, usual, found = yaw.model.noise, yaw.model.usual, []
+    given = series.robot.given
+    for field, key, coordinate in (
+        ("slip_m_per_rt_m", "noise.wheel_slip_m_per_rt_m", "speed"),
+        ("turn", "noise.turn_slip_deg_per_rt_deg", "turn_rate"),
+    ):
+        ratio = getattr(noise, field) / getattr(usual, field)
+        if key not in given or ratio <= _NOISY:
+            continue
+        p = float(stats.norm.sf(np.log(ratio) / yaw.model.log_std[field]))
+        if p < STRANGER_P:
+            found.append(
+                Located(
+                    coordinate, "variance", p, float("nan"), remains=True, target="noise", times_given=ratio
+                )
+            )
+    return found
