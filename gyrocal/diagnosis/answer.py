@@ -39,8 +39,8 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     named = [(n.gain, _law(found, n)) for n in found.naming.named]
     named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
     named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.nats > _NAMED_BEYOND_TOLL]
-    gain = found.naming.unnamed.get(EACH_RATE, 0.0)
-    if gain > GAIN:
+    gain = found.rate_errors_nats
+    if gain > 0.0:
         size = estimates.of_draws(found.naming.fitted, EACH_RATE, found.model.basis.frame.rate_scale_dps)
         p = block_p_value(gain, len(BLOCKS))
         found_as = _effect(

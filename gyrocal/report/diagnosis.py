@@ -205,8 +205,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             "Where the excess lives",
             ("Coordinate", "of", "Region", "p", "Share of the excess", "With the model found"),
             [_located(diagnosis, p) for p in diagnosis.located],
-            "What lives on one coordinate is seen on others, so that the shares overlap. Taken up: by the named "
-            "physics or by a pattern that has no name.",
+            "What lives on one coordinate is seen on others, so that the shares overlap, and those of a mean and of a variance are of "
+            "two excesses. A curve without a name is in the model and no law; what is still there is in none.",
         ),
         _table(
             "effects",
@@ -247,14 +247,15 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def _located(diagnosis: Diagnosis, place: Located) -> tuple[str, ...]:
-    with_model = "explained" if diagnosis.verdict == "explained" else "taken up"
+    with_model = "explained" if diagnosis.effects else "taken up"
+    left = "a curve without a name" if place.curve else "still there"
     return (
         place.coordinate,
         place.statistic,
         f"see {place.finding}" if place.finding else region_words(place),
         p_text(place.p_value),
         f"{place.share:.0%}" if math.isfinite(place.share) else "-",
-        "still there" if place.remains else with_model,
+        left if place.remains else with_model,
     )
 
 

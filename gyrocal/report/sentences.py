@@ -38,6 +38,8 @@ _NOT_IN_MEANS = ("thermal transient", "angle, constant", "angle, with rate", "st
 _LARGE_DPS = 0.3
 _FEWEST_UNITS = 8
 _MOST_PLACES = 4
+#: A smaller share is told as less than this.
+_LEAST_PART = 0.01
 
 _MORE = "Beyond the error surface something stands out of the noise"
 _VERDICTS = {
@@ -145,7 +147,7 @@ def _sentences(d: Diagnosis) -> list[str]:
     if d.improvement is not None and len(measured) > 1:
         whole = "All that was found, also without a name" if nameless(d) else "All named physics together"
         said.append(f"{whole}, against the surface alone: " + _gain(d.improvement, counted(d)))
-    return said
+    return said + _left(d)
 
 
 def not_testable_sentences(d: Diagnosis) -> list[str]:
@@ -160,27 +162,40 @@ def not_testable_sentences(d: Diagnosis) -> list[str]:
 
 
 def _places(d: Diagnosis) -> list[str]:
-    """Where it departs: the strongest place in full, what only mirrors it by name, and what is still there."""
-    means = [p for p in d.located if p.statistic == "mean" and not p.finding]
-    said = []
-    if means and d.verdict == "consistent":
-        said.append(f"It comes nearest to that in {_where(d, means[0])}: too little to name or to correct.")
-    elif means:
-        first, others = means[0], means[1:]
-        mirrored = dict.fromkeys(_coordinate(d, p) for p in others if p.coordinate != first.coordinate)
-        also = f"; it is also seen in {listed(list(mirrored))}" if mirrored else ""
-        said.append(f"The mean departs most in {_where(d, first)}{also}.")
-        names = [e.effect for e in d.effects]
-        if d.verdict == "explained" and names and not any(p.remains for p in means):
-            said.append(f"With {listed(names)} in the model nothing is left there.")
-    left = [p for p in means if p.remains][:_MOST_PLACES]
-    if left:
-        found = "all that was found" if d.effects or d.notes else "the surface"
-        said.append(f"Still there with {found} in the model: {'; '.join(_where(d, p) for p in left)}.")
-    scatter = [p for p in d.located if p.statistic == "variance" and p.remains and not p.finding][
-        :_MOST_PLACES
-    ]
-    return said + [f"Scatter beyond the noise: {_where(d, p)}." for p in scatter]
+    """Where it departs, the strongest first: the place of the mean in full with what only mirrors it, and of the scatter."""
+    places = [p for p in d.located if not p.finding]
+    if not places:
+        return []
+    scatter = [f"The scatter stands out most in {_where(d, p)}." for p in places if p.statistic == "variance"][:1]
+    means = [p for p in places if p.statistic == "mean"]
+    if places[0].statistic == "variance":
+        return scatter + _places_of_mean(d, means)
+    return _places_of_mean(d, means) + scatter
+
+
+def _places_of_mean(d: Diagnosis, means: list[Located]) -> list[str]:
+    if not means:
+        return []
+    first, others = means[0], means[1:]
+    if d.verdict == "consistent":
+        return [f"It comes nearest to that in {_where(d, first)}: too little to name or to correct."]
+    mirrored = dict.fromkeys(_coordinate(d, p) for p in others if p.coordinate != first.coordinate)
+    also = f"; it is also seen in {listed(list(mirrored))}" if mirrored else ""
+    return [f"The mean departs most in {_where(d, first)}{also}."]
+
+
+def _left(d: Diagnosis) -> list[str]:
+    """What is left with names and curves in the model: the one account of it."""
+    if d.verdict == "consistent":
+        return []
+    left = [p for p in d.located if p.remains and not p.curve and not p.finding]
+    curved = dict.fromkeys(_coordinate(d, p) for p in d.located if p.curve)
+    curves = [f"a curve without a name over {listed(list(curved))}"] if curved else []
+    model = listed([e.effect for e in d.effects] + curves) or "the surface fitted here"
+    if not left:
+        return [f"With {model} in the model nothing is left beyond the noise."]
+    places = [f"{'scatter in ' if p.statistic == 'variance' else ''}{place_words(p, _coordinate(d, p))}" for p in left[:_MOST_PLACES]]
+    return [f"With {model} in the model there is left: {'; '.join(places)}."]
 
 
 def _coordinate(d: Diagnosis, place: Located) -> str:
@@ -200,7 +215,7 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
     if effect.share < 1.0:
         said.append(
-            f"{effect.effect} only resembles it: the law takes {100.0 * effect.share:.0f} % of the evidence for this {effect.family}, "
+            f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}, "
             "and a curve without a name follows the rest."
         )
     traded = traded_sentence(effect)
@@ -218,6 +233,10 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
     if folded is not None:
         said.append(f"{effect.effect}: " + _folded(folded))
     return said
+
+
+def _part(share: float) -> str:
+    return f"{100.0 * share:.0f} %" if share >= _LEAST_PART else f"less than {100.0 * _LEAST_PART:.0f} %"
 
 
 def _other(a: Alternative, untestable: bool) -> str:

@@ -147,21 +147,42 @@ def test_explained_coordinates_are_one_line(shupe: Diagnosis) -> None:
         Located("temperature_branch", "mean", 7e-12, 0.2, unit="degC/min", rms_dps=1.4e-3),
     ]
     said = plain_sentences(replace(shupe, located=tuple(places)))
-    assert said[1:3] == [
+    assert said[1] == (
         "The mean departs most in temperature rate -1.50 to -0.60 degC/min (1.1 mdeg/s rms), p < 1e-12; it is also "
-        "seen in time and temperature branch.",
-        "With shupe in the model nothing is left there.",
-    ]
-    left = [
-        places[0],
-        replace(places[1], remains=True),
+        "seen in time and temperature branch."
+    )
+    assert "With shupe in the model nothing is left beyond the noise." in said
+
+
+def test_what_is_left_is_said_once(shupe: Diagnosis) -> None:
+    """Before: "noise is left", and on the same page that a pattern, which the improved file takes away, was still there."""
+    curve = Located(
+        "temperature", "mean", 1e-20, 0.9, True, curve=True, low=30.0, high=36.0, unit="degC", rms_dps=1.8e-3
+    )
+    found = replace(shupe, verdict="partly_explained", located=(curve,))
+    (said,) = [s for s in plain_sentences(found) if "in the model" in s]
+    assert said == (
+        "With shupe and a curve without a name over temperature in the model nothing is left beyond the noise."
+    )
+    assert next(t for t in tables(found) if t.name == "located").rows[0][-1] == "a curve without a name"
+    left = (
+        curve,
+        Located("table_angle", "mean", 1e-10, 1.0, True, rms_dps=2e-3),
         Located("rate", "variance", 1e-6, 1.0, True, low=32.0, high=32.0, unit="deg/s"),
-    ]
-    said = plain_sentences(replace(shupe, verdict="partly_explained", located=tuple(left)))
-    assert said[2:4] == [
-        "Still there with all that was found in the model: time 0 to 0.69 h (1.2 mdeg/s rms), p < 1e-12.",
-        "Scatter beyond the noise: rate at 32 deg/s, p = 1e-06.",
-    ]
+    )
+    (said,) = [s for s in plain_sentences(replace(found, located=left)) if "in the model" in s]
+    assert said == (
+        "With shupe and a curve without a name over temperature in the model there is left: table angle: all along "
+        "(2 mdeg/s rms); scatter in rate at 32 deg/s."
+    )
+
+
+def test_the_strongest_place_is_said_first(shupe: Diagnosis) -> None:
+    scatter = Located("rate", "variance", 1e-7, 0.6, True, low=32.4, high=32.4, unit="deg/s")
+    mean = Located("temperature", "mean", 0.002, 0.5, True, curve=True, rms_dps=7.6e-3)
+    first, second = plain_sentences(replace(shupe, located=(scatter, mean)))[1:3]
+    assert first == "The scatter stands out most in rate at 32.4 deg/s, p = 1e-07."
+    assert second.startswith("The mean departs most in temperature")
 
 
 def test_where_nothing_stands_out_no_mean_departs(shupe: Diagnosis) -> None:
