@@ -166,7 +166,9 @@ def _places(d: Diagnosis) -> list[str]:
     places = [p for p in d.located if not p.finding]
     if not places:
         return []
-    scatter = [f"The scatter stands out most in {_where(d, p)}." for p in places if p.statistic == "variance"][:1]
+    scatter = [
+        f"The scatter stands out most in {_where(d, p)}." for p in places if p.statistic == "variance"
+    ][:1]
     means = [p for p in places if p.statistic == "mean"]
     if places[0].statistic == "variance":
         return scatter + _places_of_mean(d, means)
@@ -194,7 +196,10 @@ def _left(d: Diagnosis) -> list[str]:
     model = listed([e.effect for e in d.effects] + curves) or "the surface fitted here"
     if not left:
         return [f"With {model} in the model nothing is left beyond the noise."]
-    places = [f"{'scatter in ' if p.statistic == 'variance' else ''}{place_words(p, _coordinate(d, p))}" for p in left[:_MOST_PLACES]]
+    places = [
+        f"{'scatter in ' if p.statistic == 'variance' else ''}{place_words(p, _coordinate(d, p))}"
+        for p in left[:_MOST_PLACES]
+    ]
     return [f"With {model} in the model there is left: {'; '.join(places)}."]
 
 
