@@ -76,7 +76,7 @@ def test_the_unit_of_a_gyro_beside_one_speed_is_doubted_by_what_vehicles_do() ->
     assert "rad/s" not in said[1.0]
     assert "hardly ever turns faster than" in said[1 / 57.2958]
     assert "if it went round corners, the gyro is in rad/s" in said[1 / 57.2958]
-    with pytest.raises(DataError, match="across the way.*converted to degrees twice"):
+    with pytest.raises(DataError, match=r"across the way.*converted to degrees twice"):
         replay_log(source(_vehicle(57.2958)), parked)
 
 
