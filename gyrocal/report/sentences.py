@@ -28,6 +28,7 @@ from gyrocal.report.words import (
     place_words,
     range_text,
     region_words,
+    times_text,
 )
 
 #: An amplitude that is so much less known than what the effect adds is traded for a shape.
@@ -95,6 +96,25 @@ def plain_sentences(d: Diagnosis) -> list[str]:
     return _once([*said, *data_sentences(d)])
 
 
+def short_sentences(d: Diagnosis) -> list[str]:
+    """The answer without its details, which the page has: verdict, places, names with their sizes, what is gained and left."""
+    said = list(d.sentences)
+    if not said:
+        named = [s for e in d.effects for s in _named(e, d)]
+        said = [_VERDICTS[d.verdict], *_places(d), *named, *_whole_gain(d), *unnamed_sentences(d), *_left(d)]
+    said += [_begun(n) for n in d.notes if not of_the_data(n)]
+    if d.next_experiment is not None:
+        said.append(d.next_experiment["statement"])
+    return _once(said)
+
+
+def short_data_sentences(d: Diagnosis, told: Collection[str] = ()) -> list[str]:
+    """`data_sentences` with all that cannot be tested in one, without the reasons."""
+    notes = [_begun(n) for n in d.notes if of_the_data(n) and n not in told]
+    untested = [f"Not testable with this record (why: see the page): {', '.join(d.not_testable)}"]
+    return _once([*notes, *(untested if d.not_testable else [])])
+
+
 def data_sentences(d: Diagnosis, told: Collection[str] = ()) -> list[str]:
     """What the data lack and what they cannot show, each thing once.
 
@@ -141,13 +161,32 @@ def _sentences(d: Diagnosis) -> list[str]:
     """Does the recording agree with the simulation; where not; which physics; how sure; what is gained."""
     said = [_VERDICTS[d.verdict], *_places(d)]
     for effect in d.effects:
-        said += _effect(effect, d)
+        said += [*_named(effect, d), *_shown(effect, d)]
     said += [*unnamed_sentences(d), *filter(None, [staircase_sentence(d)])]
-    measured = [e for e in d.effects if e.improvement is not None]
-    if d.improvement is not None and len(measured) > 1:
-        whole = "All that was found, also without a name" if nameless(d) else "All named physics together"
-        said.append(f"{whole}, against the surface alone: " + _gain(d.improvement, counted(d)))
+    if nameless(d) or sum(e.improvement is not None for e in d.effects) > 1:
+        said += _whole_gain(d)
     return said + _left(d)
+
+
+def _whole_gain(d: Diagnosis) -> list[str]:
+    """What all that was found gains together."""
+    measured = [e for e in d.effects if e.improvement is not None]
+    if len(measured) == 1 and not nameless(d):
+        return [_own_gain(measured[0], d)]
+    if d.improvement is None or not measured:
+        return []
+    whole = "All that was found, also without a name" if nameless(d) else "All named physics together"
+    return [f"{whole}, against the surface alone: " + _gain(d.improvement, counted(d))]
+
+
+def _own_gain(effect: NamedEffect, d: Diagnosis) -> str:
+    """What one effect gains beside the others; of none that was not measured."""
+    if effect.improvement is None:
+        return ""
+    others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
+    beside = f", beside {listed(others)}" if others else ""
+    transient = effect.family in _NOT_IN_MEANS
+    return f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient)
 
 
 def not_testable_sentences(d: Diagnosis) -> list[str]:
@@ -214,7 +253,8 @@ def _where(d: Diagnosis, place: Located) -> str:
     return f"{place_words(place, _coordinate(d, place))}, {p_equals(place.p_value)}"
 
 
-def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
+def _named(effect: NamedEffect, d: Diagnosis) -> list[str]:
+    """What an effect is, how large, and what else it could be."""
     values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
@@ -223,17 +263,15 @@ def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
             f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}, "
             "and a curve without a name follows the rest."
         )
-    traded = traded_sentence(effect)
-    if traded:
-        said.append(traded)
     if effect.alternatives:
         rivals = "; ".join(_other(a, a.effect in d.not_testable) for a in effect.alternatives)
         said.append(f"The same data could be {rivals}.")
-    if effect.improvement is not None:
-        others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
-        beside = f", beside {listed(others)}" if others else ""
-        transient = effect.family in _NOT_IN_MEANS
-        said.append(f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient))
+    return said
+
+
+def _shown(effect: NamedEffect, d: Diagnosis) -> list[str]:
+    """What is known of an effect all the same, what it gains, and how it stands out."""
+    said = [s for s in (traded_sentence(effect), _own_gain(effect, d)) if s]
     folded = fold_of(d, effect)
     if folded is not None:
         said.append(f"{effect.effect}: " + _folded(folded))
@@ -293,10 +331,17 @@ def logloss_gain(i: Improvement) -> tuple[str, str]:
     return fixed(i.logloss_before - i.logloss_after, decimals(0.5 * (high - low))), range_text(low, high)
 
 
-def _logloss(i: Improvement, c: Counted) -> str:
-    gain, interval = logloss_gain(i)
+def likelier(i: Improvement) -> str:
+    """How many times as probable the model makes what was left out, with its 95 % interval: the drop of the log-loss."""
+    low, high = (times_text(nats) for nats in i.logloss_interval_95)
+    times = times_text(i.logloss_before - i.logloss_after)
     sure = "" if i.logloss_interval_95[0] > 0 else ", no sure gain"
-    return f"the log-loss falls by {gain} nats a {c.each} (95 %: {interval}{sure})"
+    interval = f" (95 %: {low} to {high}{sure})" if times != low else ""
+    return f"{times} times as probable{interval}"
+
+
+def _logloss(i: Improvement, c: Counted) -> str:
+    return f"a {c.each} becomes {likelier(i)}"
 
 
 def _folded(folded: Fold) -> str:
@@ -306,8 +351,8 @@ def _folded(folded: Fold) -> str:
     label = label[0].lower() + label[1:] if label[1:2].islower() else label
     here = f"{fixed(before, places)} to {fixed(after, places)} {folded.coordinate.unit}"
     if after < before:
-        return f"folded on {label} the rms of the residual falls from {here}."
-    return f"folded on {label} it cannot be seen by itself, for other layers live there too: the rms goes from {here}."
+        return f"over {label} (its picture) the rms of the residual falls from {here}."
+    return f"over {label} (its picture) it cannot be seen by itself, for other layers live there too: the rms goes from {here}."
 
 
 def _rms(i: Improvement, c: Counted) -> str:
@@ -323,7 +368,7 @@ def _rms(i: Improvement, c: Counted) -> str:
     if in_the_noise(i):
         return (
             f"the rms of {c.means} ({before} before, {after} after) is within the noise of such a mean "
-            f"({floor} {unit}): see the folded figure and the log-loss"
+            f"({floor} {unit}): see its picture"
         )
     drop = range_text(low, high, scale)
     sure = "" if low > 0 else ", no sure gain"

@@ -18,7 +18,7 @@ from gyrocal.cli.acquire import command as acquire_command
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located
 from gyrocal.fusion.coefficients import Valid
 from gyrocal.inference.gram import Projection
-from gyrocal.planning.next_experiment import propose, to_toml
+from gyrocal.planning.next_experiment import _reach, propose, to_toml
 from gyrocal.planning.planned import Reach, designs, duration_h, planned_series, to_profile
 from gyrocal.planning.separation import Separation, _against_draws, power_of, repeats_needed, separate
 from tests.diagnosis.concealed_bench import make_recording
@@ -312,12 +312,11 @@ def test_a_doubt_near_zero_gets_rates_where_it_lives() -> None:
     effect = found.effects[0]
     width = Estimate.normal(0.08, 0.01, "deg/s")
     zone = replace(effect, parameters={**effect.parameters, "width_dps": width})
-    proposal = propose(replace(found, effects=(zone,)), {}, 8.0)
-    assert proposal is not None
-    assert proposal.profile is not None
-    rates = proposal.profile["plan"]["rates_dps"]
+    reach = _reach(replace(found, effects=(zone,)), SENSOR, {})
+    assert reach.near_dps == 0.08
+    rates = next(d for d in designs(reach) if d.name == "near_zero").rates_dps
     assert sum(r <= 0.16 for r in rates) == 8
-    assert max(rates) > 10.0
+    assert max(rates) == reach.rate_dps
 
 
 def test_what_is_left_near_zero_is_looked_for_there() -> None:

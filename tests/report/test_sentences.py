@@ -13,7 +13,14 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
 from gyrocal.report.diagnosis import diagnosis_page, tables
 from gyrocal.report.remarks import statement
-from gyrocal.report.sentences import counted, plain_sentences, traded_sentence
+from gyrocal.report.sentences import (
+    counted,
+    plain_sentences,
+    short_data_sentences,
+    short_sentences,
+    traded_sentence,
+    verdict_sentence,
+)
 from gyrocal.report.words import (
     estimate_text,
     fixed,
@@ -23,6 +30,7 @@ from gyrocal.report.words import (
     parameter_words,
     region_words,
     span_text,
+    times_text,
     value_text,
 )
 from tests.diagnosis.concealed_bench import make_recording
@@ -65,10 +73,10 @@ def test_error_within_the_noise_is_said_in_words(shupe: Diagnosis) -> None:
     assert "within the noise of such a mean (1.23 mdeg/s)" in text
     gain = next(s for s in plain_sentences(read) if "on data left out" in s)
     assert gain.startswith(
-        "shupe: on data left out the log-loss falls by 0.87 nats a segment (95 %: 0.50 to 1.28)"
+        "shupe: on data left out a segment becomes 2.4 times as probable (95 %: 1.6 to 3.6)"
     )
-    folded = next(s for s in plain_sentences(read) if "folded on" in s)
-    assert folded.startswith("shupe: folded on temperature rate the rms of the residual falls from ")
+    folded = next(s for s in plain_sentences(read) if "its picture)" in s)
+    assert folded.startswith("shupe: over temperature rate (its picture) the rms of the residual falls from ")
     assert next(t for t in tables(read) if t.name == "improvement").rows[0][6] == "within the noise"
 
 
@@ -80,7 +88,7 @@ def test_error_of_means_leads_where_it_shows_the_gain() -> None:
     said = next(s for s in plain_sentences(_with_gain(found, gain)) if "left out" in s)
     assert said == (
         "scale_asymmetry: on data left out the rms of segment means falls from 2.00 to 1.20 mdeg/s (drop 0.50 to "
-        "0.90 at 95 %), where noise alone would leave 1.10; the log-loss falls by 0.90 nats a segment (95 %: 0.50 to 1.20)."
+        "0.90 at 95 %), where noise alone would leave 1.10; a segment becomes 2.5 times as probable (95 %: 1.6 to 3.3)."
     )
     none = _with_gain(found, replace(gain, interval_95=(-1e-4, 9e-4), logloss_interval_95=(-0.1, 1.2)))
     assert next(s for s in plain_sentences(none) if "left out" in s).count("no sure gain") == 2
@@ -305,3 +313,33 @@ def test_regions_are_rounded_to_their_length() -> None:
     assert span_text(0.001475, 0.0506) == "0 to 0.051"
     assert span_text(48.213, 48.982) == "48.21 to 48.98"
     assert span_text(347.0, 375.9) == "347 to 376"
+
+
+def test_the_short_answer_has_every_verdict_name_and_gain_and_no_detail() -> None:
+    """A terminal had 85 to 108 lines, with "nats" and "folded" that nothing explained."""
+    two = _with_gain(
+        made_up_diagnosis(make_recording([("shupe", 20.0), ("warm_up", 20.0)], 7, "even")), HIDDEN
+    )
+    full, short = plain_sentences(two), short_sentences(two)
+    assert set(short) < set(full)
+    assert len(short) <= 10
+    assert short[0] == verdict_sentence(two)
+    assert [s for s in short if s.startswith(("shupe: ", "warm_up: "))] == [
+        s for s in full if "95 %" in s and s.startswith(("shupe: ", "warm_up: "))
+    ]
+    assert any(s.startswith("All named physics together") for s in short)
+    assert "With shupe and warm_up in the model nothing is left beyond the noise." in short
+    assert not re.search(r"nats|folded|\(its picture\)", " ".join(short))
+    untested = short_data_sentences(replace(two, notes=(), not_testable={"supply": "x", "shupe": "y"}))
+    assert untested == ["Not testable with this record (why: see the page): supply, shupe."]
+
+
+def test_evidence_is_odds_in_words() -> None:
+    said = [times_text(nats) for nats in (0.015, 0.9, 6.27, -0.02, 35.2)]
+    assert said == ["1.015", "2.5", "530", "0.980", "more than 1,000,000"]
+
+
+def test_a_nat_is_explained_where_it_is_a_unit(shupe: Diagnosis) -> None:
+    page = diagnosis_page(_with_gain(shupe, HIDDEN), [], {})
+    assert "A nat is a unit of evidence" in page
+    assert "A segment left out is" in page
