@@ -65,8 +65,8 @@ def _vehicle(rate: float = 1.0, way: float = 1.0) -> DriveBlock:
     """A drive of one speed without truth, its rates and its way times so much."""
     log = fleet_drive(Plan("random", 3.0, 10.0), 1)
     middle, none = 0.5 * way * (log.left_m + log.right_m), np.full(log.t_s.size, np.nan)
-    truth = dict.fromkeys(("truth_x_m", "truth_y_m", "truth_heading_deg"), none)
-    return replace(log, left_m=middle, right_m=middle, speed_only=True, gyro_dps=rate * log.gyro_dps, **truth)
+    bare = replace(log, truth_x_m=none, truth_y_m=none, truth_heading_deg=none)
+    return replace(bare, left_m=middle, right_m=middle, speed_only=True, gyro_dps=rate * log.gyro_dps)
 
 
 def test_the_unit_of_a_gyro_beside_one_speed_is_doubted_by_what_vehicles_do() -> None:
