@@ -368,7 +368,7 @@ def _rms(i: Improvement, c: Counted) -> str:
     if in_the_noise(i):
         return (
             f"the rms of {c.means} ({before} before, {after} after) is within the noise of such a mean "
-            f"({floor} {unit}): see its picture"
+            f"({floor} {unit}): see the pictures"
         )
     drop = range_text(low, high, scale)
     sure = "" if low > 0 else ", no sure gain"
