@@ -24,6 +24,8 @@ from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH
 
 Floats = NDArray[np.float64]
 
+#: Slope of the logarithm of the Allan deviation: that of a random walk is 0.5, and an octave of few values may show more.
+_STEEPER_THAN_WALKS = 0.65
 #: A step between samples beyond this many sample times is a gap.
 _GAP = 1.5
 #: Samples on either side by which a late one is told from a missing one.
@@ -233,7 +235,7 @@ def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
     used_s = np.concatenate([p.tau_s for p in points])[model.used]
     span = f"averaging times from {used_s.min():.3g} to {used_s.max():.3g} s"
     if not model.fits:
-        said = f"not to be had: no stretch of averaging times follows the model (best {span}, p = {model.p_value:.1g})"
+        said = f"not to be had: no stretch of averaging times follows the model (best {span}, p = {model.p_value:.1g}){_rise(points)}"
         return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
     figures = {
         name: _figure(name, unit, definition, factor, part, span)
@@ -262,15 +264,28 @@ def _figure(name: str, unit: str, definition: str, factor: float, part: Part, sp
     )
 
 
+def _rise(points: Sequence[AllanPoints]) -> str:
+    """Where the Allan deviation rises from its floor faster than any random walk: a sentence's end, empty where nowhere."""
+    tau = np.concatenate([p.tau_s for p in points])
+    order = np.argsort(tau, kind="stable")
+    tau, adev = tau[order], np.concatenate([p.adev_dps for p in points])[order]
+    floor = int(np.argmin(adev))
+    slope = np.diff(np.log(adev[floor:])) / np.diff(np.log(tau[floor:]))
+    steep = np.flatnonzero(slope > _STEEPER_THAN_WALKS)
+    if steep.size == 0:
+        return ""
+    from_s, to_s = tau[floor + steep[0]], tau[floor + steep[-1] + 1]
+    return f"; from {from_s:.3g} to {to_s:.3g} s the Allan deviation rises by slopes up to {slope[steep].max():.2g}, faster than any random walk (0.5): the output follows something, as the temperature. Record at one temperature"
+
+
 def _left_out(points: Sequence[AllanPoints], model: NoiseModel) -> str:
     tau = np.concatenate([p.tau_s for p in points])
     short = tau[~model.used & (tau < tau[model.used].min())]
     long = tau[~model.used & (tau > tau[model.used].max())]
-    said = (
-        [f"shorter ones, from {short.min():.3g} s, are left out (the sensor's bandwidth)"]
-        if short.size
-        else []
-    )
+    # A bandwidth takes noise away; what lies above the model has another cause.
+    below = np.all(model.misfit[~model.used & (tau < tau[model.used].min())] < 0.0)
+    why = "the sensor's bandwidth" if below else "other noise than the model's"
+    said = [f"shorter ones, from {short.min():.3g} s, are left out ({why})"] if short.size else []
     said += [f"longer ones, to {long.max():.3g} s, are left out (other than noise)"] if long.size else []
     return "; ".join(said) or "none is left out"
 

@@ -114,31 +114,20 @@ def command(
 
 
 def _say(result: DiagnoseResult) -> None:
-    from gyrocal.report.diagnosis import tables
-    from gyrocal.report.sentences import data_sentences, plain_sentences
+    from gyrocal.report.sentences import short_data_sentences, short_sentences
 
     found = result.diagnosis
-    data = data_sentences(found, result.told)
-    emit_list(dict.fromkeys(s for s in [*result.told, *plain_sentences(found)] if s not in data))
-    for table in [*result.more, *tables(found)]:
-        if table.rows and table.name in (
-            "between",
-            "estimates",
-            "located",
-            "effects",
-            "alternatives",
-            "layers",
-            "improvement",
-            "noise",
-        ):
-            click.echo("")
-            emit_table(table.columns, table.rows, table.title)
+    data = short_data_sentences(found, result.told)
+    emit_list(dict.fromkeys([*result.told, *short_sentences(found)]))
+    for table in result.more:
+        click.echo("")
+        emit_table(table.columns, table.rows, table.title)
     if data:
         click.echo("\nThe data:")
         emit_list(data)
     if "law.py" in result.files:
         click.echo(f"\nAdd to the simulation: {result.out / 'law.py'}")
-    click.echo(f"\nPictures and numbers: open {result.out / 'diagnosis.html'}")
+    click.echo(f"\nDetails, pictures and numbers: open {result.out / 'diagnosis.html'}")
     if "improved.json" in result.files:
         click.echo(
             f"Coefficients with what was found and stays with the gyro, named or not: {result.out / 'improved.json'}"

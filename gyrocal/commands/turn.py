@@ -78,4 +78,6 @@ def examine_squares(runs: Path, robot: Path, side_m: float, seed: int) -> Umbmar
                 f"{runs}, line {row + 2}: holds {shown}; wanted are a direction of 1 or -1 and two distances in metres."
             )
     ccw = table["direction"] > 0
-    return umbmark(points[~ccw], points[ccw], side_m, read_robot(robot).wheel_separation_m, seed)
+    vehicle = read_robot(robot)
+    vehicle.check_sides()
+    return umbmark(points[~ccw], points[ccw], side_m, vehicle.wheel_separation_m, seed)

@@ -39,8 +39,8 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     named = [(n.gain, _law(found, n)) for n in found.naming.named]
     named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
     named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.nats > _NAMED_BEYOND_TOLL]
-    gain = found.naming.unnamed.get(EACH_RATE, 0.0)
-    if gain > GAIN:
+    gain = found.rate_errors_nats
+    if gain > 0.0:
         size = estimates.of_draws(found.naming.fitted, EACH_RATE, found.model.basis.frame.rate_scale_dps)
         p = block_p_value(gain, len(BLOCKS))
         found_as = _effect(
@@ -219,7 +219,8 @@ def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
 def layers_of(found: Examination) -> list[Step]:
     """Steps of the staircase, the strongest first: laws, the lag of a coil, blocks without a name, errors of each rate."""
     model = found.naming.fitted.model
-    steps = [_step_of_table(found, s) for s in _searched(found)]
+    searched = {s.effect: s for s in sorted(_searched(found), key=lambda s: s.nats)}
+    steps = [_step_of_table(found, s) for s in searched.values()]
     if _of_the_input(found):
         bend = model.bend_of(found.naming.fitted.solve())
         less = partial(plain, direction="output", bend=bend)
@@ -242,8 +243,9 @@ def layers_of(found: Examination) -> list[Step]:
 def _step_of_table(found: Examination, searched: _Searched) -> Step:
     best = found.ranked[0]
     if searched.law is not None:
-        less = partial(Model.without_laws, names=[searched.law.name])
-        return Step(searched.effect, searched.nats, less)
+        # The model at the end has the law at another shape than the search, under another name.
+        names = [law.name for law in found.model.laws if law.effect == searched.effect]
+        return Step(searched.effect, searched.nats, partial(Model.without_laws, names=names))
     basis = best.fitted.model.basis
     moved = replace(basis, coil=None).surface() - replace(basis, coil=best.coil).surface()
     return Step(searched.effect, searched.nats, partial(Model.with_surface_moved, moved=moved))

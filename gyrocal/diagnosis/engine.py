@@ -128,6 +128,7 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
+    everywhere.sort(key=lambda place: place.p_value)
     lacking = bool(parts or strange or scatter or change) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,

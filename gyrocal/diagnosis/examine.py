@@ -95,6 +95,12 @@ class Examination:
         return float(weight @ [c.warms_up for c in every] / weight.sum())
 
     @property
+    def rate_errors_nats(self) -> float:
+        """Evidence for an error of each rate by itself, where it is enough for a name; else 0."""
+        nats = self.naming.unnamed.get(EACH_RATE, 0.0)
+        return nats if nats > GAIN else 0.0
+
+    @property
     def model(self) -> Model:
         """The model at the end."""
         return self.naming.fitted.model

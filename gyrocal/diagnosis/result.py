@@ -33,7 +33,9 @@ class Located:
     share : float
         Part of the excess over noise that a curve on this coordinate takes up (parts may overlap).
     remains : bool
-        Whether it is still there after the named effects are modelled.
+        Whether the named effects do not explain it.
+    curve : bool
+        Of what they do not: whether a curve without a name, which is in the model, follows it.
     low, high : float, optional
         The stretch of the coordinate where it is, in `unit`; None: all along.
     target : str
@@ -52,6 +54,7 @@ class Located:
     p_value: float
     share: float
     remains: bool = False
+    curve: bool = False
     low: float | None = None
     high: float | None = None
     unit: str = ""
@@ -74,6 +77,7 @@ class Located:
             "p_value": finite(self.p_value),
             "share": finite(self.share),
             "remains": self.remains,
+            "curve": self.curve,
         }
 
 

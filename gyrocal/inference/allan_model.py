@@ -26,6 +26,7 @@ from scipy import linalg, optimize, special, stats
 from gyrocal.inference.allan import POWERS, AllanCurve, covariance_parts
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 #: ``avar`` of a flat part over B^2.
@@ -39,6 +40,8 @@ _LEAST_SPARE = 2
 #: Averaging times shorter than this many time constants show the filter's order, not the noise: at 2 a filter that
 #: differs by 5 % from the one assumed biases the angle random walk by 3 % without a misfit to be seen.
 _MEMORIES = 4.0
+#: Standard deviations from which on a value lies above a model.
+_SURELY = 3.0
 #: Covariance and memory are those of the noise being fitted: so many rounds settle them to the third digit.
 _ROUNDS = 6
 #: Share of the curve below which a part is not there, and above which no part can be.
@@ -116,7 +119,9 @@ def fit_noise(curves: Sequence[AllanCurve]) -> NoiseModel | None:
     """Fit the model to curves of one noise (one for each sample time); None where there are too few averaging times.
 
     Averaging times are left out, the shortest first, until what is left passes the test of fit; if none such are
-    left, also the longest. The longest stretch that passes is used.
+    left, also the longest. The longest stretch that passes is used, but for one that leaves out the floor of the curve as noise
+    that it has not: a sensor's memory takes noise away on the short side and adds none, so that what rises from such a floor, as
+    an output that follows the temperature does, is something else.
     """
     tau = np.concatenate([c.tau_s for c in curves]) if curves else np.empty(0)
     avar = np.concatenate([c.avar for c in curves]) if curves else np.empty(0)
@@ -136,6 +141,8 @@ def fit_noise(curves: Sequence[AllanCurve]) -> NoiseModel | None:
             used = np.zeros(tau.size, dtype=np.bool_)
             used[order[first : first + length]] = True
             p_value = data.settle(used)[2]
+            if p_value >= LACK_OF_FIT and data.misses_the_floor(order[:first], used):
+                continue
             if best is None or p_value > best[0]:
                 best = p_value, used
             if p_value >= LACK_OF_FIT:
@@ -236,6 +243,13 @@ class _Data:
             if longer.sum() < len(POWERS) + _LEAST_SPARE or np.array_equal(longer, used):
                 return used
             used = longer
+
+    def misses_the_floor(self, left_out: Ints, used: Mask) -> bool:
+        """Whether the least variance is at a shorter averaging time, left out, and the model has surely less noise there."""
+        if left_out.size == 0 or self.avar[left_out].min() >= self.avar[used].min():
+            return False
+        best, logs, _ = self.settle(used)
+        return bool(self._misfit(logs, best)[left_out[np.argmin(self.avar[left_out])]] > _SURELY)
 
     def model(self, used: Mask) -> NoiseModel:
         """The model with its intervals."""

@@ -129,8 +129,9 @@ def _possible(
 ) -> list[Condition]:
     """The conditions that log and calibration allow; what is missing goes into the notes."""
     if robot.static_s == 0.0:
+        left_to = "nothing takes its error off" if found.speed_only else "its error is left to the filter"
         notes.append(
-            "static_s = 0: the robot does not stand at the start, so no static bias was taken; its error is left to the filter"
+            f"static_s = 0: the robot does not stand at the start, so no static bias was taken; {left_to}"
         )
     if coefficients is not None and found.temp_rows == 0:
         notes.append(

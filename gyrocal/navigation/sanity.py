@@ -9,6 +9,7 @@ from gyrocal.navigation.align import align_positions, wrapped_deg
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: Units that positions come in by mistake, in metres.
 UNITS = {1e-3: "millimetres", 1e3: "kilometres"}
@@ -27,8 +28,9 @@ _DEGREES = 3e-5
 #: line clockwise and counter-clockwise look alike.
 _GOES_WITH, _GOES_AGAINST = 0.8, 0.5
 #: A mirrored truth fits this much better in a mirror than as it stands, and as it stands misses by this share of the
-#: path's extent: a straight path, which is its own mirror image, does neither.
-_BETTER_IN_MIRROR, _MISSES = 0.25, 0.2
+#: path's extent: a straight path, which is its own mirror image, does neither. A path by a gyro in radians fits as much better
+#: once its turns are made larger, and misses a window with a corner by this share of its extent.
+_BETTER_IN_MIRROR, _MISSES, _MISSES_A_CORNER = 0.25, 0.2, 0.05
 #: Turned less than this in all, headings in degrees and radians look alike.
 _TURNED_DEG = 60.0
 
@@ -45,7 +47,7 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     own, told = path[known, :2], truth[known, :2]
     if own.shape[0] < 10:
         return None
-    fault = gyro_fault(path[known, 2], truth[known, 2])
+    fault = gyro_fault(path[known], truth[known])
     if fault is not None:
         return fault
     unit_m = truth_unit_m(own, told)
@@ -64,8 +66,7 @@ def way_fault(own: Floats, told: Floats) -> str | None:
     own, told : ndarray, shape (n, 2)
         Positions of dead reckoning and of the truth at the same rows, m.
     """
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own, axis=0).T))])
-    window = np.minimum((_WINDOWS * way / max(float(way[-1]), 1e-9)).astype(np.int64), _WINDOWS - 1)
+    window = _windows(own)
     factors = []
     for k in range(_WINDOWS):
         a, b = ((p[:, 0] + 1j * p[:, 1])[window == k] for p in (own, told))
@@ -83,6 +84,12 @@ def way_fault(own: Floats, told: Floats) -> str | None:
     if factor < _DEGREES:
         return "the truth's positions are degrees of longitude and latitude. Write them in metres to the east and to the north."
     return f"by the truth the robot goes {factor:.3g} times as far as by its wheels, and no wheel is so far off: the way is in another unit (km/h for m/s makes 0.278), or metres_per_tick is wrong. Correct that, or state the unit in a mapping with --columns."
+
+
+def _windows(own: Floats) -> Ints:
+    """The window of each position, by the way to it."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own, axis=0).T))])
+    return np.minimum((_WINDOWS * way / max(float(way[-1]), 1e-9)).astype(np.int64), _WINDOWS - 1)
 
 
 def truth_unit_m(own: Floats, told: Floats) -> float:
@@ -148,12 +155,40 @@ def _misfit(own: Floats, told: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((aligned - told) ** 2, axis=1))))
 
 
-def gyro_fault(own_deg: Floats, told_deg: Floats) -> str | None:
-    """What is wrong with a gyro whose headings turn as the truth's do in radians; None where nothing is."""
-    known = np.isfinite(told_deg)
-    if not in_radians(np.unwrap(told_deg[known], period=360.0), own_deg[known]):
+def gyro_fault(path: Floats, truth: Floats) -> str | None:
+    """What is wrong with a gyro whose headings turn as the truth's do in radians; None where nothing is.
+
+    By the truth's headings; where it has none, by whether the path fits its positions once it turns so much more.
+    Arrays as in `truth_fault`.
+    """
+    known = np.isfinite(truth[:, 2])
+    if known.any():
+        radians = in_radians(np.unwrap(truth[known, 2], period=360.0), path[known, 2])
+    else:
+        radians = _bends_as_in_radians(path, truth[:, :2])
+    if not radians:
         return None
     return "by the truth the robot turns 57.3 times as far as by the gyro: gyro_dps is in rad/s. Write it in deg/s, or state its unit in a mapping with --columns."
+
+
+def _bends_as_in_radians(path: Floats, told: Floats) -> bool:
+    """Whether windows of a path follow the truth's positions with turns 57.3 times as large, and miss them as they are."""
+    known = np.isfinite(told).all(axis=1)
+    own, told = path[known], told[known]
+    if own.shape[0] < 10:
+        return False
+    step = np.diff(own[:, 0] + 1j * own[:, 1])
+    heading = np.radians(0.5 * (own[1:, 2] + own[:-1, 2]))
+    bent = np.concatenate([[0.0], np.cumsum(step * np.exp(1j * (RAD_TO_DEG - 1.0) * heading))])
+    turned = np.column_stack([bent.real, bent.imag])
+    window = _windows(own[:, :2])
+    votes = 0
+    for k in range(_WINDOWS):
+        here = window == k
+        if np.count_nonzero(here) >= _FEWEST:
+            as_it_is, more = (_misfit(points[here], told[here]) for points in (own[:, :2], turned))
+            votes += as_it_is > _MISSES_A_CORNER * _extent(told[here]) and more < _BETTER_IN_MIRROR * as_it_is
+    return votes >= _FEWEST
 
 
 def in_radians(own_deg: Floats, told: Floats) -> bool:

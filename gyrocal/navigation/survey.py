@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.errors import DataError
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.scale import WORST_SCALE, odd_temperature
-from gyrocal.units import RAD_TO_DEG, plural
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG, plural
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +39,9 @@ _STUCK_S = 2.0
 #: Rows further apart than this lose the course of a turn where the gyro is sampled: on 15 made-up drives thinned to 10, 5, 2
 #: and 1 rows a second the path errs 1.2, 1.8, 4 and 15 times as much, and 0.98, 0.97, 0.9 and 1.4 times by means over each row.
 SLOW_S = 0.2
+#: What no vehicle does across its way in a twentieth of the time that it moves, twice what tyres hold; and turns which one that
+#: goes round corners exceeds in a hundredth of it: a radian a second that is read as a degree a second is as slow as these.
+_ACROSS_MPS2, _SLOW_TURNS_DPS, _RARELY = 20.0, 2.0, 0.99
 #: Wheels that roll less than this over a window stand.
 _STILL_M = 1e-3
 #: Wheels of a robot that turns go apart by more than this share of their way, even on a square kilometre; rounding of a speed
@@ -291,8 +294,10 @@ def check_speed(name: str, fast_mps: float, *, speed_only: bool) -> None:
     DataError
     """
     if fast_mps > (_MAX_VEHICLE_MPS if speed_only else _MAX_SPEED_MPS):
-        what = "speed_m is the distance" if speed_only else "left_m and right_m are distances"
-        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; {what} since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
+        if speed_only:
+            msg = f"{name}: the vehicle goes {fast_mps:,.0f} m/s by its column of speed or distance, and none is so fast: speed_mps is in m/s, speed_m in metres since the row before. Correct that column, or state its unit in a mapping with --columns."
+            raise DataError(msg)
+        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
         raise DataError(msg)
 
 
@@ -312,7 +317,7 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
     check_speed(name, found.max_speed_mps, speed_only=found.speed_only)
     _check_stuck(found, wheel_separation_m)
-    return () if found.speed_only else _check_turns(found, wheel_separation_m)
+    return _check_rates(found) if found.speed_only else _check_turns(found, wheel_separation_m)
 
 
 def _check_stuck(found: Survey, separation_m: float) -> None:
@@ -350,6 +355,26 @@ def _check_both_encoders(found: Survey) -> None:
     if worst_deg > MIN_TURN_DEG:
         msg = f"{found.source}: the gyro turns {worst_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
         raise DataError(msg)
+
+
+def _check_rates(found: Survey) -> tuple[str, ...]:
+    """The unit of a gyro that no wheel can be compared with, by what vehicles do."""
+    long_s = np.diff(found.bin_s, prepend=0.0)
+    moved_m = 0.5 * (found.left_m + found.right_m)
+    rate_dps = np.abs(found.gyro_deg / long_s - np.median(found.gyro_deg / long_s))
+    moving = moved_m > _STILL_M
+    if not moving.any():
+        return ()
+    across = float(np.quantile((moved_m / long_s * DEG_TO_RAD * rate_dps)[moving], 1.0 - _FASTEST_SHARE))
+    if across > _ACROSS_MPS2:
+        msg = f"{found.source}: speed and gyro_dps make {across:.3g} m/s2 across the way, and no wheel holds more than 10: the gyro is in deg/h, or was converted to degrees twice. Write it in deg/s, or state its unit in a mapping with --columns."
+        raise DataError(msg)
+    fastest_dps = float(np.quantile(rate_dps[moving], _RARELY))
+    if fastest_dps > _SLOW_TURNS_DPS:
+        return ()
+    return (
+        f"by gyro_dps the vehicle hardly ever turns faster than {fastest_dps:.2g} deg/s, and no wheel says whether: if it went round corners, the gyro is in rad/s; state its unit in a mapping with --columns",
+    )
 
 
 def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.track import CONDITIONS
@@ -38,6 +38,8 @@ class Table:
     rows: tuple[Row, ...]
     means: tuple[Row, ...]
     factors: Mapping[str, Mapping[str, float]]
+    #: The factors of the rms along the path over all runs; empty where a run has no truth along it.
+    rms_factors: Mapping[str, float] = field(default_factory=dict)
 
     def lines(self) -> list[tuple[str, ...]]:
         """Cells as text, in cm, a mean row after each block; the columns of `HEADINGS`."""
@@ -57,6 +59,7 @@ class Table:
             "rows": [{"run": r.name, "direction": r.direction, **r.errors_m} for r in self.rows],
             "means": [{"direction": r.direction, **r.errors_m} for r in self.means],
             "improvement_factors": {k: dict(v) for k, v in self.factors.items()},
+            "improvement_factors_of_rms": dict(self.rms_factors),
         }
 
     def csv(self) -> str:
@@ -84,7 +87,15 @@ def make_table(replays: Sequence[LogReplay]) -> Table:
         Row(replay.name, replay.direction, {c.id: _error(replay, c.id, measure) for c in CONDITIONS})
         for replay in replays
     )
-    return table_of(rows, measure)
+    along = {c.id: _mean_rms_m(replays, c.id) for c in CONDITIONS}
+    known = errors and all(e is not None and e.rows for e in errors)
+    return replace(table_of(rows, measure), rms_factors=_factors(along) if known else {})
+
+
+def _mean_rms_m(replays: Sequence[LogReplay], condition_id: str) -> float:
+    """Rms position error of a condition, mean over the runs; NaN where it is not possible."""
+    tracks = [replay.track(condition_id) for replay in replays]
+    return sum(t.errors.rms_m if t and t.errors else math.nan for t in tracks) / len(tracks)
 
 
 def table_of(rows: Sequence[Row], measure: str) -> Table:
@@ -93,15 +104,15 @@ def table_of(rows: Sequence[Row], measure: str) -> Table:
     means = [_mean(rows, d) for d in present]
     if len(present) > 1:
         means.append(_mean(rows, "all"))
-    factors = {
-        mean.direction: {
-            name: _ratio(mean.errors_m["uncalibrated"], mean.errors_m[condition])
-            for name, condition in FACTORS.items()
-        }
-        for mean in means
-    }
+    factors = {mean.direction: _factors(mean.errors_m) for mean in means}
     ordered = sorted(rows, key=lambda r: list(DIRECTIONS).index(r.direction))
     return Table(measure, tuple(ordered), tuple(means), factors)
+
+
+def _factors(errors_m: Mapping[str, float]) -> dict[str, float]:
+    return {
+        name: _ratio(errors_m["uncalibrated"], errors_m[condition]) for name, condition in FACTORS.items()
+    }
 
 
 def _error(replay: LogReplay, condition_id: str, measure: str) -> float:

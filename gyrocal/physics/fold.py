@@ -6,7 +6,7 @@ The rms of data sets barely moves for thermal, angle and ringing effects; on the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,9 @@ class FoldAxis:
         The effect changes inside a data set, so that each set's own mean is only noise to it.
     of_time : bool
         The coordinate is time: a record without times has the order of its data sets in its stead.
+    linear_within : float
+        The effect lives within so much of zero, far less than the range: from there on the coordinate is to be drawn by its
+        logarithm. 0: it is linear.
     """
 
     label: str
@@ -45,6 +48,7 @@ class FoldAxis:
     unit: str
     within_set: bool = False
     of_time: bool = False
+    linear_within: float = 0.0
 
 
 #: The coordinate for rows, from an effect's parameters and from what it adds to them (deg/s, shape (n,)).
@@ -117,6 +121,11 @@ def on_model(label: str) -> Fold:
         return plain(label, error_dps * _MDPS)
 
     return fold
+
+
+def near_zero_rate(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
+    """Folded on the table rate, wide open around zero: a zone of a small part of a degree per second is no wider than a pixel."""
+    return replace(plain("Table rate, deg/s", c.need("rate_dps")), linear_within=p.get("width_dps", 0.0))
 
 
 #: The fold of an effect that has none of its own, by the coordinate in which it is seen.

@@ -19,6 +19,7 @@ from gyrocal.physics.effect import (
     need_surface,
     shape,
 )
+from gyrocal.physics.fold import near_zero_rate
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
 from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates, many_sizes, on_a_lattice
@@ -293,6 +294,7 @@ DEAD_ZONE = Effect(
     reference="IEEE Std 952, dead band",
     runtime=False,
     error_dps=memoryless(_dead_zone),
+    fold=near_zero_rate,
     search=Search(
         grid=_dead_widths,
         refined=("width_dps",),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
+from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.planning.planned import Design, Reach, designs, duration_h, to_profile
 from gyrocal.planning.separation import GOOD_POWER, Separation, repeats_needed, separate
 
@@ -22,6 +23,8 @@ _USUAL_RAMP_C_PER_MIN = 2.0
 _USUAL_REST_C = 25.0
 #: Below this the largest rate of a plan is not rounded to a whole number.
 _WHOLE_RATES_DPS = 5.0
+#: What reaches no farther from zero than this part of the range is not seen by rates that are spread evenly.
+_NEAR_ZERO = 0.05
 #: A plan that settles a doubt less often is not worth its bench time.
 _LEAST_POWER = 0.2
 #: Where structure is left unexplained: the plan that shows it best.
@@ -117,9 +120,23 @@ def _reach(diagnosis: Diagnosis, sensor: Mapping[str, Any], bench: Mapping[str, 
     # Where the gyro was when the run began is where the chamber rests.
     rest = float(np.round(diagnosis.rows.temp_c[0])) if diagnosis.rows is not None else _USUAL_REST_C
     sizes = () if diagnosis.rows is None else np.unique(np.abs(np.round(diagnosis.rows.rate_dps, 3))).tolist()
-    return Reach(
-        _largest_rate(diagnosis, sensor, limits), low, high, min(ramp, fast), fast, rest, tuple(sizes)
-    )
+    largest = _largest_rate(diagnosis, sensor, limits)
+    near = _near_zero_dps(diagnosis, sizes)
+    near = near if near < _NEAR_ZERO * largest else 0.0
+    return Reach(largest, low, high, min(ramp, fast), fast, rest, tuple(sizes), near)
+
+
+def _near_zero_dps(diagnosis: Diagnosis, sizes_dps: Sequence[float]) -> float:
+    """How far from zero rate what is named or left there reaches; 0 where nothing does."""
+    zone = next((e.parameters for e in diagnosis.effects if e.effect == DEAD_ZONE.id), {})
+    if "width_dps" in zone:
+        return zone["width_dps"].value
+    left = next((p for p in diagnosis.located if p.remains and p.coordinate == "rate"), None)
+    if left is None or left.low is None or left.high is None:
+        return 0.0
+    # At rest nothing is known below the least rate of the record.
+    least = min((size for size in sizes_dps if size > 0.0), default=0.0)
+    return max(abs(left.low), abs(left.high), least)
 
 
 def _temperatures(diagnosis: Diagnosis) -> tuple[float, float]:
@@ -229,7 +246,8 @@ def _showing(
             f"To see what lives in supply: {_SUPPLY_BY_HAND}.", (), None, None, None, (), (_SUPPLY_BY_HAND,)
         )
     named = {d.name: d for d in designs(reach) if duration_h(d, reach) <= bench_hours}
-    wanted = [_PLAN_FOR.get(place, "grid"), *(_AT_REST.get(place, ()) if reach.rate_dps == 0 else ())]
+    plan = "near_zero" if place == "rate" and reach.near_dps > 0.0 else _PLAN_FOR.get(place, "grid")
+    wanted = [plan, *(_AT_REST.get(place, ()) if reach.rate_dps == 0 else ())]
     design = next((named[name] for name in wanted if name in named), None)
     if design is None:
         return None

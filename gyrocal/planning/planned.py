@@ -29,6 +29,8 @@ _STATIC_S, _LONG_STATIC_S = 14400.0, 25200.0
 #: Visits of a plan at one temperature.
 _VISITS = 6
 _FEWEST_BETWEEN, _MOST_BETWEEN = 4, 24
+#: A plan names its rates to a thousandth of a degree per second.
+_LEAST_RATE_DPS = 1e-3
 #: How much later than planned a ramp and a soak may end, s: a plan is to keep to its bench time.
 _LATE_RAMP_S, _LATE_SOAK_S, _LATE_REST_S = 600.0, 900.0, 300.0
 #: What the virtual table bears unless the profile says more, deg/s.
@@ -53,6 +55,8 @@ class Reach:
         Usual and largest slope of the chamber.
     sizes_dps : tuple of float
         Sizes of the rates of the record at hand.
+    near_dps : float
+        How far from zero rate the doubt lives, where that is a small part of the range; 0: not there.
     """
 
     rate_dps: float
@@ -62,6 +66,7 @@ class Reach:
     fast_ramp_c_per_min: float
     rest_c: float = 25.0
     sizes_dps: tuple[float, ...] = ()
+    near_dps: float = 0.0
 
     @property
     def middle_c(self) -> float:
@@ -163,7 +168,7 @@ def _turning(reach: Reach) -> list[Design]:
     """
     w, mid = reach.rate_dps, reach.middle_c
     rates = {
-        "near_zero": ("rates dense near zero", np.geomspace(0.005, 1.0, 12) * w),
+        "near_zero": ("rates dense near zero", _near_zero(reach)),
         "fine_rates": ("fine rates", np.linspace(0.05, 1.0, 20) * w),
         "top_rates": ("rates dense at the upper end", np.linspace(0.4, 1.0, 13) * w),
         "turns": ("slow and fast turns", np.array([0.05, 0.2, 0.5, 1.0]) * w),
@@ -174,9 +179,9 @@ def _turning(reach: Reach) -> list[Design]:
     found = [
         Design(
             name,
-            purpose,
+            f"{purpose}, {_VISITS} times at one temperature",
             (mid,) * _VISITS,
-            tuple(np.round(r, 3).tolist()),
+            tuple(np.unique(np.round(r[r >= _LEAST_RATE_DPS], 3)).tolist()),
             60.0 if name == "turns" else 20.0,
             60.0,
         )
@@ -184,13 +189,24 @@ def _turning(reach: Reach) -> list[Design]:
     ]
     found += [
         replace(
-            d, name=f"{d.name}_long", purpose=f"{d.purpose}, for long", temperatures_c=(mid,) * (3 * _VISITS)
+            d,
+            name=f"{d.name}_long",
+            purpose=d.purpose.replace(f"{_VISITS} times", f"{3 * _VISITS} times"),
+            temperatures_c=(mid,) * (3 * _VISITS),
         )
         for d in found
     ]
     again = (round(0.2 * w, 3), round(0.5 * w, 3), round(0.9 * w, 3))
     found.append(Design("repeats", "the same rates again and again", (mid,) * 8, again, 60.0, 1200.0))
     return found
+
+
+def _near_zero(reach: Reach) -> Floats:
+    """Rates that grow by equal factors; where the doubt lives near zero, as many within twice its reach as beyond."""
+    if reach.near_dps == 0.0:
+        return np.geomspace(0.005, 1.0, 12) * reach.rate_dps
+    within = np.linspace(0.25, 2.0, 8) * reach.near_dps
+    return np.concatenate([within, np.geomspace(4.0 * reach.near_dps, reach.rate_dps, 8)])
 
 
 def _between(reach: Reach) -> Floats:

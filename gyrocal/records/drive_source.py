@@ -40,19 +40,29 @@ def iterate_drive(path: Path, robot: Robot, reading: Reading | None = None) -> I
     ------
     InputError
         Topics or an axis for what is no bag, columns for what is none but a bag.
+    ProfileError
+        The log tells left from right, and the robot file lacks the wheel separation.
     """
     how = reading or Reading()
     if is_bag(path):
         if how.columns is not None:
             raise InputError(f"{path}: is a bag, and --columns is for CSV. Leave it out.")
         wheels = Wheels(robot.wheel_separation_m, robot.wheel_radius_m, how.axis)
-        return iterate_bag(path, wheels, how.topics)
+        return _sided(iterate_bag(path, wheels, how.topics), robot)
     if how.topics or how.axis != "z":
         raise InputError(
             f"{path}: is no ROS bag; --topic and --axis are for those. Map columns with --columns."
         )
     columns = None if how.columns is None else read_column_map(how.columns)
-    return iterate_drive_log(path, robot.metres_per_tick, columns)
+    return _sided(iterate_drive_log(path, robot.metres_per_tick, columns), robot)
+
+
+def _sided(blocks: Iterator[DriveBlock], robot: Robot) -> Iterator[DriveBlock]:
+    """The blocks, of a robot whose file has what the first of them needs."""
+    for block in blocks:
+        if not block.speed_only:
+            robot.check_sides()
+        yield block
 
 
 def read_drive(path: Path, robot: Robot, reading: Reading | None = None) -> DriveBlock:

@@ -1,7 +1,7 @@
 """The robot file (TOML): geometry, gyro, encoders, slip, what is known of their errors, noise. See `SCHEMA`.
 
-Its keys are the fields of `gyrocal.fusion.robot`, which holds units, ranges and defaults; each may be left out but the
-wheel separation. `README.md` in bench_profiles lists them.
+Its keys are the fields of `gyrocal.fusion.robot`, which holds units, ranges and defaults; each may be left out but, for a log
+that tells left from right, the wheel separation. `README.md` in bench_profiles lists them.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ SECTIONS: Mapping[str, Any] = {
     "encoders": EncoderFigures,
     "slip": SlipFigures,
 }
+#: Stands for the track of a vehicle whose log has one speed: nothing reads it.
+_ONE_TRACK_M = 1.0
 _TICK_RANGE, _RADIUS_RANGE = (1e-9, 10.0), (1e-4, 100.0)
 _TOP = ("schema", "wheel_separation_m", "metres_per_tick", "wheel_radius_m", "static_s", *SECTIONS)
 
@@ -65,6 +67,17 @@ class Robot:
     def wheel_separation_m(self) -> float:
         """Effective distance between left and right wheels."""
         return self.parameters.wheel_separation_m
+
+    def check_sides(self) -> None:
+        """Refuse a file without the wheel separation, for whatever compares left and right.
+
+        Raises
+        ------
+        ProfileError
+        """
+        if "wheel_separation_m" not in self.given:
+            msg = f"{self.source}: wheel_separation_m is missing, which all but a log of one speed needs; allowed: the effective distance between left and right wheels, in metres, above 0."
+            raise ProfileError(msg)
 
     @property
     def static_s(self) -> float:
@@ -123,9 +136,6 @@ def robot_of(raw: Mapping[str, Any], path: Path) -> Robot:
     if raw.get("schema", SCHEMA) != SCHEMA:
         raise ProfileError(f"{path}: schema is {raw['schema']!r:.80}; allowed: {SCHEMA}, or none.")
     _refuse_unknown(path, "", raw, _TOP)
-    if "wheel_separation_m" not in raw:
-        msg = f"{path}: wheel_separation_m is missing; allowed: the effective distance between left and right wheels, in metres, above 0."
-        raise ProfileError(msg)
     ranges = _ranges(RobotParameters)
     top: dict[str, Any] = {
         key: _number(path, key, raw[key], ranges[key])
@@ -133,6 +143,7 @@ def robot_of(raw: Mapping[str, Any], path: Path) -> Robot:
         if key in raw
     }
     given = set(top)
+    top.setdefault("wheel_separation_m", _ONE_TRACK_M)
     sections, noise_std = {}, {}
     for name, kind in SECTIONS.items():
         table = dict(_table(path, name, raw, kind))
@@ -159,13 +170,13 @@ def format_robot(robot: Robot) -> str:
 
 def _tables(robot: Robot) -> dict[str, Any]:
     """The keys of a robot file that are given, as TOML would read them."""
-    top: dict[str, Any] = {"wheel_separation_m": robot.wheel_separation_m}
+    top: dict[str, Any] = {
+        key: getattr(robot, key) for key in ("wheel_separation_m", "static_s") if key in robot.given
+    }
     if robot.metres_per_tick is not None:
         top["metres_per_tick"] = list(robot.metres_per_tick)  # left, right
     if robot.wheel_radius_m is not None:
         top["wheel_radius_m"] = robot.wheel_radius_m
-    if "static_s" in robot.given:
-        top["static_s"] = robot.static_s
     for name in SECTIONS:
         values = asdict(getattr(robot.parameters, name))
         table = {key: value for key, value in values.items() if f"{name}.{key}" in robot.given}

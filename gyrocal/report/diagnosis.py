@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.result import Diagnosis, Improvement, Located, NamedEffect, Rows
 from gyrocal.physics.catalogue import described
-from gyrocal.report import style
 from gyrocal.report.diagnosis_figures import (
     effect_figure,
     has_surface,
@@ -31,6 +30,7 @@ from gyrocal.report.sentences import (
     counted,
     data_sentences,
     in_the_noise,
+    likelier,
     logloss_gain,
     plain_sentences,
     scale_of,
@@ -52,6 +52,7 @@ from gyrocal.report.words import (
 _LEAST_TURNING = 100
 #: Levels of noise below this, in whatever unit they are read, are nothing.
 _LEAST_LEVEL = 1e-4
+_NATS = "A nat is a unit of evidence, the natural logarithm of odds: 2.3 nats are 10 to 1, 4.6 nats 100 to 1."
 
 
 def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
@@ -88,7 +89,7 @@ _TITLES: Mapping[str, tuple[str, str]] = {
     "map": (
         "Residual over rate and temperature",
         "Mean residual of the data sets in each cell; the colour scale is the same in all panels. What lives in "
-        "ramps, within a turn or after a step hardly shows here: see the folded figures.",
+        "ramps, within a turn or after a step hardly shows here: see the pictures of the effects.",
     ),
     "time": (
         "Residual over time",
@@ -115,12 +116,12 @@ def _missing(name: str, why: str) -> tuple[Picture, None]:
 def _effect_picture(diagnosis: Diagnosis, rows: Rows, effect: NamedEffect) -> tuple[Picture, Figure | None]:
     figure = effect_figure(diagnosis, effect)
     caption = (
-        f"{statement(effect)} Folded on its own coordinate with all other named physics taken out: left the residual "
+        f"{statement(effect)} Means over its own coordinate with all other named physics taken out: left the residual "
         "and the effect's law, less what the error surface follows of it; right what is left, with whatever has no name. 95 % intervals from the scatter "
         "between data sets, of all bins together where a bin has fewer than three."
     )
     title = f"{effect.effect}, before and after"
-    missing = "The record has no coordinate on which this effect can be folded."
+    missing = "The record has no coordinate on which this effect can be shown."
     if effect.effect not in rows.effect_dps:
         missing = (
             "It was found in single samples or single data sets, and the means drawn here do not show it."
@@ -174,10 +175,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         found += [
             ("Held-out rms", f"{before} to {after}"),
             ("Noise floor", floor),
-            (
-                f"Held-out log-loss, a {counted(diagnosis).each}",
-                f"{style.minus('-')}{logloss_gain(best)[0]} nats",
-            ),
+            (f"A {counted(diagnosis).each} left out is", likelier(best)),
         ]
     if diagnosis.noise is not None:
         noise = diagnosis.noise
@@ -205,8 +203,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             "Where the excess lives",
             ("Coordinate", "of", "Region", "p", "Share of the excess", "With the model found"),
             [_located(diagnosis, p) for p in diagnosis.located],
-            "What lives on one coordinate is seen on others, so that the shares overlap. Taken up: by the named "
-            "physics or by a pattern that has no name.",
+            "What lives on one coordinate is seen on others, so that the shares overlap, and those of a mean and of a variance are of "
+            "two excesses. A curve without a name is in the model and no law; what is still there is in none.",
         ),
         _table(
             "effects",
@@ -247,14 +245,15 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
 
 
 def _located(diagnosis: Diagnosis, place: Located) -> tuple[str, ...]:
-    with_model = "explained" if diagnosis.verdict == "explained" else "taken up"
+    with_model = "explained" if diagnosis.effects else "taken up"
+    left = "a curve without a name" if place.curve else "still there"
     return (
         place.coordinate,
         place.statistic,
         f"see {place.finding}" if place.finding else region_words(place),
         p_text(place.p_value),
         f"{place.share:.0%}" if math.isfinite(place.share) else "-",
-        "still there" if place.remains else with_model,
+        left if place.remains else with_model,
     )
 
 
@@ -326,7 +325,7 @@ def _improvement_table(diagnosis: Diagnosis) -> Table:
         "95 % interval",
     )
     gained = diagnosis.improvement
-    note = "" if gained is None else f"Left out: {remark_words(gained.scheme)}."
+    note = "" if gained is None else f"Left out: {remark_words(gained.scheme)}. {_NATS}"
     return _table("improvement", "On data that the fit did not see", columns, rows, note)
 
 

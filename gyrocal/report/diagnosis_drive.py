@@ -145,7 +145,7 @@ def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
         if name is None or effect.effect not in _OWN:
             continue
         caption = (
-            f"{statement(effect)} Folded on its own coordinate with all other fitted laws taken out: left the "
+            f"{statement(effect)} Means over its own coordinate with all other fitted laws taken out: left the "
             f"difference and the effect's law, right what is left; {intervals}."
         )
         picture = Picture(f"effect_{effect.effect}", f"{effect.effect}, before and after", caption)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
@@ -22,6 +23,8 @@ _MOST_TEMPERATURES = 12
 #: Before and after are drawn beside each other, so that neither hides the other; share of a bin.
 _APART = 0.14
 _PALE = "#BDBDBD"
+#: Length of the linear part of a logarithmic axis to either side of zero, in decades.
+_LINEAR_DECADES = 1.0
 
 
 def _hours(rows: Rows) -> Floats:
@@ -216,6 +219,17 @@ def before_and_after(folded: Fold, effect: NamedEffect) -> Figure:
         bars(panel, folded.x, y, half, colour)
         panel.set_title(f"{title}: rms {fixed(rms, places)}")
         panel.set_xlabel(folded.coordinate.label)
+    within = folded.coordinate.linear_within
+    if within > 0:
+        left.set_xscale("symlog", linthresh=within, linscale=_LINEAR_DECADES)
+        decades = 10.0 ** np.arange(np.ceil(np.log10(within)), np.log10(np.abs(folded.x).max()) + 0.5)
+        left.set_xticks([*-decades[::-1], 0.0, *decades])
+        left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        left.xaxis.set_minor_locator(NullLocator())
+        for panel in (left, right):
+            panel.axvspan(-within, within, color=_PALE, alpha=0.3, linewidth=0, zorder=0)
+        right.patches[-1].set_label(f"± {within:.2g}, on a linear scale")
+        legend_above(right)
     order = np.argsort(folded.x)
     left.plot(folded.x[order], folded.law[order], color=style.INK, linewidth=1.0, label=effect.effect)
     legend_above(left)

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.result import Diagnosis, Layer, Located, UnnamedPart
 from gyrocal.report import style
-from gyrocal.report.words import coordinate_words, decimals, fixed, listed, place_words
+from gyrocal.report.words import coordinate_words, decimals, fixed, listed, place_words, times_text
 
 _MDPS = 1e3
 _LARGE_DPS = 0.3
@@ -70,7 +70,7 @@ def _unnamed(part: UnnamedPart) -> str:
         part.coordinate, "mean", 0.0, 1.0, low=part.low, high=part.high, unit=part.unit, rms_dps=part.rms_dps
     )
     where = place_words(place, coordinate_words(part.coordinate))
-    said = f"Without a name: {where}, worth {part.evidence_nats:.3g} nats"
+    said = f"Without a name: {where}, {times_text(part.evidence_nats)} to 1 for it"
     near = sorted(part.nearest.items(), key=lambda item: item[1])[:_MOST_LAWS]
     if near:
         took = [f"{effect} (takes {_taken(1.0 - nats / part.evidence_nats)})" for effect, nats in near]
@@ -81,8 +81,8 @@ def _unnamed(part: UnnamedPart) -> str:
 def _taken(share: float) -> str:
     """How much of the evidence a law takes; beside the rest of a model it can be more than all, or do harm."""
     if share < _NEARLY:
-        return "none of them"
-    return "all of them" if share > 1.0 - _NEARLY else f"{100 * share:.0f} % of them"
+        return "none of the evidence"
+    return "all of it" if share > 1.0 - _NEARLY else f"{100 * share:.0f} % of it"
 
 
 def nameless(d: Diagnosis) -> bool:

@@ -101,7 +101,13 @@ def _shown_sentence(shown: Shown) -> str:
     before, after = f"{shown.before_m:.3g}", f"{shown.after_m:.3g} m rms"
     better = "falls" if shown.after_m <= shown.before_m else "rises"
     moves = f"{better} from {before} to {after}" if after != f"{before} m rms" else f"stays at {after}"
-    return f"On {part} the position error along the gyro's heading {moves}"
+    said = f"On {part} the position error along the gyro's heading {moves}"
+    if not np.isfinite(shown.truth_m):
+        return said
+    own = f"a perfect path would be off by about {shown.truth_m:.2g} m rms, which is the truth's own error"
+    if abs(shown.after_m - shown.before_m) >= shown.seen_m:
+        return f"{said}; {own}"
+    return f"{said}, which tells nothing: {own}, and it hides differences of less than {shown.seen_m:.2g} m"
 
 
 def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) -> list[str]:
@@ -177,6 +183,8 @@ def drive_tables(diagnosis: Diagnosis) -> list[Table]:
             _cell(e, "before_rms_m"),
             _cell(e, "after_rms_m"),
             _cell(e, "apart_rms_m"),
+            _cell(e, "truth_rms_m"),
+            _cell(e, "least_seen_m"),
         )
         for e in diagnosis.drive["position_error"]
     ]
@@ -192,9 +200,17 @@ def drive_tables(diagnosis: Diagnosis) -> list[Table]:
         _table(
             "position_error",
             "Position error on what the figures were not fitted to",
-            ("Part", "Before, m rms", "After, m rms", "Paths apart, m rms"),
+            (
+                "Part",
+                "Before, m rms",
+                "After, m rms",
+                "Paths apart, m rms",
+                "The truth's own, m rms",
+                "Seen from, m",
+            ),
             errors,
-            "",
+            "The truth's own: what its error would give a perfect path, as this log shows it. Seen from: "
+            "a smaller difference between before and after is as likely its noise (95 %).",
         ),
     ]
 

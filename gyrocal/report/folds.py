@@ -111,7 +111,7 @@ def fold(
     weight = 1.0 / rows.white_std_dps[use] ** 2
     if c.within_set:
         after = after - _set_means(after, weight, sets)
-    bins, x = bin_rows(c.x[use])
+    bins, x = bin_rows(c.x[use], c.linear_within)
     gain = c.gain[use]
 
     def mean(values: Floats) -> Floats:
@@ -153,14 +153,18 @@ def _set_means(values: Floats, weight: Floats, sets: NDArray[np.int64]) -> Float
     return np.asarray((np.bincount(sets, values * weight) / np.bincount(sets, weight))[sets])
 
 
-def bin_rows(x: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Bin number of each value and the mean value of each bin: levels where values repeat, else equal widths."""
+def bin_rows(x: Floats, linear_within: float = 0.0) -> tuple[NDArray[np.int64], Floats]:
+    """Bin number of each value and the mean value of each bin: levels where values repeat, else equal widths.
+
+    Beyond `linear_within`, where that is given, bins are equally wide by the logarithm.
+    """
     distinct = np.unique(np.round(x, 6))
     if distinct.size <= _MOST_LEVELS:
         bins = np.searchsorted(distinct, np.round(x, 6))
     else:
-        edges = np.linspace(x.min(), x.max(), _BINS + 1)
-        bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
+        drawn = np.arcsinh(x / linear_within) if linear_within > 0 else x
+        edges = np.linspace(drawn.min(), drawn.max(), _BINS + 1)
+        bins = np.clip(np.searchsorted(edges, drawn, side="right") - 1, 0, _BINS - 1)
         bins = np.unique(bins, return_inverse=True)[1]
     count = np.bincount(bins)
     return bins, np.asarray(np.bincount(bins, x) / count)

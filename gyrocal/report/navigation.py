@@ -269,10 +269,22 @@ def verdict(replays: Sequence[LogReplay], table: Table) -> str:
         return f"{filter_sentence(replays)} {count} {plural(count, '[log|logs]')} replayed; {MEASURES['none']}.{_heading_sentence(replays)}"
     sizes = [f"{_length(mean[c.id])} ({c.label})" for c in CONDITIONS if not math.isnan(mean[c.id])]
     text = f"{filter_sentence(replays)} Mean {MEASURES[table.measure]} of {count} {plural(count, '[log|logs]')}: {', '.join(sizes)}."
-    factors = [
-        f"{v:.3g} by {k}" for k, v in table.factors[table.means[-1].direction].items() if not math.isnan(v)
-    ]
-    return text + (f" Improvement factors: {', '.join(factors)}." if factors else "")
+    factors = [_factor(table, name, end) for name, end in table.factors[table.means[-1].direction].items()]
+    said = [factor for factor in factors if factor]
+    return text + (f" Improvement factors: {', '.join(said)}." if said else "")
+
+
+def _factor(table: Table, name: str, end: float) -> str:
+    """A factor of the end, and beside it that of the rms along the path, which may deny it."""
+    rms = table.rms_factors.get(name, math.nan)
+    if math.isnan(end):
+        return ""
+    if math.isnan(rms):
+        return f"{end:.3g} by {name}"
+    both = f"{end:.3g} at the end, {rms:.3g} in rms along the path"
+    # Where one grows and the other shrinks, the end was good or bad luck.
+    agreed = (end - 1.0) * (rms - 1.0) >= 0.0
+    return f"{both} by {name}" if agreed else f"none that holds by {name} ({both})"
 
 
 def _heading_sentence(replays: Sequence[LogReplay]) -> str:

@@ -28,6 +28,7 @@ from gyrocal.report.words import (
     place_words,
     range_text,
     region_words,
+    times_text,
 )
 
 #: An amplitude that is so much less known than what the effect adds is traded for a shape.
@@ -38,6 +39,8 @@ _NOT_IN_MEANS = ("thermal transient", "angle, constant", "angle, with rate", "st
 _LARGE_DPS = 0.3
 _FEWEST_UNITS = 8
 _MOST_PLACES = 4
+#: A smaller share is told as less than this.
+_LEAST_PART = 0.01
 
 _MORE = "Beyond the error surface something stands out of the noise"
 _VERDICTS = {
@@ -93,6 +96,25 @@ def plain_sentences(d: Diagnosis) -> list[str]:
     return _once([*said, *data_sentences(d)])
 
 
+def short_sentences(d: Diagnosis) -> list[str]:
+    """The answer without its details, which the page has: verdict, places, names with their sizes, what is gained and left."""
+    said = list(d.sentences)
+    if not said:
+        named = [s for e in d.effects for s in _named(e, d)]
+        said = [_VERDICTS[d.verdict], *_places(d), *named, *_whole_gain(d), *unnamed_sentences(d), *_left(d)]
+    said += [_begun(n) for n in d.notes if not of_the_data(n)]
+    if d.next_experiment is not None:
+        said.append(d.next_experiment["statement"])
+    return _once(said)
+
+
+def short_data_sentences(d: Diagnosis, told: Collection[str] = ()) -> list[str]:
+    """`data_sentences` with all that cannot be tested in one, without the reasons."""
+    notes = [_begun(n) for n in d.notes if of_the_data(n) and n not in told]
+    untested = [f"Not testable with this record (why: see the page): {', '.join(d.not_testable)}"]
+    return _once([*notes, *(untested if d.not_testable else [])])
+
+
 def data_sentences(d: Diagnosis, told: Collection[str] = ()) -> list[str]:
     """What the data lack and what they cannot show, each thing once.
 
@@ -139,13 +161,32 @@ def _sentences(d: Diagnosis) -> list[str]:
     """Does the recording agree with the simulation; where not; which physics; how sure; what is gained."""
     said = [_VERDICTS[d.verdict], *_places(d)]
     for effect in d.effects:
-        said += _effect(effect, d)
+        said += [*_named(effect, d), *_shown(effect, d)]
     said += [*unnamed_sentences(d), *filter(None, [staircase_sentence(d)])]
+    if nameless(d) or sum(e.improvement is not None for e in d.effects) > 1:
+        said += _whole_gain(d)
+    return said + _left(d)
+
+
+def _whole_gain(d: Diagnosis) -> list[str]:
+    """What all that was found gains together."""
     measured = [e for e in d.effects if e.improvement is not None]
-    if d.improvement is not None and len(measured) > 1:
-        whole = "All that was found, also without a name" if nameless(d) else "All named physics together"
-        said.append(f"{whole}, against the surface alone: " + _gain(d.improvement, counted(d)))
-    return said
+    if len(measured) == 1 and not nameless(d):
+        return [_own_gain(measured[0], d)]
+    if d.improvement is None or not measured:
+        return []
+    whole = "All that was found, also without a name" if nameless(d) else "All named physics together"
+    return [f"{whole}, against the surface alone: " + _gain(d.improvement, counted(d))]
+
+
+def _own_gain(effect: NamedEffect, d: Diagnosis) -> str:
+    """What one effect gains beside the others; of none that was not measured."""
+    if effect.improvement is None:
+        return ""
+    others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
+    beside = f", beside {listed(others)}" if others else ""
+    transient = effect.family in _NOT_IN_MEANS
+    return f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient)
 
 
 def not_testable_sentences(d: Diagnosis) -> list[str]:
@@ -160,27 +201,45 @@ def not_testable_sentences(d: Diagnosis) -> list[str]:
 
 
 def _places(d: Diagnosis) -> list[str]:
-    """Where it departs: the strongest place in full, what only mirrors it by name, and what is still there."""
-    means = [p for p in d.located if p.statistic == "mean" and not p.finding]
-    said = []
-    if means and d.verdict == "consistent":
-        said.append(f"It comes nearest to that in {_where(d, means[0])}: too little to name or to correct.")
-    elif means:
-        first, others = means[0], means[1:]
-        mirrored = dict.fromkeys(_coordinate(d, p) for p in others if p.coordinate != first.coordinate)
-        also = f"; it is also seen in {listed(list(mirrored))}" if mirrored else ""
-        said.append(f"The mean departs most in {_where(d, first)}{also}.")
-        names = [e.effect for e in d.effects]
-        if d.verdict == "explained" and names and not any(p.remains for p in means):
-            said.append(f"With {listed(names)} in the model nothing is left there.")
-    left = [p for p in means if p.remains][:_MOST_PLACES]
-    if left:
-        found = "all that was found" if d.effects or d.notes else "the surface"
-        said.append(f"Still there with {found} in the model: {'; '.join(_where(d, p) for p in left)}.")
-    scatter = [p for p in d.located if p.statistic == "variance" and p.remains and not p.finding][
-        :_MOST_PLACES
+    """Where it departs, the strongest first: the place of the mean in full with what only mirrors it, and of the scatter."""
+    places = [p for p in d.located if not p.finding]
+    if not places:
+        return []
+    scatter = [
+        f"The scatter stands out most in {_where(d, p)}." for p in places if p.statistic == "variance"
+    ][:1]
+    means = [p for p in places if p.statistic == "mean"]
+    if places[0].statistic == "variance":
+        return scatter + _places_of_mean(d, means)
+    return _places_of_mean(d, means) + scatter
+
+
+def _places_of_mean(d: Diagnosis, means: list[Located]) -> list[str]:
+    if not means:
+        return []
+    first, others = means[0], means[1:]
+    if d.verdict == "consistent":
+        return [f"It comes nearest to that in {_where(d, first)}: too little to name or to correct."]
+    mirrored = dict.fromkeys(_coordinate(d, p) for p in others if p.coordinate != first.coordinate)
+    also = f"; it is also seen in {listed(list(mirrored))}" if mirrored else ""
+    return [f"The mean departs most in {_where(d, first)}{also}."]
+
+
+def _left(d: Diagnosis) -> list[str]:
+    """What is left with names and curves in the model: the one account of it."""
+    if d.verdict == "consistent":
+        return []
+    left = [p for p in d.located if p.remains and not p.curve and not p.finding]
+    curved = dict.fromkeys(_coordinate(d, p) for p in d.located if p.curve)
+    curves = [f"a curve without a name over {listed(list(curved))}"] if curved else []
+    model = listed([e.effect for e in d.effects] + curves) or "the surface fitted here"
+    if not left:
+        return [f"With {model} in the model nothing is left beyond the noise."]
+    places = [
+        f"{'scatter in ' if p.statistic == 'variance' else ''}{place_words(p, _coordinate(d, p))}"
+        for p in left[:_MOST_PLACES]
     ]
-    return said + [f"Scatter beyond the noise: {_where(d, p)}." for p in scatter]
+    return [f"With {model} in the model there is left: {'; '.join(places)}."]
 
 
 def _coordinate(d: Diagnosis, place: Located) -> str:
@@ -194,30 +253,33 @@ def _where(d: Diagnosis, place: Located) -> str:
     return f"{place_words(place, _coordinate(d, place))}, {p_equals(place.p_value)}"
 
 
-def _effect(effect: NamedEffect, d: Diagnosis) -> list[str]:
+def _named(effect: NamedEffect, d: Diagnosis) -> list[str]:
+    """What an effect is, how large, and what else it could be."""
     values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
     if effect.share < 1.0:
         said.append(
-            f"{effect.effect} only resembles it: the law takes {100.0 * effect.share:.0f} % of the evidence for this {effect.family}, "
+            f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}, "
             "and a curve without a name follows the rest."
         )
-    traded = traded_sentence(effect)
-    if traded:
-        said.append(traded)
     if effect.alternatives:
         rivals = "; ".join(_other(a, a.effect in d.not_testable) for a in effect.alternatives)
         said.append(f"The same data could be {rivals}.")
-    if effect.improvement is not None:
-        others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
-        beside = f", beside {listed(others)}" if others else ""
-        transient = effect.family in _NOT_IN_MEANS
-        said.append(f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient))
+    return said
+
+
+def _shown(effect: NamedEffect, d: Diagnosis) -> list[str]:
+    """What is known of an effect all the same, what it gains, and how it stands out."""
+    said = [s for s in (traded_sentence(effect), _own_gain(effect, d)) if s]
     folded = fold_of(d, effect)
     if folded is not None:
         said.append(f"{effect.effect}: " + _folded(folded))
     return said
+
+
+def _part(share: float) -> str:
+    return f"{100.0 * share:.0f} %" if share >= _LEAST_PART else f"less than {100.0 * _LEAST_PART:.0f} %"
 
 
 def _other(a: Alternative, untestable: bool) -> str:
@@ -269,10 +331,17 @@ def logloss_gain(i: Improvement) -> tuple[str, str]:
     return fixed(i.logloss_before - i.logloss_after, decimals(0.5 * (high - low))), range_text(low, high)
 
 
-def _logloss(i: Improvement, c: Counted) -> str:
-    gain, interval = logloss_gain(i)
+def likelier(i: Improvement) -> str:
+    """How many times as probable the model makes what was left out, with its 95 % interval: the drop of the log-loss."""
+    low, high = (times_text(nats) for nats in i.logloss_interval_95)
+    times = times_text(i.logloss_before - i.logloss_after)
     sure = "" if i.logloss_interval_95[0] > 0 else ", no sure gain"
-    return f"the log-loss falls by {gain} nats a {c.each} (95 %: {interval}{sure})"
+    interval = f" (95 %: {low} to {high}{sure})" if times != low else ""
+    return f"{times} times as probable{interval}"
+
+
+def _logloss(i: Improvement, c: Counted) -> str:
+    return f"a {c.each} becomes {likelier(i)}"
 
 
 def _folded(folded: Fold) -> str:
@@ -282,8 +351,8 @@ def _folded(folded: Fold) -> str:
     label = label[0].lower() + label[1:] if label[1:2].islower() else label
     here = f"{fixed(before, places)} to {fixed(after, places)} {folded.coordinate.unit}"
     if after < before:
-        return f"folded on {label} the rms of the residual falls from {here}."
-    return f"folded on {label} it cannot be seen by itself, for other layers live there too: the rms goes from {here}."
+        return f"over {label} (its picture) the rms of the residual falls from {here}."
+    return f"over {label} (its picture) it cannot be seen by itself, for other layers live there too: the rms goes from {here}."
 
 
 def _rms(i: Improvement, c: Counted) -> str:
@@ -299,7 +368,7 @@ def _rms(i: Improvement, c: Counted) -> str:
     if in_the_noise(i):
         return (
             f"the rms of {c.means} ({before} before, {after} after) is within the noise of such a mean "
-            f"({floor} {unit}): see the folded figure and the log-loss"
+            f"({floor} {unit}): see the pictures"
         )
     drop = range_text(low, high, scale)
     sure = "" if low > 0 else ", no sure gain"

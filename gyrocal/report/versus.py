@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.versus.answer import Comparison, Versus
 from gyrocal.diagnosis.versus.law_file import python_file
@@ -12,9 +16,13 @@ from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.report.words import decimals, estimate_text, fixed, listed, parameter_words, range_text
 from gyrocal.units import plural
 
+Floats = NDArray[np.float64]
+
 LAW_JSON, LAW_PYTHON = "law.json", "law.py"
 
 _MOST_RATES = 6
+#: From so many terms on it is said why there are as many, and which share of the law is little.
+_SEVERAL, _LITTLE = 6, 1e-3
 _MDPS = 1e3
 
 
@@ -27,10 +35,13 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
     }
     if found.helps:
         title = f"What {found.simulation} lacks against {found.recording}."
-        formula = "\n".join(
-            ["Terms beside the surface, with 95 % intervals:", *_formula(found), "", *_valid(found)]
+        adds = found.terms_dps
+        head = "Terms beside the surface, the largest first, with what they add and 95 % intervals:"
+        formula = "\n".join([head, *_formula(found, adds), "", *_little(adds), *_valid(found)])
+        rms_dps = [_rms(x) for x in adds]
+        files[LAW_PYTHON] = python_file(
+            found.law, found.match.surface, title, formula, _began_s(found), rms_dps
         )
-        files[LAW_PYTHON] = python_file(found.law, found.match.surface, title, formula, _began_s(found))
     return files
 
 
@@ -109,15 +120,41 @@ def _began_s(found: Versus) -> float | None:
     return float(d.t_s[0]) if d.has_time and d.since_power_on_s is None else None
 
 
-def _formula(found: Versus) -> list[str]:
+def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:
+    """A line for each law or smooth part, with all its terms."""
     estimates = {effect.effect: effect.parameters for effect in found.diagnosis.effects}
     lines: dict[str, str] = {}
-    for term in found.law.terms:
+    sums: dict[str, Floats] = {}
+    for term, adds in zip(found.law.terms, adds_dps, strict=True):
         if isinstance(term, SmoothTerm):
-            lines[term.label] = f"- {term.family}, no name: {term.label}, {len(term.columns)} columns"
-            continue
-        effect = find_effect(term.effect)
-        known = estimates.get(effect.id, {})
-        values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
-        lines[effect.id] = f"- {effect.id}: {effect.equation}; {listed(values)}"
-    return list(lines.values()) or ["- none: the surfaces differ, and nothing else"]
+            key = term.label
+            lines[key] = f"- {term.family}, no name: {term.label}, {len(term.columns)} columns"
+        else:
+            effect = find_effect(term.effect)
+            key, known = effect.id, estimates.get(effect.id, {})
+            values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
+            lines[key] = f"- {effect.id}: {effect.equation}; {listed(values) or 'not named'}"
+        sums[key] = sums.get(key, 0.0) + adds
+    largest = sorted(lines, key=lambda key: -_rms(sums[key]))
+    said = [f"{lines[key]}; {_MDPS * _rms(sums[key]):.2g} mdeg/s rms" for key in largest]
+    return said or ["- none: the surfaces differ, and nothing else"]
+
+
+def _little(adds_dps: Sequence[Floats]) -> list[str]:
+    """Why there are terms that hardly add anything."""
+    rms_dps = [_rms(x) for x in adds_dps]
+    little = sum(rms < _LITTLE * sum(rms_dps) for rms in rms_dps)
+    if len(rms_dps) < _SEVERAL:
+        return []
+    few = (
+        f"; {plural(little, f'{little} of them [adds|add] less than {_LITTLE:.1%} of all')}" if little else ""
+    )
+    return [
+        f"The law is a mean over all models that explain the recording about as well, and has the terms of each, {len(rms_dps)} in "
+        f"all{few}. They stay so that this file gives what was judged on data left out.",
+        "",
+    ]
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -11,6 +11,9 @@ from gyrocal.units import S_PER_H
 LEAST_P = 1e-12
 #: More decimals than this are read as a power of ten.
 _MOST_DECIMALS = 6
+#: Larger logarithms of odds are a matter of what was assumed of the noise, not of the data: a million to one.
+_MOST_NATS = 6.0 * math.log(10.0)
+_NEARLY_ONE = 0.1
 #: A stretch that begins within this share of its length from zero begins at zero.
 _NEARLY = 0.05
 #: Coordinates in seconds that are read in hours, where they come to so many.
@@ -87,6 +90,16 @@ def estimate_text(e: Estimate) -> str:
     """Value with unit and, where it was estimated, its interval."""
     low, high = e.interval_95
     return f"{value_text(e)} (95 %: {interval_text(e)})" if low < high else value_text(e)
+
+
+def times_text(nats: float) -> str:
+    """By how much a logarithm of odds makes something likelier: ``1.015``, ``38``, ``more than 1,000,000``."""
+    if nats > _MOST_NATS:
+        return f"more than {math.exp(_MOST_NATS):,.0f}"
+    times = math.exp(nats)
+    if abs(times - 1.0) < _NEARLY_ONE:
+        return f"{times:.3f}"
+    return f"{times:.2g}" if times < 100.0 else f"{float(f'{times:.2g}'):,.0f}"
 
 
 def range_text(low: float, high: float, scale: float = 1.0) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import signal
 
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.calibration.noise import (
@@ -149,3 +150,14 @@ def test_noise_of_a_run_and_of_a_table(tmp_path: Path) -> None:
     table = tmp_path / "t.csv"
     table.write_text("rate_dps,gyro_dps,temp_c\n0,0.1,20\n")
     assert "table" in noise_figures(load_recording(table)).statement
+
+
+def test_a_curve_that_rises_faster_than_a_walk_is_said_to_follow_something() -> None:
+    """White on its short side, a smooth course on its long one: no noise figure is had of either."""
+    rng = np.random.default_rng(0)
+    fade = np.exp(-0.5 / 60.0)
+    course = signal.lfilter([1.0], [1.0, -2.0 * fade, fade**2], rng.standard_normal(8400))
+    gyro = 0.007 * rng.standard_normal(8400) + 0.03 * course / np.std(course)
+    reason = figures_of([curve_of(gyro, 0.5)]).figures["rate_random_walk"].reason
+    assert "faster than any random walk (0.5): the output follows something, as the temperature." in reason
+    assert "bandwidth" not in reason

@@ -131,7 +131,7 @@ def _occupied(folder: Path) -> None:
         (
             _edit("robot.toml", lambda s: s.replace("wheel_separation_m = 0.6\n", "", 1)),
             ProfileError,
-            "wheel_separation_m is missing; allowed: the effective distance",
+            "wheel_separation_m is missing, which all but a log of one speed needs; allowed: the effective distance",
         ),
         (
             _edit("ccw.csv", lambda s: s.replace("gyro_dps", "yaw", 1)),
@@ -252,11 +252,15 @@ def test_a_vehicle_with_one_speed_goes_by_its_gyro(folder: Path, capsys: pytest.
     way_m = 0.5 * (log.left_m + log.right_m)
     car = replace(log, left_m=way_m, right_m=way_m, speed_only=True)
     (folder / "car.csv").write_text(format_drive_log(car))
+    # Nothing in it tells of a track.
+    bare = folder / "robot.toml"
+    bare.write_text(bare.read_text().replace("wheel_separation_m = 0.6\n", "", 1))
     assert run(folder, "@car.csv", "--robot", "@robot.toml", "-c", "@c.json", "--out", "@out") == 0
     assert "the log has one speed and no sides" in capsys.readouterr().out
     (found,) = json.loads((folder / "out" / "summary.json").read_text())["logs"]
     assert set(found["conditions"]) == {"uncalibrated", "calibrated"}
     assert found["yaw"] is None
+    bare.write_text("wheel_separation_m = 0.6\n" + bare.read_text())
     assert run(folder, "@ccw.csv", "--robot", "@robot.toml", "-c", "@c.json", "--out", "@two") == 0
     (sides,) = json.loads((folder / "two" / "summary.json").read_text())["logs"]
     one, two = (f["conditions"]["calibrated"]["position_error_m"]["end"] for f in (found, sides))

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.locate import located
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import frame_of
 from gyrocal.diagnosis.table_series import series_of_table
@@ -174,6 +175,8 @@ def test_errors_of_few_rates_are_the_tables_and_no_shape_in_rate() -> None:
     assert effect.effect == "reference_rate_error"
     low, high = effect.parameters["amplitude"].interval_95
     assert low < 300.0 < high
+    # What has a name is not said to be left.
+    assert [(p.coordinate, p.remains) for p in located(found, 0.01)] == [("rate", False)]
     models = [(weight, c.fitted.model) for weight, c in found.candidates]
     assert sum(w for w, m in models if "odd rate" not in m.blocks.values()) > 0.5
 

@@ -21,13 +21,17 @@ from gyrocal.commands.diagnose import (
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Located
 from gyrocal.errors import InputError, OutputError
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.fold import plain
 from gyrocal.records.run import read_run
 from gyrocal.report.diagnosis import (
     diagnosis_page,
     figures,
     tables,
 )
-from gyrocal.report.folds import beyond_surface, bin_rows, clusters, coordinate_of, fold, fold_of
+from gyrocal.report.diagnosis_figures import before_and_after
+from gyrocal.report.folds import Fold, beyond_surface, bin_rows, clusters, coordinate_of, fold, fold_of
 from gyrocal.report.sentences import not_testable_sentences, plain_sentences
 from tests.calibration.runs import Part, gyro_row, write_run
 from tests.diagnosis.concealed_bench import make_recording
@@ -79,6 +83,8 @@ def test_bins_are_levels_where_values_repeat_and_widths_where_they_do_not() -> N
     levels, centres = bin_rows(np.array([3.0, 1.0, 3.0, 1.0]))
     assert levels.tolist() == [1, 0, 1, 0]
     assert centres.tolist() == [1.0, 3.0]
+    _, near = bin_rows(np.linspace(-100.0, 100.0, 20_001), 0.1)
+    assert np.count_nonzero(np.abs(near) < 0.1) >= 2
     _, many = bin_rows(np.linspace(0.0, 1.0, 1000))
     assert many.size == 24
     assert np.diff(many) == pytest.approx(np.full(23, 1 / 24), rel=0.02)
@@ -316,3 +322,23 @@ def test_what_the_data_lack_stands_behind_all_that_was_found(found: Diagnosis) -
     assert places == sorted(places)
     told = diagnosis_page(replace(odd, notes=(*odd.notes, "It differs.")), [], {}, told=("It differs.",))
     assert told.index("It differs.") < told.index("Measure at rest.")
+
+
+def test_a_zone_of_a_thousandth_of_the_range_is_seen(found: Diagnosis) -> None:
+    """On a linear axis a dead zone of 0.08 deg/s had been one pixel of a picture from -100 to 100 deg/s."""
+    rates = np.array([-100.0, -10.0, -1.0, -0.1, 0.0, 0.1, 1.0, 10.0, 100.0])
+    axis = replace(plain("Table rate, deg/s", rates), linear_within=0.08)
+    folded = Fold(axis, rates, 0.1 * rates, 0.0 * rates, np.ones(9), 0.1 * rates)
+    figure = before_and_after(folded, found.effects[0])
+    figure.draw_without_rendering()
+    left, right = figure.axes
+    (low, _), (high, _) = left.transData.transform([(-0.08, 0.0), (0.08, 0.0)])
+    assert high - low > 0.15 * left.get_window_extent().width
+    assert {"−100", "−0.1", "0", "0.1", "100"} <= {t.get_text() for t in left.get_xticklabels()}
+    assert right.get_legend() is not None
+
+
+def test_a_dead_zone_is_folded_on_the_rate_within_its_width() -> None:
+    nothing = np.zeros(3)
+    c = Conditions(t_s=nothing, rate_dps=np.array([-1.0, 0.0, 1.0]), temp_c=nothing)
+    assert CATALOGUE["dead_zone"].fold_axis(c, {"width_dps": 0.05}, nothing).linear_within == 0.05

@@ -84,8 +84,8 @@ def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     )
     found = Diagnosis(**{**vars(stepped), "unnamed": (part,)})
     assert unnamed_sentences(found) == [
-        "Without a name: rate 93.6 to 100.8 deg/s (12 mdeg/s rms), worth 35.2 nats; nearest is saturation "
-        "(takes 66 % of them). The improved coefficients take it away."
+        "Without a name: rate 93.6 to 100.8 deg/s (12 mdeg/s rms), more than 1,000,000 to 1 for it; nearest is saturation "
+        "(takes 66 % of it). The improved coefficients take it away."
     ]
     unknown = Layer("odd rate", 1e-3, 1e-3, 0.0)
     assert layer_rows(Diagnosis(**{**vars(stepped), "layers": (unknown,)}))[0][0] == "odd rate, no name"
@@ -97,7 +97,7 @@ def test_a_nearest_law_takes_none_all_or_a_share(stepped: Diagnosis) -> None:
     part = UnnamedPart("time", "time", 8.0, 1e-3, None, None, "s", near, corrected=False)
     said = unnamed_sentences(Diagnosis(**{**vars(stepped), "unnamed": (part,)}))[0]
     assert (
-        "scale_step (takes all of them), rate_order (takes 50 % of them) and scale_drift (takes none of them)"
+        "scale_step (takes all of it), rate_order (takes 50 % of it) and scale_drift (takes none of the evidence)"
         in said
     )
 

@@ -236,3 +236,14 @@ def test_a_curve_that_is_no_noise_fits_no_stretch_of_it_all() -> None:
 def test_a_short_record_has_no_model() -> None:
     assert fit_noise([curve_of(np.random.default_rng(17).normal(size=40))]) is None
     assert fit_noise([]) is None
+
+
+@pytest.mark.parametrize("seed", [0, 5, 10])
+def test_a_stretch_that_leaves_out_the_floor_as_noise_is_no_model(seed: int) -> None:
+    """White noise on an output that follows a chamber: its long side had been a walk, and the white noise "bandwidth"."""
+    rng = np.random.default_rng(seed)
+    fade = np.exp(-0.5 / 60.0)
+    course = signal.lfilter([1.0], [1.0, -2.0 * fade, fade**2], rng.standard_normal(8400))
+    found = fit_noise([curve_of(0.007 * rng.standard_normal(8400) + 0.03 * course / np.std(course), 0.5)])
+    assert found is not None
+    assert not found.fits

@@ -68,6 +68,24 @@ def test_the_verdict_says_sizes_and_factors(replays: list[LogReplay]) -> None:
     assert "by both." in text
 
 
+def test_a_factor_that_the_rms_denies_is_none(replays: list[LogReplay]) -> None:
+    """An end point may be luck: "4.03 by filter" had been the headline of a path that got worse."""
+    table = make_table(replays)
+    assert set(table.rms_factors) == {"filter", "calibration", "both"}
+    mean = replace(table.means[-1], direction="all")
+    ends = {"filter": 4.03, "calibration": 2.0, "both": 3.0}
+    told = replace(
+        table, means=(mean,), factors={"all": ends}, rms_factors={**ends, "filter": 0.84, "both": 2.5}
+    )
+    assert verdict(replays, told).endswith(
+        "Improvement factors: none that holds by filter (4.03 at the end, 0.84 in rms along the path), 2 at the end, 2 in rms "
+        "along the path by calibration, 3 at the end, 2.5 in rms along the path by both."
+    )
+    assert verdict(replays, replace(told, rms_factors={})).endswith(
+        "4.03 by filter, 2 by calibration, 3 by both."
+    )
+
+
 def test_bars_stand_on_zero_and_a_logarithmic_axis_has_dots(replays: list[LogReplay]) -> None:
     table = make_table(replays)
     spread = {c.id: 10.0 ** (-k) for k, c in enumerate(CONDITIONS)}

@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal.errors import DataError
 from gyrocal.navigation.replay import replay_log
-from gyrocal.navigation.sanity import clockwise, truth_fault, way_fault
+from gyrocal.navigation.sanity import clockwise, gyro_fault, truth_fault, way_fault
 from gyrocal.records.drive import DriveBlock
 from tests.diagnosis.drive.fleet import SHAPES, Plan
 from tests.diagnosis.drive.fleet import drive as fleet_drive
@@ -54,6 +54,17 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         ),
         "gyro_dps is in rad/s",
     ),
+    "gyro in rad/s beside a speed and positions": (
+        lambda b: replace(
+            b,
+            left_m=0.5 * (b.left_m + b.right_m),
+            right_m=0.5 * (b.left_m + b.right_m),
+            speed_only=True,
+            gyro_dps=np.radians(b.gyro_dps),
+            truth_heading_deg=np.full(b.t_s.size, np.nan),
+        ),
+        "gyro_dps is in rad/s",
+    ),
 }
 
 
@@ -91,6 +102,8 @@ def test_no_truth_that_is_rough_is_a_mix_up_of_way_or_heading() -> None:
         truth = np.stack([log.truth_x_m, log.truth_y_m, log.truth_heading_deg], axis=1)
         known = np.isfinite(truth).all(axis=1)
         assert way_fault(path[known, :2], truth[known, :2]) is None, seed
+        # Also by its positions alone.
+        assert gyro_fault(path[known], truth[known] * np.array([1.0, 1.0, np.nan])) is None, seed
         assert not clockwise(path, truth), seed
 
 

@@ -14,6 +14,8 @@ from gyrocal.navigation.replay import replay_log
 from gyrocal.navigation.survey import Survey, check, survey
 from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
+from tests.diagnosis.drive.fleet import Plan
+from tests.diagnosis.drive.fleet import drive as fleet_drive
 from tests.navigation.drives import BAD, drive, robot, source
 
 
@@ -57,6 +59,37 @@ def test_one_speed_in_both_columns_is_one_speed() -> None:
     replayed = replay_log(source(twice), robot())
     assert [track.condition.id for track in replayed.tracks] == ["uncalibrated"]
     assert any("one speed" in note for note in replayed.notes)
+
+
+def _vehicle(rate: float = 1.0, way: float = 1.0) -> DriveBlock:
+    """A drive of one speed without truth, its rates and its way times so much."""
+    log = fleet_drive(Plan("random", 3.0, 10.0), 1)
+    middle, none = 0.5 * way * (log.left_m + log.right_m), np.full(log.t_s.size, np.nan)
+    bare = replace(log, truth_x_m=none, truth_y_m=none, truth_heading_deg=none)
+    return replace(bare, left_m=middle, right_m=middle, speed_only=True, gyro_dps=rate * log.gyro_dps)
+
+
+def test_the_unit_of_a_gyro_beside_one_speed_is_doubted_by_what_vehicles_do() -> None:
+    """Rates in rad/s had been taken for deg/s without a word."""
+    parked = robot().with_figures({"static_s": 0.0})
+    said = {rate: " ".join(replay_log(source(_vehicle(rate)), parked).notes) for rate in (1.0, 1 / 57.2958)}
+    assert "rad/s" not in said[1.0]
+    assert "hardly ever turns faster than" in said[1 / 57.2958]
+    assert "if it went round corners, the gyro is in rad/s" in said[1 / 57.2958]
+    with pytest.raises(DataError, match=r"across the way.*converted to degrees twice"):
+        replay_log(source(_vehicle(57.2958)), parked)
+
+
+def test_a_vehicle_without_a_filter_leaves_nothing_to_it() -> None:
+    parked = robot().with_figures({"static_s": 0.0})
+    notes = replay_log(source(_vehicle()), parked).notes
+    assert any(n.endswith("no static bias was taken; nothing takes its error off") for n in notes)
+    assert not any("left to the filter" in n for n in notes)
+
+
+def test_a_speed_in_millimetres_names_the_columns_that_a_speed_may_have() -> None:
+    with pytest.raises(DataError, match="speed_mps is in m/s, speed_m in metres since the row before"):
+        replay_log(source(_vehicle(way=1e3)), robot())
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -15,10 +15,10 @@ from scipy import stats
 from gyrocal.bench.profile import load_profile, parse_profile, profile_from_dict
 from gyrocal.bench.session import AcquireConfig, connect, dry_run, plan_of
 from gyrocal.cli.acquire import command as acquire_command
-from gyrocal.diagnosis.result import Alternative, Diagnosis, Located
+from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located
 from gyrocal.fusion.coefficients import Valid
 from gyrocal.inference.gram import Projection
-from gyrocal.planning.next_experiment import propose, to_toml
+from gyrocal.planning.next_experiment import _reach, propose, to_toml
 from gyrocal.planning.planned import Reach, designs, duration_h, planned_series, to_profile
 from gyrocal.planning.separation import Separation, _against_draws, power_of, repeats_needed, separate
 from tests.diagnosis.concealed_bench import make_recording
@@ -304,3 +304,33 @@ def test_planned_rows_are_those_of_a_run() -> None:
     assert set(np.unique(series.rate_dps)) == {-50.0, 0.0, 50.0}
     ks = stats.spearmanr(series.temp_rate_c_per_min, np.gradient(series.temp_c, series.t_s)).statistic
     assert ks > 0.9
+
+
+def test_a_doubt_near_zero_gets_rates_where_it_lives() -> None:
+    """A dead zone of 0.08 deg/s had been looked for from 0.5 deg/s on."""
+    found = doubtful("dead_zone", "truncation", d_prime=12.0)
+    effect = found.effects[0]
+    width = Estimate.normal(0.08, 0.01, "deg/s")
+    zone = replace(effect, parameters={**effect.parameters, "width_dps": width})
+    reach = _reach(replace(found, effects=(zone,)), SENSOR, {})
+    assert reach.near_dps == 0.08
+    rates = next(d for d in designs(reach) if d.name == "near_zero").rates_dps
+    assert sum(r <= 0.16 for r in rates) == 8
+    assert max(rates) == reach.rate_dps
+
+
+def test_what_is_left_near_zero_is_looked_for_there() -> None:
+    base = replace(made_up(None, 0.0), verdict="unexplained")
+    left = Located("rate", "mean", 1e-9, 0.9, remains=True, low=-0.1, high=0.1, unit="deg/s")
+    sensor = {"model": "x", "rate_range_dps": [-100.0, 100.0]}
+    rates = np.array([-100.0, -10.0, -0.1, 0.0, 0.1, 10.0, 100.0])
+    found = at_rates(replace(base, located=(left,)), rates, (10.0, 30.0), sensor)
+    proposal = propose(found, {}, 8.0)
+    assert proposal is not None
+    assert proposal.profile is not None
+    assert "rates dense near zero, 6 times at one temperature" in proposal.sentence
+    assert sum(r <= 0.2 for r in proposal.profile["plan"]["rates_dps"]) == 8
+    wide = replace(left, low=-60.0, high=60.0)
+    proposal = propose(replace(found, located=(wide,)), {}, 8.0)
+    assert proposal is not None
+    assert "fine rates" in proposal.sentence

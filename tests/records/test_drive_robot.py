@@ -83,10 +83,6 @@ def test_one_tick_size_serves_both_sides(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "static_s = 0\n",
-            "wheel_separation_m is missing; allowed: the effective distance between left and right wheels, in metres, above 0.",
-        ),
         ("wheel_separation_m = 0\n", "wheel_separation_m is 0; allowed: a number, 0.001 to 10."),
         ("wheel_separation_m = true\n", "wheel_separation_m is True; allowed: a number"),
         ("wheel_separation_m = nan\n", "wheel_separation_m is nan; allowed: a number"),

@@ -13,7 +13,14 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
 from gyrocal.report.diagnosis import diagnosis_page, tables
 from gyrocal.report.remarks import statement
-from gyrocal.report.sentences import counted, plain_sentences, traded_sentence
+from gyrocal.report.sentences import (
+    counted,
+    plain_sentences,
+    short_data_sentences,
+    short_sentences,
+    traded_sentence,
+    verdict_sentence,
+)
 from gyrocal.report.words import (
     estimate_text,
     fixed,
@@ -23,6 +30,7 @@ from gyrocal.report.words import (
     parameter_words,
     region_words,
     span_text,
+    times_text,
     value_text,
 )
 from tests.diagnosis.concealed_bench import make_recording
@@ -65,10 +73,10 @@ def test_error_within_the_noise_is_said_in_words(shupe: Diagnosis) -> None:
     assert "within the noise of such a mean (1.23 mdeg/s)" in text
     gain = next(s for s in plain_sentences(read) if "on data left out" in s)
     assert gain.startswith(
-        "shupe: on data left out the log-loss falls by 0.87 nats a segment (95 %: 0.50 to 1.28)"
+        "shupe: on data left out a segment becomes 2.4 times as probable (95 %: 1.6 to 3.6)"
     )
-    folded = next(s for s in plain_sentences(read) if "folded on" in s)
-    assert folded.startswith("shupe: folded on temperature rate the rms of the residual falls from ")
+    folded = next(s for s in plain_sentences(read) if "its picture)" in s)
+    assert folded.startswith("shupe: over temperature rate (its picture) the rms of the residual falls from ")
     assert next(t for t in tables(read) if t.name == "improvement").rows[0][6] == "within the noise"
 
 
@@ -80,7 +88,7 @@ def test_error_of_means_leads_where_it_shows_the_gain() -> None:
     said = next(s for s in plain_sentences(_with_gain(found, gain)) if "left out" in s)
     assert said == (
         "scale_asymmetry: on data left out the rms of segment means falls from 2.00 to 1.20 mdeg/s (drop 0.50 to "
-        "0.90 at 95 %), where noise alone would leave 1.10; the log-loss falls by 0.90 nats a segment (95 %: 0.50 to 1.20)."
+        "0.90 at 95 %), where noise alone would leave 1.10; a segment becomes 2.5 times as probable (95 %: 1.6 to 3.3)."
     )
     none = _with_gain(found, replace(gain, interval_95=(-1e-4, 9e-4), logloss_interval_95=(-0.1, 1.2)))
     assert next(s for s in plain_sentences(none) if "left out" in s).count("no sure gain") == 2
@@ -147,21 +155,42 @@ def test_explained_coordinates_are_one_line(shupe: Diagnosis) -> None:
         Located("temperature_branch", "mean", 7e-12, 0.2, unit="degC/min", rms_dps=1.4e-3),
     ]
     said = plain_sentences(replace(shupe, located=tuple(places)))
-    assert said[1:3] == [
+    assert said[1] == (
         "The mean departs most in temperature rate -1.50 to -0.60 degC/min (1.1 mdeg/s rms), p < 1e-12; it is also "
-        "seen in time and temperature branch.",
-        "With shupe in the model nothing is left there.",
-    ]
-    left = [
-        places[0],
-        replace(places[1], remains=True),
+        "seen in time and temperature branch."
+    )
+    assert "With shupe in the model nothing is left beyond the noise." in said
+
+
+def test_what_is_left_is_said_once(shupe: Diagnosis) -> None:
+    """Before: "noise is left", and on the same page that a pattern, which the improved file takes away, was still there."""
+    curve = Located(
+        "temperature", "mean", 1e-20, 0.9, True, curve=True, low=30.0, high=36.0, unit="degC", rms_dps=1.8e-3
+    )
+    found = replace(shupe, verdict="partly_explained", located=(curve,))
+    (said,) = [s for s in plain_sentences(found) if "in the model" in s]
+    assert said == (
+        "With shupe and a curve without a name over temperature in the model nothing is left beyond the noise."
+    )
+    assert next(t for t in tables(found) if t.name == "located").rows[0][-1] == "a curve without a name"
+    left = (
+        curve,
+        Located("table_angle", "mean", 1e-10, 1.0, True, rms_dps=2e-3),
         Located("rate", "variance", 1e-6, 1.0, True, low=32.0, high=32.0, unit="deg/s"),
-    ]
-    said = plain_sentences(replace(shupe, verdict="partly_explained", located=tuple(left)))
-    assert said[2:4] == [
-        "Still there with all that was found in the model: time 0 to 0.69 h (1.2 mdeg/s rms), p < 1e-12.",
-        "Scatter beyond the noise: rate at 32 deg/s, p = 1e-06.",
-    ]
+    )
+    (said,) = [s for s in plain_sentences(replace(found, located=left)) if "in the model" in s]
+    assert said == (
+        "With shupe and a curve without a name over temperature in the model there is left: table angle: all along "
+        "(2 mdeg/s rms); scatter in rate at 32 deg/s."
+    )
+
+
+def test_the_strongest_place_is_said_first(shupe: Diagnosis) -> None:
+    scatter = Located("rate", "variance", 1e-7, 0.6, True, low=32.4, high=32.4, unit="deg/s")
+    mean = Located("temperature", "mean", 0.002, 0.5, True, curve=True, rms_dps=7.6e-3)
+    first, second = plain_sentences(replace(shupe, located=(scatter, mean)))[1:3]
+    assert first == "The scatter stands out most in rate at 32.4 deg/s, p = 1e-07."
+    assert second.startswith("The mean departs most in temperature")
 
 
 def test_where_nothing_stands_out_no_mean_departs(shupe: Diagnosis) -> None:
@@ -284,3 +313,33 @@ def test_regions_are_rounded_to_their_length() -> None:
     assert span_text(0.001475, 0.0506) == "0 to 0.051"
     assert span_text(48.213, 48.982) == "48.21 to 48.98"
     assert span_text(347.0, 375.9) == "347 to 376"
+
+
+def test_the_short_answer_has_every_verdict_name_and_gain_and_no_detail() -> None:
+    """A terminal had 85 to 108 lines, with "nats" and "folded" that nothing explained."""
+    two = _with_gain(
+        made_up_diagnosis(make_recording([("shupe", 20.0), ("warm_up", 20.0)], 7, "even")), HIDDEN
+    )
+    full, short = plain_sentences(two), short_sentences(two)
+    assert set(short) < set(full)
+    assert len(short) <= 10
+    assert short[0] == verdict_sentence(two)
+    assert [s for s in short if s.startswith(("shupe: ", "warm_up: "))] == [
+        s for s in full if "95 %" in s and s.startswith(("shupe: ", "warm_up: "))
+    ]
+    assert any(s.startswith("All named physics together") for s in short)
+    assert "With shupe and warm_up in the model nothing is left beyond the noise." in short
+    assert not re.search(r"nats|folded|\(its picture\)", " ".join(short))
+    untested = short_data_sentences(replace(two, notes=(), not_testable={"supply": "x", "shupe": "y"}))
+    assert untested == ["Not testable with this record (why: see the page): supply, shupe."]
+
+
+def test_evidence_is_odds_in_words() -> None:
+    said = [times_text(nats) for nats in (0.015, 0.9, 6.27, -0.02, 35.2)]
+    assert said == ["1.015", "2.5", "530", "0.980", "more than 1,000,000"]
+
+
+def test_a_nat_is_explained_where_it_is_a_unit(shupe: Diagnosis) -> None:
+    page = diagnosis_page(_with_gain(shupe, HIDDEN), [], {})
+    assert "A nat is a unit of evidence" in page
+    assert "A segment left out is" in page

@@ -113,7 +113,10 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     if not series.has_truth:
         return series, notes
     path = reckon(series, Figures())
-    fault = gyro_fault(RAD_TO_DEG * path.heading_rad, series.truth_heading_deg)
+    path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
+    fault = gyro_fault(
+        path_deg, np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
+    )
     if fault is not None:
         raise DataError(f"{series.source}: {fault}")
     known = np.isfinite(series.truth_x_m + series.truth_y_m)
@@ -129,7 +132,6 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     fault = way_fault(own, told[known, :2])
     if fault is not None:
         raise DataError(f"{series.source}: {fault}")
-    path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
     if mirror_fault(own, told[known, :2]) is None and clockwise(path_deg, told):
         notes.append(Remark(Said.TRUTH_CLOCKWISE))
         series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)

@@ -31,10 +31,11 @@ from gyrocal.diagnosis.drive.improved import (
 from gyrocal.diagnosis.drive.jumps import instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.places import instants, places
-from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, laid_on, reckon, rest_mean_dps
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth
+from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
@@ -42,6 +43,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.drive import GYRO_SCALE
 from gyrocal.records.drive import DriveBlock, cut
+from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
 
 #: Laws of the bias that a truth may show where the encoders alone do not.
@@ -63,6 +65,8 @@ class Shown:
     before, after, truth : positions x + iy, m, laid on the truth where there is one; truth is NaN where it is not
     before_m, after_m : rms distance from the truth; NaN without truth
     apart_m : rms distance between the two paths
+    truth_m : rms that the truth's own error would give a perfect path; NaN where it is not known
+    seen_m : difference between before and after from which on this truth shows one (95 %); NaN likewise
     """
 
     log: str
@@ -73,6 +77,8 @@ class Shown:
     before_m: float
     after_m: float
     apart_m: float
+    truth_m: float = float("nan")
+    seen_m: float = float("nan")
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``position_error``."""
@@ -83,6 +89,8 @@ class Shown:
             "before_rms_m": self.before_m if known else None,
             "after_rms_m": self.after_m if known else None,
             "apart_rms_m": self.apart_m,
+            "truth_rms_m": finite(self.truth_m),
+            "least_seen_m": finite(self.seen_m),
         }
 
 
@@ -348,8 +356,18 @@ def _shown(
     after = replace(
         _foretold(part), bias_dps=believed_bias(part.yaw, part.truth), bias_from_rest=rest is not None
     )
-    shown.append(_compared(found.series, before, after, from_row=split))
-    return shown
+    rest_of_it = _compared(found.series, before, after, from_row=split)
+    return [*shown, _beside_its_noise(rest_of_it, found.truth, found.series.t_s[split:])]
+
+
+def _beside_its_noise(shown: Shown, truth: TruthAnswer, t_s: Floats) -> Shown:
+    """A comparison with what the noise of its truth lets be seen of it."""
+    known = np.isfinite(shown.truth)
+    if not np.isfinite(shown.before_m):
+        return shown
+    apart, rms_m = (shown.before - shown.after)[known], (shown.before_m, shown.after_m)
+    truth_m, seen_m = truth_floor(truth, t_s[known], shown.truth[known], apart, rms_m)
+    return replace(shown, truth_m=truth_m, seen_m=seen_m)
 
 
 def _foretold(found: Examined) -> Figures:

@@ -101,6 +101,12 @@ class Versus:
         """Whether the law is worth adding."""
         return self.comparison is not None and self.comparison.helps
 
+    @property
+    def terms_dps(self) -> list[Floats]:
+        """What each term of the law adds to the rows of the difference, deg/s."""
+        c = conditions_of(self.match.difference)
+        return [term.error_dps(c, self.law.surface) for term in self.law.terms]
+
     def to_json(self) -> dict[str, Any]:
         """``law.json``."""
         return {

@@ -10,9 +10,11 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
 from typing import Any
+
+import numpy as np
 
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.c_text import CMemory
@@ -147,7 +149,12 @@ def added_dps(rate_dps, temp_c, **channels):
 
 
 def python_file(
-    coefficients: Coefficients, already: Surface, title: str, formula: str, began_s: float | None = None
+    coefficients: Coefficients,
+    already: Surface,
+    title: str,
+    formula: str,
+    began_s: float | None = None,
+    rms_dps: Sequence[float] = (),
 ) -> str:
     """Source of a module with one function, ``added_dps(rate_dps, temp_c, **channels)``.
 
@@ -157,14 +164,18 @@ def python_file(
     already : the surface that the simulation has
     title, formula : for the module's docstring
     began_s : from which t_s on the time since power-on counts, where nobody said when that was
+    rms_dps : what each term adds over the recording, deg/s; they stand in this order, the largest first
     """
+    sizes = rms_dps or [float("nan")] * len(coefficients.terms)
+    order = sorted(range(len(sizes)), key=lambda k: -sizes[k])
     laws: dict[str, str] = {}
     modules: dict[str, str] = {}
     parts, lines = [], []
-    for number, term in enumerate(coefficients.terms, 1):
+    for number, k in enumerate(order, 1):
+        term, said = coefficients.terms[k], _size_comment(sizes[k])
         if isinstance(term, SmoothTerm):
             parts.append(_smooth_source(term, number))
-            lines.append(f"    e = e + part_{number}(c)")
+            lines.append(f"    e = e + part_{number}(c){said}")
             continue
         effect = find_effect(term.effect)
         law = inspect.getclosurevars(effect.error_dps).nonlocals.get("law", effect.error_dps)
@@ -172,7 +183,7 @@ def python_file(
         memory = "" if law is not effect.error_dps else ", None"
         first = "[0]" if memory else ""
         values = effect.typical() | {name: float(p["value"]) for name, p in term.parameters.items()}
-        lines.append(f"    e = e + {law.__name__}(c, {values!r}, SURFACE{memory}){first}")
+        lines.append(f"    e = e + {law.__name__}(c, {values!r}, SURFACE{memory}){first}{said}")
     smooth = _SMOOTH_HELP if parts else ""
     imports = "".join(f"{line}\n" for line in modules.values())
     head = _HEAD.replace("@title@", title).replace("@formula@", formula).replace("@imports@", imports)
@@ -183,6 +194,10 @@ def python_file(
     body = "\n\n".join([*laws.values(), *parts, *surfaces])
     began = f"#: t_s from which since_power_on_s counts where it is not given.\nBEGAN_S = {began_s!r}\n"
     return head + smooth + "\n" + began + "\n" + body + "\n\n" + _TAIL.replace("@terms@", "\n".join(lines))
+
+
+def _size_comment(rms_dps: float) -> str:
+    return f"  # {1e3 * rms_dps:.2g} mdeg/s rms" if np.isfinite(rms_dps) else ""
 
 
 def _surface_source(name: str, s: Surface) -> str:
