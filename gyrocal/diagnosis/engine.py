@@ -32,7 +32,7 @@ from gyrocal.diagnosis.scatter import (
 )
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
-from gyrocal.diagnosis.strays import set_aside, stray_findings, without
+from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
 from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import strange_turns
@@ -141,7 +141,13 @@ def diagnose(
         surface=coefficients or surface,
         improved=written,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *lost, *_of_file(found, withheld, parts, better)),
+        notes=(
+            *notes,
+            *series.notes,
+            *lost,
+            *far_off(series, left.after_dps),
+            *_of_file(found, withheld, parts, better),
+        ),
         layers=stairs.layers,
         unnamed=parts,
     )
