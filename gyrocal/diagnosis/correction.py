@@ -254,9 +254,9 @@ def _estimate(
         for member, share in members:
             if member.name in place:
                 to_file[place[member.name], starts[name]] += share
-                if "width_dps" in (own := _linear(member)):
+                if "width_dps" in (linear := _linear(member)):
                     # A dead zone is as wide as what it takes of the larger rates.
-                    to_file[place[member.name] + own.index("width_dps"), starts[name]] += share * MDPS
+                    to_file[place[member.name] + linear.index("width_dps"), starts[name]] += share * MDPS
     for name, columns in _since_power_on(model).items():
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] *= again

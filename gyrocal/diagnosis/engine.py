@@ -120,6 +120,7 @@ def diagnose(
     findings += (more := _sampling(series, names))
     names += map(_found, more)
     left = residuals(found, series, surface)
+    lost += far_off(series, left.after_dps)
     noise, levels, walk = _noise(series, left)
     scatter = variance_places(series, noise, levels, left.after_dps + left.wandering_dps, level)
     scatter = walk + _explained_scatter(scatter, names)
@@ -141,13 +142,7 @@ def diagnose(
         surface=coefficients or surface,
         improved=written,
         rows=_rows(series, left, coefficients, levels),
-        notes=(
-            *notes,
-            *series.notes,
-            *lost,
-            *far_off(series, left.after_dps),
-            *_of_file(found, withheld, parts, better),
-        ),
+        notes=(*notes, *series.notes, *lost, *_of_file(found, withheld, parts, better)),
         layers=stairs.layers,
         unnamed=parts,
     )

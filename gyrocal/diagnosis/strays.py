@@ -24,8 +24,9 @@ from gyrocal.units import NORMAL_95, STDS_PER_MAD
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: A data set this many times farther off than nearly all others is not of this recording; no more than this share is.
-_GROSS, _MOST_SHARE = 8.0, 0.1
+#: A data set this many times farther off than nearly all others is not of this recording; no more than this share is:
+#: half as much again as is to be borne, since a few that are less far off count among the others.
+_GROSS, _MOST_SHARE = 8.0, 0.15
 #: Data sets that lie by chance as they do in rate, temperature or time with less probability are off together, by physics.
 _TOGETHER_P = 0.01
 #: Fewer data sets show no single one beside the twelve terms of a surface; the robust fit settles in so many rounds.

@@ -305,14 +305,7 @@ DEAD_ZONE = Effect(
             "form", "1", _AT_REST, _BAND, _AT_REST, "0: lost at rest, 1: any small input, 2: lock-in, 3: band"
         ),
         shape("rest", "1", 0.0, 1.0, 0.0, "share r of w_d below which a robot takes the output for rest"),
-        shape(
-            "place_dps",
-            "deg/s",
-            -10.0,
-            10.0,
-            0.0,
-            "where in the zone p the input is: its spread alone is known",
-        ),
+        shape("place_dps", "deg/s", -10.0, 10.0, 0.0, "place p in the zone, of which the spread is known"),
     ),
     needs=("rate_dps",),
     seen_in="rate",
