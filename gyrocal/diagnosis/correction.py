@@ -23,13 +23,14 @@ from gyrocal.diagnosis.parts import (
     passing,
     polynomials,
 )
-from gyrocal.diagnosis.rising import rising
+from gyrocal.diagnosis.rising import dead_zone, rising
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.rate import FIT_DIRECTION
+from gyrocal.physics.effect import MDPS
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
@@ -105,10 +106,10 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     ----------
     without : blocks that are left out of it
     """
-    if found.candidates:
-        models = [(weight, rising(candidate.fitted)) for weight, candidate in found.candidates]
-    else:
-        models = [(1.0, rising(_less(found.naming.fitted, without)))]
+    near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
+    near = near or [(1.0, _less(found.naming.fitted, without))]
+    zone = dead_zone(near[0][1], found.laws)
+    models = [(weight, rising(fitted, zone)) for weight, fitted in near]
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
     again = found.comes_again
     items, total = _items([(f.model, s) for _, f, s in solved], again)
@@ -118,6 +119,8 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     # What the variances add is much the same in models so near to each other.
     widened = _estimate(first.model, first.solve(widened=True), items, total, again)
     covariance += widened.covariance - each[0][1].covariance
+    place, hidden_dps = _hidden(items, mean)
+    covariance[np.ix_(place, place)] = np.outer(hidden_dps, hidden_dps)
     frame = first.model.basis.frame
     direction: Direction = "output" if first.model.direction == "output" else "input"
     surface = Surface(
@@ -192,7 +195,7 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
                 continue
             new: list[tuple[str, Part | None, Law | None, int]]
             if name in laws:
-                new = [(member.name, None, member, 1) for member, _ in laws[name]]
+                new = [(law.name, None, law, len(_linear(law))) for law, _ in laws[name]]
             elif name == DIRECTION or name in parts:
                 columns = model.components[name].columns if name in parts else None
                 if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
@@ -251,6 +254,9 @@ def _estimate(
         for member, share in members:
             if member.name in place:
                 to_file[place[member.name], starts[name]] += share
+                if "width_dps" in (linear := _linear(member)):
+                    # A dead zone is as wide as what it takes of the larger rates.
+                    to_file[place[member.name] + linear.index("width_dps"), starts[name]] += share * MDPS
     for name, columns in _since_power_on(model).items():
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] *= again
@@ -295,6 +301,18 @@ def _end_state(model: Model, solution: Solution) -> Floats:
     return found
 
 
+def _linear(law: Law) -> tuple[str, ...]:
+    """Parameters of a law whose covariance the file has, by name: in a dead zone nobody knows where the rate is, too."""
+    return ("amplitude", "place_dps", "width_dps") if law.effect == DEAD_ZONE.id else ("amplitude",)
+
+
+def _hidden(items: Sequence[_Item], values: Floats) -> tuple[list[int], Floats]:
+    """Where among all parameters the place in a dead zone is, and how little is known of it, deg/s: it is anywhere."""
+    zones = [i for i in items if i.law is not None and "place_dps" in _linear(i.law)]
+    widths_dps = MDPS * np.abs(values[[i.start for i in zones]])
+    return [i.start + 1 for i in zones], np.asarray(widths_dps / np.sqrt(3.0))
+
+
 def _term(item: _Item, model: Model, values: Floats, covariance: Floats) -> Term | SmoothTerm:
     rows = slice(item.start, item.start + item.size)
     if item.part is not None:
@@ -310,18 +328,21 @@ def _term(item: _Item, model: Model, values: Floats, covariance: Floats) -> Term
         )
     effect = FIT_DIRECTION if item.law is None else CATALOGUE[item.law.effect]
     shape = {} if item.law is None else item.law.shape
+    linear = ("amplitude",) if item.law is None else _linear(item.law)
     parameters = {
-        "amplitude": {
-            "value": float(values[item.start]),
-            "std": float(np.sqrt(covariance[item.start, item.start])),
-            "unit": effect.parameter("amplitude").unit,
-            "covariance": covariance[item.start].tolist(),
+        name: {
+            "value": float(values[k]),
+            "std": float(np.sqrt(covariance[k, k])),
+            "unit": effect.parameter(name).unit,
+            "covariance": covariance[k].tolist(),
         }
+        for k, name in enumerate(linear, item.start)
     }
     known = {p.name: p.unit for p in effect.parameters}
     for name, value in shape.items():
         if name in known:
-            parameters[name] = {"value": float(value), "std": 0.0, "unit": known[name]}
+            uncertain = parameters.get(name, {"std": 0.0, "unit": known[name]})
+            parameters[name] = {**uncertain, "value": float(value)}
     return Term(effect.id, parameters, True)
 
 

@@ -32,7 +32,7 @@ from gyrocal.diagnosis.scatter import (
 )
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
-from gyrocal.diagnosis.strays import set_aside, stray_findings, without
+from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
 from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import strange_turns
@@ -120,6 +120,7 @@ def diagnose(
     findings += (more := _sampling(series, names))
     names += map(_found, more)
     left = residuals(found, series, surface)
+    lost += far_off(series, left.after_dps)
     noise, levels, walk = _noise(series, left)
     scatter = variance_places(series, noise, levels, left.after_dps + left.wandering_dps, level)
     scatter = walk + _explained_scatter(scatter, names)

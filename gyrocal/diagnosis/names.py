@@ -446,7 +446,8 @@ def _paired(
 
 
 def _of_robot(named: Named) -> bool:
-    return CATALOGUE[named.law.effect].runtime and named.law.columns.shape[1] == 1
+    effect = CATALOGUE[named.law.effect]
+    return effect.runtime and not effect.search.in_part and named.law.columns.shape[1] == 1
 
 
 def _passes(named: Named) -> bool:

@@ -32,6 +32,7 @@ class Said(Enum):
     TOO_FEW_TO_WRITE = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
+    FAR_SETS = auto()
     BURST_SAMPLES = auto()
     OUTPUT_STEPS = auto()
     LOST_IN_STEPS = auto()

@@ -1,42 +1,139 @@
 """What a robot can undo: shapes near zero rate that let the output rise with the rate.
 
 Within a dead zone the output stands still, and no file brings the rate back that it swallowed. A shape that follows it
-there would make noise of what is near to rest, or throw it from one edge of the zone to the other.
+there would make noise of what is near to rest, or throw it from one edge of the zone to the other. Where the law of a
+dead zone explains as much as that shape, the file has the law, which knows what lies between the visited rates, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.blocks import REPLACED
+from gyrocal.diagnosis.intervals import descend
+from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.diagnosis.parts import Part
 from gyrocal.inference.additive import Component
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import MDPS
+from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.physics.shapes import ASINH_SHARE
 from gyrocal.physics.smooth import Frame, rate_factors
+from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
 
 #: With every deg/s the output has to rise by this much at the least: below it what is not known counts more than twice.
 _LEAST_RISE = 0.5
+#: An output of less than this share of a dead zone's width is rest. From there on the rate leaps by the width: noise of any
+#: size grows to its double at the most, as beside a slope of one half.
+_REST = 0.5
 #: Rates at which the slope is looked at, evenly over asinh of the rate.
 _PLACES = 2001
+#: The width of a dead zone is sought within this ratio of what it takes of the larger rates.
+_NEAR = 2.0
 
 
-def rising(fitted: Fitted) -> Fitted:
+def rising(fitted: Fitted, zone: Law | None) -> Fitted:
     """The model whose shapes near zero let the output rise with the rate, those that do not being no part of it any more.
 
-    The narrowest shapes are fitted to the rows within the zone alone, and explain what was swallowed there; the others
-    follow what lies beyond, at the same variances.
+    The law of a dead zone takes their place where it explains as much. Else the narrowest shapes are fitted to the rows
+    within the zone alone, and explain what was swallowed there; the others follow what lies beyond, at the same variances.
+
+    Parameters
+    ----------
+    zone : the law that may (`dead_zone`)
     """
+    fitted = _by_law(fitted, zone)
     amplitudes = fitted.solve().amplitudes
     for part in fitted.model.parts:
-        if part.name in amplitudes and all(c.rate.kind.endswith("asinh_bump") for c in part.columns):
+        if part.name in amplitudes and _near_zero(part):
             fitted, amplitudes = _freed(fitted, part, amplitudes)
     return fitted
+
+
+def dead_zone(fitted: Fitted, laws: Laws) -> Law | None:
+    """The law of a dead zone that explains most in place of what stands for one, as far as a robot undoes it; None without any.
+
+    Nor of a gyro whose bias has moved by more than an output that is rest: on the next run nobody knows where the zone is.
+    """
+    rest = _less_zones(fitted)
+    if rest is fitted.model:
+        return None
+    shape = _zone(laws, *fitted.contrasts.precision(rest.all, fitted.fit.log_variance))
+    if shape is None or _moved_dps(fitted) > _REST * shape["width_dps"]:
+        return None
+    return Law(DEAD_ZONE.id, {**shape, "rest": _REST}, laws.at(DEAD_ZONE, shape))
+
+
+def _by_law(fitted: Fitted, zone: Law | None) -> Fitted:
+    """The model with a law in place of what stands for a dead zone; else laws that no robot undoes are in no file."""
+    model, rest = fitted.model, _less_zones(fitted)
+    if rest is model:
+        return fitted
+    if zone is not None:
+        found = fitted.refit(rest.with_laws(zone))
+        if found.nll <= fitted.nll + REPLACED:
+            return found
+    held = {law.name: model.law_component(law) for law in model.laws if law.effect == DEAD_ZONE.id}
+    kept = model.without_laws(list(held))
+    return replace(fitted, model=replace(kept, components={**kept.components, **held}))
+
+
+def _less_zones(fitted: Fitted) -> Model:
+    """The model less its laws of a dead zone and the shapes near zero that fall as one does; the same where it has none."""
+    model, amplitudes = fitted.model, fitted.solve().amplitudes
+    held = [law.name for law in model.laws if law.effect == DEAD_ZONE.id]
+    smooth = [
+        p.name
+        for p in model.parts
+        if p.name in amplitudes and _near_zero(p) and _falling(p, amplitudes, model.basis.frame).size
+    ]
+    return model.without(smooth).without_laws(held) if held or smooth else model
+
+
+def _moved_dps(fitted: Fitted) -> float:
+    """By how much the bias has moved in what passes."""
+    solution = fitted.solve()
+    course = solution.random.get("bias walk", np.zeros(len(fitted.model.means)))
+    for law in fitted.model.laws:
+        effect = CATALOGUE[law.effect]
+        if effect.family == BIAS_DRIFT.family and not effect.runtime and "rate_dps" not in effect.needs:
+            course = course + law.columns @ solution.amplitudes[law.name]
+    return float(np.ptp(course))
+
+
+def _near_zero(part: Part) -> bool:
+    return all(c.rate.kind.endswith("asinh_bump") for c in part.columns)
+
+
+def _zone(laws: Laws, score: Floats, precision: Floats) -> dict[str, float] | None:
+    """Width and form of the dead zone that explains most beside a model; None where none explains anything.
+
+    What the zone takes of a rate is all of it, or of a larger rate the zone's width: its width is its amplitude.
+    """
+
+    def loss(form: float, width_dps: float) -> float:
+        lost = width_dps / MDPS * laws.at(DEAD_ZONE, {"width_dps": width_dps, "form": form})[:, 0]
+        return float(lost @ precision @ lost - 2.0 * (score @ lost))
+
+    best: dict[str, float] | None = None
+    least = 0.0
+    for trial in laws.trials(DEAD_ZONE):
+        column, form = trial.columns[:, 0], trial.shape["form"]
+        size_dps = MDPS * float(column @ score) / float(column @ precision @ column)
+        # What is lost at rest alone is the bias there, of which a robot knows no more.
+        if form > 0.0 and size_dps > 0.0:
+            width_dps = descend(partial(loss, form), size_dps, _NEAR)
+            if (found := loss(form, width_dps)) < least:
+                best, least = {"width_dps": width_dps, "form": form}, found
+    return best
 
 
 def _freed(
@@ -44,8 +141,7 @@ def _freed(
 ) -> tuple[Fitted, Mapping[str, Floats]]:
     """The model less the narrowest shapes of a part, as many as need be, and its amplitudes."""
     frame = fitted.model.basis.frame
-    rates_dps, slopes = _slopes(part, amplitudes, frame)
-    falling = np.abs(rates_dps[slopes < _LEAST_RISE - 1.0])
+    falling = _falling(part, amplitudes, frame)
     if not falling.size:
         return fitted, amplitudes
     for narrow in range(1, len(part.columns) + 1):
@@ -59,6 +155,12 @@ def _freed(
         if not stays.columns or np.min(_slopes(stays, left, frame)[1]) >= _LEAST_RISE - 1.0:
             break
     return split, left
+
+
+def _falling(part: Part, amplitudes: Mapping[str, Floats], frame: Frame) -> Floats:
+    """Sizes of the rates at which what a part adds falls too fast, deg/s."""
+    rates_dps, slopes = _slopes(part, amplitudes, frame)
+    return np.abs(rates_dps[slopes < _LEAST_RISE - 1.0])
 
 
 def _slopes(part: Part, amplitudes: Mapping[str, Floats], frame: Frame) -> tuple[Floats, Floats]:

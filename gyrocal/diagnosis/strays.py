@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import kstest, rankdata
 
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.changes import STEPS
@@ -18,13 +19,16 @@ from gyrocal.diagnosis.scatter import CERTAIN, Finding, dead_finding, dead_sets
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.inference.additive import Component, precision
 from gyrocal.physics.sampling import BURSTS
-from gyrocal.units import STDS_PER_MAD
+from gyrocal.units import NORMAL_95, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: A data set this many times farther off than 95 % of all others is not of this recording; no more than this share is.
-_GROSS, _MOST_SHARE, _ALL_OTHERS = 8.0, 0.03, 0.95
+#: A data set this many times farther off than nearly all others is not of this recording; no more than this share is:
+#: half as much again as is to be borne, since a few that are less far off count among the others.
+_GROSS, _MOST_SHARE = 8.0, 0.15
+#: Data sets that lie by chance as they do in rate, temperature or time with less probability are off together, by physics.
+_TOGETHER_P = 0.01
 #: Fewer data sets show no single one beside the twelve terms of a surface; the robust fit settles in so many rounds.
 _FEWEST_SETS, _ROUNDS = 30, 30
 #: What a data set by itself must explain, nats: five standard deviations, which of 171 rows of white noise one does in 10,000
@@ -96,13 +100,30 @@ def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding]
 def gross_strays(series: Series) -> Strays:
     """Data sets that are grossly off a robust surface: mislabelled, disturbed.
 
-    At most a few: many that are off together are physics, and left to the search.
+    At most a few, here and there: many, and those that are off together, are physics, and left to the search.
     """
-    base = fit_surface(series)
-    numbers, y = set_means(series, base.residual_dps)
-    if numbers.size < _FEWEST_SETS:
+    numbers, left, spread = _off_robustly(series, fit_surface(series).residual_dps)
+    if not numbers.size:
         return NO_STRAYS
-    design = np.column_stack([set_means(series, column)[1] for column in base.design.T])
+    size = np.abs(left) / spread
+    bad = size > _GROSS * float(np.quantile(size, 1.0 - _MOST_SHARE))
+    places = (np.abs(set_means(series, series.rate_dps)[1]), set_means(series, series.temp_c)[1], numbers)
+    if not bad.any() or bad.sum() > _most(numbers.size) or _together(bad, places):
+        return NO_STRAYS
+    return Strays(numbers[bad], left[bad], spread[bad])
+
+
+def _off_robustly(series: Series, left_dps: Floats) -> tuple[Ints, Floats, Floats]:
+    """Data sets, by how much they are off a robust surface, and by how much such a set is as a rule; too few are none.
+
+    Parameters
+    ----------
+    left_dps : what some model leaves of each row, shape (rows of the series,)
+    """
+    numbers, y = set_means(series, left_dps)
+    if numbers.size < _FEWEST_SETS:
+        return NO_STRAYS.numbers, NO_STRAYS.off_dps, NO_STRAYS.std_dps
+    design = np.column_stack([set_means(series, column)[1] for column in fit_surface(series).design.T])
     rate = np.abs(set_means(series, series.rate_dps)[1])
     left, spread = y, np.ones(numbers.size)
     for _ in range(_ROUNDS):
@@ -110,11 +131,31 @@ def gross_strays(series: Series) -> Strays:
         solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
         left = y - design @ solution
         spread = _spread(left, rate)
+    return numbers, left, spread
+
+
+def _together(bad: NDArray[np.bool_], coordinates: Sequence[NDArray[np.generic]]) -> bool:
+    """Whether several of the sets lie closer to each other along a coordinate, shape (sets,) each, than by chance."""
+    if bad.sum() < 2:
+        return False
+    places = [(rankdata(x)[bad] - 0.5) / bad.size for x in coordinates]
+    return len(places) * min(float(kstest(p, "uniform").pvalue) for p in places) < _TOGETHER_P
+
+
+def far_off(series: Series, left_dps: Floats) -> list[Remark]:
+    """What is to be said of data sets that are grossly off all that was found: what they hide nobody sees.
+
+    Parameters
+    ----------
+    left_dps : what the whole model leaves of each row, shape (rows of the series,)
+    """
+    numbers, left, spread = _off_robustly(series, left_dps)
     size = np.abs(left) / spread
-    bad = size > _GROSS * float(np.quantile(size, _ALL_OTHERS))
-    if not bad.any() or bad.sum() > _most(numbers.size):
-        return NO_STRAYS
-    return Strays(numbers[bad], left[bad], spread[bad])
+    far = size > _GROSS * NORMAL_95
+    if not far.any():
+        return []
+    facts = {"sets": (numbers[far] + 1).tolist(), "of": int(numbers.size), "times": float(np.min(size[far]))}
+    return [Remark(Said.FAR_SETS, facts)]
 
 
 def _spread(left: Floats, rate: Floats) -> Floats:

@@ -46,17 +46,20 @@ def _asymmetry(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 
 def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    x = c.rate_dps / p["width_dps"]
-    inside = np.abs(x) < 1.0
+    size = np.abs(c.rate_dps) / p["width_dps"]
     if p["form"] == _AT_REST:
-        swallowed = inside.astype(np.float64)
-    elif p["form"] == _SMALL:
-        swallowed = np.where(inside, x, 0.0)
+        return np.where(size < 1.0, -MDPS * p["amplitude"], 0.0)
+    if p["form"] == _SMALL:
+        lost = np.where(size < 1.0, size, 0.0)
     elif p["form"] == _BAND:
-        swallowed = np.clip(x, -1.0, 1.0)
+        lost = np.minimum(size, 1.0)
     else:
-        swallowed = x - np.sign(x) * np.sqrt(np.maximum(x**2 - 1.0, 0.0))
-    return np.asarray(-MDPS * p["amplitude"] * swallowed)
+        # size - sqrt(size^2 - 1), without the difference of nearly equal numbers
+        beyond = np.maximum(size, 1.0)
+        lost = np.where(size < 1.0, size, 1.0 / (beyond + np.sqrt(beyond**2 - 1.0)))
+    hidden = np.where(size < p["rest"], p["place_dps"], 0.0)
+    lost = np.minimum(np.maximum(size - p["rest"], 0.0), lost)
+    return np.asarray(hidden - MDPS * p["amplitude"] * np.sign(c.rate_dps) * lost)
 
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -203,6 +206,20 @@ def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     return f"(w > 0 ? {n(PPM * p['amplitude'])} * w : 0)"
 
 
+def _dead_zone_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    k, size = MDPS * p["amplitude"], f"(fabs@f@(w) / {n(p['width_dps'])})"
+    if p["form"] == _AT_REST:
+        return f"({size} < 1 ? {n(-k)} : 0)"
+    lost = {
+        _SMALL: f"({size} < 1 ? {size} : 0)",
+        _LOCKED: f"({size} < 1 ? {size} : 1 / ({size} + sqrt@f@({size} * {size} - 1)))",
+        _BAND: f"fmin@f@({size}, 1)",
+    }[p["form"]]
+    rest = n(p["rest"])
+    hidden = f"({size} < {rest} ? {n(p['place_dps'])} : 0)"
+    return f"({hidden} + {n(k)} * (@real@)((w < 0) - (w > 0)) * fmin@f@(fmax@f@({size} - {rest}, 0), {lost}))"
+
+
 def _truncation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     half = MDPS * p["amplitude"]
     if p["of_output"]:
@@ -279,7 +296,8 @@ DEAD_ZONE = Effect(
     id="dead_zone",
     family="rate shape",
     equation="output 0 while |w| < w_d: e = -k there, k what stood at the input at rest; or of any input, "
-    "e = -k w/w_d there, and beyond with lock-in e = -k (w - sign(w) sqrt(w^2 - w_d^2))/w_d, of a dead band e = -k sign(w)",
+    "e = -k w/w_d there, and beyond with lock-in e = -k (w - sign(w) sqrt(w^2 - w_d^2))/w_d, of a dead band e = -k sign(w); "
+    "to a robot an output below r w_d is rest: |e| <= k max(|w|/w_d - r, 0), and p is added where |w| < r w_d",
     statement="The output stays at zero for small inputs (dead zone, lock-in), so that the Earth's rate is lost at rest.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 2.0, "input that is lost, the largest"),
@@ -287,12 +305,14 @@ DEAD_ZONE = Effect(
         choice(
             "form", "1", _AT_REST, _BAND, _AT_REST, "0: lost at rest, 1: any small input, 2: lock-in, 3: band"
         ),
+        shape("rest", "1", 0.0, 1.0, 0.0, "share r of w_d below which a robot takes the output for rest"),
+        shape("place_dps", "deg/s", -10.0, 10.0, 0.0, "place p in the zone, of which the spread is known"),
     ),
     needs=("rate_dps",),
     seen_in="rate",
     looks_like=("scale_asymmetry", "truncation"),
     reference="IEEE Std 952, dead band",
-    runtime=False,
+    runtime=True,
     error_dps=memoryless(_dead_zone),
     fold=near_zero_rate,
     search=Search(
@@ -302,7 +322,9 @@ DEAD_ZONE = Effect(
         # A table at rest keeps one phase of what turns with it, and nobody has logged which.
         alike_without={"table_angle": "earth_rate_tilt"},
         scatters=True,
+        in_part=True,
     ),
+    c_text=CText(_dead_zone_c),
 )
 
 TRUNCATION = Effect(

@@ -93,6 +93,8 @@ class Search:
         Whether it widens the scatter of the rows as well as their mean.
     adds_up : bool
         Several of it, of different shapes, are one effect.
+    in_part : bool
+        A robot undoes it only in part: while names are looked for the smooth parts stay in the model that stand for it.
     accounts_for : tuple of str
         Effects that need not be named beside it: they are a part of it.
     """
@@ -111,6 +113,7 @@ class Search:
     by_columns: bool = True
     scatters: bool = False
     adds_up: bool = False
+    in_part: bool = False
     accounts_for: tuple[str, ...] = ()
 
     def nats_before(self, given: Shape) -> float:

@@ -18,8 +18,8 @@ from gyrocal.physics.effect import ROBOT_CHANNELS, Effect, Floats
 from gyrocal.physics.smooth import SmoothTerm, smooth_term
 from gyrocal.physics.surface import Surface
 
-#: Step of the rate for the slope of the terms, as a share of the rate scale.
-_SLOPE_STEP = 1e-5
+#: Step of the rate for the slope of the terms, as a share of the rate scale: no corner of a law is within it, but by chance.
+_SLOPE_STEP = 1e-8
 
 #: A term's error in deg/s, and its memory for the next block, as functions of the true rate.
 AtRate = Callable[[Floats], tuple[Floats, Memory]]

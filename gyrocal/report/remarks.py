@@ -18,6 +18,16 @@ def _stray_sets(sets: Sequence[int]) -> str:
     )
 
 
+def _far_sets(sets: Sequence[int], of: int, times: float) -> str:
+    return plural(
+        len(sets),
+        f"{len(sets)} of {of} data sets [is|are] more than {times:.2g} standard deviations of the others off all that was found "
+        f"([number|numbers] {', '.join(map(str, sets))}): too many, or too close together, to be left out as disturbed, and "
+        "beside [it|them] weak effects are not seen. See whether [its rate was|their rates were] mixed up; repair or remove [it|them], "
+        "and diagnose again.",
+    )
+
+
 def _strange_sets(sets: Sequence[tuple[int, float, float, float]]) -> str:
     """Each with its number, rate in deg/s, temperature in degC, and how far off it is in mdeg/s."""
     each = (
@@ -90,6 +100,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
     "mdeg/s: small outputs are lost (dead zone, lock-in). [That data set is|Those data sets are] left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,
+    Said.FAR_SETS: _far_sets,
     Said.BURST_SAMPLES: "{count} of {samples} samples [stands|stand] out of the noise by more than six standard deviations "
     "(bursts, slip ring).",
     Said.OUTPUT_STEPS: "The output comes in steps of {step_mdps:.4g} mdeg/s, which adds {noise_mdps:.3g} mdeg/s of noise "

@@ -189,6 +189,19 @@ SETS = {effect_id: (typical_term(effect_id),) for effect_id in RUNTIME} | {
     "no state": tuple(map(typical_term, ("sagnac_sine", "temperature_order"))),
     "soft knee": (typical_term("saturation", knee_dps=60.0, softness_dps=2.5),),
     "cut by the sign of the output": (typical_term("truncation", of_output=1.0),),
+    **{
+        f"dead zone of the form {form:g}": (
+            typical_term(
+                "dead_zone",
+                amplitude=900.0,
+                width_dps=0.9,
+                form=form,
+                rest=0.5,
+                place_dps=0.2 * (form == 3.0),
+            ),
+        )
+        for form in (1.0, 2.0, 3.0)
+    },
 }
 
 

@@ -100,7 +100,7 @@ def test_the_file_corrects_what_the_model_explains() -> None:
     noise = 2e-4 * np.random.default_rng(6).standard_normal(t_s.size)
     table = DataSetTable(Path("rest.csv"), np.zeros(t_s.size), bias + noise, temp_c, t_s=t_s)
     fitted = fit_model(full_model(means_of(series_of_table(table))))
-    found = SimpleNamespace(candidates=(), naming=SimpleNamespace(fitted=fitted), comes_again=1.0)
+    found = SimpleNamespace(candidates=(), naming=SimpleNamespace(fitted=fitted), laws=None, comes_again=1.0)
     file = correction(cast(Examination, found))
     left = Compensator(file).correct(t_s, bias, temp_c, t_s - t_s[0], None)
     assert np.sqrt(np.mean(left**2)) < 0.1 * np.std(bias)

@@ -63,7 +63,7 @@ def test_the_file_of_a_gyro_with_a_dead_band_is_right_beyond_it_and_calm_within(
 def test_what_goes_is_fitted_beside_what_stays() -> None:
     means = means_of(series_of_table(table([0.01, 6.0, 15.0, 57.0, 100.0], 3)))
     fitted = fit_model(full_model(means, memory=False))
-    calm = rising(fitted)
+    calm = rising(fitted, None)
     assert "odd near zero, within" in calm.model.components
     assert all(part.name not in ("odd near zero, within", "odd near zero") for part in calm.model.parts)
     np.testing.assert_allclose(calm.solve().left, fitted.solve().left, atol=1e-7)
@@ -95,7 +95,7 @@ def test_a_gyro_without_a_dead_zone_keeps_all_its_shapes() -> None:
     rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 13), np.linspace(-10.0, 50.0, 5)))
     gyro = 1.002 * rate + 1e-5 * np.abs(rate) + 3e-4 * rng.standard_normal(rate.size)
     fitted = fit_model(full_model(means_of(series_of_table(DataSetTable(Path("t.csv"), rate, gyro, temp)))))
-    assert rising(fitted) is fitted
+    assert rising(fitted, None) is fitted
 
 
 def test_small_rates_alone_bring_no_order_of_the_rate() -> None:

@@ -9,13 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.coil import Candidate, TableSearch
-from gyrocal.diagnosis.engine import diagnose
+from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, gross_strays, strays_beside
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.report.remarks import WORDS
 
 NOISE_DPS = 1e-3
 
@@ -53,9 +55,9 @@ def test_a_stray_data_set_is_found_with_how_far_it_is_off(off_dps: float) -> Non
     assert abs(found.off_dps[0] - off_dps) < 4.0 * NOISE_DPS
 
 
-def test_of_so_many_rows_a_second_stray_is_none_of_a_few() -> None:
+def test_of_so_many_rows_a_tenth_stray_is_none_of_a_few() -> None:
     ranked = without_laws(make_sweeps(2, {20: 0.02}))
-    known = Strays(np.array([50]), np.array([0.02]), np.array([NOISE_DPS]))
+    known = Strays(np.arange(50, 59), np.full(9, 0.02), np.full(9, NOISE_DPS))
     assert len(strays_beside(ranked, NO_STRAYS)) == 1
     assert len(strays_beside(ranked, known)) == 0
 
@@ -100,3 +102,55 @@ def test_a_stray_data_set_is_said_and_nothing_else_is_named() -> None:
     assert off_mdps == pytest.approx(20.0, abs=4.0)
     low, high = found.effects[0].parameters["amplitude"].interval_95
     assert low < 20.0 < high
+
+
+def make_disturbed(seed: int, off: NDArray[np.int64], asymmetry: float = 0.0) -> DataSetTable:
+    """Nineteen rates in any order at each of seven temperatures, some sets 20 to 150 standard deviations off."""
+    rng = np.random.default_rng(seed)
+    sizes = np.array([0.5, 2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 100.0])
+    rates = np.concatenate([-sizes[::-1], [0.0], sizes])
+    temps = np.array([25.0, 50.0, 35.0, 5.0, -10.0, 15.0, 30.0])
+    rate = np.concatenate([rng.permutation(rates) for _ in temps])
+    temp = np.repeat(temps, rates.size) + 0.1 * rng.standard_normal(rate.size)
+    v = (temp - 20.0) / 30.0
+    gyro = rate * (1.001 + 3e-4 * v) + 0.01 + 4e-3 * v - 3e-3 * v**2 + asymmetry * np.maximum(rate, 0.0)
+    gyro += NOISE_DPS * rng.standard_normal(rate.size)
+    gyro[off] += rng.choice([-1.0, 1.0], off.size) * NOISE_DPS * np.geomspace(20.0, 150.0, off.size)
+    return DataSetTable(Path("t.csv"), rate, gyro, temp, t_s=120.0 * np.arange(rate.size, dtype=np.float64))
+
+
+def here_and_there(seed: int, share: float) -> NDArray[np.int64]:
+    return np.sort(np.random.default_rng(seed).choice(133, round(share * 133), replace=False))
+
+
+@pytest.mark.parametrize("share", [0.03, 0.08])
+def test_beside_disturbed_sets_a_law_is_named_and_nothing_else(share: float) -> None:
+    off = here_and_there(1, share)
+    found = diagnose(make_disturbed(1, off, asymmetry=2e-4), options=Options(heldout=False))
+    assert sorted(e.effect for e in found.effects) == ["bursts", "scale_asymmetry"]
+    (said,) = [e.seen for e in found.effects if e.effect == "bursts"]
+    assert said is not None
+    assert sorted(number - 1 for number, *_ in said.facts["sets"]) == off.tolist()
+
+
+def test_more_disturbed_sets_than_can_be_left_out_are_told() -> None:
+    off = here_and_there(2, 0.2)
+    found = diagnose(make_disturbed(2, off), options=Options(heldout=False))
+    (told,) = [n for n in found.notes if isinstance(n, Remark) and n.said is Said.FAR_SETS]
+    assert set(told.facts["sets"]) <= {int(n) + 1 for n in off}
+    assert len(told.facts["sets"]) > 0.6 * off.size
+    words = WORDS[Said.FAR_SETS]
+    assert callable(words)
+    assert "of 133 data sets" in words(**told.facts)
+
+
+def test_sets_of_one_rate_that_are_off_together_are_physics() -> None:
+    """What lives at one rate, or at one temperature, is not left out as disturbed."""
+    table = make_disturbed(3, here_and_there(3, 0.0))
+    one_rate = np.flatnonzero(np.abs(np.abs(table.rate_dps) - 35.0) < 0.1)[::2]
+    table.gyro_dps[one_rate] += 0.1
+    assert len(gross_strays(series_of_table(table))) == 0
+    table.gyro_dps[one_rate] -= 0.1
+    scattered = here_and_there(4, one_rate.size / 133)
+    table.gyro_dps[scattered] += 0.1
+    assert gross_strays(series_of_table(table)).numbers.tolist() == scattered.tolist()

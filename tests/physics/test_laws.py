@@ -129,6 +129,16 @@ def test_laws_by_hand() -> None:
     np.testing.assert_allclose(
         error("dead_zone", at([0.005, 0.0125, -0.0125]), amplitude=10.0, form=2.0), [-5e-3, -5e-3, 5e-3]
     )
+    # To a robot an output below half the width is rest; and where in the zone the input is, is not known.
+    taken = {
+        form: error(
+            "dead_zone", at([-0.004, 0.012, 0.04]), amplitude=10.0, form=form, rest=0.5, place_dps=1e-3
+        )
+        for form in (1.0, 2.0, 3.0)
+    }
+    np.testing.assert_allclose(taken[1.0], [1e-3, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(taken[2.0], [1e-3, np.sqrt(0.44) * 1e-2 - 1.2e-2, np.sqrt(15.0) * 1e-2 - 4e-2])
+    np.testing.assert_allclose(taken[3.0], [1e-3, -7e-3, -1e-2])
     np.testing.assert_allclose(error("truncation", at(rates), amplitude=1.5), [1.5e-3, 0, -1.5e-3, -1.5e-3])
     np.testing.assert_allclose(
         error("saturation", at(rates), amplitude=0.01, knee_dps=80.0), [0.2, 0, 0, -0.2]
