@@ -21,7 +21,7 @@ def test_floor_and_least_difference_are_those_of_drawn_truths() -> None:
     rng = np.random.default_rng(3)
     white_m, wander_m, wander_s = 0.3, 0.8, 60.0
     levels = _Levels(np.log([1.0, white_m**2, wander_m**2]), wander_s)
-    truth = TruthAnswer({}, {}, np.eye(2), {}, levels=levels)
+    truth = TruthAnswer({}, {}, np.eye(2), np.zeros((0, 0)), {}, levels=levels)
     t_s = np.arange(0.0, 400.0, 2.0)
     path = 15.0 * np.exp(0.03j * t_s) + 0.05 * t_s
     other = path + 0.5 * np.sin(0.02 * t_s) + 0.3j * np.cos(0.05 * t_s)
