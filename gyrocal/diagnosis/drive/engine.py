@@ -204,10 +204,15 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
     yaw, truth = _undenied(series, yaw, _asked(series, yaw))
     if truth is None or truth.mirrored:
         return yaw, truth
-    yaw, truth = _with_jump(series, yaw, truth)
-    if not series.differential:
-        return yaw, truth
-    while True:
+    # First what the next drive has, too: a jump bends a path much as any of these does.
+    yaw, truth = _with_laws(series, yaw, truth)
+    jumping, told = _with_jump(series, yaw, truth)
+    return (yaw, truth) if jumping is yaw else _with_laws(series, jumping, told)
+
+
+def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:
+    """With laws of the bias that encoders and truth show together; beside one speed the truth is asked for them anyway."""
+    while series.differential:
         tried = [
             (_with_truth(series, yaw, truth, n), n)
             for n in _BY_TRUTH
@@ -223,6 +228,7 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
             if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
                 return _wheels_beside(less, alone), alone
         yaw, truth = _wheels_beside(yaw.with_law(name, gain), found), found
+    return yaw, truth
 
 
 def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
