@@ -120,7 +120,7 @@ def diagnose(
     findings += (more := _sampling(series, names))
     names += map(_found, more)
     left = residuals(found, series, surface)
-    lost += far_off(series, left.after_dps)
+    far = far_off(series, left.after_dps)
     noise, levels, walk = _noise(series, left)
     scatter = variance_places(series, noise, levels, left.after_dps + left.wandering_dps, level)
     scatter = walk + _explained_scatter(scatter, names)
@@ -130,7 +130,7 @@ def diagnose(
     places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
     everywhere.sort(key=lambda place: place.p_value)
-    lacking = bool(parts or strange or scatter or change) or any(e.share < 1.0 for e in names)
+    lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
         verdict=_verdict(names, lacking),
@@ -143,7 +143,7 @@ def diagnose(
         surface=coefficients or surface,
         improved=written,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *lost, *_of_file(found, withheld, parts, better)),
+        notes=(*notes, *series.notes, *lost, *far, *_of_file(found, withheld, parts, better)),
         layers=stairs.layers,
         unnamed=parts,
     )

@@ -138,9 +138,9 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",
-    Said.WHEELS_CHANGE: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the way of the right wheel less that of the "
-    "left is another by {change:.3g} % (95 %: {least:.3g} to {most:.3g}), as of a tyre that loses air or a load that shifts; no robot "
-    "file holds that",
+    Said.WHEELS_CHANGE: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the way that the right wheel counts, against "
+    "the left's, is another by {change:.3g} % (95 %: {least:.3g} to {most:.3g}): a wheel that counts more has become smaller (air, wear, "
+    "load); no robot file holds that",
     Said.TRACK_CHANGES: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the encoders' turns are others by {change:.3g} % "
     "(95 %: {least:.3g} to {most:.3g}), as on another ground; no robot file holds that",
     Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "

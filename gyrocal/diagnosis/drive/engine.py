@@ -245,7 +245,8 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
     A path that such a jump has bent is laid anew for each instant: small errors about a wrong path would not tell it.
     """
     surest = min(truth.odd.values(), default=1.0)
-    if "jump" in yaw.chosen or surest >= STRANGER_P or truth.odd["time"] > surest:
+    # Wheels that change bend the path in the mean of both.
+    if "jump" in yaw.chosen or yaw.changed or surest >= STRANGER_P or truth.odd["time"] > surest:
         return yaw, truth
     step_s = series.duration_s / _INSTANTS
     losses: dict[float, float] = {}

@@ -188,8 +188,10 @@ def _lacks_by_heading(yaw: YawAnswer, beside: Sequence[str], truth: TruthAnswer 
 
 
 def _changes(scale: str, yaw: YawAnswer, truth: TruthAnswer) -> bool:
-    """Whether what misses the truth is of one way to turn or of some speeds only: another path has other shares of them."""
+    """Whether what misses the truth is of one way to turn, of some speeds or of some time only: another path has other shares."""
     if truth.odd.get(_CHANGES_BY[scale], 1.0) < STRANGER_P:
+        return True
+    if scale == WHEEL_SCALE.id and yaw.changed:
         return True
     return scale == GYRO_SCALE.id and _goes_by_place(yaw, truth)
 
@@ -337,7 +339,8 @@ def _of_scale(
         parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     if name == "track":
         parameters |= {"law": Estimate.exact(0.0, "1"), "shape": Estimate.exact(0.0, "1")}
-        if any(abs(np.log((1 + scale.value) / f)) < _MIXED_UP_BY for f in _MIXED_UP):
+        ratio = max(1 + scale.value, 1e-9)
+        if any(abs(np.log(ratio / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others[UNIT_OR_SIGN.id] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)
     if name == "track" or (name in SCALES and (truth is None or not truth.believed(name))):

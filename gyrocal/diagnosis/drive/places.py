@@ -24,7 +24,7 @@ _NOISY = 4.0
 def places(
     series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, effects: list[NamedEffect]
 ) -> list[Located]:
-    """Where the difference lives: with the named effects, and where something is left that has no name."""
+    """Where the difference lives, the surest first: with the named effects, and where something is left that has no name."""
     # Shares of the gain of what is named; chi-square from p-values would overflow.
     gains = {effect_of(n, yaw): g for n, g in yaw.named.items()}
     whole = max(sum(gains.values()), 1e-300)
@@ -57,7 +57,7 @@ def places(
             replace(one, low=at_s, high=end_s, unit="s", target=target) if one.coordinate == "time" else one
             for one in left
         ]
-    return [*found.values(), *left, *_noisy(series, yaw)]
+    return sorted([*found.values(), *left, *_noisy(series, yaw)], key=lambda place: place.p_value)
 
 
 def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:

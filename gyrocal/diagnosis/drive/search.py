@@ -302,6 +302,8 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     uneven = _uneven(model, everything, chosen, named)
     for test in uneven.values():
         odd = _odder(odd, "time", test)
+    # What of the wheels changes at an instant is none of the next drive either.
+    others = {n.removeprefix("time:") for n in jumping}
     return YawAnswer(
         model,
         everything,
@@ -315,7 +317,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         window_s,
         told,
         known,
-        frozenset(uneven),
+        frozenset(uneven) | others,
         changed,
     )
 
