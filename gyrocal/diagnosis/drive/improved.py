@@ -213,7 +213,7 @@ def _spokesman(yaw: YawAnswer, group: str) -> str:
 
 def _beside(yaw: YawAnswer, name: str) -> tuple[float, float]:
     """Coefficient of a law that is not in the final fit, added to it."""
-    values, covariance = yaw.gram.solve([*yaw.chosen, name])
+    values, covariance = yaw.gram.solve([*yaw.chosen, *yaw.nameless, name])
     return float(values[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
 
 

@@ -61,7 +61,7 @@ class YawAnswer:
     ----------
     model, laws : noise, and every law that was looked at
     chosen : names of the laws in the final fit, the constant ones always
-    values, covariance : their coefficients, SI (rates of the gyro in deg/s)
+    values, covariance : their coefficients, SI (rates of the gyro in deg/s), then those of `nameless`
     named : law -> gain, of those that earn their name
     strangers : coordinate -> (gain, degrees of freedom, p-value) of columns without a name
     odd : coordinates located by them
@@ -70,6 +70,7 @@ class YawAnswer:
     known : what was known of coefficients beforehand: mean and standard deviation of each
     uneven : named laws that change between the parts of the drive: the next drive has others
     changed : track or wheels until the instant from which on they are others, named ``time:`` and the law
+    nameless : columns of no name, of what goes with the time, beside which the laws have these coefficients
     """
 
     model: YawModel
@@ -86,6 +87,7 @@ class YawAnswer:
     known: Mapping[str, tuple[float, float]]
     uneven: frozenset[str]
     changed: Mapping[str, Law]
+    nameless: Mapping[str, Floats]
 
     @property
     def gram(self) -> Gram:
@@ -95,7 +97,7 @@ class YawAnswer:
     def with_law(self, name: str, gain: float) -> YawAnswer:
         """The same with one law more, which something else shows."""
         chosen = (*self.chosen, name)
-        values, covariance = self.gram.solve(chosen)
+        values, covariance = self.gram.solve([*chosen, *self.nameless])
         named = {**self.named, name: gain}
         return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
 
@@ -153,7 +155,8 @@ class YawAnswer:
     def bias_laws(self) -> BiasLaws:
         """The laws of the gyro's bias, as the heading difference knows them."""
         at = [self.chosen.index(n) for n in self.of_bias]
-        columns = np.column_stack([self.laws[n].column for n in self.chosen])
+        laws = [self.laws[n].column for n in self.chosen]
+        columns = np.column_stack([*laws, *self.nameless.values()])
         return BiasLaws(
             self.of_bias,
             self.covariance[np.ix_(at, at)],
@@ -165,16 +168,16 @@ class YawAnswer:
         """Coefficients, and what they are known to, if the bias jumped at an instant; all else as it is."""
         laws = {**self.laws, "jump": jump(self.model.frame, at_s)}
         chosen = (*self.chosen, "jump")
-        values, covariance = (
-            gram_of(self.model, {n: laws[n].column for n in chosen}).knowing(self.known).solve(chosen)
-        )
+        columns = {n: laws[n].column for n in chosen} | dict(self.nameless)
+        values, covariance = gram_of(self.model, columns).knowing(self.known).solve(list(columns))
         return replace(self, laws=laws, chosen=chosen, values=values, covariance=covariance)
 
     def with_jump(self, instant: Instant) -> YawAnswer:
         """The same with a jump of the bias that something else shows."""
         frame = self.model.frame
         laws = {**self.laws, "jump": law_at(frame, instant)}
-        told = evidence(self.model, _columns_of(laws, strangers(frame))).knowing(self.known)
+        columns = _columns_of(laws, strangers(frame)) | dict(self.nameless)
+        told = evidence(self.model, columns).knowing(self.known)
         chosen = (*self.chosen, "jump")
         # A law that stood for the jump has less to say beside it; delays and wheels out of true look like no jump.
         gains = {
@@ -199,7 +202,7 @@ class YawAnswer:
     def less(self, laws: Sequence[str]) -> YawAnswer:
         """The same with some laws less."""
         chosen = tuple(n for n in self.chosen if n not in laws)
-        values, covariance = self.gram.solve(chosen)
+        values, covariance = self.gram.solve([*chosen, *self.nameless])
         named = {n: g for n, g in self.named.items() if n not in laws}
         return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
 
@@ -298,7 +301,9 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
     ]
-    values, covariance = told.own.solve(chosen)
+    # What goes with the time alone leaves constants their mean, or that of the end.
+    nameless = {n: columns[n] for n in beside if n.startswith("time:")}
+    values, covariance = told.own.solve([*chosen, *nameless])
     uneven = _uneven(model, everything, chosen, named)
     for test in uneven.values():
         odd = _odder(odd, "time", test)
@@ -319,6 +324,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         known,
         frozenset(uneven) | others,
         changed,
+        nameless,
     )
 
 

@@ -351,3 +351,20 @@ def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:
     assert "gyro_scale" not in [e.effect for e in found.diagnosis.effects]
     assert "turn_rate" in [p.coordinate for p in found.diagnosis.located if p.remains]
     assert found.robot is None or found.robot.parameters.gyro.scale == 0.0
+
+
+@pytest.mark.parametrize("seed", [2, 4, 5])
+def test_a_wheel_that_changes_slowly_steers_no_bias(seed: int) -> None:
+    """Without a rest a bias is told by the wheels alone, and has to hold beside what goes with the time."""
+    plan = Plan(
+        "lawn", 8.0, 20.0, rest_s=0.0, tick_m=2e-4, arw_dps_rt_s=0.003, bias_walk=0.0, wheel_noise=5e-4,
+        bias_dps=0.1,
+    )  # fmt: skip
+    log = drive(plan, seed)
+    grown = 1.0 + 0.01 * np.clip((log.t_s - 150.0) / 240.0, 0.0, 1.0)
+    robot = robot_of({"wheel_separation_m": plan.separation_m, "static_s": 0.0}, Path("robot.toml"))
+    found = examine("log", replace(log, left_m=grown * log.left_m), robot, None).yaw
+    value, std = found.estimate("bias")
+    assert abs(value - plan.bias_dps) < 2.5 * std
+    steered = found.gram.solve(found.chosen)[0][found.chosen.index("bias")]
+    assert abs(value - plan.bias_dps) < 0.7 * abs(steered - plan.bias_dps)
