@@ -68,7 +68,7 @@ class YawAnswer:
     told : what all laws gain beside each other, with what was known beforehand
     ahead_s, window_s : delay and window of the encoders that were taken out before the fit
     known : what was known of coefficients beforehand: mean and standard deviation of each
-    uneven : named laws that change between the parts of the drive: the next drive has others
+    uneven : laws that change between the parts of the drive, or at an instant: the next drive has others
     changed : track or wheels until the instant from which on they are others, named ``time:`` and the law
     nameless : columns of no name, of what goes with the time, beside which the laws have these coefficients
     """
@@ -288,8 +288,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         told = free.knowing(known)
         chosen = _selected(told, [*least, *beyond], list(laws))
     chosen = rather_warmed(told, middling(told, chosen, of_motion(laws)), laws, GAIN)
-    changed = {n: x for n, x in jumping.items() if n not in KINDS}
-    odd, changed = _nameless(free, chosen, changed, blocks)
+    odd, changed = _nameless(free, chosen, jumping, blocks)
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     if "jump" in chosen:
         gain = _gain(told, [*chosen, *beside], "jump")
@@ -305,10 +304,7 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     nameless = {n: columns[n] for n in beside if n.startswith("time:")}
     values, covariance = told.own.solve([*chosen, *nameless])
     uneven = _uneven(model, everything, chosen, named)
-    for test in uneven.values():
-        odd = _odder(odd, "time", test)
-    # What of the wheels changes at an instant is none of the next drive either.
-    others = {n.removeprefix("time:") for n in jumping}
+    odd = _odder(odd, "time", *uneven.values())
     return YawAnswer(
         model,
         everything,
@@ -322,21 +318,21 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         window_s,
         told,
         known,
-        frozenset(uneven) | others,
+        frozenset(uneven) | {n.removeprefix("time:") for n in jumping},
         changed,
         nameless,
     )
 
 
 def _nameless(
-    free: Evidence, chosen: Sequence[str], changed: dict[str, Law], blocks: Mapping[str, Floats]
+    free: Evidence, chosen: Sequence[str], jumping: Mapping[str, Law], blocks: Mapping[str, Floats]
 ) -> tuple[dict[str, Test], dict[str, Law]]:
     """What is over each coordinate beside the laws, and what of the wheels changes at one instant, if nothing else does."""
+    changed = {n: x for n, x in jumping.items() if n not in KINDS}
     odd = {c: _without_name(free, [*chosen, *changed], f"{c}:", block) for c, block in blocks.items()}
     at_once = odd.get("time", (0.0, 0, 1.0))[2] >= STRANGER_P
-    for name in changed:
-        gain = _gain(free, chosen, name)
-        odd = _odder(odd, "time", (gain, 1, chance(gain)))
+    gains = [_gain(free, chosen, name) for name in changed]
+    odd = _odder(odd, "time", *((gain, 1, chance(gain)) for gain in gains))
     return odd, changed if at_once else {}
 
 
@@ -350,9 +346,10 @@ def _without_name(free: Evidence, chosen: Sequence[str], prefix: str, block: Flo
     return gain, len(names), float(stats.chi2.sf(gain, len(names)))
 
 
-def _odder(odd: Mapping[str, Test], coordinate: str, test: Test) -> dict[str, Test]:
-    """Tests by coordinate with one more, of which the surer counts."""
-    return {**odd, coordinate: min(test, odd.get(coordinate, test), key=lambda one: one[2])}
+def _odder(odd: Mapping[str, Test], coordinate: str, *tests: Test) -> dict[str, Test]:
+    """Tests by coordinate with some more, of which the surest counts."""
+    found = [*tests, *(test for c, test in odd.items() if c == coordinate)]
+    return {**odd, coordinate: min(found, key=lambda one: one[2])} if found else dict(odd)
 
 
 def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[str, Floats]:
