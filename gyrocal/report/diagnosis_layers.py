@@ -103,10 +103,10 @@ def staircase_figure(d: Diagnosis) -> Figure:
     for x, floor in zip(at, floors, strict=True):
         axes.plot([x - 0.4, x + 0.4], [floor, floor], color=style.INK, linewidth=1.2)
     places = decimals(min(floors))
-    for x, height in zip(at, heights, strict=True):
+    for x, height, floor in zip(at, heights, floors, strict=True):
         axes.annotate(
             fixed(height, places),
-            (x, height),
+            (x, max(height, floor)),
             xytext=(0, 2),
             textcoords="offset points",
             ha="center",
