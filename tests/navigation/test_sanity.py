@@ -16,6 +16,13 @@ from tests.diagnosis.drive.fleet import SHAPES, Plan
 from tests.diagnosis.drive.fleet import drive as fleet_drive
 from tests.navigation.drives import drive, robot, source
 
+
+def radians_of_one_speed(b: DriveBlock) -> DriveBlock:
+    """The log as of a vehicle that has one speed and a gyro in rad/s."""
+    way_m = 0.5 * (b.left_m + b.right_m)
+    return replace(b, left_m=way_m, right_m=way_m, speed_only=True, gyro_dps=np.radians(b.gyro_dps))
+
+
 MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
     "mirrored": (
         lambda b: replace(b, truth_y_m=-b.truth_y_m, truth_heading_deg=-b.truth_heading_deg),
@@ -45,24 +52,11 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         r"goes 0\.27\d times as far",
     ),
     "gyro in rad/s beside a speed": (
-        lambda b: replace(
-            b,
-            left_m=0.5 * (b.left_m + b.right_m),
-            right_m=0.5 * (b.left_m + b.right_m),
-            speed_only=True,
-            gyro_dps=np.radians(b.gyro_dps),
-        ),
+        radians_of_one_speed,
         "gyro_dps is in rad/s",
     ),
     "gyro in rad/s beside a speed and positions": (
-        lambda b: replace(
-            b,
-            left_m=0.5 * (b.left_m + b.right_m),
-            right_m=0.5 * (b.left_m + b.right_m),
-            speed_only=True,
-            gyro_dps=np.radians(b.gyro_dps),
-            truth_heading_deg=np.full(b.t_s.size, np.nan),
-        ),
+        lambda b: replace(radians_of_one_speed(b), truth_heading_deg=np.full(b.t_s.size, np.nan)),
         "gyro_dps is in rad/s",
     ),
 }

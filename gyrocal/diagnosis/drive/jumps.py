@@ -29,6 +29,11 @@ class Instant:
     gain: float
 
     @property
+    def shape(self) -> dict[str, float]:
+        """Of a law that holds until then."""
+        return {"until_s": self.at_s, "earliest_s": self.earliest_s, "latest_s": self.latest_s}
+
+    @property
     def p_value(self) -> float:
         """Chance of the gain at the best of all instants where no bias jumps."""
         return chance(self.gain)
@@ -101,12 +106,9 @@ def jump_of(
     if not likelier:
         return {"jump": law_at(model.frame, bias)}
     name, instant = max(likelier.items(), key=lambda item: item[1].gain)
-    shape = {"until_s": instant.at_s, "earliest_s": instant.earliest_s, "latest_s": instant.latest_s}
-    return {f"time:{name}": replace(laws[name], shape=shape, column=until(name, instant.at_s))}
+    return {f"time:{name}": replace(laws[name], shape=instant.shape, column=until(name, instant.at_s))}
 
 
 def law_at(frame: Frame, instant: Instant) -> Law:
     """The law of a bias that is another one until an instant."""
-    span = {"earliest_s": instant.earliest_s, "latest_s": instant.latest_s}
-    found = jump(frame, instant.at_s)
-    return replace(found, shape={**found.shape, **span})
+    return replace(jump(frame, instant.at_s), shape=instant.shape)
