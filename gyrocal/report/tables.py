@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.corrected import Examined, Floats
 from gyrocal.calibration.figure import interval_said, number
+from gyrocal.calibration.fit import rms
 from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.fusion.coefficients import Coefficients, Noise
@@ -206,8 +207,8 @@ def marked_table(data: Examined, reasons: Mapping[int, str]) -> Table:
 def level_table(data: Examined, values: Floats, name: str, title: str, unit: str) -> Table:
     """Error before and after in each level of rate or temperature."""
     found, tight = levels(values, most=64, bins=12)
-    before = np.array([_rms(data.sets.error_dps[level.rows]) for level in found])
-    after = np.array([_rms(data.residual_dps[level.rows]) for level in found])
+    before = np.array([rms(data.sets.error_dps[level.rows]) for level in found])
+    after = np.array([rms(data.residual_dps[level.rows]) for level in found])
     mean = np.array([data.residual_dps[level.rows].mean() for level in found])
     count = np.array([level.rows.size for level in found])
     centre = np.array([level.value for level in found])
@@ -262,7 +263,3 @@ def allan_table(noise: NoiseFigures) -> Table:
     }
     text = csv_text({name: np.concatenate(parts) for name, parts in columns.items()})
     return Table("allan_deviation", "Allan deviation", (), (), text, on_page=False)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

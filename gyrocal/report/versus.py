@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.fit import rms
 from gyrocal.diagnosis.versus.answer import Comparison, Versus
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.diagnosis.versus.match import Clock, Match
@@ -36,9 +37,9 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
     if found.helps:
         title = f"What {found.simulation} lacks against {found.recording}."
         adds = found.terms_dps
+        rms_dps = [rms(x) for x in adds]
         head = "Terms beside the surface, the largest first, with what they add and 95 % intervals:"
-        formula = "\n".join([head, *_formula(found, adds), "", *_little(adds), *_valid(found)])
-        rms_dps = [_rms(x) for x in adds]
+        formula = "\n".join([head, *_formula(found, adds), "", *_little(rms_dps), *_valid(found)])
         files[LAW_PYTHON] = python_file(
             found.law, found.match.surface, title, formula, _began_s(found), rms_dps
         )
@@ -135,15 +136,14 @@ def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:
             values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
             lines[key] = f"- {effect.id}: {effect.equation}; {listed(values) or 'not named'}"
         sums[key] = sums.get(key, 0.0) + adds
-    largest = sorted(lines, key=lambda key: -_rms(sums[key]))
-    said = [f"{lines[key]}; {_MDPS * _rms(sums[key]):.2g} mdeg/s rms" for key in largest]
+    largest = sorted(lines, key=lambda key: -rms(sums[key]))
+    said = [f"{lines[key]}; {_MDPS * rms(sums[key]):.2g} mdeg/s rms" for key in largest]
     return said or ["- none: the surfaces differ, and nothing else"]
 
 
-def _little(adds_dps: Sequence[Floats]) -> list[str]:
+def _little(rms_dps: Sequence[float]) -> list[str]:
     """Why there are terms that hardly add anything."""
-    rms_dps = [_rms(x) for x in adds_dps]
-    little = sum(rms < _LITTLE * sum(rms_dps) for rms in rms_dps)
+    little = sum(one < _LITTLE * sum(rms_dps) for one in rms_dps)
     if len(rms_dps) < _SEVERAL:
         return []
     few = (
@@ -154,7 +154,3 @@ def _little(adds_dps: Sequence[Floats]) -> list[str]:
         f"all{few}. They stay so that this file gives what was judged on data left out.",
         "",
     ]
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
