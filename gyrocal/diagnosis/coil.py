@@ -28,7 +28,6 @@ from gyrocal.diagnosis.parts import (
     remembering,
 )
 from gyrocal.inference.additive import START, Component, Contrasts
-from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -173,11 +172,10 @@ class TableSearch:
         """The best models, each with the law of the rate that gains most beside the first, where it is worth what it pays.
 
         Errors of each rate of the table follow a knee through every rate that was visited, and between two of them know
-        nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true. A dead zone is the gyro's and
-        in no file: its law would leave the file without what smooth parts have of it beyond the zone.
+        nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true.
         """
         best = ranked[0].fitted
-        trials = [t for e in effects_of(_OF_RATE) if e is not DEAD_ZONE for t in laws.trials(e)]
+        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e)]
         won = best_law(best, best, _OF_RATE, trials, laws)
         if won is None:
             return []

@@ -296,7 +296,10 @@ def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:
         fitted.contrasts.nll(fitted.model.all, {**logs, component: logs[component] + float(s)}) for s in steps
     ]
     between = np.linspace(steps[0], steps[-1], 1001)
-    inside = between[np.interp(between, steps, nll) < min(nll) + 0.5 * float(chi2.ppf(0.95, 1))]
-    size = float(np.sqrt(fitted.fit.variance[component])) / rate_scale_dps / PPM
-    low, high = size * np.exp(0.5 * inside[0]), size * np.exp(0.5 * inside[-1])
-    return Estimate.spanning(size, (float(low), float(high)), "ppm")
+    likely = np.interp(between, steps, nll)
+    inside = between[likely < min(nll) + 0.5 * float(chi2.ppf(0.95, 1))]
+    # The variance was fitted before the last laws were there; beside them another may be likelier.
+    shifts = np.array([between[np.argmin(likely)], inside[0], inside[-1]])
+    fitted_ppm = float(np.sqrt(fitted.fit.variance[component])) / rate_scale_dps / PPM
+    best, low, high = (fitted_ppm * np.exp(0.5 * shifts)).tolist()
+    return Estimate.spanning(best, (low, high), "ppm")

@@ -18,7 +18,7 @@ _RISE_95 = 3.841
 #: (B. E. Hansen, Econometrica 68, 2000, p. 575).
 RISE_INSTANT_95 = 7.352
 #: Shapes are refined over these factors either way, in turn, at so many points each.
-_REFINED_OVER, _REFINED_AT = (1.5, 1.12), 7
+_REFINED_OVER, _REFINED_AT = (1.5, 1.12, 1.02), 7
 #: An end of an interval is sought in steps of this ratio, then by halving the last one.
 _STEP = 3.0
 #: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.

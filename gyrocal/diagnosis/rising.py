@@ -22,7 +22,7 @@ from gyrocal.diagnosis.parts import Part
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS
-from gyrocal.physics.rate import DEAD_ZONE
+from gyrocal.physics.rate import DEAD_ZONE, TRUNCATION
 from gyrocal.physics.shapes import ASINH_SHARE
 from gyrocal.physics.smooth import Frame, rate_factors
 from gyrocal.physics.timewise import BIAS_DRIFT
@@ -89,7 +89,9 @@ def _by_law(fitted: Fitted, zone: Law | None) -> Fitted:
 def _less_zones(fitted: Fitted) -> Model:
     """The model less its laws of a dead zone and the shapes near zero that fall as one does; the same where it has none."""
     model, amplitudes = fitted.model, fitted.solve().amplitudes
-    held = [law.name for law in model.laws if law.effect == DEAD_ZONE.id]
+    # Of means nobody sees the steps of the output: cut or swallowed, it lacks as much.
+    swallow = {DEAD_ZONE.id, TRUNCATION.id} if model.means.series.is_table else {DEAD_ZONE.id}
+    held = [law.name for law in model.laws if law.effect in swallow]
     smooth = [
         p.name
         for p in model.parts

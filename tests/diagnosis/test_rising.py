@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,43 @@ def test_the_file_of_a_gyro_with_a_dead_band_is_right_beyond_it_and_calm_within(
     still = banded(np.zeros(4000), np.full(4000, 20.0)) + noise
     corrected = robot.correct(np.arange(4000) * 0.01, still, np.full(4000, 20.0))
     assert np.std(corrected) < 2.5 * np.std(noise)
+
+
+def _hard(rate_dps: Floats, width_dps: float) -> Floats:
+    return np.where(np.abs(rate_dps) < width_dps, 0.0, rate_dps)
+
+
+def _locked(rate_dps: Floats, width_dps: float) -> Floats:
+    return np.asarray(np.sign(rate_dps) * np.sqrt(np.maximum(rate_dps**2 - width_dps**2, 0.0)))
+
+
+@pytest.mark.parametrize("zone", [_hard, _locked])
+def test_a_zone_under_noise_is_no_step_of_the_output_that_throws_a_standing_gyro(
+    zone: Callable[[Floats, float], Floats],
+) -> None:
+    """Rates just beyond the zone lack what a truncation would take, and of means nobody knows that there is none."""
+    width_dps, noise_dps = 0.05, 0.006
+    rng = np.random.default_rng(116)
+    sizes = np.array([0.015, 0.035, 0.06, 0.08, 0.15, 0.5, 2.0, 5.0, 10.0, 30.0, 60.0, 90.0])
+    rates = np.concatenate([-sizes[::-1], [0.0], sizes])
+    rate = np.concatenate([rng.permutation(rates) for _ in range(9)])
+    n = np.arange(rate.size)
+    temp = np.repeat(np.linspace(-20.0, 60.0, 9), rates.size) + np.sin(n / 37.0)
+
+    def gyro(true_dps: Floats, temp_c: Floats) -> Floats:
+        through, v = zone(true_dps, width_dps), (temp_c - 20.0) / 40.0
+        own = 1.002 * through + 1e-3 * v * through + 0.01 * (1.0 + 0.5 * v) + 0.02 * (through / 90.0) ** 3
+        return np.asarray(own + noise_dps * rng.standard_normal(true_dps.size))
+
+    t_s = 60.0 * n + 3600.0 * (n // rates.size)
+    recorded = DataSetTable(Path("zone.csv"), rate, gyro(rate, temp), temp, t_s=t_s)
+    found = diagnose(series_of_table(recorded), None, Options(heldout=False))
+    assert "dead_zone" in {e.effect for e in found.effects}
+    still, warm = np.zeros(1000), np.linspace(-10.0, 50.0, 1000)
+    file = found.improved or found.surface
+    assert file is not None
+    corrected = Compensator(file).correct(60.0 * np.arange(1000), gyro(still, warm), warm)
+    assert np.sqrt(np.mean(corrected**2)) < 1.25 * noise_dps
 
 
 def test_what_goes_is_fitted_beside_what_stays() -> None:
