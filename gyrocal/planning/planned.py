@@ -29,6 +29,8 @@ _STATIC_S, _LONG_STATIC_S = 14400.0, 25200.0
 #: Visits of a plan at one temperature.
 _VISITS = 6
 _FEWEST_BETWEEN, _MOST_BETWEEN = 4, 24
+#: Rates of a record that are nearer together than this share are one, as a table reports them; a plan takes so many at most.
+_SAME_RATE, _MOST_RATES = 2e-3, 60
 #: A plan names its rates to a thousandth of a degree per second.
 _LEAST_RATE_DPS = 1e-3
 #: How much later than planned a ramp and a soak may end, s: a plan is to keep to its bench time.
@@ -55,6 +57,8 @@ class Reach:
         Usual and largest slope of the chamber.
     sizes_dps : tuple of float
         Sizes of the rates of the record at hand.
+    odd_dps : tuple of float
+        From and to which size of rate the doubt lives, where these are some rates of many; else empty.
     near_dps : float
         How far from zero rate the doubt lives, where that is a small part of the range; 0: not there.
     """
@@ -67,6 +71,7 @@ class Reach:
     rest_c: float = 25.0
     sizes_dps: tuple[float, ...] = ()
     near_dps: float = 0.0
+    odd_dps: tuple[float, ...] = ()
 
     @property
     def middle_c(self) -> float:
@@ -169,8 +174,11 @@ def _turning(reach: Reach) -> list[Design]:
     w, mid = reach.rate_dps, reach.middle_c
     rates = {
         "near_zero": ("rates dense near zero", _near_zero(reach)),
-        "fine_rates": ("fine rates", np.linspace(0.05, 1.0, 20) * w),
-        "top_rates": ("rates dense at the upper end", np.linspace(0.4, 1.0, 13) * w),
+        "fine_rates": (
+            "fine rates",
+            _no_coarser(reach, min((0.05 * w, *(size for size in reach.sizes_dps if size > 0.0)))),
+        ),
+        "top_rates": ("rates dense at the upper end", _no_coarser(reach, 0.4 * w)),
         "turns": ("slow and fast turns", np.array([0.05, 0.2, 0.5, 1.0]) * w),
     }
     between = _between(reach)
@@ -199,6 +207,20 @@ def _turning(reach: Reach) -> list[Design]:
     again = (round(0.2 * w, 3), round(0.5 * w, 3), round(0.9 * w, 3))
     found.append(Design("repeats", "the same rates again and again", (mid,) * 8, again, 60.0, 1200.0))
     return found
+
+
+def _no_coarser(reach: Reach, low_dps: float) -> Floats:
+    """The rates of the record from `low_dps` on, filled up to a twentieth of the range, and twice as densely where they are odd."""
+    sizes = np.array([size for size in reach.sizes_dps if low_dps < size < reach.rate_dps])
+    sizes = sizes[:: int(np.ceil(sizes.size / _MOST_RATES))] if sizes.size else sizes
+    knots = np.concatenate([[low_dps], sizes, [reach.rate_dps]])
+    knots = knots[np.diff(knots, prepend=0.0) > _SAME_RATE * knots]
+    filled = []
+    for low, high in zip(knots[:-1], knots[1:], strict=True):
+        odd = bool(reach.odd_dps) and low <= max(reach.odd_dps) and high >= min(reach.odd_dps)
+        parts = max(int(np.ceil(np.round(20.0 * (high - low) / reach.rate_dps, 3))), 2 if odd else 1)
+        filled.append(np.linspace(low, high, parts, endpoint=False))
+    return np.concatenate([*filled, knots[-1:]])
 
 
 def _near_zero(reach: Reach) -> Floats:
