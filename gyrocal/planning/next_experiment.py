@@ -256,7 +256,13 @@ def _showing(
     place = remaining[0]
     if place == "supply":
         return Proposal(
-            f"To see what is left over supply: {_SUPPLY_BY_HAND}.", (), None, None, None, (), (_SUPPLY_BY_HAND,)
+            f"To see what is left over supply: {_SUPPLY_BY_HAND}.",
+            (),
+            None,
+            None,
+            None,
+            (),
+            (_SUPPLY_BY_HAND,),
         )
     named = {d.name: d for d in designs(reach) if duration_h(d, reach) <= bench_hours}
     plan = "near_zero" if place == "rate" and reach.near_dps > 0.0 else _PLAN_FOR.get(place, "grid")
@@ -275,9 +281,10 @@ def best_design(
 ) -> tuple[Design, tuple[Separation, ...]] | None:
     """The shortest design with good power against every other effect, else the one of most power."""
     found: list[tuple[float, float, Design, tuple[Separation, ...]]] = []
+    of_rate = any(CATALOGUE[e].seen_in == "rate" for e in (effect.effect, *others))
     for design in designs(reach):
         hours = duration_h(design, reach)
-        if hours <= bench_hours:
+        if hours <= bench_hours and (of_rate or not design.about_rate):
             pairs = separate(diagnosis, effect, others, design, reach)
             found.append((_power(pairs), hours, design, pairs))
     good = [f for f in found if f[0] >= GOOD_POWER]

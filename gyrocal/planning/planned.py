@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,8 @@ class Design:
         Positive; every data set is taken with both signs, shuffled.
     ramp_rates_dps : tuple of float
         Table rates during ramps and soaks, visit after visit.
+    about_rate : bool
+        Its many rates are for a doubt about what the rate does; they say nothing to who asks about time or temperature.
     from_power_on : bool
         The run begins with the power-on of a gyro that was off for long.
     """
@@ -105,6 +108,7 @@ class Design:
     ramp_rates_dps: tuple[float, ...] = (0.0,)
     from_power_on: bool = False
     fast: bool = False
+    about_rate: bool = False
 
     def ramp_c_per_min(self, reach: Reach) -> float:
         """Slope of its ramps."""
@@ -192,6 +196,7 @@ def _turning(reach: Reach) -> list[Design]:
             tuple(np.unique(np.round(r[r >= _LEAST_RATE_DPS], 3)).tolist()),
             60.0 if name == "turns" else 20.0,
             60.0,
+            about_rate=name != "turns",
         )
         for name, (purpose, r) in rates.items()
     ]
@@ -216,7 +221,7 @@ def _no_coarser(reach: Reach, low_dps: float) -> Floats:
     knots = np.concatenate([[low_dps], sizes, [reach.rate_dps]])
     knots = knots[np.diff(knots, prepend=0.0) > _SAME_RATE * knots]
     filled = []
-    for low, high in zip(knots[:-1], knots[1:], strict=True):
+    for low, high in pairwise(knots.tolist()):
         odd = bool(reach.odd_dps) and low <= max(reach.odd_dps) and high >= min(reach.odd_dps)
         parts = max(int(np.ceil(np.round(20.0 * (high - low) / reach.rate_dps, 3))), 2 if odd else 1)
         filled.append(np.linspace(low, high, parts, endpoint=False))

@@ -336,6 +336,16 @@ def test_what_is_left_near_zero_is_looked_for_there() -> None:
     assert "fine rates" in proposal.sentence
 
 
+def test_a_doubt_about_time_gets_no_rates_dense_near_zero() -> None:
+    """A jump or a drift of the scale factor had been looked for with rates from 0.5 deg/s on."""
+    proposal = propose(doubtful("scale_step", "scale_drift", d_prime=12.0), {}, 8.0)
+    assert proposal is not None
+    assert proposal.profile is not None
+    assert "near zero" not in proposal.sentence
+    assert max(proposal.profile["plan"]["rates_dps"]) >= 50.0
+    assert len(proposal.profile["plan"]["rates_dps"]) <= 10
+
+
 def test_a_plan_is_no_coarser_than_the_record_and_has_the_rates_at_issue() -> None:
     """Steps of 5 deg/s had been proposed after a record in steps of 3.6 of which 32.4 was odd."""
     base = replace(made_up(None, 0.0), verdict="unexplained")
