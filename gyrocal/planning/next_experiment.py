@@ -256,7 +256,7 @@ def _showing(
     place = remaining[0]
     if place == "supply":
         return Proposal(
-            f"To see what is left over supply: {_SUPPLY_BY_HAND}.",
+            f"To see what has no name over supply: {_SUPPLY_BY_HAND}.",
             (),
             None,
             None,
@@ -272,7 +272,7 @@ def _showing(
         return None
     hours = duration_h(design, reach)
     unknown = _RATES_UNKNOWN if reach.rate_dps == 0 else ""
-    sentence = f"To see what is left over {place.replace('_', ' ')}, measure {design.purpose} ({hours:.1f} h{unknown})."
+    sentence = f"To see what has no name over {place.replace('_', ' ')}, measure {design.purpose} ({hours:.1f} h{unknown})."
     return Proposal(sentence, (), to_profile(design, reach, sensor, bench), round(hours, 3), None, (), ())
 
 

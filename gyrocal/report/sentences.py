@@ -255,12 +255,15 @@ def _where(d: Diagnosis, place: Located) -> str:
 
 def _named(effect: NamedEffect, d: Diagnosis) -> list[str]:
     """What an effect is, how large, and what else it could be."""
-    values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
+    in_name_only = effect.share < _LEAST_PART
+    known = {} if in_name_only else effect.parameters
+    values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in known.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
     if effect.share < 1.0:
+        untold = ", too little to tell its size" if in_name_only else ""
         said.append(
-            f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}, "
+            f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}{untold}, "
             "and a curve without a name follows the rest."
         )
     if effect.alternatives:

@@ -132,6 +132,12 @@ def test_what_a_law_only_resembles_is_said_with_what_it_takes(shupe: Diagnosis) 
     resembling = replace(shupe, effects=(replace(effect, share=0.57),))
     told = "shupe only resembles it: the law takes 57 % of the evidence for this thermal transient"
     assert any(told in s for s in plain_sentences(resembling))
+    in_name = plain_sentences(replace(shupe, effects=(replace(effect, share=0.002),)))
+    assert any(
+        "less than 1 % of the evidence for this thermal transient, too little to tell its" in s
+        for s in in_name
+    )
+    assert not any(s.startswith("shupe: ") and "Amplitude" in s for s in in_name)
 
 
 def test_nothing_named_has_no_row_of_gain(shupe: Diagnosis) -> None:
