@@ -72,7 +72,7 @@ def counted(d: Diagnosis) -> Counted:
     pieces = np.unique(rows.set_index).size
     if pieces == rows.t_s.size and np.ptp(rows.rate_dps) == 0:
         step = f"{np.median(np.diff(rows.t_s)):.2g} s"
-        return Counted(f"{step} step", f"{step} means") if has_times(d) else Counted("row", "rows")
+        return Counted(f"step of {step}", f"{step} means") if has_times(d) else Counted("row", "rows")
     if pieces < _FEWEST_UNITS:
         return Counted("stretch of time", "means over stretches of time")
     return Counted("data set", "data-set means") if rows.is_set.all() else Counted("segment", "segment means")

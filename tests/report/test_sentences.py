@@ -14,6 +14,7 @@ from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
 from gyrocal.report.diagnosis import diagnosis_page, tables
 from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import (
+    Counted,
     counted,
     plain_sentences,
     short_data_sentences,
@@ -251,7 +252,7 @@ def test_log_at_one_rate_has_no_data_sets(shupe: Diagnosis) -> None:
     still = replace(
         rows, rate_dps=np.zeros(n), set_index=np.arange(n), t_s=np.arange(n, dtype=np.float64) * 8.08
     )
-    assert counted(replace(shupe, rows=still)).means == "8.1 s means"
+    assert counted(replace(shupe, rows=still)) == Counted("step of 8.1 s", "8.1 s means")
     untimed = replace(shupe, rows=still, not_testable={"time": "the table has no t_s"})
     assert counted(untimed).each == "row"
     table = replace(rows, set_index=np.arange(n), is_set=np.ones(n, dtype=bool))
