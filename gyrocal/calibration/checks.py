@@ -157,16 +157,17 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
 
 def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
     """Refuse a value that nothing measured, and columns that are not what they say."""
+    copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c)
+    table = recording.run is None
+    odds = odd_columns(sets.rate_dps, sets.gyro_dps, sets.temp_c, copied, sets.segment, lines=table)
+    if odds and not force:
+        raise DataError(f"{recording.source}: {odds[0].what}. {odds[0].remedy}, or say --force.")
     row = gross_row(sets.rate_dps, sets.gyro_dps)
     if row is not None and not force:
         raise DataError(
             f"{recording.source}: {sets.describe(row)} says {sets.gyro_dps[row]:.6g} deg/s, which no gyro does. "
             f"Repair the row, leave it out with --exclude {sets.segment[row]}, or say --force."
         )
-    copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c)
-    odds = odd_columns(sets.rate_dps, sets.gyro_dps, sets.temp_c, copied)
-    if odds and not force:
-        raise DataError(f"{recording.source}: {odds[0].what}. {odds[0].remedy}, or say --force.")
     said = [f"{odd.what}; used because of --force" for odd in odds]
     return tuple(said) if odds or not copied else (copied_text(copied, len(sets)),)
 

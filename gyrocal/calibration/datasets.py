@@ -237,7 +237,8 @@ def _from_table(table: DataSetTable) -> Recording:
         reference=np.full(size, "given"),
     )
     optional = {"gyro_std_dps": table.gyro_std_dps, "n": table.n, "t_s": table.t_s}
-    notes = tuple(f"the table does not say {name}" for name, values in optional.items() if values is None)
+    unsaid = ", ".join(name for name, values in optional.items() if values is None)
+    notes = (f"the table does not say {unsaid}",) if unsaid else ()
     return Recording(
         source=table.source,
         sha256=source_sha256(table.source),

@@ -233,7 +233,7 @@ def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
         said = f"not to be had from {record_s:.3g} s at rest: record an hour or more (static_allan profile)"
         return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
     used_s = np.concatenate([p.tau_s for p in points])[model.used]
-    span = f"averaging times from {used_s.min():.3g} to {used_s.max():.3g} s"
+    span = f"averaging times from {used_s.min():.4g} to {used_s.max():.4g} s"
     if not model.fits:
         said = f"not to be had: no stretch of averaging times follows the model (best {span}, p = {model.p_value:.1g}){_rise(points)}"
         return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
@@ -304,7 +304,7 @@ def _floor(points: Sequence[AllanPoints]) -> dict[str, Figure]:
             unit="deg/h",
             definition=f"lowest Allan deviation, at {tau[k]:.3g} s{last}",
             method="overlapping Allan deviation",
-            sample=f"averaging times from {tau.min():.3g} to {tau.max():.3g} s",
+            sample=f"averaging times from {tau.min():.4g} to {tau.max():.4g} s",
             value=float(adev[k]) * DPS_TO_DPH,
             low=float(low[k]) * DPS_TO_DPH,
             high=float(high[k]) * DPS_TO_DPH,

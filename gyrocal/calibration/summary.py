@@ -217,9 +217,10 @@ def _coefficient_table(c: Calibration) -> Table:
 
 
 def _figure_table(c: Calibration) -> Table:
-    """Figures before and after compensation; a reason stands where there is no number."""
+    """Figures before and after compensation; those without a number are told with their reason, among the remarks."""
     rows = [_figure_row(pair.before, pair.after) for pair in c.merit.values()]
     rows += [_figure_row(figure, None) for figure in c.noise.figures.values()]
+    rows = [row for row in rows if row[1:3] != ("-", "-")]
     return Table(
         "Figures (named after IEEE 952), with 95 % intervals; after: on data left out",
         ("figure", "before", "after", "unit"),

@@ -42,16 +42,17 @@ def check_inputs(
         raise DataError(
             f"{series.name}: has {len(series)} rows; a diagnosis needs at least {FEWEST_ROWS}. Record longer."
         )
+    columns = series.rate_dps, series.gyro_dps, series.temp_c
+    odds = odd_columns(*columns, series.copies, series.set_index + 1, lines=series.is_table, ideal=ideal)
+    for odd in odds:
+        if coefficients is None or not odd.a_scale:
+            raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
     row = gross_row(series.rate_dps, series.gyro_dps)
     if row is not None:
         raise DataError(
             f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
             f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
         )
-    odds = odd_columns(series.rate_dps, series.gyro_dps, series.temp_c, series.copies, ideal=ideal)
-    for odd in odds:
-        if coefficients is None or not odd.a_scale:
-            raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
     notes: tuple[Note, ...] = _stray_notes(series)
     if series.copies and not ideal:
         notes += (copied_text(series.copies, len(series)),)

@@ -25,7 +25,7 @@ from gyrocal.navigation.align import (
 from gyrocal.navigation.equip import DriveSource, aligned, equip
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
 from gyrocal.navigation.observability import Observability, observability
-from gyrocal.navigation.sanity import truth_fault
+from gyrocal.navigation.sanity import truth_fault, truth_part_fault
 from gyrocal.navigation.survey import Survey, check, survey
 from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
 from gyrocal.records.robot import Robot
@@ -117,7 +117,7 @@ def replay_log(
         tracks[condition] = recorder.track(condition, navigator, equipped[condition.calibrated].rest)
         _check_validity(found, navigator, notes)
     judgements = _judge(tracks, kind)
-    _check_truth(found, next(iter(tracks.values())), truth)
+    _check_truth(found, next(iter(tracks.values())), t_s, truth)
     compared = tuple(_compare(track, truth, found, method, returns) for track in tracks.values())
     said, seen = tuple(dict.fromkeys(notes)), _seen(compared, kind)
     direction = _direction(compared[0])
@@ -264,8 +264,9 @@ def _compare_positions(
     return replace(track, alignment=alignment, errors=errors)
 
 
-def _check_truth(found: Survey, track: Track, truth: Floats) -> None:
-    fault = truth_fault(np.stack([track.x_m, track.y_m, track.heading_deg], axis=1), truth)
+def _check_truth(found: Survey, track: Track, t_s: Floats, truth: Floats) -> None:
+    path = np.stack([track.x_m, track.y_m, track.heading_deg], axis=1)
+    fault = truth_part_fault(t_s, path, truth) or truth_fault(path, truth)
     if fault:
         raise DataError(f"{found.source}: {fault}")
 

@@ -1,4 +1,4 @@
-"""Mix-ups that a truth shows and no dead reckoning explains: another unit, a heading in radians, a mirrored frame."""
+"""Mix-ups that no dead reckoning explains: a unit that changes within a log, and by a truth another unit, radians, a mirror."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.navigation.align import align_positions, wrapped_deg
-from gyrocal.units import RAD_TO_DEG
+from gyrocal.records.scale import parts_in_other_units, times_said
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,8 +32,90 @@ _GOES_WITH, _GOES_AGAINST = 0.8, 0.5
 #: path's extent: a straight path, which is its own mirror image, does neither. A path by a gyro in radians fits as much better
 #: once its turns are made larger, and misses a window with a corner by this share of its extent.
 _BETTER_IN_MIRROR, _MISSES, _MISSES_A_CORNER = 0.25, 0.2, 0.05
+#: A part of a log in another unit is so many windows of this length, one after another, in which the robot turns, or goes;
+#: in each the channels may be apart by this factor beside their unit, as wheels slip (0.58 to 1.49 on 47 sound logs).
+_PART_S, _PART_WINDOWS, _PART_WITHIN = 2.5, 3, 2.0
+#: What a turn may be of another channel's by mistake, and a truth's way of the wheels'.
+_TURN_MISTAKES = (
+    (DEG_TO_RAD, "radians for degrees"),
+    (RAD_TO_DEG, "degrees converted twice"),
+    (3600.0, "deg/h for deg/s"),
+    (1e3, "mdeg/s for deg/s"),
+    (-1.0, "the other sign, or left for right"),
+)
+_WAY_MISTAKES = (
+    (1e3, "millimetres for metres"),
+    (1e2, "centimetres for metres"),
+    (1e-3, "kilometres for metres"),
+)
+#: A window counts where one of the channels turns so far, deg, and where the robot goes by this share of the longest: of a
+#: robot that drives straight on, or stands, the channels tell their noise (9 deg within 5 s, on a made-up drive).
+_TURNS_DEG, _GOES = 10.0, 0.25
 #: Turned less than this in all, headings in degrees and radians look alike.
 _TURNED_DEG = 60.0
+
+
+def turn_part_fault(t_s: Floats, true_deg: Floats, told_deg: Floats, names: tuple[str, str]) -> str | None:
+    """What is wrong with turns that are in another unit, or of another sign, in a part of a log only; None where nothing is.
+
+    Parameters
+    ----------
+    t_s, true_deg, told_deg : ndarray, shape (n,)
+        Time, and what two channels have turned by since the start.
+    names : tuple of str
+        Of the two channels, for the sentence.
+    """
+    edges_s = np.arange(t_s[0], t_s[-1], _PART_S)
+    true, told = (np.diff(np.interp(edges_s, t_s, angle)) for angle in (true_deg, told_deg))
+    turns = np.maximum(np.abs(true), np.abs(told)) > _TURNS_DEG
+    return _part_fault(edges_s[:-1][turns], true[turns], told[turns], _TURN_MISTAKES, (*names, "turns"))
+
+
+def truth_part_fault(t_s: Floats, path: Floats, truth: Floats) -> str | None:
+    """What is wrong with a truth, or with what it tells of wheels and gyro, in a part of a log only; arrays as in `truth_fault`."""
+    known = np.isfinite(truth[:, 2])
+    if np.count_nonzero(known) > 1:
+        turned_deg = np.unwrap(truth[known, 2], period=360.0)
+        fault = turn_part_fault(t_s[known], path[known, 2], turned_deg, ("the gyro", "truth_heading_deg"))
+        if fault is not None:
+            return fault
+    known = np.isfinite(truth[:, 0] + truth[:, 1])
+    if np.count_nonzero(known) < _FEWEST:
+        return None
+    edges_s = np.arange(t_s[known][0], t_s[known][-1], _PART_S)
+    own, told = (
+        np.hypot(*(np.diff(np.interp(edges_s, t_s[known], column)) for column in points[known, :2].T))
+        for points in (path, truth)
+    )
+    goes = own > _GOES * own.max(initial=0.0)
+    return _part_fault(
+        edges_s[:-1][goes], own[goes], told[goes], _WAY_MISTAKES, ("the wheels", "the truth", "goes")
+    )
+
+
+def _part_fault(
+    start_s: Floats,
+    true: Floats,
+    told: Floats,
+    mistakes: tuple[tuple[float, str], ...],
+    names: tuple[str, str, str],
+) -> str | None:
+    """Which windows of a log are in another unit, in words; `names`: of the true channel, of the other, and what it does."""
+    parts = parts_in_other_units(
+        true, told, np.arange(true.size), mistakes, fewest=_PART_WINDOWS, within=_PART_WITHIN
+    )
+    if not parts:
+        return None
+    other, name, does = names
+    said = [
+        f"from t_s = {start_s[part.rows[0]]:.0f} to {start_s[part.rows[-1]] + _PART_S:.0f} {name} {does} "
+        f"{times_said(part.times)} times as far as {other} ({part.meaning})"
+        for part in parts
+    ]
+    return (
+        f"{'; '.join(said)}, and elsewhere not: a unit or sign changes within the log. Write these rows as the others, or cut "
+        "the log there."
+    )
 
 
 def truth_fault(path: Floats, truth: Floats) -> str | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import DataError
+from gyrocal.navigation.sanity import turn_part_fault
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.scale import WORST_SCALE, odd_temperature
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG, plural
@@ -386,6 +387,11 @@ def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:
     if max(turned) < MIN_TURN_DEG:
         msg = f"{name}: has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders); gyro and encoders cannot be compared. Log a drive that turns both ways."
         raise DataError(msg)
+    turned_deg = np.cumsum(found.right_m - found.left_m) / separation_m * RAD_TO_DEG
+    t_s, names = found.bin_s + found.t_start_s, ("the encoders", "gyro_dps")
+    fault = turn_part_fault(t_s, turned_deg, np.cumsum(found.gyro_deg), names)
+    if fault is not None:
+        raise DataError(f"{name}: {fault}")
     # Turns that come and go correlate about their mean; a circle, which never changes, only about zero.
     ratio, correlation = max(
         _compare(encoder, gyro), _compare(encoder, gyro, 0.0), key=lambda found: found[1]

@@ -25,6 +25,8 @@ _USUAL_REST_C = 25.0
 _WHOLE_RATES_DPS = 5.0
 #: What reaches no farther from zero than this part of the range is not seen by rates that are spread evenly.
 _NEAR_ZERO = 0.05
+#: Rates that are odd are some of many where they span less than this part of the range.
+_SOME_RATES = 0.1
 #: A plan that settles a doubt less often is not worth its bench time.
 _LEAST_POWER = 0.2
 #: Where structure is left unexplained: the plan that shows it best.
@@ -123,7 +125,18 @@ def _reach(diagnosis: Diagnosis, sensor: Mapping[str, Any], bench: Mapping[str, 
     largest = _largest_rate(diagnosis, sensor, limits)
     near = _near_zero_dps(diagnosis, sizes)
     near = near if near < _NEAR_ZERO * largest else 0.0
-    return Reach(largest, low, high, min(ramp, fast), fast, rest, tuple(sizes), near)
+    return Reach(
+        largest, low, high, min(ramp, fast), fast, rest, tuple(sizes), near, _odd_dps(diagnosis, largest)
+    )
+
+
+def _odd_dps(diagnosis: Diagnosis, largest_dps: float) -> tuple[float, ...]:
+    """The sizes of rate between which something is left; empty where that is not in some rates of many."""
+    left = next((p for p in diagnosis.located if p.remains and p.coordinate == "rate"), None)
+    if left is None or left.low is None or left.high is None:
+        return ()
+    narrow = left.high - left.low < _SOME_RATES * largest_dps
+    return tuple(sorted((abs(left.low), abs(left.high)))) if narrow else ()
 
 
 def _near_zero_dps(diagnosis: Diagnosis, sizes_dps: Sequence[float]) -> float:
@@ -243,7 +256,13 @@ def _showing(
     place = remaining[0]
     if place == "supply":
         return Proposal(
-            f"To see what lives in supply: {_SUPPLY_BY_HAND}.", (), None, None, None, (), (_SUPPLY_BY_HAND,)
+            f"To see what has no name over supply: {_SUPPLY_BY_HAND}.",
+            (),
+            None,
+            None,
+            None,
+            (),
+            (_SUPPLY_BY_HAND,),
         )
     named = {d.name: d for d in designs(reach) if duration_h(d, reach) <= bench_hours}
     plan = "near_zero" if place == "rate" and reach.near_dps > 0.0 else _PLAN_FOR.get(place, "grid")
@@ -253,7 +272,7 @@ def _showing(
         return None
     hours = duration_h(design, reach)
     unknown = _RATES_UNKNOWN if reach.rate_dps == 0 else ""
-    sentence = f"To see what lives in {place}, measure {design.purpose} ({hours:.1f} h{unknown})."
+    sentence = f"To see what has no name over {place.replace('_', ' ')}, measure {design.purpose} ({hours:.1f} h{unknown})."
     return Proposal(sentence, (), to_profile(design, reach, sensor, bench), round(hours, 3), None, (), ())
 
 
@@ -262,9 +281,10 @@ def best_design(
 ) -> tuple[Design, tuple[Separation, ...]] | None:
     """The shortest design with good power against every other effect, else the one of most power."""
     found: list[tuple[float, float, Design, tuple[Separation, ...]]] = []
+    of_rate = any(CATALOGUE[e].seen_in == "rate" for e in (effect.effect, *others))
     for design in designs(reach):
         hours = duration_h(design, reach)
-        if hours <= bench_hours:
+        if hours <= bench_hours and (of_rate or not design.about_rate):
             pairs = separate(diagnosis, effect, others, design, reach)
             found.append((_power(pairs), hours, design, pairs))
     good = [f for f in found if f[0] >= GOOD_POWER]

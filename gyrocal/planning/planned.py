@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ _STATIC_S, _LONG_STATIC_S = 14400.0, 25200.0
 #: Visits of a plan at one temperature.
 _VISITS = 6
 _FEWEST_BETWEEN, _MOST_BETWEEN = 4, 24
+#: Rates of a record that are nearer together than this share are one, as a table reports them; a plan takes so many at most.
+_SAME_RATE, _MOST_RATES = 2e-3, 60
 #: A plan names its rates to a thousandth of a degree per second.
 _LEAST_RATE_DPS = 1e-3
 #: How much later than planned a ramp and a soak may end, s: a plan is to keep to its bench time.
@@ -55,6 +58,8 @@ class Reach:
         Usual and largest slope of the chamber.
     sizes_dps : tuple of float
         Sizes of the rates of the record at hand.
+    odd_dps : tuple of float
+        From and to which size of rate the doubt lives, where these are some rates of many; else empty.
     near_dps : float
         How far from zero rate the doubt lives, where that is a small part of the range; 0: not there.
     """
@@ -67,6 +72,7 @@ class Reach:
     rest_c: float = 25.0
     sizes_dps: tuple[float, ...] = ()
     near_dps: float = 0.0
+    odd_dps: tuple[float, ...] = ()
 
     @property
     def middle_c(self) -> float:
@@ -86,6 +92,8 @@ class Design:
         Positive; every data set is taken with both signs, shuffled.
     ramp_rates_dps : tuple of float
         Table rates during ramps and soaks, visit after visit.
+    about_rate : bool
+        Its many rates are for a doubt about what the rate does; they say nothing to who asks about time or temperature.
     from_power_on : bool
         The run begins with the power-on of a gyro that was off for long.
     """
@@ -100,6 +108,7 @@ class Design:
     ramp_rates_dps: tuple[float, ...] = (0.0,)
     from_power_on: bool = False
     fast: bool = False
+    about_rate: bool = False
 
     def ramp_c_per_min(self, reach: Reach) -> float:
         """Slope of its ramps."""
@@ -169,8 +178,11 @@ def _turning(reach: Reach) -> list[Design]:
     w, mid = reach.rate_dps, reach.middle_c
     rates = {
         "near_zero": ("rates dense near zero", _near_zero(reach)),
-        "fine_rates": ("fine rates", np.linspace(0.05, 1.0, 20) * w),
-        "top_rates": ("rates dense at the upper end", np.linspace(0.4, 1.0, 13) * w),
+        "fine_rates": (
+            "fine rates",
+            _no_coarser(reach, min((0.05 * w, *(size for size in reach.sizes_dps if size > 0.0)))),
+        ),
+        "top_rates": ("rates dense at the upper end", _no_coarser(reach, 0.4 * w)),
         "turns": ("slow and fast turns", np.array([0.05, 0.2, 0.5, 1.0]) * w),
     }
     between = _between(reach)
@@ -184,6 +196,7 @@ def _turning(reach: Reach) -> list[Design]:
             tuple(np.unique(np.round(r[r >= _LEAST_RATE_DPS], 3)).tolist()),
             60.0 if name == "turns" else 20.0,
             60.0,
+            about_rate=name != "turns",
         )
         for name, (purpose, r) in rates.items()
     ]
@@ -199,6 +212,20 @@ def _turning(reach: Reach) -> list[Design]:
     again = (round(0.2 * w, 3), round(0.5 * w, 3), round(0.9 * w, 3))
     found.append(Design("repeats", "the same rates again and again", (mid,) * 8, again, 60.0, 1200.0))
     return found
+
+
+def _no_coarser(reach: Reach, low_dps: float) -> Floats:
+    """The rates of the record from `low_dps` on, filled up to a twentieth of the range, and twice as densely where they are odd."""
+    sizes = np.array([size for size in reach.sizes_dps if low_dps < size < reach.rate_dps])
+    sizes = sizes[:: int(np.ceil(sizes.size / _MOST_RATES))] if sizes.size else sizes
+    knots = np.concatenate([[low_dps], sizes, [reach.rate_dps]])
+    knots = knots[np.diff(knots, prepend=0.0) > _SAME_RATE * knots]
+    filled = []
+    for low, high in pairwise(knots.tolist()):
+        odd = bool(reach.odd_dps) and low <= max(reach.odd_dps) and high >= min(reach.odd_dps)
+        parts = max(int(np.ceil(np.round(20.0 * (high - low) / reach.rate_dps, 3))), 2 if odd else 1)
+        filled.append(np.linspace(low, high, parts, endpoint=False))
+    return np.concatenate([*filled, knots[-1:]])
 
 
 def _near_zero(reach: Reach) -> Floats:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: An output that follows the rate by more than this factor, or less than its inverse, is in another unit.
 WORST_SCALE = 1.5
@@ -32,7 +34,17 @@ _MISTAKES = (
     (1.0 / 3600.0, "the rate is in deg/h"),
     (60.0, "it is in deg/min"),
     (1e3, "it is in mdeg/s"),
+    (1e-3, "the rate is in mdeg/s"),
 )
+#: Those that a part of a recording may hold beside rows that are right: half and twice are too near to what a gyro may do.
+_PART_MISTAKES = tuple((times, what) for times, what in _MISTAKES if not 1.0 / 3.0 < times < 3.0)
+#: Where the rate is less than this share of the largest, a bias or a dead band makes any ratio.
+_FAST_SHARE = 0.25
+#: A part in another unit is so many data sets, one after another; so much of what a part says goes with what is true; and so
+#: many of all rows are right or in a part: where a wheel counts backwards some are as far off as a unit by chance.
+_FEWEST_IN_PART, _SHARED, _ALL_BUT = 4, 0.7, 0.8
+#: Parts that a sentence lists.
+_LISTED = 3
 
 
 #: No gyro works where it is colder or hotter; thermometers that broke say so.
@@ -46,6 +58,18 @@ _CONVERT = (
     "Rates are deg/s, counter-clockwise positive; for counts the nominal scale and its sign are given with "
     "--counts-per-dps. Convert the output"
 )
+_CONVERT_PART = (
+    "Write them as the others (deg/s, counter-clockwise positive), with what stands beside them at slow rates, which do not "
+    "tell, or leave them out"
+)
+
+
+class Part(NamedTuple):
+    """Rows in which what is told is `times` what is true, as by the mistake `meaning`, while other rows are right."""
+
+    rows: Ints
+    times: float
+    meaning: str
 
 
 class Odd(NamedTuple):
@@ -113,8 +137,112 @@ def copied_text(count: int, rows: int) -> str:
     )
 
 
+def parts_in_other_units(
+    true: Floats,
+    told: Floats,
+    number: Ints,
+    mistakes: Sequence[tuple[float, str]],
+    *,
+    fewest: int,
+    within: float,
+) -> tuple[Part, ...]:
+    """Stretches of consecutive rows in which a column is in another unit than elsewhere, whatever the gyro errs by.
+
+    Parameters
+    ----------
+    true, told : ndarray, shape (n,)
+        What was to be measured, and what the column says.
+    number : ndarray of int, shape (n,)
+        Data set of each row, of which a part has at least `fewest`: rows of one do not vouch for each other.
+    mistakes : sequence of (factor, meaning)
+        Another unit is one of these factors.
+    within : float
+        What the gyro, or wheels that slip, may be off by beside the unit, as a factor.
+    """
+    size, said = np.abs(true), np.abs(told)
+    large = (size > _FAST_SHARE * size.max(initial=0.0)) | (said > _FAST_SHARE * said.max(initial=0.0))
+    fast = np.flatnonzero(large & (true * told != 0.0))
+    ratio = told[fast] / true[fast]
+    factors = np.array([1.0, *(times for times, _ in mistakes)])
+    off = np.abs(np.log(np.abs(ratio[:, None] / factors)))
+    off[ratio[:, None] * factors < 0.0] = np.inf
+    kind = np.where(off.min(axis=1) < np.log(within), off.argmin(axis=1), -1)
+    found: list[tuple[int, Ints]] = []
+    for rows in _alike(kind):
+        which, a, b = int(kind[rows[0]]), true[fast[rows]], told[fast[rows]]
+        together = abs(a @ b) > _SHARED * np.sqrt((a @ a) * (b @ b))
+        if which < 0 or not together or np.unique(number[fast[rows]]).size < fewest:
+            continue
+        before = found.pop()[1] if found and found[-1][0] == which else rows[:0]
+        found.append((which, np.concatenate([before, rows])))
+    kinds = {which for which, _ in found}
+    if len(kinds) < 2 or np.count_nonzero(np.isin(kind, list(kinds))) < _ALL_BUT * kind.size:
+        return ()
+    return tuple(
+        Part(fast[rows], float(np.median(ratio[rows])), mistakes[which - 1][1])
+        for which, rows in found
+        if which > 0
+    )
+
+
+def _alike(kind: Ints) -> list[Ints]:
+    """Stretches of consecutive rows of one kind."""
+    rows = np.arange(kind.size)
+    return [part for part in np.split(rows, np.flatnonzero(np.diff(kind)) + 1) if part.size]
+
+
+def times_said(times: float) -> str:
+    """A factor in a sentence."""
+    return f"{times:,.0f}" if abs(times) >= 100.0 else f"{times:.3g}"
+
+
+def odd_part(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats, number: Ints, *, lines: bool) -> Odd | None:
+    """What is wrong with an output that changes its unit or sign within the recording; None if it does not.
+
+    Parameters as in `odd_columns`. A part is a stretch of time, or of temperature.
+    """
+    if np.ptp(rate_dps) == 0.0:
+        return None
+    for by_time, order in (
+        (True, np.arange(rate_dps.size)),
+        (False, np.argsort(temp_c, kind="stable")),
+    ):
+        columns = rate_dps[order], gyro_dps[order], number[order]
+        parts = parts_in_other_units(*columns, _PART_MISTAKES, fewest=_FEWEST_IN_PART, within=WORST_SCALE)
+        if parts:
+            said = [
+                f"{_where(number[rows], temp_c[rows], by_time=by_time, lines=lines)} the output is {times_said(part.times)} times the rate ({part.meaning})"
+                for part in parts[:_LISTED]
+                for rows in (order[part.rows],)
+            ]
+            more = f", and so on {len(parts) - _LISTED} times" if len(parts) > _LISTED else ""
+            return Odd(
+                f"{'; '.join(said)}{more}, and elsewhere it is not: unit or sign change within the recording",
+                _CONVERT_PART,
+            )
+    return None
+
+
+def _where(number: Ints, temp_c: Floats, *, by_time: bool, lines: bool) -> str:
+    """Where a part is: from which data set to which, or at which temperatures."""
+    first, last = int(number.min()), int(number.max())
+    span = " to ".join(dict.fromkeys(f"{edge:.1f}" for edge in (temp_c.min(), temp_c.max()))) + " °C"
+    if by_time:
+        of_file = f"lines {first + 1} to {last + 1}, " if lines else ""
+        return f"in data sets {first} to {last} ({of_file}{span})"
+    of_file = f", on line {first + 1}" if lines else ""
+    return f"in {np.unique(number).size} data sets at {span} (the first is {first}{of_file})"
+
+
 def odd_columns(
-    rate_dps: Floats, gyro_dps: Floats, temp_c: Floats, copied: int, *, ideal: bool = False
+    rate_dps: Floats,
+    gyro_dps: Floats,
+    temp_c: Floats,
+    copied: int,
+    number: Ints,
+    *,
+    lines: bool,
+    ideal: bool = False,
 ) -> tuple[Odd, ...]:
     """All that is wrong with the columns of a recording, whoever asks.
 
@@ -122,6 +250,10 @@ def odd_columns(
     ----------
     copied : int
         Rows that are `copies` of earlier ones.
+    number : ndarray of int
+        Number of the data set that each row belongs to, from 1.
+    lines : bool
+        Whether the data sets are lines of a table, the first on line 2.
     ideal : bool
         Whether it is a simulation, whose output may be the rate itself and repeats where the rate does.
     """
@@ -131,7 +263,8 @@ def odd_columns(
             None,
             (
                 Odd(copied_text(copied, rate_dps.size), "Remove the copies") if twice else None,
-                odd_output(rate_dps, gyro_dps, ideal=ideal),
+                odd_part(rate_dps, gyro_dps, temp_c, number, lines=lines)
+                or odd_output(rate_dps, gyro_dps, ideal=ideal),
                 odd_temperature(temp_c),
             ),
         )

@@ -13,11 +13,12 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
 from gyrocal.diagnosis.drive.findings import undecided
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.drive.laws import KINDS
-from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, NamedEffect
+from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import statement
-from gyrocal.report.words import p_equals, part_words, region_words
+from gyrocal.report.words import listed, p_equals, part_words, region_words, times_text
+from gyrocal.units import NORMAL_95
 
 #: Evidence that tells nothing apart.
 _ALIKE = 3.0
@@ -36,19 +37,17 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     lines = [_first_sentence(found)]
     lines += [_effect_sentence(e) for e in diagnosis.effects]
     lines += [_shown_sentence(s) for s in found.shown]
-    lines += _estimate_sentences(found.estimates, at_rest=found.series.robot.static_s > 0)
+    left = [place for place in diagnosis.located if place.remains]
+    at_rest = found.series.robot.static_s > 0
+    lines += _estimate_sentences(found.estimates, at_rest=at_rest, nameless=bool(left))
     if found.yaw.model.outliers.size:
         count = found.yaw.model.outliers.size
         lines.append(
             f"Isolated slips of a wheel (or spikes of the gyro) in {count} intervals are left out of all fits"
         )
-    for place in diagnosis.located:
-        if place.remains:
-            where = place.coordinate.replace("_", " ")
-            what = "scatter" if place.statistic == "variance" else "structure"
-            lines.append(
-                f"Unexplained {what} remains over {where}: {region_words(place)} ({p_equals(place.p_value)})"
-            )
+    if left:
+        places = "; ".join(_place(place) for place in left)
+        lines.append(f"Unexplained, without a name: {places}")
     if undecided(found.yaw, diagnosis.effects):
         percent = 100.0 * found.yaw.estimate("track")[0]
         lines.append(
@@ -62,6 +61,12 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
         )
     lines += _inseparable(found)
     return tuple(lines)
+
+
+def _place(place: Located) -> str:
+    what = "scatter" if place.statistic == "variance" else "structure"
+    where = place.coordinate.replace("_", " ")
+    return f"{what} over {where}, {region_words(place)} ({p_equals(place.p_value)})"
 
 
 def _first_sentence(found: DriveDiagnosis) -> str:
@@ -83,14 +88,14 @@ def _first_sentence(found: DriveDiagnosis) -> str:
 def _effect_sentence(effect: NamedEffect) -> str:
     others = [_other(a) for a in effect.alternatives]
     rest = f"; it could also be {', '.join(others)}" if others else ""
-    return f"{effect.effect}: {statement(effect).rstrip('.')}: {_value(effect.parameters['amplitude'])}{rest}"
+    return f"{effect.effect}: {statement(effect).rstrip('.')}, here {_value(effect.parameters['amplitude'])}{rest}"
 
 
 def _other(a: Alternative) -> str:
     if 1 / _ALIKE < a.evidence_ratio < _ALIKE:
         return f"{a.effect} (about as well)"
     if a.evidence_ratio < 1.0:
-        return f"{a.effect} (likelier: {1.0 / a.evidence_ratio:.3g} to 1 for it)"
+        return f"{a.effect} (likelier: {times_text(-np.log(a.evidence_ratio))} to 1 for it)"
     return f"{a.effect} ({a.evidence_ratio:.2g} to 1 against it)"
 
 
@@ -110,22 +115,32 @@ def _shown_sentence(shown: Shown) -> str:
     return f"{said}, which tells nothing: {own}, and it hides differences of less than {shown.seen_m:.2g} m"
 
 
-def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool) -> list[str]:
+def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool, nameless: bool) -> list[str]:
+    """What the log says of every figure that matters: those that stand out with what they cost, then those that may be nothing."""
     said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
     jumps = any(e.name == KINDS["jump"].shown for e in estimates)
-    lines = []
+    lines, nothing = [], []
     for e in said:
-        remark = "" if e.named else ", not distinct enough to be named"
+        figure = f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit}"
+        remark = "" if e.named else _why_unnamed(nameless)
         if e.name == KINDS["jump"].shown:
-            remark = ", and no robot file holds it"
-        if e.name == GYRO_BIAS.id and not e.named:
-            remark = ", and the rest at the start takes it off" if at_rest else ", as the robot file expects"
-            if jumps:
-                remark = ", after its jump"
-        lines.append(
-            f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit} costs {e.metres:.2g} m rms {_PATHS[e.path]}{remark}"
-        )
+            remark = "; no robot file holds it"
+        elif e.name == GYRO_BIAS.id and not e.named:
+            remark = "; the rest at the start takes it off" if at_rest else "; the robot file grants as much"
+            remark = "; that after its jump" if jumps else remark
+        elif not e.named and abs(e.value) < NORMAL_95 * e.std:
+            nothing.append(figure)
+            continue
+        lines.append(f"{figure}: left in, it moves the path {_PATHS[e.path]} by {e.metres:.2g} m rms{remark}")
+    if nothing:
+        lines.append(f"Within their uncertainty of nothing: {listed(nothing)}")
     return lines
+
+
+def _why_unnamed(nameless: bool) -> str:
+    if nameless:
+        return "; not named, for what is left without a name may be what moves it"
+    return "; not named, too near its uncertainty or to what the robot file grants"
 
 
 def _inseparable(found: DriveDiagnosis) -> list[str]:

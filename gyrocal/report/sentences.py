@@ -72,7 +72,7 @@ def counted(d: Diagnosis) -> Counted:
     pieces = np.unique(rows.set_index).size
     if pieces == rows.t_s.size and np.ptp(rows.rate_dps) == 0:
         step = f"{np.median(np.diff(rows.t_s)):.2g} s"
-        return Counted(f"{step} step", f"{step} means") if has_times(d) else Counted("row", "rows")
+        return Counted(f"step of {step}", f"{step} means") if has_times(d) else Counted("row", "rows")
     if pieces < _FEWEST_UNITS:
         return Counted("stretch of time", "means over stretches of time")
     return Counted("data set", "data-set means") if rows.is_set.all() else Counted("segment", "segment means")
@@ -255,12 +255,15 @@ def _where(d: Diagnosis, place: Located) -> str:
 
 def _named(effect: NamedEffect, d: Diagnosis) -> list[str]:
     """What an effect is, how large, and what else it could be."""
-    values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in effect.parameters.items() if e.std > 0]
+    in_name_only = effect.share < _LEAST_PART
+    known = {} if in_name_only else effect.parameters
+    values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in known.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
     said = [f"{effect.effect}: {statement(effect)} {sure[0].upper() + sure[1:]}."]
     if effect.share < 1.0:
+        untold = ", too little to tell its size" if in_name_only else ""
         said.append(
-            f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}, "
+            f"{effect.effect} only resembles it: the law takes {_part(effect.share)} of the evidence for this {effect.family}{untold}, "
             "and a curve without a name follows the rest."
         )
     if effect.alternatives:

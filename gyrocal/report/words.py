@@ -131,7 +131,8 @@ def region_words(place: Located) -> str:
     """Where a place is on its coordinate and what departs there."""
     if place.times_given is not None:
         return f"noise {place.times_given:.2g} times what was given"
-    size = "" if place.rms_dps is None else f"{1e3 * place.rms_dps:.2g} mdeg/s rms"
+    # Two digits, never as a power of ten.
+    size = "" if place.rms_dps is None else f"{float(f'{1e3 * place.rms_dps:.2g}'):g} mdeg/s rms"
     where = stretch_words(place)
     if place.target in _TARGETS:
         said = _TARGETS[place.target].format(f" ({size})" if size else "")

@@ -260,11 +260,7 @@ def test_table_knows_what_it_does_not_know(tmp_path: Path) -> None:
     assert not recording.sets.timed
     assert recording.sets.segment.tolist() == [1, 2]
     assert recording.whole_degrees
-    assert recording.notes == (
-        "the table does not say gyro_std_dps",
-        "the table does not say n",
-        "the table does not say t_s",
-    )
+    assert recording.notes == ("the table does not say gyro_std_dps, n, t_s",)
 
 
 def test_select_takes_the_same_rows_of_every_column() -> None:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.drive.checks import wrong_gyro, wrong_truth
+from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.errors import DataError
 from gyrocal.navigation.replay import replay_log
-from gyrocal.navigation.sanity import clockwise, gyro_fault, truth_fault, way_fault
+from gyrocal.navigation.sanity import clockwise, gyro_fault, truth_fault, turn_part_fault, way_fault
 from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import robot_of
 from tests.diagnosis.drive.fleet import SHAPES, Plan
 from tests.diagnosis.drive.fleet import drive as fleet_drive
 from tests.navigation.drives import drive, robot, source
@@ -67,6 +71,57 @@ def test_a_mixed_up_truth_is_refused_with_its_remedy(name: str) -> None:
     spoil, text = MIXED[name]
     with pytest.raises(DataError, match=text):
         replay_log(source(spoil(drive())), robot(), kind="paper")
+
+
+#: Columns that are another unit from the middle of a log on: factor, names, and what is said.
+IN_PART: dict[str, tuple[float, tuple[str, ...], str]] = {
+    "gyro in rad/s": (
+        np.pi / 180,
+        ("gyro_dps",),
+        r"from t_s = 12\d to 2\d\d gyro_dps turns 0\.017\d* times as far as the encoders \(radians for degrees\)",
+    ),
+    "gyro of the other sign": (-1.0, ("gyro_dps",), r"gyro_dps turns -1\.?\d* times .* \(the other sign"),
+    "wheels in centimetres": (1e2, ("left_m", "right_m"), r"the encoders say .* m/s"),
+    "truth in millimetres": (
+        1e3,
+        ("truth_x_m", "truth_y_m"),
+        r"the truth goes 1,?\d* times as far as the wheels \(milli",
+    ),
+    "truth in radians": (
+        np.pi / 180,
+        ("truth_heading_deg",),
+        r"truth_heading_deg turns 0\.017\d* times as far as the gyro \(radians",
+    ),
+}
+
+
+def changed(log: DriveBlock, name: str) -> DriveBlock:
+    """The log with columns in another unit from its middle on."""
+    times, columns, _ = IN_PART[name]
+    late = log.t_s > 0.5 * (log.t_s[0] + log.t_s[-1])
+    return replace(log, **{c: np.where(late, times, 1.0) * getattr(log, c) for c in columns})
+
+
+@pytest.mark.parametrize("name", IN_PART)
+def test_a_unit_that_changes_within_a_log_is_refused_with_where(name: str) -> None:
+    """Before: a robot that tilts by 177 deg, wheels that slip by -298 %."""
+    log = fleet_drive(Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05), 3)
+    standing = robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
+    replay_log(source(log), standing)
+    with pytest.raises(DataError, match=IN_PART[name][2]):
+        replay_log(source(changed(log, name)), standing)
+    with pytest.raises(DataError, match=IN_PART[name][2]):
+        wrong_truth(wrong_gyro(drive_series("log", changed(log, name), standing, None))[0])
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_wheels_do_is_no_change_of_unit(shape: str) -> None:
+    for seed in range(5):
+        log = fleet_drive(Plan(shape, 4.0, 10.0, wheel_noise=6e-3, turn_noise=5e-3), seed)
+        slips = np.where(log.t_s > 120.0, 0.65, 1.0)
+        turned = np.cumsum(log.right_m - log.left_m) / 0.5 * 180.0 / np.pi
+        gyro = np.cumsum(slips * log.gyro_dps * np.diff(log.t_s, prepend=log.t_s[0]))
+        assert turn_part_fault(log.t_s, turned, gyro, ("the encoders", "gyro_dps")) is None
 
 
 def test_a_rough_truth_is_no_mix_up() -> None:

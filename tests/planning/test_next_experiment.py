@@ -334,3 +334,39 @@ def test_what_is_left_near_zero_is_looked_for_there() -> None:
     proposal = propose(replace(found, located=(wide,)), {}, 8.0)
     assert proposal is not None
     assert "fine rates" in proposal.sentence
+
+
+def test_a_doubt_about_time_gets_no_rates_dense_near_zero() -> None:
+    """A jump or a drift of the scale factor had been looked for with rates from 0.5 deg/s on."""
+    proposal = propose(doubtful("scale_step", "scale_drift", d_prime=12.0), {}, 8.0)
+    assert proposal is not None
+    assert proposal.profile is not None
+    assert "near zero" not in proposal.sentence
+    assert max(proposal.profile["plan"]["rates_dps"]) >= 50.0
+    assert len(proposal.profile["plan"]["rates_dps"]) <= 10
+
+
+def test_a_plan_is_no_coarser_than_the_record_and_has_the_rates_at_issue() -> None:
+    """Steps of 5 deg/s had been proposed after a record in steps of 3.6 of which 32.4 was odd."""
+    base = replace(made_up(None, 0.0), verdict="unexplained")
+    odd = Located("rate", "variance", 1e-7, 0.6, remains=True, low=32.4, high=32.4, unit="deg/s")
+    sensor = {"model": "x", "rate_range_dps": [-101.0, 101.0]}
+    sizes = 3.6 * np.arange(29)
+    record = np.concatenate([-sizes, sizes, sizes * 1.0002])
+    found = at_rates(replace(base, located=(odd,)), record, (10.0, 30.0), sensor)
+    proposal = propose(found, {}, 8.0)
+    assert proposal is not None
+    assert proposal.profile is not None
+    rates = np.array(proposal.profile["plan"]["rates_dps"])
+    assert all(np.abs(rates / size - 1.0).min() < 1e-3 for size in sizes[1:-1])
+    assert np.diff(rates).max() < 3.61
+    assert {30.6, 34.2} <= {round(r, 1) for r in rates}
+    assert 30 <= rates.size <= 34
+
+
+def test_a_plan_after_a_coarse_record_fills_its_rates() -> None:
+    reach = replace(REACH, sizes_dps=(0.0, 2.0, 50.0, 99.999))
+    fine = next(d for d in designs(reach) if d.name == "fine_rates").rates_dps
+    assert {2.0, 50.0} <= set(fine)
+    assert max(fine) == pytest.approx(100.0, abs=0.01)
+    assert np.diff(fine).max() <= 5.0

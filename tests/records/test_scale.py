@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from gyrocal.records.scale import gross_row, odd_output, output_scale
+from gyrocal.records.scale import gross_row, odd_output, odd_part, output_scale
 
 RATE = np.tile(np.linspace(-100.0, 100.0, 11), 4)
 
@@ -53,3 +55,75 @@ def test_one_wild_value_is_found_and_does_not_move_the_scale() -> None:
     gyro[7] = -100.0
     assert gross_row(RATE, gyro) is None
     assert np.isnan(output_scale(np.zeros(9), gyro[:9]))
+
+
+#: Five temperatures in order, eleven rates at each.
+RATES = np.tile(np.linspace(-100.0, 100.0, 11), 5)
+TEMPS = np.repeat([-20.0, 0.0, 20.0, 40.0, 60.0], 11)
+NUMBERS = np.arange(1, 56)
+
+
+def told(part: np.ndarray, times: float) -> np.ndarray:
+    gyro = 1.01 * RATES + 0.5 + 0.01 * np.random.default_rng(2).standard_normal(RATES.size)
+    return np.where(part, times * gyro, gyro)
+
+
+@pytest.mark.parametrize(
+    ("times", "meaning"),
+    [
+        (np.pi / 180, "0.0176 times the rate (it is in rad/s)"),
+        (3600.0, "times the rate (it is in deg/h)"),
+        (1000.0, "times the rate (it is in mdeg/s)"),
+        (-1.0, "-1.01 times the rate (the sign of the output, or that of the rate, is inverted)"),
+    ],
+)
+def test_an_output_that_changes_its_unit_is_told_with_where_it_does(times: float, meaning: str) -> None:
+    for part, where in (
+        (NUMBERS > 33, "in data sets 34 to 55 (lines 35 to 56, 40.0 to 60.0 °C)"),
+        (NUMBERS > 11, "in data sets 12 to 55 (lines 13 to 56, 0.0 to 60.0 °C)"),
+        (TEMPS == 0.0, "in data sets 12 to 22 (lines 13 to 23, 0.0 °C)"),
+    ):
+        odd = odd_part(RATES, told(part, times), TEMPS, NUMBERS, lines=True)
+        assert odd is not None
+        assert where in odd.what
+        assert meaning in odd.what
+        assert not odd.a_scale
+
+
+def test_a_temperature_in_another_unit_is_told_in_whatever_order_the_rows_are() -> None:
+    order = np.argsort(RATES, kind="stable")
+    gyro = told(TEMPS == 0.0, np.pi / 180)
+    odd = odd_part(RATES[order], gyro[order], TEMPS[order], NUMBERS, lines=False)
+    assert odd is not None
+    assert "in 8 data sets at 0.0 °C (the first is 2)" in odd.what
+
+
+def _clipped() -> np.ndarray:
+    return np.asarray(np.clip(told(NUMBERS < 0, 1.0), -45.0, 45.0))
+
+
+def _open_loop() -> np.ndarray:
+    phase = RATES / 100.0 * 1.6
+    return np.asarray(100.0 / 1.6 * np.sin(phase) * 1.2)
+
+
+def _dead_band() -> np.ndarray:
+    gyro = told(NUMBERS < 0, 1.0)
+    return np.where(np.abs(RATES) < 45.0, 0.02 * RATES, gyro)
+
+
+def _outliers() -> np.ndarray:
+    gyro = told(NUMBERS < 0, 1.0)
+    gyro[[5, 17, 30, 31, 44]] *= -1.0
+    gyro[12] = 1e5
+    return gyro
+
+
+def _biased() -> np.ndarray:
+    return told(NUMBERS < 0, 1.0) - np.linspace(-150.0, 250.0, RATES.size)
+
+
+@pytest.mark.parametrize("gyro", [_clipped, _open_loop, _dead_band, _outliers, _biased])
+def test_what_a_gyro_does_is_no_change_of_unit(gyro: Callable[[], np.ndarray]) -> None:
+    assert odd_part(RATES, gyro(), TEMPS, NUMBERS, lines=True) is None
+    assert odd_part(np.full(55, 15.0), gyro(), TEMPS, NUMBERS, lines=True) is None

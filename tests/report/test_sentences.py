@@ -14,6 +14,7 @@ from gyrocal.diagnosis.result import Diagnosis, Estimate, Improvement, Located
 from gyrocal.report.diagnosis import diagnosis_page, tables
 from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import (
+    Counted,
     counted,
     plain_sentences,
     short_data_sentences,
@@ -132,6 +133,12 @@ def test_what_a_law_only_resembles_is_said_with_what_it_takes(shupe: Diagnosis) 
     resembling = replace(shupe, effects=(replace(effect, share=0.57),))
     told = "shupe only resembles it: the law takes 57 % of the evidence for this thermal transient"
     assert any(told in s for s in plain_sentences(resembling))
+    in_name = plain_sentences(replace(shupe, effects=(replace(effect, share=0.002),)))
+    assert any(
+        "less than 1 % of the evidence for this thermal transient, too little to tell its" in s
+        for s in in_name
+    )
+    assert not any(s.startswith("shupe: ") and "Amplitude" in s for s in in_name)
 
 
 def test_nothing_named_has_no_row_of_gain(shupe: Diagnosis) -> None:
@@ -245,7 +252,7 @@ def test_log_at_one_rate_has_no_data_sets(shupe: Diagnosis) -> None:
     still = replace(
         rows, rate_dps=np.zeros(n), set_index=np.arange(n), t_s=np.arange(n, dtype=np.float64) * 8.08
     )
-    assert counted(replace(shupe, rows=still)).means == "8.1 s means"
+    assert counted(replace(shupe, rows=still)) == Counted("step of 8.1 s", "8.1 s means")
     untimed = replace(shupe, rows=still, not_testable={"time": "the table has no t_s"})
     assert counted(untimed).each == "row"
     table = replace(rows, set_index=np.arange(n), is_set=np.ones(n, dtype=bool))

@@ -17,7 +17,9 @@ from gyrocal.navigation.sanity import (
     gyro_fault,
     in_radians,
     mirror_fault,
+    truth_part_fault,
     truth_unit_m,
+    turn_part_fault,
     way_fault,
 )
 from gyrocal.physics.drive import DROPPED_SAMPLES, UNIT_OR_SIGN
@@ -48,9 +50,18 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     """The log with the gyro in deg/s, counter-clockwise, and what was wrong; None where nothing is.
 
     The ratio of gyro to encoder turns over windows, by the total least-squares line, which no side's noise bends.
+
+    Raises
+    ------
+    DataError
+        In a part of the log one of them is in another unit.
     """
     if not series.differential:
         return series, None
+    wheels_deg, gyro_deg = RAD_TO_DEG * series.encoder_rad, RAD_TO_DEG * series.gyro_rad
+    fault = turn_part_fault(series.t_s, wheels_deg, gyro_deg, ("the encoders", "gyro_dps"))
+    if fault is not None:
+        raise DataError(f"{series.source}: {fault}")
     edges = np.arange(series.t_s[0], series.t_s[-1], _WINDOW_S)
     encoder, gyro = (np.diff(np.interp(edges, series.t_s, v)) for v in (series.encoder_rad, series.gyro_rad))
     e, g = encoder - np.median(encoder), gyro - np.median(gyro)
@@ -107,18 +118,19 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     ------
     DataError
         By the truth the gyro is in rad/s (where the wheels tell turns, `wrong_gyro` has seen it), or the way is in another
-        unit.
+        unit, or something is in a part of the log.
     """
     notes: list[Remark] = []
-    if not series.has_truth:
-        return series, notes
     path = reckon(series, Figures())
     path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
-    fault = gyro_fault(
-        path_deg, np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
-    )
+    told = np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
+    fault = truth_part_fault(series.t_s, path_deg, told)
+    if fault is None and series.has_truth:
+        fault = gyro_fault(path_deg, told)
     if fault is not None:
         raise DataError(f"{series.source}: {fault}")
+    if not series.has_truth:
+        return series, notes
     known = np.isfinite(series.truth_x_m + series.truth_y_m)
     own = np.column_stack([path.at_m.real, path.at_m.imag])[known]
     unit_m = truth_unit_m(own, np.column_stack([series.truth_x_m, series.truth_y_m])[known])

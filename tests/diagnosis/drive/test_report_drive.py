@@ -12,13 +12,14 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
+from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.result import Alternative
 from gyrocal.errors import InputError
 from gyrocal.records.drive import DriveBlock, format_drive_log
 from gyrocal.records.robot import read_robot
 from gyrocal.report import style
 from gyrocal.report.diagnosis_drive import drive_figures, seconds_of
-from gyrocal.report.drive_words import _other, drive_sentences, drive_tables
+from gyrocal.report.drive_words import _estimate_sentences, _other, drive_sentences, drive_tables
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
 
@@ -103,6 +104,24 @@ def test_words_say_metres_and_what_could_not_be_told(late: DriveDiagnosis) -> No
     assert {"gyro_delay", "gyro_bias", "wheel_asymmetry", "effective_track"} <= {row[0] for row in rows}
 
 
+def test_a_figure_that_may_be_nothing_is_not_said_to_cost_metres() -> None:
+    """A gyro bias of -0.3 ± 0.4 deg/s cost "52 m, not distinct"; an asymmetry of 29 standard deviations was "not distinct" too."""
+    figures = (
+        DriveEstimate("gyro_bias_in_motion", -0.3, 0.4, "deg/s", 52.0, "gyro", named=False),
+        DriveEstimate("skid_slip", 27.6, 1.2, "%", 26.0, "encoders", named=True),
+        DriveEstimate("wheel_asymmetry", 0.961, 0.033, "%", 21.0, "encoders", named=False),
+    )
+    said = _estimate_sentences(figures, at_rest=True, nameless=True)
+    assert said == [
+        "skid slip 27.6 ± 1.2 %: left in, it moves the path along the encoders' heading by 26 m rms",
+        "wheel asymmetry 0.961 ± 0.033 %: left in, it moves the path along the encoders' heading by 21 m rms; not named, for "
+        "what is left without a name may be what moves it",
+        "Within their uncertainty of nothing: gyro bias in motion -0.30 ± 0.40 deg/s",
+    ]
+    firm = _estimate_sentences(figures[2:], at_rest=True, nameless=False)
+    assert firm[0].endswith("not named, too near its uncertainty or to what the robot file grants")
+
+
 def _write(path: Path, log: DriveBlock) -> Path:
     path.write_text(format_drive_log(log))
     return path
@@ -139,9 +158,10 @@ def test_several_recordings_need_a_robot(tmp_path: Path) -> None:
 
 
 def test_a_rival_is_said_to_be_less_likely_or_likelier() -> None:
-    said = [_other(Alternative("gyro_bias", ratio)) for ratio in (9.0, 2.0, 0.005)]
+    said = [_other(Alternative("gyro_bias", ratio)) for ratio in (9.0, 2.0, 0.005, 1e-21)]
     assert said == [
         "gyro_bias (9 to 1 against it)",
         "gyro_bias (about as well)",
         "gyro_bias (likelier: 200 to 1 for it)",
+        "gyro_bias (likelier: more than 1,000,000 to 1 for it)",
     ]
