@@ -79,9 +79,9 @@ def best_law(
     refits = [(_with(current, _refined(trial, laws, gain_of), logs), trial.effect) for _, trial in top]
     refits.sort(key=lambda x: loss(*x))
     winner, effect = refits[0]
-    own = Trial(effect, winner.model.laws[-1].shape, winner.model.laws[-1].columns)
+    won = Trial(effect, winner.model.laws[-1].shape, winner.model.laws[-1].columns)
     less, beside = replace(winner.model, laws=winner.model.laws[:-1]), winner.fit.log_variance
-    finer = _with(current, _refined(own, laws, _gains(winner, less, beside)), beside)
+    finer = _with(current, _refined(won, laws, _gains(winner, less, beside)), beside)
     winner = min(winner, finer, key=lambda f: loss(f, effect))
     rivals = {e.id: loss(f, e) - loss(winner, effect) for f, e in refits[1:]}
     return Winner(effect, winner, rivals, shapes[effect.id])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
 from gyrocal.diagnosis.blocks import around_itself, evidence
 from gyrocal.diagnosis.coil import Candidate
+from gyrocal.diagnosis.estimates import likely_shapes
 from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
 from gyrocal.diagnosis.parts import (
     BLOCKS,
@@ -30,7 +32,7 @@ from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import MDPS
-from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
@@ -73,12 +75,14 @@ def doubtful(found: Examination) -> list[str]:
     """Blocks without a name that have not earned their place in the file.
 
     A weak part may be the accident of one run; and what a bias or a scale factor that wanders explains nearly as well
-    does not come again. That a part predicts what was left out is no proof: the other run wanders otherwise.
+    does not come again. That a part predicts what was left out is no proof: the other run wanders otherwise. A shape in
+    rate comes again at each visit, and without it the surface alone would follow it, worst at the largest rates.
     """
     if found.candidates:
         return []
     named = {n.block for n in found.naming.named}
-    nameless = {b: n for b, n in found.naming.unnamed.items() if BLOCKS[b].lasts and b not in named}
+    unnamed = {b: n for b, n in found.naming.unnamed.items() if BLOCKS[b].coordinate != "rate"}
+    nameless = {b: n for b, n in unnamed.items() if BLOCKS[b].lasts and b not in named}
     beside = _beside_wander(found, [b for b, nats in nameless.items() if nats >= _BEYOND_DOUBT])
     return [b for b in nameless if beside.get(b, 0.0) < _BEYOND_DOUBT]
 
@@ -87,12 +91,16 @@ def _beside_wander(found: Examination, blocks: Sequence[str]) -> dict[str, float
     """What blocks are worth where bias and scale factor may wander, nats."""
     if not blocks:
         return {}
-    fitted = found.naming.fitted
-    passes = passing(found.model.means, found.model.basis.frame)
-    wander = {c.name: c for c in passes if PASSING.get(c.name) != EACH_RATE}
-    free = replace(fitted.model, components={**wander, **fitted.model.components})
-    beside = fitted.refit(free)
+    beside = found.naming.fitted
+    beside = beside.refit(_wandering(beside.model))
     return {b: evidence(beside, b)[0] for b in blocks}
+
+
+def _wandering(model: Model) -> Model:
+    """The same, with a bias and a scale factor that may wander."""
+    passes = passing(model.means, model.basis.frame)
+    wander = {c.name: c for c in passes if PASSING.get(c.name) != EACH_RATE}
+    return replace(model, components={**wander, **model.components})
 
 
 def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
@@ -108,6 +116,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     """
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
     near = near or [(1.0, _less(found.naming.fitted, without))]
+    near = _over_peaks(near, found.laws)
     zone = dead_zone(near[0][1], found.laws)
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
@@ -148,8 +157,36 @@ def mixed(each: Sequence[tuple[float, Floats, Floats]]) -> tuple[Floats, Floats]
 
 
 def _less(fitted: Fitted, blocks: Sequence[str]) -> Fitted:
+    """Without some blocks, whose place what may wander takes: the surface alone would be bent by what they explained."""
     names = [n for n, b in fitted.model.blocks.items() if b in blocks]
-    return around_itself(fitted.refit(fitted.model.without(names))) if names else fitted
+    return around_itself(fitted.refit(_wandering(fitted.model.without(names)))) if names else fitted
+
+
+def _over_peaks(near: Sequence[tuple[float, Fitted]], laws: Laws) -> list[tuple[float, Fitted]]:
+    """Models with the peaks that they may have in place of one: between the rates of a plan nobody knows how high it is."""
+    own = [next((x for x in f.model.laws if x.effect == MECHANICAL_RESONANCE.id), None) for _, f in near]
+    first = next(((f, peak) for (_, f), peak in zip(near, own, strict=True) if peak is not None), None)
+    if first is None:
+        return [*near]
+    shapes = likely_shapes(*first, laws)
+    found: list[tuple[float, Fitted]] = []
+    for (weight, fitted), peak in zip(near, own, strict=True):
+        if peak is None:
+            found.append((weight, fitted))
+        else:
+            found += [(weight * share, _at_shape(fitted, peak, shape, laws)) for share, shape in shapes]
+    return found
+
+
+def _at_shape(fitted: Fitted, law: Law, shape: Mapping[str, float], laws: Laws) -> Fitted:
+    """The same variances, with a law at another shape."""
+    other = replace(law, shape=shape, columns=laws.at(CATALOGUE[law.effect], shape))
+    own = tuple(other if x is law else x for x in fitted.model.laws)
+    variance, log_variance = (
+        {**known, other.name: known[law.name]} for known in (fitted.fit.variance, fitted.fit.log_variance)
+    )
+    fit = replace(fitted.fit, variance=variance, log_variance=log_variance)
+    return replace(fitted, model=replace(fitted.model, laws=own), fit=fit)
 
 
 def file_without_surface(fitted: Fitted) -> Coefficients:

@@ -38,6 +38,10 @@ _NEAR, _ROUNDS = 2.0, 3
 #: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
 #: are traded for one another have intervals up to about that much wider.
 _GRID, _WIDER = 21, 3.0
+#: Values of each of two parameters by which a law is averaged whose amplitude is known to no better than this ratio.
+_AVERAGED, _KNOWN = 6, 1.25
+#: Shapes of less than this share of the likeliest one's weight count for nothing.
+_IDLE = 0.01
 #: Rows on either side of a jump in which its instant is looked for more closely than between rows.
 _ROWS_NEAR = 2
 
@@ -129,6 +133,30 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
         found | _shapes(effect, law.shape, intervals),
         Estimate.spanning(size, (low / MDPS, high / MDPS), "mdeg/s"),
     )
+
+
+def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Mapping[str, float]]]:
+    """Shapes that a law of two parameters may have beside everything else, with their weights: one where its size is known.
+
+    Each weighs as much as it is likely, and half as much where it needs an amplitude of twice the size: of a peak between
+    two rates the higher ones all fit.
+    """
+    free = _free(law)
+    if len(free) != 2:
+        return [(1.0, law.shape)]
+    beside = _beside(fitted, law, laws, [])
+    intervals, along = _intervals(beside, law.shape, free)
+    low, high = amplitude_interval([beside.of(law.columns), *along])
+    if low * high > 0.0 and max(abs(low), abs(high)) < _KNOWN * min(abs(low), abs(high)):
+        return [(1.0, law.shape)]
+    axes = [np.geomspace(*intervals[name], _AVERAGED) for name in free]
+    shapes = [{**law.shape, **dict(zip(free, map(float, place), strict=True))} for place in product(*axes)]
+    points = [beside.at(shape) for shape in shapes]
+    least = min(p.loss for p in points)
+    weights = np.array([np.exp(0.5 * (least - p.loss)) / max(abs(p.amplitude), p.std) for p in points])
+    weights[weights < _IDLE * weights.max()] = 0.0
+    weights /= weights.sum()
+    return [(w, shape) for w, shape in zip(weights.tolist(), shapes, strict=True) if w > 0.0]
 
 
 def reshaped(fitted: Fitted, laws: Laws, only: Collection[str] | None = None) -> Fitted:

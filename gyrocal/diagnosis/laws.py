@@ -138,8 +138,9 @@ def effects_of(block: str) -> list[Effect]:
     for effect in CATALOGUE.values():
         if not wanted(effect) or effect.family != own.family:
             continue
-        # What no robot undoes would be in no file, and in place of errors of single rates in no smooth part either.
-        if block == EACH_RATE and (not effect.runtime or effect.search.in_part):
+        # What no robot undoes would be in no file, and in place of errors of single rates in no smooth part either; what
+        # scatters from rate to rate is taken for the peak of a resonance, where it is highest.
+        if block == EACH_RATE and (not effect.runtime or effect.search.scatters):
             continue
         by_rate = "rate_dps" in effect.needs
         if own.family == "time" and by_rate != (block == "scale in time"):

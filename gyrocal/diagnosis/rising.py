@@ -63,8 +63,8 @@ def dead_zone(fitted: Fitted, laws: Laws) -> Law | None:
 
     Nor of a gyro whose bias has moved by more than an output that is rest: on the next run nobody knows where the zone is.
     """
-    rest = _less_zones(fitted)
-    if rest is fitted.model:
+    rest = next(iter(_less_zones(fitted)), None)
+    if rest is None:
         return None
     shape = _zone(laws, *fitted.contrasts.precision(rest.all, fitted.fit.log_variance))
     if shape is None or _moved_dps(fitted) > _REST * shape["width_dps"]:
@@ -74,30 +74,34 @@ def dead_zone(fitted: Fitted, laws: Laws) -> Law | None:
 
 def _by_law(fitted: Fitted, zone: Law | None) -> Fitted:
     """The model with a law in place of what stands for a dead zone; else laws that no robot undoes are in no file."""
-    model, rest = fitted.model, _less_zones(fitted)
-    if rest is model:
-        return fitted
-    if zone is not None:
-        found = fitted.refit(rest.with_laws(zone))
+    model = fitted.model
+    by_law = [] if zone is None else [rest.with_laws(zone) for rest in _less_zones(fitted)]
+    for each in by_law:
+        found = fitted.refit(each)
         if found.nll <= fitted.nll + REPLACED:
             return found
     held = {law.name: model.law_component(law) for law in model.laws if law.effect == DEAD_ZONE.id}
+    if not held:
+        return fitted
     kept = model.without_laws(list(held))
     return replace(fitted, model=replace(kept, components={**kept.components, **held}))
 
 
-def _less_zones(fitted: Fitted) -> Model:
-    """The model less its laws of a dead zone and the shapes near zero that fall as one does; the same where it has none."""
+def _less_zones(fitted: Fitted) -> list[Model]:
+    """The model less its laws of a dead zone and the shapes near zero that fall as one does; none where it has neither.
+
+    First without any shape near zero: what stands beside a law mends its width, and would be in the way of a better one.
+    """
     model, amplitudes = fitted.model, fitted.solve().amplitudes
     # Of means nobody sees the steps of the output: cut or swallowed, it lacks as much.
     swallow = {DEAD_ZONE.id, TRUNCATION.id} if model.means.series.is_table else {DEAD_ZONE.id}
     held = [law.name for law in model.laws if law.effect in swallow]
-    smooth = [
-        p.name
-        for p in model.parts
-        if p.name in amplitudes and _near_zero(p) and _falling(p, amplitudes, model.basis.frame).size
-    ]
-    return model.without(smooth).without_laws(held) if held or smooth else model
+    near = [p for p in model.parts if p.name in amplitudes and _near_zero(p)]
+    falling = [p.name for p in near if _falling(p, amplitudes, model.basis.frame).size]
+    if not held and not falling:
+        return []
+    plain = model.without_laws(held)
+    return [plain.without(names) for names in ([p.name for p in near], falling)]
 
 
 def _moved_dps(fitted: Fitted) -> float:

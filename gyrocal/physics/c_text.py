@@ -65,6 +65,20 @@ static inline @real@ PREFIX_power@f@(@real@ x, int order)
 }
 """
 
+#: What a sine lacks of its argument, as a share.
+SINE_LOSS = """\
+/* sin(x)/x - 1 by its series: the difference of nearly equal numbers would lose digits */
+static inline @real@ PREFIX_sine_loss@f@(@real@ x)
+{
+    @real@ loss = 0;
+    int k;
+    for (k = 14; k > 0; k--) {
+        loss = -x * x / (@real@)(2 * k * (2 * k + 1)) * (1 + loss);
+    }
+    return loss;
+}
+"""
+
 #: Legendre polynomials, by the recurrence of `smooth.legendre`.
 LEGENDRE = """\
 static inline @real@ PREFIX_legendre@f@(@real@ x, int order)

@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 _FEWEST_RATES = 6
 #: And fewer sizes of rate no shape that is odd in it: slope and cubic take two, a law one, and one is left to check it.
 _FEWEST_SIZES = 4
+#: Nor, with rest, a peak, which is even in it: bias and square take two, the peak three, and one is left to check it.
+_FEWEST_FOR_PEAK = 6
 #: Rates below this are rest, deg/s.
 _REST_DPS = 0.01
 #: Half of a gyro's warm-up is over by then, and the rest of it is a drift, s.
@@ -105,6 +107,15 @@ def many_sizes(offer: Offer) -> Reason | None:
     if count >= _FEWEST_SIZES:
         return None
     return Lack(Why.FEW_SIZES, {"count": count, "fewest": _FEWEST_SIZES})
+
+
+def sizes_for_peak(offer: Offer) -> Reason | None:
+    """Enough sizes of rate for a peak, which has a place, a width and a height."""
+    turning = int(np.count_nonzero(offer.sizes_dps > _REST_DPS))
+    count = turning + int(turning < offer.sizes_dps.size)
+    if count >= _FEWEST_FOR_PEAK:
+        return None
+    return Lack(Why.FEW_FOR_PEAK, {"count": count, "fewest": _FEWEST_FOR_PEAK})
 
 
 def both_ways(offer: Offer) -> Reason | None:

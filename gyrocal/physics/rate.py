@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gyrocal.physics.c_text import POWER, CMemory, CText, Number
+from gyrocal.physics.c_text import POWER, SINE_LOSS, CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import (
     MDPS,
@@ -22,14 +22,20 @@ from gyrocal.physics.effect import (
 from gyrocal.physics.fold import near_zero_rate
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
-from gyrocal.physics.offer import Offer, both_ways, data_at_rest, many_rates, many_sizes, on_a_lattice
+from gyrocal.physics.offer import (
+    Offer,
+    both_ways,
+    data_at_rest,
+    many_rates,
+    many_sizes,
+    on_a_lattice,
+    sizes_for_peak,
+)
 from gyrocal.physics.search import Search, Shape, Unit
 from gyrocal.physics.surface import Surface
 
-#: Two commanded rates nearer than this are the same rate, deg/s.
-_SAME_RATE_DPS = 1e-3
-#: Two samples nearer than this are the same sample, s.
-_SAME_TIME_S = 1e-6
+#: Two commanded rates nearer than this are the same rate, and two samples nearer than this the same sample.
+_SAME_RATE_DPS, _SAME_TIME_S = 1e-3, 1e-6
 
 #: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
 ROUNDS = 10
@@ -232,6 +238,12 @@ def _sagnac_sine_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     return f"{n(p['amplitude'])} * w * PREFIX_sine_loss@f@({n(p['phase_rad_per_dps'])} * w)"
 
 
+def _resonance_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    # The mean: a robot knows of no visits.
+    detuning = f"((fabs@f@(w) - {n(p['center_dps'])}) / {n(p['width_dps'])})"
+    return f"({n(MDPS * p['amplitude'])} / (1 + {detuning} * {detuning}))"
+
+
 def _saturation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     knee, k, soft = n(p["knee_dps"]), n(p["amplitude"]), p["softness_dps"]
     if soft > 0:
@@ -249,19 +261,6 @@ def _rate_order_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 def _fit_direction_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     return f"{n(p['amplitude'])} * PREFIX_direction@f@(w, temp_c)"
 
-
-_SINE_LOSS = """\
-/* sin(x)/x - 1 by its series: the difference of nearly equal numbers would lose digits */
-static inline @real@ PREFIX_sine_loss@f@(@real@ x)
-{
-    @real@ loss = 0;
-    int k;
-    for (k = 14; k > 0; k--) {
-        loss = -x * x / (@real@)(2 * k * (2 * k + 1)) * (1 + loss);
-    }
-    return loss;
-}
-"""
 
 _DIRECTION = f"""\
 static inline @real@ PREFIX_direction@f@(@real@ w, @real@ temp_c)
@@ -374,7 +373,7 @@ SAGNAC_SINE = Effect(
         # An open loop puts out the sine and nothing beside it; half and double are one sigma off.
         natural=(1.0, 0.7),
     ),
-    c_text=CText(_sagnac_sine_c, (_SINE_LOSS,)),
+    c_text=CText(_sagnac_sine_c, (SINE_LOSS,)),
 )
 
 SATURATION = Effect(
@@ -444,7 +443,7 @@ MECHANICAL_RESONANCE = Effect(
     id="mechanical_resonance",
     family="rate shape",
     equation="e = k (1 + s n)/(1 + ((|w| - w_r)/b)^2), n a normal draw for each visit",
-    statement="Near certain rates the table or the mount vibrates, which shifts the bias and scatters it.",
+    statement="Near certain rates the table, the mount or the gyro vibrates, which shifts the bias and scatters it.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 5.0, "mean shift at resonance"),
         shape("center_dps", "deg/s", 0.0, 10000.0, 60.0, "rate w_r of the resonance"),
@@ -456,15 +455,17 @@ MECHANICAL_RESONANCE = Effect(
     seen_in="rate",
     looks_like=("rate_order",),
     reference="vibration rectification",
-    runtime=False,
+    # One bench cannot tell whose it is: what comes at each visit is taken for the gyro's.
+    runtime=True,
     error_dps=memoryless(_resonance),
     search=Search(
         grid=_resonances,
         refined=("center_dps", "width_dps"),
-        requires=(many_rates,),
+        requires=(sizes_for_peak,),
         prior_nats=-1.0,
         scatters=True,
     ),
+    c_text=CText(_resonance_c),
 )
 
 REFERENCE_RATE_ERROR = Effect(

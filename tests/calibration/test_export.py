@@ -154,7 +154,9 @@ int main(void)
 
 def typical_term(effect_id: str, **values: float) -> Term:
     effect = find_effect(effect_id)
-    parameters = effect.complete(values)
+    # What scatters from visit to visit is no robot's: a file has the mean.
+    still = {p.name: 0.0 for p in effect.parameters if p.name == "scatter"}
+    parameters = effect.complete({**still, **values})
     entries: dict[str, Any] = {
         k: {"value": v, "std": 0.0, "unit": effect.parameter(k).unit} for k, v in parameters.items()
     }

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis import correction as module
 from gyrocal.diagnosis.correction import _end_state, correction, doubtful, mixed
@@ -23,9 +24,13 @@ from gyrocal.physics.effect import MDPS, PPM, Effect
 from gyrocal.physics.timewise import BIAS_DRIFT, SCALE_DRIFT
 from gyrocal.records.datasets import DataSetTable
 
+Floats = NDArray[np.float64]
 
-def _found(nats: float, named: str = "", candidates: tuple[Any, ...] = ()) -> Examination:
-    naming = SimpleNamespace(named=[SimpleNamespace(block=named)], unnamed={"memory": nats})
+
+def _found(
+    nats: float, named: str = "", candidates: tuple[Any, ...] = (), block: str = "memory"
+) -> Examination:
+    naming = SimpleNamespace(named=[SimpleNamespace(block=named)], unnamed={block: nats})
     return cast(Examination, SimpleNamespace(candidates=candidates, naming=naming))
 
 
@@ -36,6 +41,7 @@ def _found(nats: float, named: str = "", candidates: tuple[Any, ...] = ()) -> Ex
         (_found(30.0), 30.0, []),
         (_found(30.0), 2.0, ["memory"]),
         (_found(7.0, named="memory"), 7.0, []),
+        (_found(7.0, block="odd rate"), 7.0, []),
         (_found(7.0, candidates=((1.0, None),)), 7.0, []),
     ],
 )
@@ -120,3 +126,39 @@ def test_what_follows_the_supply_is_corrected_on_another_run() -> None:
     compensator = Compensator(parse_coefficients(found.improved.to_text(), "improved"))
     here = [compensator.correct(0.0, 0.01 + 5e-3 * (v - 11.9), 25.0, supply_v=v) for v in (11.5, 11.9, 12.3)]
     np.testing.assert_allclose(here, 0.0, atol=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "center_dps"), [((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0), ((7, 21, 40, 68, 119, 155), 62.0)]
+)
+def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
+    sizes: tuple[float, ...], center_dps: float
+) -> None:
+    """Between rates far from each other many peaks are as likely, and the file says how little it knows."""
+    rng = np.random.default_rng(11)
+    rate = np.tile([*(-s for s in sizes), 0.0, *sizes], 9)
+    temp = np.repeat(np.linspace(-10.0, 50.0, 9), 2 * len(sizes) + 1)
+
+    def gyro(rate_dps: Floats, temp_c: Floats) -> Floats:
+        peak = 0.02 / (1.0 + ((np.abs(rate_dps) - center_dps) / 8.0) ** 2)
+        return np.asarray(1.001 * rate_dps + 0.01 + 1e-4 * temp_c + peak)
+
+    noisy = gyro(rate, temp) + 3e-4 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("peak.csv"), rate, noisy, temp, t_s=60.0 * np.arange(rate.size))
+    found = diagnose(series_of_table(table), None, Options(heldout=False))
+    assert [e.effect for e in found.effects] == ["mechanical_resonance"]
+    assert found.improved is not None
+    unseen = np.linspace(-0.9 * max(sizes), 0.9 * max(sizes), 181)
+    warm = np.full(unseen.size, 20.0)
+    out = Compensator(found.improved).evaluate(np.arange(unseen.size) * 1.0, gyro(unseen, warm), warm)
+    off = out.rate_dps - unseen
+    peaks = [t for t in found.improved.terms if t.name == "mechanical_resonance"]
+    if len(sizes) > 8:
+        assert len(peaks) == 1
+        assert np.sqrt(np.mean(off**2)) < 5e-4
+    else:
+        assert len(peaks) > 1
+        assert np.sqrt(np.mean((off / out.sigma_dps) ** 2)) < 4.0
+        assert found.surface is not None
+        alone = Compensator(found.surface).correct(np.arange(unseen.size) * 1.0, gyro(unseen, warm), warm)
+        assert np.mean(off**2) < 0.5 * np.mean((alone - unseen) ** 2)
