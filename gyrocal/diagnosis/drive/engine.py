@@ -30,9 +30,10 @@ from gyrocal.diagnosis.drive.improved import (
 )
 from gyrocal.diagnosis.drive.jumps import instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import instants, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth
 from gyrocal.diagnosis.drive.visible import truth_floor
