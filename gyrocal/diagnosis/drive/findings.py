@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer
@@ -301,7 +301,9 @@ def _of_law(name: str, gain: float, yaw: YawAnswer, truth: TruthAnswer | None) -
         parameters["encoder_window_s"] = Estimate.exact(yaw.window_s, "s")
     if name in MOVING:
         parameters["time_constant_s"] = Estimate.exact(KINDS[name].lag_s, "s")
-    return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
+    return _effect(
+        law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw, truth), seen
+    )
 
 
 def _said(name: str, value: float) -> Remark | None:
@@ -317,18 +319,25 @@ def _half_a_row(delay_s: float, series: DriveSeries) -> bool:
     return abs(delay_s + 0.5 * row_s) < _HALF_A_ROW * row_s
 
 
-def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
+def _rivals(name: str, yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[Alternative, ...]:
     """Laws that would do about as well in its place.
 
-    A delay that was taken out beforehand has none, nor have the encoders any for what they do not show by themselves.
+    A bias that settles is none where a truth would show the time as odd. A delay that was taken out beforehand has none, nor
+    have the encoders any for what they do not show by themselves.
     """
     others = [n for n in yaw.fitted if n != name]
     own = yaw.told.added(others, [name])
     if own < GAIN or (name == "delay" and yaw.ahead_s != 0.0):
         return ()
     found: dict[str, float] = {}
+    told = truth is not None and not truth.mirrored
     for other, law in yaw.laws.items():
-        if other in yaw.fitted or law.effect == yaw.laws[name].effect or other.startswith("wheel_"):
+        if (
+            other in yaw.fitted
+            or (told and other in SETTLING)
+            or law.effect == yaw.laws[name].effect
+            or other.startswith("wheel_")
+        ):
             continue
         ratio = float(np.exp(np.clip(0.5 * (own - yaw.told.added(others, [other])), -50, 50)))
         if ratio < OUT:
