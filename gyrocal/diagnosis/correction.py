@@ -96,10 +96,10 @@ def _beside_wander(found: Examination, blocks: Sequence[str]) -> dict[str, float
     return {b: evidence(beside, b)[0] for b in blocks}
 
 
-def _wandering(model: Model) -> Model:
-    """The same, with a bias and a scale factor that may wander."""
+def _wandering(model: Model, without: Sequence[str] = ()) -> Model:
+    """The same, with a bias and a scale factor that may wander, but for some blocks."""
     passes = passing(model.means, model.basis.frame)
-    wander = {c.name: c for c in passes if PASSING.get(c.name) != EACH_RATE}
+    wander = {c.name: c for c in passes if PASSING.get(c.name) not in (EACH_RATE, *without)}
     return replace(model, components={**wander, **model.components})
 
 
@@ -159,7 +159,7 @@ def mixed(each: Sequence[tuple[float, Floats, Floats]]) -> tuple[Floats, Floats]
 def _less(fitted: Fitted, blocks: Sequence[str]) -> Fitted:
     """Without some blocks, whose place what may wander takes: the surface alone would be bent by what they explained."""
     names = [n for n, b in fitted.model.blocks.items() if b in blocks]
-    return around_itself(fitted.refit(_wandering(fitted.model.without(names)))) if names else fitted
+    return around_itself(fitted.refit(_wandering(fitted.model.without(names), blocks))) if names else fitted
 
 
 def _over_peaks(near: Sequence[tuple[float, Fitted]], laws: Laws) -> list[tuple[float, Fitted]]:

@@ -28,11 +28,12 @@ from gyrocal.diagnosis.drive.improved import (
     foretold_bias,
     improved_robot,
 )
-from gyrocal.diagnosis.drive.jumps import instant_of_p
+from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import instants, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer, examine_yaw
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth
 from gyrocal.diagnosis.drive.visible import truth_floor
@@ -267,7 +268,9 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
     found = _asked(series, wider, truth)
     if found is None or found.odd["time"] < truth.odd["time"]:
         return yaw, truth
-    return wider, found
+    # Time may be odd by something else, of which the best instant explains as little as any.
+    value, std = joint_estimate(wider, found, "jump")
+    return (wider, found) if chance((value / std) ** 2) < STRANGER_P else (yaw, truth)
 
 
 def _loss_with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, at_s: float) -> float:

@@ -6,11 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, Kind
-from gyrocal.diagnosis.drive.search import GAIN, STRANGER_P, YawAnswer
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_strangers import SPINNING
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, SCALES, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -35,6 +38,8 @@ from gyrocal.physics.drive import (
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG
 
+Floats = NDArray[np.float64]
+
 #: Evidence against a rival beyond which it is no rival.
 OUT = 20.0
 #: A track so near to half or twice the true one is a mix-up as likely as a slip.
@@ -57,6 +62,8 @@ _ANY_SCALE = 0.05
 _CHANGES_BY = {GYRO_SCALE.id: "turn_rate", WHEEL_SCALE.id: "speed"}
 #: Scales that make the same ratio of encoder turn to gyro turn.
 _RATIO = frozenset({SKID_SLIP.id, *SCALES})
+#: Effects of which one may have made what the log shows of the other: neither explains it while the log cannot tell.
+_ALIKE = (_RATIO, frozenset({GYRO_BIAS.id, BIAS_TEMPERATURE.id}))
 
 
 @dataclass(frozen=True)
@@ -161,28 +168,28 @@ def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
         *yaw.chosen,
         *(n for n in yaw.gram.names if ":" in n and not n.startswith((*_TILT, "place"))),
     ]
-    seen = stats.chi2.sf(yaw.gram.added(everything, _TILT), 2) <= STRANGER_P
-    if not seen and not _lacks_by_heading(yaw, everything, truth):
+    values, covariance = (part[-2:] for part in yaw.gram.solve([*everything, *_TILT]))
+    covariance = covariance[:, -2:]
+    seen = stats.chi2.sf(values @ np.linalg.solve(covariance, values), 2) <= STRANGER_P
+    if not seen and not _lacks_by_heading(values, covariance, truth):
         return Scale(0.0, 0.0)
-    values, covariance = yaw.gram.solve([*yaw.chosen, *_TILT])
-    size = float(np.hypot(*values[-2:]))
-    return Scale(size, float(np.sqrt(values[-2:] @ covariance[-2:, -2:] @ values[-2:])) / size)
+    size = float(np.hypot(*values))
+    return Scale(size, float(np.sqrt(values @ covariance @ values)) / size)
 
 
-def _lacks_by_heading(yaw: YawAnswer, beside: Sequence[str], truth: TruthAnswer | None) -> bool:
-    """Whether what the gyro lacks by the truth goes by twice the heading, rather than not at all.
+def _lacks_by_heading(values: Floats, covariance: Floats, truth: TruthAnswer | None) -> bool:
+    """Whether what the gyro lacks by the truth goes by twice the heading, as its columns have it, rather than not at all.
 
     The truth tells the size, so that a weak slope shows where its columns alone, without that size, would not.
     """
     if truth is None or not truth.believed("gyro_scale") or truth.values["gyro_scale"] > 0.0:
         return False
-    values, covariance = yaw.gram.solve([*beside, *_TILT])
     heading = np.linspace(0.0, 2.0 * np.pi, 361)
     sloped = truth.values["gyro_scale"] * np.stack([np.cos(heading), np.sin(heading)])
-    precision = np.linalg.inv(covariance[-2:, -2:])
+    precision = np.linalg.inv(covariance)
     level, least = (
         float(np.min(np.einsum("ik,ij,jk->k", away, precision, away)))
-        for away in (values[-2:, None], values[-2:, None] - sloped)
+        for away in (values[:, None], values[:, None] - sloped)
     )
     return bool(level - least > 2.0 * np.log(OUT))
 
@@ -247,6 +254,8 @@ def named_effects(
     bias = _unexpected_bias(series, yaw)
     if bias is not None and not any(e.effect == GYRO_BIAS.id for _, e in gains):
         gains.append(bias)
+    if truth is not None and spins(truth):
+        gains.append(_of_spin(truth))
     gains.sort(key=lambda item: -item[0])
     effects: list[NamedEffect] = []
     for _, effect in gains:
@@ -292,7 +301,9 @@ def _of_law(name: str, gain: float, yaw: YawAnswer, truth: TruthAnswer | None) -
         parameters["encoder_window_s"] = Estimate.exact(yaw.window_s, "s")
     if name in MOVING:
         parameters["time_constant_s"] = Estimate.exact(KINDS[name].lag_s, "s")
-    return _effect(law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw), seen)
+    return _effect(
+        law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw, truth), seen
+    )
 
 
 def _said(name: str, value: float) -> Remark | None:
@@ -308,17 +319,27 @@ def _half_a_row(delay_s: float, series: DriveSeries) -> bool:
     return abs(delay_s + 0.5 * row_s) < _HALF_A_ROW * row_s
 
 
-def _rivals(name: str, yaw: YawAnswer) -> tuple[Alternative, ...]:
-    """Laws that would do about as well in its place; a delay that was taken out beforehand has none."""
-    if name == "delay" and yaw.ahead_s != 0.0:
+def _rivals(name: str, yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[Alternative, ...]:
+    """Laws that would do about as well in its place.
+
+    A bias that settles is none where a truth would show the time as odd. A delay that was taken out beforehand has none, nor
+    have the encoders any for what they do not show by themselves.
+    """
+    others = [n for n in yaw.fitted if n != name]
+    own = yaw.told.added(others, [name])
+    if own < GAIN or (name == "delay" and yaw.ahead_s != 0.0):
         return ()
-    others = [n for n in yaw.chosen if n != name]
-    own = yaw.gram.added(others, [name])
     found: dict[str, float] = {}
+    told = truth is not None and not truth.mirrored
     for other, law in yaw.laws.items():
-        if other in yaw.chosen or law.effect == yaw.laws[name].effect or other.startswith("wheel_"):
+        if (
+            other in yaw.fitted
+            or (told and other in SETTLING)
+            or law.effect == yaw.laws[name].effect
+            or other.startswith("wheel_")
+        ):
             continue
-        ratio = float(np.exp(np.clip(0.5 * (own - yaw.gram.added(others, [other])), -50, 50)))
+        ratio = float(np.exp(np.clip(0.5 * (own - yaw.told.added(others, [other])), -50, 50)))
         if ratio < OUT:
             found[law.effect] = min(ratio, found.get(law.effect, np.inf))
     if name == "asymmetry" and not yaw.model.frame.nodes.resting.any():
@@ -375,6 +396,19 @@ def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedE
     return gain, _effect(GYRO_BIAS.id, parameters, p, others, Remark(Said.BIAS_NO_REST))
 
 
+def spins(truth: TruthAnswer) -> bool:
+    """Whether nothing is so sure of what misses the truth as that the wheels go further while the speed grows."""
+    surest = min(truth.odd.values(), default=1.0)
+    return truth.told(SPINNING) > BELIEVED and truth.odd["acceleration"] == surest
+
+
+def _of_spin(truth: TruthAnswer) -> tuple[float, NamedEffect]:
+    slip_s, std = truth.values[SPINNING], truth.stds[SPINNING]
+    parameters = {"amplitude": Estimate.normal(slip_s, std, START_STOP_SLIP.parameters[0].unit)}
+    gain = truth.told(SPINNING) ** 2
+    return gain, _effect(START_STOP_SLIP.id, parameters, truth.odd["acceleration"], ())
+
+
 def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:
     """Whether encoders and gyro turn by a ratio of which the log does not say whose it is."""
     return "track" in yaw.named and _RATIO.isdisjoint(e.effect for e in effects)
@@ -383,7 +417,8 @@ def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:
 def verdict(effects: list[NamedEffect], located: list[Located]) -> Verdict:
     """`consistent` only where nothing is named and nothing is left, `explained` only where nothing is left.
 
-    Nor is a ratio of the headings explained by one of the scales that make it while the log cannot exclude the others.
+    Nor is a ratio of the headings explained by one of the scales that make it while the log cannot exclude the others, or a
+    bias that may have come with the motion or with the temperature.
     """
     remains = any(place.remains for place in located)
     physics = [e for e in effects if e.effect != DROPPED_SAMPLES.id]
@@ -393,7 +428,8 @@ def verdict(effects: list[NamedEffect], located: list[Located]) -> Verdict:
 
 
 def _may_be_another(effect: NamedEffect) -> bool:
-    return effect.effect in _RATIO and any(other.effect in _RATIO for other in effect.alternatives)
+    others = {other.effect for other in effect.alternatives}
+    return any(effect.effect in alike and not others.isdisjoint(alike) for alike in _ALIKE)
 
 
 def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Reason]:
@@ -406,6 +442,8 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
     }
     if _tilt(yaw, truth).value > 0.0:
         del reasons[ROBOT_TILT.id]
+    if truth is not None and spins(truth):
+        del reasons[START_STOP_SLIP.id]
     if "slope" not in yaw.laws:
         reasons[BIAS_TEMPERATURE.id] = Lack(Why.NO_GYRO_TEMPERATURE)
     if "step" not in yaw.laws:

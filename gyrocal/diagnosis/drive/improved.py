@@ -186,7 +186,11 @@ def _of_gyro(
         elif kind.figure and name in parts:
             told = (parts[name].value, parts[name].std, True)
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
-            known = told_estimate(yaw, truth, name) if name in yaw.chosen else _beside(yaw, name)
+            if name in yaw.chosen:
+                known = told_estimate(yaw, truth, name)
+            else:
+                (value,), ((variance,),) = yaw.beyond([name])
+                known = float(value), float(np.sqrt(max(variance, 0.0)))
             told = (*known, name in yaw.named)
         if told is not None:
             value, std, named = told
@@ -209,12 +213,6 @@ def _spokesman(yaw: YawAnswer, group: str) -> str:
     """Of laws that stand for each other the one that is told: the one that is named, or the first."""
     found = [n for n in yaw.laws if (KINDS[n].group or n) == group]
     return next((n for n in found if n in yaw.named), found[0])
-
-
-def _beside(yaw: YawAnswer, name: str) -> tuple[float, float]:
-    """Coefficient of a law that is not in the final fit, added to it."""
-    values, covariance = yaw.gram.solve([*yaw.chosen, *yaw.nameless, name])
-    return float(values[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
 
 
 def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]) -> list[DriveEstimate]:
@@ -250,9 +248,11 @@ def improved_robot(
     The bias is written wherever no rest takes it off, as far as it foretells that of the next drive; a law from its
     gain on, a scale from where the truth is sure.
     Left-out parts of the drive are no judge here: a step of the bias lives in a single rest. But a law that changes within
-    the drive has the name of something else, and the next drive has none of it.
+    the drive has the name of something else, and the next drive has none of it; nor, where no truth tells, of a step that
+    may be all that the log shows of a bias that settled.
     """
-    lasting = [n for n in yaw.named if n not in yaw.uneven]
+    blind = truth is None or truth.mirrored
+    lasting = [n for n in yaw.named if n not in yaw.uneven and not (blind and yaw.settles(n))]
     keys: dict[str, Any] = {}
     if series.robot.static_s == 0:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
@@ -358,10 +358,10 @@ def _track_by_place(yaw: YawAnswer) -> float:
     if "place" not in yaw.odd:
         return 0.0
     cells = [n for n in yaw.gram.names if n.startswith("place:")]
-    values, covariance = yaw.gram.solve([*yaw.chosen, *cells])
+    values, covariance = yaw.beyond(cells)
     columns = strangers(yaw.model.frame)["place"]
-    turned = columns @ values[-len(cells) :]
-    noise = np.einsum("ij,jk,ik", columns, covariance[-len(cells) :, -len(cells) :], columns)
+    turned = columns @ values
+    noise = np.einsum("ij,jk,ik", columns, covariance, columns)
     square = max(float(turned @ turned) - float(noise), 0.0)
     return float(np.sqrt(square) / np.linalg.norm(yaw.laws["track"].column))
 

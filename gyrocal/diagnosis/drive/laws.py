@@ -39,6 +39,10 @@ MOVING_LAGS_S = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 #: Names of these laws, each with its lag, and that without one.
 MOVING = {f"moving_{lag_s:g}": lag_s for lag_s in MOVING_LAGS_S}
 AT_ONCE = "moving_0"
+#: Time constants with which a bias may settle after the start of a log, s: gyros warm up by themselves within minutes.
+SETTLING_S = (30.0, 100.0, 300.0, 1000.0)
+#: Names of these laws, each with its time.
+SETTLING = {f"settling_{settling_s:g}": settling_s for settling_s in SETTLING_S}
 #: A temperature that changes less tells nothing of the bias over it, degC.
 _LEAST_TEMP_SPAN_C = 0.5
 #: A bias at rest of its own is looked for where the log begins with a rest this long, s, or has one later.
@@ -50,7 +54,7 @@ _TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE = 10.0, 0.1
 _ACROSS, _MOST_CELLS, _BACK_S, _TURNED_DEG = 6, 12, 20.0, 60.0
 #: Speeds for the shape of a law are means over this time, s: in a turn the outer wheel goes further and slips more, so
 #: that a node's speed shares noise with the difference of its turns, and a slow robot's looks like slip by speed.
-_SPEED_SMOOTH_S = 0.5
+SPEED_SMOOTH_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,7 @@ KINDS: Mapping[str, Kind] = {
     "asymmetry": Kind(WHEEL_ASYMMETRY.id),
     "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", "motion", said=Said.BIAS_IN_MOTION),
     **{name: replace(_SHAKEN, lag_s=lag_s) for name, lag_s in MOVING.items()},
+    **dict.fromkeys(SETTLING, Kind("gyro_bias_settling")),
     "jump": Kind("gyro_bias_jump", "bias_before_dps", "deg/s"),
     "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC"),
     "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
@@ -210,7 +215,7 @@ def frame_of(series: DriveSeries, nodes: Nodes, ahead_s: float, window_s: float,
             series.robot.wheel_separation_m, temp,
         )  # fmt: skip
 
-    steady = over(max(spread_s, _SPEED_SMOOTH_S))
+    steady = over(max(spread_s, SPEED_SMOOTH_S))
     return Frame(series, nodes, ahead_s, window_s, over(spread_s), steady, slope(t, heading, spread_s))
 
 
@@ -267,6 +272,18 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
         for half in HALF_CURVATURES:
             found[f"slip_saturating_{half:g}"] = law(frame, SKID_SLIP, law=saturating, shape=half)
     return found
+
+
+def settling_laws(frame: Frame) -> dict[str, Law]:
+    """A bias that settles after the start, where a rest there may have seen another one than the drive.
+
+    Of no name, for no robot file holds them: that gyros warm up by themselves may be all that a step of the bias stands for.
+    """
+    if frame.series.first_rest_s < _LEAST_REST_S:
+        return {}
+    since_s = frame.series.t_s - frame.series.t_s[0]
+    columns = {n: law(frame, GYRO_BIAS, where=np.exp(-since_s / s)).column for n, s in SETTLING.items()}
+    return {n: Law(BIAS_TEMPERATURE.id, {}, column) for n, column in columns.items()}
 
 
 def jump(frame: Frame, at_s: float) -> Law:

@@ -23,7 +23,7 @@ def of_motion(laws: Iterable[str]) -> list[str]:
 
 def likely_motions(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> tuple[Floats, Floats]:
     """How likely each law of the motion is in place of that which is chosen, and its coefficient then."""
-    beside = [n for n in chosen if KINDS[n].group != "motion"]
+    beside = [n for n in chosen if n not in motions]
     gains = np.array([told.added(beside, [n]) for n in motions])
     likely = np.exp(0.5 * (gains - gains.max()))
     values = np.array([told.own.solve([*beside, n])[0][-1] for n in motions])
@@ -57,3 +57,9 @@ def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], le
     gain, warmed, at_once = (told.added(beside, [n]) for n in (taken, "slope", AT_ONCE))
     denied, as_likely = at_once < gain - _AS_LIKELY, warmed >= max(least, gain - _AS_LIKELY)
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
+
+
+def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Sequence[str]) -> bool:
+    """Whether one of other laws in the place of one is as likely as it is."""
+    gain = told.added(beside, [name])
+    return any(told.added(beside, [n]) > gain - _AS_LIKELY for n in instead)

@@ -9,12 +9,13 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecided
 from gyrocal.diagnosis.drive.laws import Law
-from gyrocal.diagnosis.drive.search import STRANGER_P, YawAnswer, known_before
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.search import YawAnswer, known_before
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located, NamedEffect
-from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT
+from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT, START_STOP_SLIP
 from gyrocal.units import NORMAL_95
 
 #: Noise above what the robot file says by more than this is no noise of that kind.
@@ -48,6 +49,8 @@ def places(
         odd["turn_rate"] = min(float(stats.chi2.sf(yaw.named["track"], 1)), odd.get("turn_rate", 1.0))
     if any(e.effect == ROBOT_TILT.id for e in effects):
         odd.pop("heading", None)
+    if any(e.effect == START_STOP_SLIP.id for e in effects):
+        odd.pop("acceleration", None)
     left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
     of_wheels = (("wheels", law.shape["until_s"]) for law in yaw.changed.values())
     target, at_s = next(of_wheels, ("bias", yaw.jump_s))
@@ -74,9 +77,9 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
     if "jump" in yaw.chosen:
         found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
     for name, law in yaw.changed.items():
-        values, covariance = yaw.gram.solve([*yaw.chosen, name])
+        (value,), ((variance,),) = yaw.beyond([name])
         said = Said.TRACK_CHANGES if name.endswith("track") else Said.WHEELS_CHANGE
-        found.append(told(said, 100.0, float(values[-1]), float(np.sqrt(covariance[-1, -1])), law))
+        found.append(told(said, 100.0, float(value), float(np.sqrt(variance)), law))
     return found
 
 

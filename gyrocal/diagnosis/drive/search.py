@@ -13,23 +13,24 @@ from scipy import stats
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
+    SETTLING,
     BiasLaws,
     Law,
     candidate_laws,
     constant_laws,
     frame_of,
     jump,
+    settling_laws,
     strangers,
 )
-from gyrocal.diagnosis.drive.motions import likely_motions, middling, of_motion, rather_warmed
+from gyrocal.diagnosis.drive.motions import likely_motions, may_be_another, middling, of_motion, rather_warmed
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
-#: Gain, degrees of freedom and p-value of structure.
-Test = tuple[float, int, float]
 
 #: Twice the log likelihood that a law must gain to be named; beside a law of slip also this share of what that gains. On
 #: 100 drives with nothing hidden, made by another hand, no law gained more than 11.4.
@@ -38,9 +39,6 @@ GAIN, SECOND = 15.0, 0.02
 PAIR_GAIN = float(stats.chi2.isf(stats.chi2.sf(GAIN, 1), 2))
 #: Share of what it explains together with columns of no name from which on a law does not need their leave.
 _MOST = 0.9
-#: Chance at which columns of no name are located where there is nothing. Of 694 such tests on 64 drives of another hand without
-#: any, two were below it.
-STRANGER_P = 1e-3
 #: Reach and grid of the search for a delay, s; the fit finds it closer.
 _REACH_S, _GRID_S = 2.0, 0.05
 #: Windows over which encoders may average, s.
@@ -70,7 +68,7 @@ class YawAnswer:
     known : what was known of coefficients beforehand: mean and standard deviation of each
     uneven : laws that change between the parts of the drive, or at an instant: the next drive has others
     changed : track or wheels until the instant from which on they are others, named ``time:`` and the law
-    nameless : columns of no name, of what goes with the time, beside which the laws have these coefficients
+    nameless : columns of no name in which something lives, beside which the laws have these coefficients
     """
 
     model: YawModel
@@ -94,12 +92,24 @@ class YawAnswer:
         """All tests of the log at the level of 1/f noise that was found."""
         return self.told.own
 
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """All columns of the final fit: the laws, then those without a name."""
+        return (*self.chosen, *self.nameless)
+
+    def solved(self, chosen: tuple[str, ...], named: Mapping[str, float]) -> YawAnswer:
+        """The same with other laws."""
+        values, covariance = self.gram.solve([*chosen, *self.nameless])
+        return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
+
     def with_law(self, name: str, gain: float) -> YawAnswer:
         """The same with one law more, which something else shows."""
-        chosen = (*self.chosen, name)
-        values, covariance = self.gram.solve([*chosen, *self.nameless])
-        named = {**self.named, name: gain}
-        return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
+        return self.solved((*self.chosen, name), {**self.named, name: gain})
+
+    def beyond(self, more: Sequence[str]) -> tuple[Floats, Floats]:
+        """Coefficients of columns that are not in the final fit, added to it, and their covariance."""
+        values, covariance = self.gram.solve([*(n for n in self.fitted if n not in more), *more])
+        return values[-len(more) :], covariance[-len(more) :, -len(more) :]
 
     def estimate(self, name: str) -> tuple[float, float]:
         """Value and standard deviation of a law's coefficient, SI; a delay with what was taken out before."""
@@ -139,12 +149,18 @@ class YawAnswer:
         Where the encoders do not show it by themselves, they have nothing to say of its lag.
         """
         # A jump that is tried at an instant is none of the laws that were looked at.
-        chosen = [n for n in self.chosen if n in self.gram.names]
+        chosen = [n for n in self.fitted if n in self.gram.names]
         if _gain(self.told, chosen, name) < GAIN:
             return 0.0
         motions = of_motion(self.laws)
         likely, values = likely_motions(self.told, chosen, motions)
         return float(np.sqrt(likely @ (values - values[motions.index(name)]) ** 2))
+
+    def settles(self, name: str) -> bool:
+        """Whether a bias that settles after the start may have made the log as well as a law of the motion that it names."""
+        beside = [n for n in self.fitted if n != name]
+        instead = [n for n in self.laws if n in SETTLING]
+        return KINDS[name].group == "motion" and may_be_another(self.told, beside, name, instead)
 
     @property
     def of_bias(self) -> tuple[str, ...]:
@@ -188,7 +204,7 @@ class YawAnswer:
             laws=laws,
             told=told,
             chosen=chosen,
-            strangers=_odder(self.strangers, "time", (instant.gain, 1, instant.p_value)),
+            strangers=odder(self.strangers, "time", (instant.gain, 1, instant.p_value)),
             odd=tuple(dict.fromkeys([*self.odd, "time"])),
         )
         return jumping.gaining(gains)
@@ -202,16 +218,14 @@ class YawAnswer:
     def less(self, laws: Sequence[str]) -> YawAnswer:
         """The same with some laws less."""
         chosen = tuple(n for n in self.chosen if n not in laws)
-        values, covariance = self.gram.solve([*chosen, *self.nameless])
-        named = {n: g for n, g in self.named.items() if n not in laws}
-        return replace(self, chosen=chosen, values=values, covariance=covariance, named=named)
+        return self.solved(chosen, {n: g for n, g in self.named.items() if n not in laws})
 
     def without(self, denied: Sequence[str]) -> YawAnswer:
         """The same less laws that something else speaks against: what they had explained has no name."""
         gain = sum(self.named[n] for n in denied)
         test = (gain, len(denied), float(stats.chi2.sf(gain, len(denied))))
         odd = tuple(dict.fromkeys([*self.odd, "speed"]))
-        return replace(self.less(denied), strangers=_odder(self.strangers, "speed", test), odd=odd)
+        return replace(self.less(denied), strangers=odder(self.strangers, "speed", test), odd=odd)
 
     @property
     def left_rad(self) -> Floats:
@@ -266,8 +280,8 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
     nodes = nodes_of(series, max(NODE_S, window_s))
     frame = frame_of(series, nodes, ahead_s, window_s, _rough_bias_dps(series))
     constant, laws = constant_laws(frame), candidate_laws(frame)
-    everything = constant | laws
-    model = yaw_model(frame, list(everything.values()))
+    model = yaw_model(frame, list((constant | laws).values()))
+    everything = constant | laws | settling_laws(frame)
     blocks = strangers(frame)
     columns = _columns_of(everything, blocks)
     known = known_before(series)
@@ -288,23 +302,23 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         told = free.knowing(known)
         chosen = _selected(told, [*least, *beyond], list(laws))
     chosen = rather_warmed(told, middling(told, chosen, of_motion(laws)), laws, GAIN)
-    odd, changed = _nameless(free, chosen, jumping, blocks)
+    odd, changed = nameless(free, chosen, jumping, blocks)
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     if "jump" in chosen:
         gain = _gain(told, [*chosen, *beside], "jump")
         if chance(gain) < STRANGER_P:
-            odd = _odder(odd, "time", (gain, 1, chance(gain)))
+            odd = odder(odd, "time", (gain, 1, chance(gain)))
         else:
             chosen.remove("jump")
     named = _named(told, chosen, beside, ahead_s)
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
     ]
-    # What goes with the time alone leaves constants their mean, or that of the end.
-    nameless = {n: columns[n] for n in beside if n.startswith("time:")}
-    values, covariance = told.own.solve([*chosen, *nameless])
+    free, unnamed = beside_means(free, columns, chosen, beside, jumping)
+    told = free.knowing(known)
+    values, covariance = told.own.solve([*chosen, *unnamed])
     uneven = _uneven(model, everything, chosen, named)
-    odd = _odder(odd, "time", *uneven.values())
+    odd = odder(odd, "time", *uneven.values())
     return YawAnswer(
         model,
         everything,
@@ -320,36 +334,8 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         known,
         frozenset(uneven) | {n.removeprefix("time:") for n in jumping},
         changed,
-        nameless,
+        unnamed,
     )
-
-
-def _nameless(
-    free: Evidence, chosen: Sequence[str], jumping: Mapping[str, Law], blocks: Mapping[str, Floats]
-) -> tuple[dict[str, Test], dict[str, Law]]:
-    """What is over each coordinate beside the laws, and what of the wheels changes at one instant, if nothing else does."""
-    changed = {n: x for n, x in jumping.items() if n not in KINDS}
-    odd = {c: _without_name(free, [*chosen, *changed], f"{c}:", block) for c, block in blocks.items()}
-    at_once = odd.get("time", (0.0, 0, 1.0))[2] >= STRANGER_P
-    gains = [_gain(free, chosen, name) for name in changed]
-    odd = _odder(odd, "time", *((gain, 1, chance(gain)) for gain in gains))
-    return odd, changed if at_once else {}
-
-
-def _without_name(free: Evidence, chosen: Sequence[str], prefix: str, block: Floats) -> Test:
-    """Whether there is something over a coordinate.
-
-    Against laws that are free: a robot file that grants too little of them is no structure without a name.
-    """
-    names = [f"{prefix}{k}" for k in range(block.shape[1])]
-    gain = free.added(chosen, names)
-    return gain, len(names), float(stats.chi2.sf(gain, len(names)))
-
-
-def _odder(odd: Mapping[str, Test], coordinate: str, *tests: Test) -> dict[str, Test]:
-    """Tests by coordinate with some more, of which the surest counts."""
-    found = [*tests, *(test for c, test in odd.items() if c == coordinate)]
-    return {**odd, coordinate: min(found, key=lambda one: one[2])} if found else dict(odd)
 
 
 def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[str, Floats]:

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, MOVING, BiasLaws, by_place, reference_temp_c, temperature_c
+from gyrocal.diagnosis.drive.laws import (
+    AT_ONCE,
+    MOVING,
+    BiasLaws,
+    reference_temp_c,
+    temperature_c,
+)
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -24,8 +31,8 @@ from gyrocal.diagnosis.drive.path_noise import (
     path_noise,
     stacked,
 )
+from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, SPINNING, path_strangers
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
-from gyrocal.diagnosis.drive.search import STRANGER_P
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.inference.gls import Regression, regress
@@ -51,10 +58,6 @@ _FREE, _WAY_FREE = 4.0, 1.0
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
-#: Parts of a drive in which the gyro may be late, or have a bias of its own.
-_PARTS = 8
-#: Columns of the bias of single parts among those without a name, less that of the last: their mean is zero.
-_BIAS_PARTS = tuple(f"time:{k}" for k in range(_PARTS - 1))
 #: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
 _UNTOLD = 1e6
 #: Scales that the truth alone tells apart.
@@ -78,7 +81,7 @@ class TruthAnswer:
     values, stds : mapping
         Laws of the bias by their names in `KINDS`, ``bias`` always (beyond what was taken out), ``gyro_scale``,
         ``wheel_scale`` (relative), ``lever_ahead``, ``lever_left`` (m), ``clock`` (s, the truth is late), and
-        ``mounting`` (rad, where there are headings).
+        ``mounting`` (rad, where there are headings), and `SPINNING` where the path misses the truth by that coordinate.
     covariance : ndarray, shape (2, 2)
         Of `SCALES`.
     of_laws : ndarray, shape (p, p)
@@ -212,45 +215,6 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         if knots.heading is not None:
             columns["mounting"] = stacked(knots, 0.0 * one, np.ones(k))
     return columns
-
-
-def _strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
-    """Columns of no name; coordinate -> (rows, m)."""
-    turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
-    share = (path.t_s - path.t_s[0]) / float(np.ptp(path.t_s)) - 0.5
-    speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
-    rate = np.divide(np.abs(turned), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
-    nothing = np.zeros(share.size)
-    turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
-    part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
-    within = (part == np.arange(_PARTS)[:, None]).astype(np.float64)
-    errors = {
-        "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
-        "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
-        # First a bias that is another one from some time on, or for a while.
-        "time": [(path.dt_s * (within[k] - within[-1]), nothing) for k in range(_PARTS - 1)]
-        + [(turned * share, nothing), (nothing, path.way_m * share)],
-        # A gyro that is late in one part of the drive and not in others.
-        "delay": [(np.diff(turning * inside, prepend=0.0), nothing) for inside in within],
-        "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)]
-        + [(path.dt_s * f(path.heading_rad), nothing) for f in (np.cos, np.sin)],
-        # A slope lies where it lies.
-        "place": [(turns, nothing) for turns in by_place(path.t_s, path.heading_rad, path.way_m, turned)],
-    }
-    found = {
-        name: np.stack(
-            [
-                stacked(knots, knots.mean(path.moved_by(np.cumsum(turn), way)), knots.mean(np.cumsum(turn)))
-                for turn, way in parts
-            ],
-            axis=1,
-        )
-        for name, parts in errors.items()
-        if parts
-    }
-    # What moves positions alone is not seen in headings alone.
-    seen = {name: block[:, np.any(block != 0.0, axis=0)] for name, block in found.items()}
-    return {name: block for name, block in seen.items() if block.size}
 
 
 @dataclass(frozen=True)
@@ -457,7 +421,7 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
     state, problem, logs = laid.state, laid.problem, laid.levels.logs
     odd: dict[str, float] = {}
     beside: dict[str, Floats] = {}
-    for coordinate, block in _strangers(knots, _reckoned(knots, base, state)).items():
+    for coordinate, block in path_strangers(knots, _reckoned(knots, base, state)).items():
         more = {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
         odd[coordinate] = float(stats.chi2.sf(_gain(problem, more, logs), len(more)))
         beside |= more if odd[coordinate] < STRANGER_P else {}
@@ -470,11 +434,15 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         covariance[names.index(name), names.index(name)] += _MODEL_STD**2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
-    of_parts = [v for n, v in zip(names, values, strict=True) if n in _BIAS_PARTS]
+    of_parts = [v for n, v in zip(names, values, strict=True) if n in BIAS_PARTS]
     moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
     at = [names.index(n) for n in SCALES]
     of_laws = [names.index(n) for n in [*knots.laws][: knots.told]]
-    told = [n for n in (*knots.laws, *SCALES, "lever_ahead", "lever_left", "clock", "mounting") if n in found]
+    told = [
+        n
+        for n in (*knots.laws, *SCALES, SPINNING, "lever_ahead", "lever_left", "clock", "mounting")
+        if n in found
+    ]
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},

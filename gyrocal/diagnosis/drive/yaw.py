@@ -315,6 +315,12 @@ class Gram:
         means, stds = np.array([known.get(n, (0.0, np.inf)) for n in self.names]).T
         return replace(self, matrix=self.matrix + np.diag(stds**-2), right=self.right + means * stds**-2)
 
+    def less(self, names: Sequence[str], of: Sequence[str], shares: Floats) -> Gram:
+        """The same with some columns less `shares`, one row for each of others, of these."""
+        apart = np.eye(len(self.names))
+        apart[np.ix_([self.names.index(n) for n in of], [self.names.index(n) for n in names])] = -shares
+        return replace(self, matrix=apart.T @ self.matrix @ apart, right=apart.T @ self.right)
+
     def solve(self, chosen: Sequence[str]) -> tuple[Floats, Floats]:
         """Coefficients of some columns, and their covariance."""
         at = [self.names.index(n) for n in chosen]
@@ -374,6 +380,11 @@ class Evidence:
     def knowing(self, known: Mapping[str, tuple[float, float]]) -> Evidence:
         """The same with what is known of coefficients beforehand, as mean and standard deviation."""
         return Evidence(self.own.knowing(known), tuple(g.knowing(known) for g in self.levels), self.loss)
+
+    def less(self, names: Sequence[str], of: Sequence[str], shares: Floats) -> Evidence:
+        """The same with some columns less `shares`, one row for each of others, of these."""
+        levels = tuple(g.less(names, of, shares) for g in self.levels)
+        return Evidence(self.own.less(names, of, shares), levels, self.loss)
 
     def added(self, chosen: Sequence[str], more: Sequence[str]) -> float:
         """Twice the log likelihood that columns add to others."""

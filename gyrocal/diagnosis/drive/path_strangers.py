@@ -1,0 +1,60 @@
+"""Columns of no name of a path that is laid on a truth: what no figure of a robot file does to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gyrocal.diagnosis.drive.laws import SPEED_SMOOTH_S, by_place
+from gyrocal.diagnosis.drive.path_noise import Knots, stacked
+from gyrocal.diagnosis.drive.reckoning import Floats, Reckoned
+
+#: Parts of a drive in which the gyro may be late, or have a bias of its own.
+_PARTS = 8
+#: Columns of the bias of single parts among those without a name, less that of the last: their mean is zero.
+BIAS_PARTS = tuple(f"time:{k}" for k in range(_PARTS - 1))
+#: The column without a name of wheels that go further while the speed grows, m per m/s: a name has it in the catalogue.
+SPINNING = "acceleration:0"
+
+
+def path_strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
+    """Columns of no name; coordinate -> (rows, m)."""
+    turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
+    share = (path.t_s - path.t_s[0]) / float(np.ptp(path.t_s)) - 0.5
+    speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    rate = np.divide(np.abs(turned), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    nothing = np.zeros(share.size)
+    turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    whole, half_s = np.cumsum(path.way_m), 0.5 * SPEED_SMOOTH_S
+    ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (half_s, -half_s))
+    gained = np.diff(np.abs(ahead - behind) / SPEED_SMOOTH_S, prepend=0.0)
+    part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
+    within = (part == np.arange(_PARTS)[:, None]).astype(np.float64)
+    errors = {
+        "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
+        "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
+        # Wheels that spin or slide: where the speed grows, and where it falls.
+        "acceleration": [(nothing, -np.maximum(gained, 0.0)), (nothing, -np.minimum(gained, 0.0))],
+        # First a bias that is another one from some time on, or for a while.
+        "time": [(path.dt_s * (within[k] - within[-1]), nothing) for k in range(_PARTS - 1)]
+        + [(turned * share, nothing), (nothing, path.way_m * share)],
+        # A gyro that is late in one part of the drive and not in others.
+        "delay": [(np.diff(turning * inside, prepend=0.0), nothing) for inside in within],
+        "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)]
+        + [(path.dt_s * f(path.heading_rad), nothing) for f in (np.cos, np.sin)],
+        # A slope lies where it lies.
+        "place": [(turns, nothing) for turns in by_place(path.t_s, path.heading_rad, path.way_m, turned)],
+    }
+    found = {
+        name: np.stack(
+            [
+                stacked(knots, knots.mean(path.moved_by(np.cumsum(turn), way)), knots.mean(np.cumsum(turn)))
+                for turn, way in parts
+            ],
+            axis=1,
+        )
+        for name, parts in errors.items()
+        if parts
+    }
+    # What moves positions alone is not seen in headings alone.
+    seen = {name: block[:, np.any(block != 0.0, axis=0)] for name, block in found.items()}
+    return {name: block for name, block in seen.items() if block.size}
