@@ -144,7 +144,9 @@ def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
         return np.asarray(1.001 * rate_dps + 0.01 + 1e-4 * temp_c + peak)
 
     noisy = gyro(rate, temp) + 3e-4 * rng.standard_normal(rate.size)
-    table = DataSetTable(Path("peak.csv"), rate, noisy, temp, t_s=60.0 * np.arange(rate.size, dtype=np.float64))
+    table = DataSetTable(
+        Path("peak.csv"), rate, noisy, temp, t_s=60.0 * np.arange(rate.size, dtype=np.float64)
+    )
     found = diagnose(series_of_table(table), None, Options(heldout=False))
     assert [e.effect for e in found.effects] == ["mechanical_resonance"]
     assert found.improved is not None
