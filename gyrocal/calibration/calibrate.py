@@ -248,6 +248,7 @@ def _assess(
     recording: Recording, config: FitConfig, chosen: ChosenFit, notes: tuple[str, ...]
 ) -> Calibration:
     fit, sets = chosen.fit, chosen.fit.sets
+    _need_rates(recording, fit)
     outliers, kept, scatter = find_outliers(sets, fit.scatter)
     line = np.polynomial.polynomial.polyvander(sets.gyro_dps, 0 if config.bias_only else 1)
     before = sets.error_dps - line @ np.linalg.lstsq(line, sets.error_dps, rcond=None)[0]
@@ -288,6 +289,21 @@ def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
     if config.bias_only:
         low, high = low - BIAS_REACH_DPS, high + BIAS_REACH_DPS
     return Valid((low, high), (temp_low, temp_high))
+
+
+def _need_rates(recording: Recording, fit: SurfaceFit) -> None:
+    """Refuse a surface by which some outputs have no rate: the output stands still or falls while the rate grows."""
+    lost = ~np.isfinite(fit.residual_dps)
+    if not lost.any():
+        return
+    sets, count = fit.sets, int(lost.sum())
+    k = int(np.flatnonzero(lost)[0])
+    raise DataError(
+        f"{recording.source}: by the fitted surface {count} data {plural(count, '[set has|sets have]')} an output that no rate "
+        f"gives (the first at {sets.rate_dps[k]:+.4g} deg/s, {sets.temp_c[k]:.1f} °C): the output stands still or falls while the "
+        "rate grows, as of a clipped gyro or one beyond its range, or bends more than a cubic, as an open loop's. Record smaller "
+        "rates, or ask gyrocal diagnose."
+    )
 
 
 def _too_noisy(fit: SurfaceFit) -> list[str]:

@@ -138,7 +138,7 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
 def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Mapping[str, float]]]:
     """Shapes that a law of two parameters may have beside everything else, with their weights: one where its size is known.
 
-    Each weighs as much as it is likely, and half as much where it needs an amplitude of twice the size: of a peak between
+    Each weighs as much as it is likely, and a quarter of it where it needs an amplitude of twice the size: of a peak between
     two rates the higher ones all fit.
     """
     free = _free(law)
@@ -153,7 +153,7 @@ def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Map
     shapes = [{**law.shape, **dict(zip(free, map(float, place), strict=True))} for place in product(*axes)]
     points = [beside.at(shape) for shape in shapes]
     least = min(p.loss for p in points)
-    weights = np.array([np.exp(0.5 * (least - p.loss)) / max(abs(p.amplitude), p.std) for p in points])
+    weights = np.array([np.exp(0.5 * (least - p.loss)) / max(abs(p.amplitude), p.std) ** 2 for p in points])
     weights[weights < _IDLE * weights.max()] = 0.0
     weights /= weights.sum()
     return [(w, shape) for w, shape in zip(weights.tolist(), shapes, strict=True) if w > 0.0]

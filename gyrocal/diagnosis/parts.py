@@ -18,7 +18,7 @@ from gyrocal.diagnosis.series import LEAST_SUPPLY_V
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.shapes import DRIVERS
+from gyrocal.physics.shapes import ASINH_SHARE, DRIVERS
 from gyrocal.physics.smooth import Column, Factor, Frame, design, histories, rate_factors, temperature_factors
 from gyrocal.physics.surface import SHAPE
 
@@ -303,7 +303,7 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
     # What is nearer to rest tells of the shapes near zero alone: through it an order of the rate could have any size elsewhere.
     visited = _apart(sizes[sizes > 0.5 * spacing], spacing)
     centers = spacing * np.arange(_RATE_BUMPS)
-    near_zero = np.arange(0.0, np.arcsinh(1e3), _NEAR_ZERO_BUMP)
+    near_zero = _near_visited(np.arcsinh(sizes / (ASINH_SHARE * frame.rate_scale_dps)))
     for parity, block, orders, first in (
         ("odd", "odd rate", range(5, min(2 * visited, 12), 2), 1),
         ("even", "even rate", range(4, min(2 * visited + 1, 11), 2), 0),
@@ -316,7 +316,9 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
             width = _RATE_BUMP * frame.rate_scale_dps
             bumps = [Factor(f"{parity}_bump", (float(c), width)) for c in centers[first:]]
             found.append(_part(f"{parity} bumps", block, tuple(map(Column, bumps))))
-        bumps = [Factor(f"{parity}_asinh_bump", (float(c), _NEAR_ZERO_BUMP)) for c in near_zero[first:]]
+        bumps = [
+            Factor(f"{parity}_asinh_bump", (c, _NEAR_ZERO_BUMP)) for c in near_zero if c > 0.0 or not first
+        ]
         found.append(_part(f"{parity} near zero", block, tuple(map(Column, bumps))))
         with_t = tuple(Column(_legendre(n), _legendre(j)) for n in orders[:2] for j in (1, 2))
         weights = (1.0, 1.0, _STEP, _STEP)[: len(with_t)]
@@ -325,6 +327,13 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
     with_t = tuple(Column(Factor("absolute"), _legendre(j)) for j in (1, 2))
     found.append(_part("absolute rate by temperature", "even rate", with_t, (1.0, _STEP)))
     return [part for part in found if part.columns]
+
+
+def _near_visited(places: Floats) -> list[float]:
+    """Centers of the bumps near zero, over asinh of the rate, within two widths of some rate: of others no more than the foot is seen."""
+    centers = np.arange(0.0, np.arcsinh(1.0 / ASINH_SHARE), _NEAR_ZERO_BUMP)
+    away = np.min(np.abs(centers[:, None] - np.unique(np.round(places, 2))), axis=1)
+    return [float(c) for c in centers[away <= 2.0 * _NEAR_ZERO_BUMP]]
 
 
 def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:

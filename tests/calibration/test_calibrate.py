@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate, configs
 from gyrocal.calibration.summary import dph, remarks, tables, to_json, verdict
-from gyrocal.errors import InputError
+from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.records.files import sha256_of_file
 from tests.calibration.runs import parts_of, write_run
@@ -142,3 +142,20 @@ def test_a_scale_belongs_to_those_of_several_recordings_that_are_in_counts(tmp_p
     assert [c.counts_per_dps for c in configs([run, counts, plain], -2e4)] == [None, -2e4, None]
     with pytest.raises(InputError, match="None of the recordings is in counts; leave --counts-per-dps out"):
         configs([run, plain], -2e4)
+
+
+def test_a_clipped_gyro_has_outputs_that_no_rate_gives(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    rates, temps = np.meshgrid(
+        [-100.0, -75.0, -50.0, -30.0, -15.0, 0.0, 15.0, 30.0, 50.0, 75.0, 100.0], [0, 15, 30, 40]
+    )
+    lines = [
+        f"{r:g},{np.clip(1.006 * r + 0.03, -60.0, 60.0) + noise:.6f},{t:g}"
+        for r, t, noise in zip(rates.flat, temps.flat, 2e-3 * rng.standard_normal(rates.size), strict=True)
+    ]
+    path = tmp_path / "clipped.csv"
+    path.write_text("\n".join(["rate_dps,gyro_dps,temp_c", *lines]) + "\n", encoding="utf-8")
+    with pytest.raises(
+        DataError, match=r"an output that no rate gives \(the first at .* deg/s, .* °C\).*gyrocal diagnose"
+    ):
+        calibrate(path, FitConfig())
