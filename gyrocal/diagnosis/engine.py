@@ -39,6 +39,7 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, TRUNCATION
 from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
@@ -143,7 +144,14 @@ def diagnose(
         surface=coefficients or surface,
         improved=written,
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *lost, *far, *_of_file(found, withheld, parts, better)),
+        notes=(
+            *notes,
+            *series.notes,
+            *lost,
+            *far,
+            *_of_file(found, withheld, parts, better),
+            *_missing(layered, written),
+        ),
         layers=stairs.layers,
         unnamed=parts,
     )
@@ -195,6 +203,19 @@ def _of_file(
     if warming and _SURE < again < 1.0 - _SURE:
         remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))
     return remarks
+
+
+def _missing(layered: Sequence[NamedEffect], written: Coefficients | None) -> list[Remark]:
+    """Named laws of the rate that a robot could evaluate, and that the correction does not have."""
+    if written is None:
+        return []
+    held = {term.name for term in written.terms}
+    if written.surface.direction == "input":
+        held.add(FIT_DIRECTION.id)
+    if DEAD_ZONE.id in held:
+        held.add(TRUNCATION.id)
+    mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
+    return [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
 
 
 def _sampling(series: Series, names: Sequence[NamedEffect]) -> list[Finding]:

@@ -27,6 +27,7 @@ class Said(Enum):
     TEMPERATURE_ALONE = auto()
     NOT_TEMPERATURE_ALONE = auto()
     NOT_WRITTEN = auto()
+    LAW_NOT_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
     NO_SURE_GAIN = auto()
     TOO_FEW_TO_WRITE = auto()

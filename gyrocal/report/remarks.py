@@ -91,6 +91,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
     Said.NOT_TEMPERATURE_ALONE: _beyond_temperature,
     Said.NOT_WRITTEN: _not_written,
+    Said.LAW_NOT_WRITTEN: "{effect} is named and is not in the improved coefficients: they are the mean of models that are about as "
+    "likely, and those have other laws, curves or errors of single rates in its place.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
     Said.NO_SURE_GAIN: "What was found would make another run of this gyro better than the surface alone with probability "

@@ -9,12 +9,14 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.result import Diagnosis, Verdict
+from gyrocal.diagnosis.engine import Options, _missing, diagnose
+from gyrocal.diagnosis.remarks import Said
+from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Verdict
 from gyrocal.errors import DataError
-from gyrocal.fusion.coefficients import parse_coefficients
+from gyrocal.fusion.coefficients import Coefficients, Valid, parse_coefficients
 from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import Term
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import document, plain_sentences
@@ -246,3 +248,23 @@ def test_a_bias_that_walks_is_said_and_its_surface_stands_for_the_mean() -> None
     assert found.surface is not None
     left = gyro - found.surface.surface.output_dps(np.zeros(t_s.size), temp)
     assert abs(np.mean(left)) < 0.1 * np.std(walk)
+
+
+def test_a_law_of_the_rate_that_is_named_and_not_written_is_told() -> None:
+    """Models that are averaged may lack what was named; a band in place of a truncation does as much."""
+    named = [
+        NamedEffect(effect, family, {}, 0.0, (), None, runtime)
+        for effect, family, runtime in (
+            ("saturation", "rate shape", True),
+            ("truncation", "rate shape", True),
+            ("mechanical_resonance", "rate shape", True),
+            ("reference_rate_error", "rate shape", False),
+            ("thermal_hysteresis", "thermal transient", True),
+        )
+    ]
+    surface = Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0)
+    terms = (Term("mechanical_resonance", {}, True), Term("dead_zone", {}, True))
+    file = Coefficients({}, surface, np.zeros((12, 12)), Valid((-1.0, 1.0), (0.0, 1.0)), terms=terms)
+    told = _missing(named, file)
+    assert [(r.said, r.facts["effect"]) for r in told] == [(Said.LAW_NOT_WRITTEN, "saturation")]
+    assert _missing(named, None) == []
