@@ -130,12 +130,12 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
-    everywhere.sort(key=lambda place: place.p_value)
+    told = [*_of_file(found, withheld, parts, better), *_missing(layered, written)]
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
         verdict=_verdict(names, lacking),
-        located=tuple(everywhere),
+        located=tuple(sorted(everywhere, key=lambda place: place.p_value)),
         effects=tuple(names),
         not_testable=dict(series.untestable) | untestable(series, {e.effect for e in names}),
         sentences=(),
@@ -144,14 +144,7 @@ def diagnose(
         surface=coefficients or surface,
         improved=written,
         rows=_rows(series, left, coefficients, levels),
-        notes=(
-            *notes,
-            *series.notes,
-            *lost,
-            *far,
-            *_of_file(found, withheld, parts, better),
-            *_missing(layered, written),
-        ),
+        notes=(*notes, *series.notes, *lost, *far, *told),
         layers=stairs.layers,
         unnamed=parts,
     )
