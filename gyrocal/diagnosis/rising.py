@@ -63,10 +63,10 @@ def dead_zone(fitted: Fitted, laws: Laws) -> Law | None:
 
     Nor of a gyro whose bias has moved by more than an output that is rest: on the next run nobody knows where the zone is.
     """
-    rest = next(iter(_less_zones(fitted)), None)
-    if rest is None:
+    rests = _less_zones(fitted)
+    if not rests:
         return None
-    shape = _zone(laws, *fitted.contrasts.precision(rest.all, fitted.fit.log_variance))
+    shape = _zone(laws, *fitted.contrasts.precision(rests[0].all, fitted.fit.log_variance))
     if shape is None or _moved_dps(fitted) > _REST * shape["width_dps"]:
         return None
     return Law(DEAD_ZONE.id, {**shape, "rest": _REST}, laws.at(DEAD_ZONE, shape))
@@ -97,11 +97,13 @@ def _less_zones(fitted: Fitted) -> list[Model]:
     swallow = {DEAD_ZONE.id, TRUNCATION.id} if model.means.series.is_table else {DEAD_ZONE.id}
     held = [law.name for law in model.laws if law.effect in swallow]
     near = [p for p in model.parts if p.name in amplitudes and _near_zero(p)]
-    falling = [p.name for p in near if _falling(p, amplitudes, model.basis.frame).size]
+    falling = [p for p in near if _falling(p, amplitudes, model.basis.frame).size]
     if not held and not falling:
         return []
     plain = model.without_laws(held)
-    return [plain.without(names) for names in ([p.name for p in near], falling)]
+    # Where all of them fall the two are one model.
+    each = [near] if len(falling) == len(near) else [near, falling]
+    return [plain.without([p.name for p in parts]) for parts in each]
 
 
 def _moved_dps(fitted: Fitted) -> float:

@@ -21,9 +21,8 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
     share = (path.t_s - path.t_s[0]) / float(np.ptp(path.t_s)) - 0.5
     speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
-    rate = np.divide(np.abs(turned), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
-    nothing = np.zeros(share.size)
     turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    rate, nothing = np.abs(turning), np.zeros(share.size)
     whole, half_s = np.cumsum(path.way_m), 0.5 * SPEED_SMOOTH_S
     ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (half_s, -half_s))
     gained = np.diff(np.abs(ahead - behind) / SPEED_SMOOTH_S, prepend=0.0)
