@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.blocks import ODD
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import Laws, effects_of
 from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
@@ -179,10 +180,12 @@ class TableSearch:
         won = best_law(best, best, _OF_RATE, trials, laws)
         if won is None:
             return []
-        (law,) = won.fitted.model.laws[len(best.model.laws) :]
+        # A grid coarse enough for a name leaves a robot's rates what the true shape would take.
+        shaped = reshaped(won.fitted, laws, [won.law.name])
+        law = shaped.model.laws[-1]
         found, nearest = [], best_of_each(ranked)[:BEGUN_WITH]
         for c in nearest:
-            fitted = won.fitted if c is ranked[0] else c.fitted.refit(c.fitted.model.with_laws(law))
+            fitted = shaped if c is ranked[0] else c.fitted.refit(c.fitted.model.with_laws(law))
             paid = TOLL_NATS + 0.5 * float(np.log(won.shapes))
             found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll + paid))
         # With a sine of so small a phase that the cubic does as well, neither surface nor law would be what it says.

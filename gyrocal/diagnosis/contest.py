@@ -50,7 +50,6 @@ def best_law(
 
     All shapes of all laws are scanned at the variances that the other components have beside the block: estimated without it
     these would have grown to take its place. Such gains only rank; the best few laws are fitted, and compared by that.
-    The shape of the one that won is sought once more at the variances beside the law, which leaves less than the block did.
 
     Parameters
     ----------
@@ -58,7 +57,12 @@ def best_law(
     current : the model without it, and with the laws that were found so far
     """
     model, logs = _without(fitted, current, block)
-    gain_of = _gains(fitted, model, logs)
+    score, p = fitted.contrasts.precision(model.all, logs)
+
+    def gain_of(trial: Trial) -> float:
+        beyond = fitted.contrasts.beyond(trial.columns)
+        return _gain(beyond, score, p, model.law_variance) - _unlikely(trial.effect, beyond, score, p)
+
     best: dict[str, tuple[float, Trial]] = {}
     shapes: dict[str, int] = {}
     for trial in trials:
@@ -79,10 +83,6 @@ def best_law(
     refits = [(_with(current, _refined(trial, laws, gain_of), logs), trial.effect) for _, trial in top]
     refits.sort(key=lambda x: loss(*x))
     winner, effect = refits[0]
-    won = Trial(effect, winner.model.laws[-1].shape, winner.model.laws[-1].columns)
-    less, beside = replace(winner.model, laws=winner.model.laws[:-1]), winner.fit.log_variance
-    finer = _with(current, _refined(won, laws, _gains(winner, less, beside)), beside)
-    winner = min(winner, finer, key=lambda f: loss(f, effect))
     rivals = {e.id: loss(f, e) - loss(winner, effect) for f, e in refits[1:]}
     return Winner(effect, winner, rivals, shapes[effect.id])
 
@@ -113,17 +113,6 @@ def _without(fitted: Fitted, current: Fitted, block: str) -> tuple[Model, dict[s
     names = [n for n, b in fitted.model.blocks.items() if b == block]
     model = replace(fitted.model.without(names), laws=current.model.laws)
     return model, {**current.fit.log_variance, **fitted.fit.log_variance}
-
-
-def _gains(fitted: Fitted, model: Model, logs: Mapping[str, float]) -> Callable[[Trial], float]:
-    """What a law is worth beside a model at given variances (logarithms), nats."""
-    score, p = fitted.contrasts.precision(model.all, logs)
-
-    def gain_of(trial: Trial) -> float:
-        beyond = fitted.contrasts.beyond(trial.columns)
-        return _gain(beyond, score, p, model.law_variance) - _unlikely(trial.effect, beyond, score, p)
-
-    return gain_of
 
 
 def _with(fitted: Fitted, trial: Trial, beside_block: Mapping[str, float]) -> Fitted:

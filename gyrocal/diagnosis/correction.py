@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
 from gyrocal.diagnosis.blocks import around_itself, evidence
 from gyrocal.diagnosis.coil import Candidate
-from gyrocal.diagnosis.estimates import likely_shapes
+from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
@@ -173,20 +173,11 @@ def _over_peaks(near: Sequence[tuple[float, Fitted]], laws: Laws) -> list[tuple[
     for (weight, fitted), peak in zip(near, own, strict=True):
         if peak is None:
             found.append((weight, fitted))
+        elif fitted is first[0]:
+            found += [(weight * share, model) for share, _, model in shapes]
         else:
-            found += [(weight * share, _at_shape(fitted, peak, shape, laws)) for share, shape in shapes]
+            found += [(weight * share, moved(fitted, peak, shape, laws)) for share, shape, _ in shapes]
     return found
-
-
-def _at_shape(fitted: Fitted, law: Law, shape: Mapping[str, float], laws: Laws) -> Fitted:
-    """The same variances, with a law at another shape."""
-    other = replace(law, shape=shape, columns=laws.at(CATALOGUE[law.effect], shape))
-    own = tuple(other if x is law else x for x in fitted.model.laws)
-    variance, log_variance = (
-        {**known, other.name: known[law.name]} for known in (fitted.fit.variance, fitted.fit.log_variance)
-    )
-    fit = replace(fitted.fit, variance=variance, log_variance=log_variance)
-    return replace(fitted, model=replace(fitted.model, laws=own), fit=fit)
 
 
 def file_without_surface(fitted: Fitted) -> Coefficients:

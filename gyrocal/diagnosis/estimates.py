@@ -9,10 +9,12 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import fmin
 from scipy.stats import chi2
 from scipy.stats import t as student
 
 from gyrocal.diagnosis.intervals import (
+    RISE_95,
     Interval,
     Point,
     along_axis,
@@ -33,11 +35,17 @@ from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
-#: The best of two parameters is sought within this ratio, in turn so often.
-_NEAR, _ROUNDS = 2.0, 3
+#: The best of one parameter is sought within this ratio.
+_NEAR = 2.0
+#: That of two from a simplex of this size (logarithm), in so many steps, and from so many places of the grid.
+_SIMPLEX, _DESCENTS, _STARTS = 0.2, 80, 5
+#: Shapes that are best in their neighbourhood are one within this (logarithm).
+_SAME_MODE = 0.1
 #: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
 #: are traded for one another have intervals up to about that much wider.
 _GRID, _WIDER = 21, 3.0
+#: A law of two parameters is as probable as its amplitude to minus this power.
+_FALLS = 2.0
 #: Values of each of two parameters by which a law is averaged whose amplitude is known to no better than this ratio.
 _AVERAGED, _KNOWN = 6, 1.25
 #: Shapes of less than this share of the likeliest one's weight count for nothing.
@@ -93,6 +101,9 @@ class _Beside:
         if not std:
             return Point(0.0, size, float("inf"))
         amplitude, lost = likeliest(self.effect, size, std)
+        if len(self.effect.search.refined) > 1:
+            # Of a peak between two rates the higher ones all fit.
+            lost += 2.0 * _FALLS * float(np.log(max(abs(amplitude), std)))
         beyond = columns - self.surface @ (self.surface.T @ columns)
         unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
         return Point(loss + lost, amplitude, std, unit_dps)
@@ -135,28 +146,65 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     )
 
 
-def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Mapping[str, float]]]:
-    """Shapes that a law of two parameters may have beside everything else, with their weights: one where its size is known.
+def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Mapping[str, float], Fitted]]:
+    """Shapes that a law of two parameters may have, with their weights and the model with each: one where its size is known.
 
-    Each weighs as much as it is likely, and a quarter of it where it needs an amplitude of twice the size: of a peak between
-    two rates the higher ones all fit.
+    Shapes far apart may be as likely, each beside other variances.
     """
     free = _free(law)
     if len(free) != 2:
-        return [(1.0, law.shape)]
+        return [(1.0, law.shape, fitted)]
     beside = _beside(fitted, law, laws, [])
-    intervals, along = _intervals(beside, law.shape, free)
+    _, along = _intervals(beside, law.shape, free)
     low, high = amplitude_interval([beside.of(law.columns), *along])
     if low * high > 0.0 and max(abs(low), abs(high)) < _KNOWN * min(abs(low), abs(high)):
-        return [(1.0, law.shape)]
-    axes = [np.geomspace(*intervals[name], _AVERAGED) for name in free]
-    shapes = [{**law.shape, **dict(zip(free, map(float, place), strict=True))} for place in product(*axes)]
-    points = [beside.at(shape) for shape in shapes]
-    least = min(p.loss for p in points)
-    weights = np.array([np.exp(0.5 * (least - p.loss)) / max(abs(p.amplitude), p.std) ** 2 for p in points])
-    weights[weights < _IDLE * weights.max()] = 0.0
+        return [(1.0, law.shape, fitted)]
+    found: list[tuple[float, Mapping[str, float], Fitted]] = []
+    for mode in _modes(beside, law.shape, free):
+        near = moved(fitted, law, mode, laws)
+        found += _shapes_near(fitted.refit(near.model, start=near.fit.log_variance), mode, law, laws)
+    logarithms = np.array([logarithm for logarithm, _, _ in found])
+    weights = np.exp(logarithms - logarithms.max())
+    weights[weights < _IDLE] = 0.0
     weights /= weights.sum()
-    return [(w, shape) for w, shape in zip(weights.tolist(), shapes, strict=True) if w > 0.0]
+    return [(w, *own) for w, (_, *own) in zip(weights.tolist(), found, strict=True) if w > 0.0]
+
+
+def _shapes_near(
+    fitted: Fitted, shape: Mapping[str, float], before: Law, laws: Laws
+) -> list[tuple[float, Mapping[str, float], Fitted]]:
+    """Shapes all over the intervals around one: logarithm of the weight, shape and model of each.
+
+    Parameters
+    ----------
+    before : the law at the shape that it had, by its effect in the model
+    """
+    law = next(x for x in fitted.model.laws if x.effect == before.effect and x.shape == shape)
+    free = _free(law)
+    beside = _beside(fitted, law, laws, [])
+    intervals = _around(beside, shape, free, shape)[0]
+    axes = [np.geomspace(*intervals[name], _AVERAGED) for name in free]
+    # Points are as far apart as the intervals are wide.
+    cell = float(np.sum([np.log(np.log(high / low)) for low, high in (intervals[n] for n in free)]))
+    # The evidence has no prior of the amplitude yet.
+    here = beside.of(law.columns)
+    likely = here.loss / 2.0 - fitted.nll - _FALLS * float(np.log(max(abs(here.amplitude), here.std)))
+    found: list[tuple[float, Mapping[str, float], Fitted]] = []
+    for place in product(*axes):
+        other = {**law.shape, **dict(zip(free, map(float, place), strict=True))}
+        found.append((likely - beside.at(other).loss / 2.0 + cell, other, moved(fitted, law, other, laws)))
+    return found
+
+
+def moved(fitted: Fitted, law: Law, shape: Mapping[str, float], laws: Laws) -> Fitted:
+    """The same variances, with a law at another shape."""
+    other = replace(law, shape=shape, columns=laws.at(CATALOGUE[law.effect], shape))
+    own = tuple(other if x is law else x for x in fitted.model.laws)
+    variance, log_variance = (
+        {**known, other.name: known[law.name]} for known in (fitted.fit.variance, fitted.fit.log_variance)
+    )
+    fit = replace(fitted.fit, variance=variance, log_variance=log_variance)
+    return replace(fitted, model=replace(fitted.model, laws=own), fit=fit)
 
 
 def reshaped(fitted: Fitted, laws: Laws, only: Collection[str] | None = None) -> Fitted:
@@ -172,10 +220,8 @@ def reshaped(fitted: Fitted, laws: Laws, only: Collection[str] | None = None) ->
         asked = only is None or law.name in only
         if not asked or not free or "at_s" in free or law.from_end or law.spread or law.mixture:
             continue
-        shape = _best_shape(_beside(fitted, law, laws, []), law.shape, free)
-        moved = replace(law, shape=shape, columns=laws.at(CATALOGUE[law.effect], shape))
-        own = tuple(moved if x.name == law.name else x for x in fitted.model.laws)
-        fitted = min(fitted, fitted.refit(replace(fitted.model, laws=own)), key=lambda f: f.nll)
+        shape = _modes(_beside(fitted, law, laws, []), law.shape, free)[0]
+        fitted = min(fitted, fitted.refit(moved(fitted, law, shape, laws).model), key=lambda f: f.nll)
     return fitted
 
 
@@ -222,26 +268,81 @@ def _intervals(
         own = instant_interval(partial(_loss, beside, shape, "at_s"), shape["at_s"], instants)
         inside = instants[(instants >= own[0]) & (instants <= own[1])]
         return {"at_s": own}, [beside.at({**shape, "at_s": float(x)}) for x in inside]
-    best_shape = _best_shape(beside, shape, free)
+    each = [_around(beside, mode, free, shape) for mode in _modes(beside, shape, free)]
+    ends = {n: np.array([own[n] for own, _ in each]) for n in free}
+    hull = {n: (float(own[:, 0].min()), float(own[:, 1].max())) for n, own in ends.items()}
+    return hull, [point for _, points in each for point in points]
+
+
+def _around(
+    beside: _Beside, best_shape: Mapping[str, float], free: Sequence[str], stated: Mapping[str, float]
+) -> tuple[dict[str, Interval], list[Point]]:
+    """The same around one of the shapes that are best in their neighbourhood.
+
+    Parameters
+    ----------
+    stated : the shape that stands in the model, which is inside
+    """
     alone = {}
     for name in free:
         loss = partial(_loss, beside, best_shape, name)
         own = profile_interval(loss, best_shape[name], _limits(beside, name))
-        alone[name] = holding(own, shape[name])
+        alone[name] = holding(own, stated[name])
     if len(free) > 1:
-        return _jointly(beside, shape, best_shape, alone)
+        return _jointly(beside, stated, best_shape, alone)
     values = {n: shapes_within(own) for n, own in alone.items()}
-    return alone, [beside.at({**shape, n: float(x)}) for n, tried in values.items() for x in tried]
+    return alone, [beside.at({**stated, n: float(x)}) for n, tried in values.items() for x in tried]
+
+
+def _modes(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
+    """Shapes that are best in their neighbourhood, the likeliest first, and hardly less likely: that in the model was found beside less.
+
+    Of two parameters that are traded for one another there may be several, far apart: a peak that is narrow and high, and
+    a wide one beside it.
+    """
+    best = [_best_shape(beside, shape, free)]
+    if len(free) > 1:
+        best += [_best_shape(beside, start, free) for start in _starts(beside, shape, free)]
+    best.sort(key=lambda mode: beside.at(mode).loss)
+    least, found = beside.at(best[0]).loss, best[:1]
+    for mode in best[1:]:
+        near = any(all(abs(np.log(mode[n] / x[n])) < _SAME_MODE for n in free) for x in found)
+        if beside.at(mode).loss < least + RISE_95 and not near:
+            found.append(mode)
+    return found
+
+
+def _starts(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
+    """The best shapes of the grid, one for each value of the first parameter."""
+    best: dict[float, tuple[float, dict[str, float]]] = {}
+    for at in beside.effect.search.grid(beside.laws.offer):
+        tried = {**shape, **{n: at[n] for n in free}}
+        loss = beside.at(tried).loss
+        if at[free[0]] not in best or loss < best[at[free[0]]][0]:
+            best[at[free[0]]] = loss, tried
+    return [tried for _, tried in sorted(best.values(), key=lambda x: x[0])[:_STARTS]]
 
 
 def _best_shape(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
-    """The best shape near the one that stands in the model, which was found beside less."""
-    best = dict(shape)
-    for _ in range(_ROUNDS if len(free) > 1 else 1):
-        for name in free:
-            found = descend(partial(_loss, beside, best, name), best[name], _NEAR)
-            best[name] = float(np.clip(found, *_limits(beside, name)))
-    return best
+    """The best shape near one."""
+    if len(free) < 2:
+        best = {n: descend(partial(_loss, beside, shape, n), shape[n], _NEAR) for n in free}
+        return {**shape, **{n: float(np.clip(x, *_limits(beside, n))) for n, x in best.items()}}
+    limits = np.log(np.maximum([_limits(beside, n) for n in free], np.finfo(float).tiny))
+
+    def at(logs: Floats) -> dict[str, float]:
+        return {**shape, **dict(zip(free, np.exp(np.clip(logs, *limits.T)).tolist(), strict=True))}
+
+    start = np.log([shape[n] for n in free])
+    simplex = np.vstack([start, start + _SIMPLEX * np.eye(len(free))])
+
+    def loss(logs: Floats) -> float:
+        return beside.at(at(logs)).loss
+
+    best_logs = fmin(
+        loss, start, xtol=2e-3, ftol=1e-3, maxiter=_DESCENTS, initial_simplex=simplex, disp=False
+    )
+    return at(np.asarray(best_logs))
 
 
 def _loss(beside: _Beside, shape: Mapping[str, float], name: str, value: float) -> float:

@@ -13,12 +13,12 @@ Floats = NDArray[np.float64]
 Interval = tuple[float, float]
 
 #: Rise of the residual sum of squares at the ends of a 95 % interval: the quantile of chi-square, 1 df.
-_RISE_95 = 3.841
+RISE_95 = 3.841
 #: The same for the instant of a jump, at which the likelihood has a corner: -2 log(1 - sqrt(0.95))
 #: (B. E. Hansen, Econometrica 68, 2000, p. 575).
 RISE_INSTANT_95 = 7.352
 #: Shapes are refined over these factors either way, in turn, at so many points each.
-_REFINED_OVER, _REFINED_AT = (1.5, 1.12, 1.02), 7
+_REFINED_OVER, _REFINED_AT = (1.5, 1.12), 7
 #: An end of an interval is sought in steps of this ratio, then by halving the last one.
 _STEP = 3.0
 #: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.
@@ -88,12 +88,12 @@ def instant_interval(loss: Callable[[float], float], best: float, instants: Floa
 def along_axis(values: Floats, loss: Floats, stated: float) -> Interval:
     """Where a profile on a grid of ascending values is less than 3.84 above what is stated, between the points by lines."""
     rise = loss - max(stated, float(loss.min()))
-    first, last = np.flatnonzero(rise < _RISE_95)[[0, -1]]
+    first, last = np.flatnonzero(rise < RISE_95)[[0, -1]]
     low, high = float(values[first]), float(values[last])
     if first > 0:
-        low = float(np.interp(-_RISE_95, -rise[first - 1 : first + 1], values[first - 1 : first + 1]))
+        low = float(np.interp(-RISE_95, -rise[first - 1 : first + 1], values[first - 1 : first + 1]))
     if last < values.size - 1:
-        high = float(np.interp(_RISE_95, rise[last : last + 2], values[last : last + 2]))
+        high = float(np.interp(RISE_95, rise[last : last + 2], values[last : last + 2]))
     return low, high
 
 
@@ -132,8 +132,8 @@ def amplitude_interval(points: Sequence[Point]) -> Interval:
     if not shown:
         return -np.inf, np.inf
     loss, amplitude, std = np.array(shown).T
-    likely = loss - loss.min() < _RISE_95
-    reach = np.sqrt(_RISE_95 - (loss[likely] - loss.min())) * std[likely]
+    likely = loss - loss.min() < RISE_95
+    reach = np.sqrt(RISE_95 - (loss[likely] - loss.min())) * std[likely]
     low, high = float(np.min(amplitude[likely] - reach)), float(np.max(amplitude[likely] + reach))
     return holding((low, high), points[0].amplitude)
 
@@ -144,14 +144,14 @@ def _crossing(loss: Callable[[float], float], floor: float, best: float, ratio: 
         outside = inside * ratio
         if (ratio < 1.0) == (outside < limit):
             return limit
-        if loss(outside) - floor > _RISE_95:
+        if loss(outside) - floor > RISE_95:
             break
         inside = outside
     else:
         return outside
     for _ in range(10):
         middle = float(np.sqrt(inside * outside))
-        if loss(middle) - floor > _RISE_95:
+        if loss(middle) - floor > RISE_95:
             outside = middle
         else:
             inside = middle

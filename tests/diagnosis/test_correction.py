@@ -160,7 +160,12 @@ def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
         assert np.sqrt(np.mean(off**2)) < 5e-4
     else:
         assert len(peaks) > 1
-        assert np.sqrt(np.mean((off / out.sigma_dps) ** 2)) < 4.0
+        assert np.sqrt(np.mean((off / out.sigma_dps) ** 2)) < 2.5
+        # A wide low peak between the rates is nearly as likely as the narrow high one that is there.
+        own = found.effects[0].parameters
+        for name, true in (("amplitude", 20.0), ("center_dps", center_dps), ("width_dps", 8.0)):
+            low, high = own[name].interval_95
+            assert low <= true <= high
         assert found.surface is not None
         alone = Compensator(found.surface).correct(np.arange(unseen.size) * 1.0, gyro(unseen, warm), warm)
         assert np.mean(off**2) < 0.5 * np.mean((alone - unseen) ** 2)

@@ -58,7 +58,7 @@ def test_a_warm_up_comes_again_as_surely_as_it_is_told_from_a_drift(
 
 def test_a_warm_up_of_two_time_constants_is_two_laws() -> None:
     """One law by itself takes a constant that is neither, beside which a second one is not seen."""
-    found = naming_of(1.5e-3 * np.exp(-_T_S / 250.0) + 2e-3 * np.exp(-_T_S / 2700.0), 0)
+    found = naming_of(1e-3 * np.exp(-_T_S / 250.0) + 2e-3 * np.exp(-_T_S / 2700.0), 0)
     assert {n.law.effect for n in found.named} == {"warm_up"}
     taus = sorted(n.law.shape["tau_s"] for n in found.named)
     assert taus == pytest.approx([250.0, 2700.0], rel=0.3)
