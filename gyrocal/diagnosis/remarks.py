@@ -23,6 +23,7 @@ class Said(Enum):
     NO_SPREAD = auto()
     SCALE_FAR_OFF = auto()
     STRAY_SETS = auto()
+    CLIPPED = auto()
     # What was found in it.
     TEMPERATURE_ALONE = auto()
     NOT_TEMPERATURE_ALONE = auto()
