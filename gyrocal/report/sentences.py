@@ -296,7 +296,7 @@ def traded_sentence(effect: NamedEffect) -> str:
     """For an amplitude that the record cannot separate from a shape: what is well known all the same."""
     amplitude, adds = effect.parameters.get("amplitude"), effect.adds
     shapes = [n for n, e in effect.parameters.items() if n != "amplitude" and e.std > 0]
-    if amplitude is None or adds is None or not shapes:
+    if amplitude is None or amplitude.at_bound or adds is None or not shapes:
         return ""
     if _relative(amplitude) < _TRADED * _relative(adds):
         return ""
