@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gyrocal
-from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface
+from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface, no_rate_text
 from gyrocal.calibration.choice import BIAS, PAPER, Choice, ChosenFit, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.crossval import CrossValidation
@@ -298,11 +298,9 @@ def _need_rates(recording: Recording, fit: SurfaceFit) -> None:
         return
     sets, count = fit.sets, int(lost.sum())
     k = int(np.flatnonzero(lost)[0])
+    text = no_rate_text(count, float(sets.rate_dps[k]), float(sets.temp_c[k]))
     raise DataError(
-        f"{recording.source}: by the fitted surface {count} data {plural(count, '[set has|sets have]')} an output that no rate "
-        f"gives (the first at {sets.rate_dps[k]:+.4g} deg/s, {sets.temp_c[k]:.1f} °C): the output stands still or falls while the "
-        "rate grows, as of a clipped gyro or one beyond its range, or bends more than a cubic, as an open loop's. Record smaller "
-        "rates, or ask gyrocal diagnose."
+        f"{recording.source}: by the fitted surface {text}. Record smaller rates, or ask gyrocal diagnose."
     )
 
 

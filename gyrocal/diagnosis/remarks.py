@@ -31,6 +31,7 @@ class Said(Enum):
     LAW_NOT_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
     NO_SURE_GAIN = auto()
+    NO_INVERSE = auto()
     TOO_FEW_TO_WRITE = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()

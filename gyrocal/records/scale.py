@@ -57,7 +57,8 @@ _FEWEST_IN_PART, _SHARED, _ALL_BUT = 4, 0.7, 0.8
 _SPREAD_TIMES, _OFF_TIMES, _FEWEST_EXACT = 6.0, 10.0, 2
 #: Digits that tables are written with, as a share of the largest rate: no closer can a row follow the others.
 _DIGITS_SHARE = 1e-6
-#: An output is clipped where rows within this share of its range from its end have rates over a range so many times as wide.
+#: An output is clipped where rows within this share of its range from its end have rates over a range so many times as wide,
+#: and nearly all faster ones are among them.
 _RAIL_SHARE, _RAIL_TIMES = 0.005, 6.0
 #: Parts that a sentence lists.
 _LISTED = 3
@@ -120,7 +121,8 @@ def unclipped(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
         slow, fast = np.min(np.abs(rate_dps[rail])), np.max(np.abs(rate_dps[rail]))
         one_way = bool(np.all(rate_dps[rail] > 0.0) or np.all(rate_dps[rail] < 0.0))
         if one_way and fast - slow > _RAIL_TIMES * _RAIL_SHARE * rates:
-            free &= ~rail
+            faster = rate_dps * np.sign(rate_dps[rail][0]) > slow
+            free &= ~rail if np.mean(rail[faster]) > _ALL_BUT else True
     return free
 
 
