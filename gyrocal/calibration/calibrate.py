@@ -279,11 +279,14 @@ def _assess(
 
 
 def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
-    """Range of output and temperature that the fitted data sets cover, to their last sample where samples are known."""
-    if recording.reach is None:
-        lows_and_highs = np.stack([sets.gyro_dps, sets.gyro_dps, sets.temp_c, sets.temp_c], axis=1)
-    else:
-        lows_and_highs = recording.reach[np.isin(recording.sets.segment, sets.segment)]
+    """Range of output and temperature that the fitted data sets cover, to their last row or sample, averaged or not."""
+    rows = recording.sets
+    lows_and_highs = recording.reach
+    if lows_and_highs is None:
+        lows_and_highs = np.stack([rows.gyro_dps, rows.gyro_dps, rows.temp_c, rows.temp_c], axis=1)
+    # A bias is taken from one of the rates.
+    fitted = (rows.rate_dps >= sets.rate_dps.min()) & (rows.rate_dps <= sets.rate_dps.max())
+    lows_and_highs = lows_and_highs[fitted & ~np.isin(rows.segment, config.exclude)]
     low, _, temp_low, _ = (float(v) for v in lows_and_highs.min(axis=0))
     _, high, _, temp_high = (float(v) for v in lows_and_highs.max(axis=0))
     if config.bias_only:
