@@ -93,7 +93,7 @@ def _usual_step(path: Path, columns: dict[str, Floats], *, mapped: bool) -> floa
         if says and np.unique(columns["rate_dps"]).size > 1:
             raise InputError(f"{path}: {says}") from error
         raise
-    if t_s.size > 1 and usual_dt_s == 0.0:
+    if t_s.size > 1 and np.ptp(t_s) == 0.0:
         raise InputError(f"{path}: t_s is {t_s[0]:.6g} in every row. Log the time of each sample.")
     return usual_dt_s
 
