@@ -129,7 +129,7 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     coefficients = load_coefficients(config.coefficients)
     with naming(config.coefficients):
         compensator = Compensator(coefficients)
-    names = tuple(term.name for term in compensator.terms)
+    names = tuple(dict.fromkeys(term.name for term in compensator.terms))
     applied = Applied(config.output, terms=names, not_applied=compensator.not_applied)
     if config.recording.is_dir():
         if config.counts_per_dps is not None:

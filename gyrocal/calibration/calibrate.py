@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gyrocal
-from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface
+from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface, no_rate_text
 from gyrocal.calibration.choice import BIAS, PAPER, Choice, ChosenFit, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.crossval import CrossValidation
@@ -279,11 +279,14 @@ def _assess(
 
 
 def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
-    """Range of output and temperature that the fitted data sets cover, to their last sample where samples are known."""
-    if recording.reach is None:
-        lows_and_highs = np.stack([sets.gyro_dps, sets.gyro_dps, sets.temp_c, sets.temp_c], axis=1)
-    else:
-        lows_and_highs = recording.reach[np.isin(recording.sets.segment, sets.segment)]
+    """Range of output and temperature that the fitted data sets cover, to their last row or sample, averaged or not."""
+    rows = recording.sets
+    lows_and_highs = recording.reach
+    if lows_and_highs is None:
+        lows_and_highs = np.stack([rows.gyro_dps, rows.gyro_dps, rows.temp_c, rows.temp_c], axis=1)
+    # A bias is taken from one of the rates.
+    fitted = (rows.rate_dps >= sets.rate_dps.min()) & (rows.rate_dps <= sets.rate_dps.max())
+    lows_and_highs = lows_and_highs[fitted & ~np.isin(rows.segment, config.exclude)]
     low, _, temp_low, _ = (float(v) for v in lows_and_highs.min(axis=0))
     _, high, _, temp_high = (float(v) for v in lows_and_highs.max(axis=0))
     if config.bias_only:
@@ -298,11 +301,9 @@ def _need_rates(recording: Recording, fit: SurfaceFit) -> None:
         return
     sets, count = fit.sets, int(lost.sum())
     k = int(np.flatnonzero(lost)[0])
+    text = no_rate_text(count, float(sets.rate_dps[k]), float(sets.temp_c[k]))
     raise DataError(
-        f"{recording.source}: by the fitted surface {count} data {plural(count, '[set has|sets have]')} an output that no rate "
-        f"gives (the first at {sets.rate_dps[k]:+.4g} deg/s, {sets.temp_c[k]:.1f} °C): the output stands still or falls while the "
-        "rate grows, as of a clipped gyro or one beyond its range, or bends more than a cubic, as an open loop's. Record smaller "
-        "rates, or ask gyrocal diagnose."
+        f"{recording.source}: by the fitted surface {text}. Record smaller rates, or ask gyrocal diagnose."
     )
 
 

@@ -172,6 +172,15 @@ def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str,
     return tuple(said) if odds or not copied else (copied_text(copied, len(sets)),)
 
 
+def no_rate_text(count: int, rate_dps: float, temp_c: float) -> str:
+    """What it means that so many data sets have no rate by a surface, the first at this rate and temperature; no full stop."""
+    return (
+        f"{count} data {plural(count, '[set has|sets have]')} an output that no rate gives (the first at {rate_dps:+.4g} deg/s, "
+        f"{temp_c:.1f} °C): the output stands still or falls while the rate grows, as of a clipped gyro or one beyond its range, or "
+        "bends more than a cubic, as an open loop's"
+    )
+
+
 def check_bias(recording: Recording, sets: DataSets) -> None:
     """Refuse data that cannot carry a bias over temperature.
 

@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 
 RATE_RAMP = "rate_ramp"
 
+_EMPTY = "every sample of the gyro is empty or not finite. Check its column, and log again."
 #: A slope over temperature needs as many degrees.
 _LEAST_SPAN_C = 3.0
 _LEAST_MEANS = 16
@@ -186,9 +187,8 @@ def examine_static(
         run, blocks = None, _log_blocks(config, notes)
     reading = _read(blocks)
     if reading.samples == 0:
-        raise DataError(
-            f"{config.path}: holds no samples at rest. Record some with the static_allan profile."
-        )
+        lacks = "holds no samples at rest. Record some with the static_allan profile."
+        raise DataError(f"{config.path}: {lacks if run else _EMPTY}")
     course, raw = reading.course.course(), reading
     spans = list[tuple[float, float]]()
     if run is None:

@@ -41,7 +41,9 @@ def examine_turns(log: Path, mark_deg: float, choice: GyroChoice | None = None) 
         notes.append(plural(empty, f"{empty} empty [sample is|samples are] bridged by the next one"))
     use = here & known
     if np.count_nonzero(use) < 2:
-        raise DataError(f"{log}: has no samples to look for turns in.")
+        raise DataError(
+            f"{log}: has no samples to look for turns in: every sample of the gyro is empty or not finite. Check its column, and log again."
+        )
     try:
         found = calibrate_turns(t_s[use], gyro[use], mark_deg)
     except DataError as error:

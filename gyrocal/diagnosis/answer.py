@@ -90,9 +90,7 @@ def _effect(
 ) -> NamedEffect:
     effect = CATALOGUE[effect_id]
     stated = by_data_set(found.series, parameters)
-    alike = [*twins_of(effect.id)]
-    alike += [e for c, e in effect.search.alike_without.items() if c in found.series.untestable]
-    others = [Alternative(e, 1.0) for e in alike]
+    others = [Alternative(e, 1.0) for e in twins_of(effect.id)]
     others += [
         Alternative(e, float(np.exp(np.clip(nats, 0.0, 50.0))))
         for e, nats in sorted(rivals.items(), key=lambda item: item[1])

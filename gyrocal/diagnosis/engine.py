@@ -14,14 +14,23 @@ from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.fresh_run import chance_of_gain
+from gyrocal.diagnosis.fresh_run import chance_of_gain, need_rates, no_file
 from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.residual import Residuals, residuals
-from gyrocal.diagnosis.result import Diagnosis, Located, NamedEffect, NoiseFigures, Rows, UnnamedPart, Verdict
+from gyrocal.diagnosis.result import (
+    Diagnosis,
+    Improvement,
+    Located,
+    NamedEffect,
+    NoiseFigures,
+    Rows,
+    UnnamedPart,
+    Verdict,
+)
 from gyrocal.diagnosis.rounding import beyond_rounding
 from gyrocal.diagnosis.scatter import (
     Finding,
@@ -33,7 +42,7 @@ from gyrocal.diagnosis.scatter import (
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
 from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
-from gyrocal.diagnosis.surface import surface_alone
+from gyrocal.diagnosis.surface import covering, surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
@@ -113,9 +122,9 @@ def diagnose(
     series, found, findings, lost = _taken_apart(whole, recorded.gyro_dps, level)
     stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found)
-    surface, improved = surface_alone(found), correction(found, withheld)
+    surface, improved = surface_alone(found), covering(correction(found, withheld), found.series)
     parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), named_effects(found)
-    written, better = _written(found, improved, surface, bool(layered or any(p.corrected for p in parts)))
+    written, why_not = _written(found, improved, surface, stairs.total, (layered, parts))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)
     names = [*layered, *map(_found, findings)]
     findings += (more := _sampling(series, names))
@@ -130,7 +139,7 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
-    told = [*_of_file(found, withheld, parts, better), *_missing(layered, written)]
+    told = [*_of_file(found, withheld, parts, why_not), *_missing(layered, written)]
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -161,33 +170,40 @@ def _taken_apart(
 
 
 def _written(
-    found: Examination, improved: Coefficients, surface: Coefficients, more: bool
-) -> tuple[Coefficients | None, float]:
-    """The correction, where it has more than the surface and makes another run better, and how probable that is.
+    found: Examination,
+    improved: Coefficients,
+    surface: Coefficients,
+    left_out: Improvement | None,
+    what: tuple[list[NamedEffect], tuple[UnnamedPart, ...]],
+) -> tuple[Coefficients | None, list[Remark]]:
+    """The correction, where it has more than the surface and makes another run better; else why it is not written.
 
     The sweeps of a table may leave much of the surface to what time did. Of a run the probability says less: asked for it
     too, six of 24 practice recordings kept no file, of which each would have made the next run better.
     """
-    if len(found.series) < _ENOUGH_ROWS or not (more or found.candidates):
-        return None, 1.0
-    better = chance_of_gain(improved, surface, found.model.means) if found.ranked else 1.0
-    return improved if better > _SURELY_BETTER else None, better
+    (layered, parts), means = what, found.model.means
+    if not (layered or parts):
+        need_rates(found.series.name, surface, means)
+    if (rows := len(found.series)) < _ENOUGH_ROWS:
+        return None, [Remark(Said.TOO_FEW_TO_WRITE, {"rows": rows, "enough": _ENOUGH_ROWS})]
+    if not (layered or any(p.corrected for p in parts) or found.candidates):
+        return None, []
+    better = chance_of_gain(improved, surface, means) if found.ranked else 1.0
+    return (improved, []) if better > _SURELY_BETTER else (None, [no_file(improved, means, better, left_out)])
 
 
 def _of_file(
-    found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...], better: float
+    found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...], why_not: list[Remark]
 ) -> list[Remark]:
     """What is to be known of the correction: what is not in it, and what of it is open.
 
     Parameters
     ----------
-    better : probability that the correction makes another run better
+    why_not : why it is not written
     """
     remarks = [*temperature_alone(found)]
-    if (rows := len(found.series)) < _ENOUGH_ROWS:
-        return [*remarks, Remark(Said.TOO_FEW_TO_WRITE, {"rows": rows, "enough": _ENOUGH_ROWS})]
-    if better <= _SURELY_BETTER:
-        return [*remarks, Remark(Said.NO_SURE_GAIN, {"chance": better})]
+    if why_not:
+        return [*remarks, *why_not]
     seen = {p.coordinate for p in parts}
     coordinates = dict.fromkeys(coordinate_of(b, found.series) for b in withheld)
     remarks += [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]

@@ -136,13 +136,15 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     free = _free(law)
     intervals, along = _intervals(beside, law.shape, free)
     points = [here, *along]
-    unit = effect.parameter("amplitude").unit
-    found = {"amplitude": Estimate.spanning(here.amplitude, amplitude_interval(points), unit)}
+    known = effect.parameter("amplitude")
+    amplitude = Estimate.spanning(here.amplitude, amplitude_interval(points), known.unit)
+    amplitude = amplitude.open_at(known.low, known.high)
     low, high = amplitude_interval([_sized(p) for p in points])
     size = abs(here.amplitude) * here.unit_dps / MDPS
+    adds = Estimate.spanning(size, (low / MDPS, high / MDPS), "mdeg/s")
     return LawEstimates(
-        found | _shapes(effect, law.shape, intervals),
-        Estimate.spanning(size, (low / MDPS, high / MDPS), "mdeg/s"),
+        {"amplitude": amplitude, **_shapes(effect, law.shape, intervals)},
+        adds.open_at(-size, size) if amplitude.at_bound else adds,
     )
 
 
@@ -301,8 +303,9 @@ def _modes(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> 
     a wide one beside it.
     """
     best = [_best_shape(beside, shape, free)]
-    if len(free) > 1:
-        best += [_best_shape(beside, start, free) for start in _starts(beside, shape, free)]
+    if len(free) < 2:
+        return best
+    best += [_best_shape(beside, start, free) for start in _starts(beside, shape, free)]
     best.sort(key=lambda mode: beside.at(mode).loss)
     least, found = beside.at(best[0]).loss, best[:1]
     for mode in best[1:]:

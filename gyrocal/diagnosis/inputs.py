@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
@@ -13,8 +15,9 @@ from gyrocal.records.scale import (
     gross_row,
     odd_columns,
     odd_output,
-    output_scale,
+    scale_unclipped,
     stray_rows,
+    unclipped,
 )
 
 #: A scale error beyond this is said: data sheets are within a few per cent.
@@ -53,13 +56,13 @@ def check_inputs(
             f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
             f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
         )
-    notes: tuple[Note, ...] = _stray_notes(series)
+    notes: tuple[Note, ...] = (*_stray_notes(series), *_clipped_notes(series))
     if series.copies and not ideal:
         notes += (copied_text(series.copies, len(series)),)
     if coefficients is not None:
         _check_coefficients(series, coefficients, odds[0] if odds else None)
         return notes
-    off = output_scale(series.rate_dps, series.gyro_dps) - 1.0
+    off = scale_unclipped(series.rate_dps, series.gyro_dps) - 1.0
     return (*notes, Remark(Said.SCALE_FAR_OFF, {"ratio": 1.0 + off})) if abs(off) > _SAID else notes
 
 
@@ -70,6 +73,18 @@ def _stray_notes(series: Series) -> tuple[Remark, ...]:
         if len(stray)
         else ()
     )
+
+
+def _clipped_notes(series: Series) -> tuple[Remark, ...]:
+    free = unclipped(series.rate_dps, series.gyro_dps)
+    if free.all():
+        return ()
+    facts = {
+        "count": int(np.unique(series.set_index[~free]).size),
+        "sets": int(np.unique(series.set_index).size),
+        "least_dps": float(np.min(np.abs(series.rate_dps[~free]))),
+    }
+    return (Remark(Said.CLIPPED, facts),)
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

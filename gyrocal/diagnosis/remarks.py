@@ -23,6 +23,7 @@ class Said(Enum):
     NO_SPREAD = auto()
     SCALE_FAR_OFF = auto()
     STRAY_SETS = auto()
+    CLIPPED = auto()
     # What was found in it.
     TEMPERATURE_ALONE = auto()
     NOT_TEMPERATURE_ALONE = auto()
@@ -30,6 +31,7 @@ class Said(Enum):
     LAW_NOT_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
     NO_SURE_GAIN = auto()
+    NO_INVERSE = auto()
     TOO_FEW_TO_WRITE = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -19,6 +20,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SCHEMA = "gyrocal-diagnosis/1"
+#: An amplitude this near to a bound of the catalogue, as a share of it, ends there: a search stops short by less.
+_AT_BOUND = 1e-3
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained"]
 
 
@@ -100,6 +103,19 @@ class Estimate:
         """An estimate by its interval, with the standard deviation of a normal one as wide."""
         return cls(value, (interval[1] - interval[0]) / (2.0 * NORMAL_95), unit, interval)
 
+    def open_at(self, low: float, high: float) -> Self:
+        """The same where it ends at one of these bounds: it may be anywhere beyond, and how far nobody knows."""
+        at = next((b for b in (low, high) if b and abs(self.value - b) <= _AT_BOUND * abs(b)), None)
+        if at is None:
+            return self
+        ends = (-math.inf, self.interval_95[1]) if at < 0.0 else (self.interval_95[0], math.inf)
+        return replace(self, value=at, std=math.inf, interval_95=ends)
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether it is known from one side only."""
+        return math.isinf(self.interval_95[0]) != math.isinf(self.interval_95[1])
+
     @classmethod
     def exact(cls, value: float, unit: str) -> Self:
         """A figure that has no interval."""
@@ -112,6 +128,7 @@ class Estimate:
             "std": finite(self.std),
             "unit": self.unit,
             "interval_95": [finite(self.interval_95[0]), finite(self.interval_95[1])],
+            **({"at_bound": True} if self.at_bound else {}),
         }
 
 

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.diagnosis.series import FEWEST_OUTLIERS, OUTLIER_SIGMAS, Series, set_means
+from gyrocal.errors import DataError
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.rate import DEAD_ZONE
@@ -74,7 +75,11 @@ def dead_sets(series: Series, output_dps: Floats) -> tuple[Ints, Floats, tuple[f
     others = series.take(~np.isin(series.set_index, dead))
     base = fit_surface(others)
     first = np.array([np.flatnonzero(series.set_index == n)[0] for n in dead])
-    lost = base.surface.output_dps(series.rate_dps[first], series.temp_c[first])
+    try:
+        lost = base.surface.output_dps(series.rate_dps[first], series.temp_c[first])
+    except DataError:
+        # Of a gyro that nobody can invert nothing is known of what it would have said.
+        return nothing
     noise = STDS_PER_MAD * float(np.median(np.abs(base.residual_dps)))
     least_alive = float(np.min(np.abs(set_means(others, others.gyro_dps)[1])))
     deepest = float(np.max(np.abs(lost)))

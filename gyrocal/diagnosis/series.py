@@ -97,6 +97,8 @@ class Series:
         Time since the segment began; the rate step that led to it.
     untestable : mapping
         Coordinate to the reason why this record cannot show it.
+    reach : ndarray, shape (n, 4)
+        Lowest and highest output and temperature as read in what the row is the mean of; temperatures may be NaN.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Series:
     #: Rows of a table that repeat an earlier one to the last digit.
     copies: int = 0
     sensor_model: str = "unknown"
+    reach: Floats | None = None
 
     def __len__(self) -> int:
         return int(self.t_s.size)
@@ -263,6 +266,7 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         "angle_deg": mean(_at(segment.bench_t_s, segment.table_angle_deg, t, rate)),
         "supply_v": mean(_at(segment.bench_t_s, _smooth(segment.supply_v, segment.bench_t_s), t, 0.0)),
         "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),
+        "reach": reach_of(bins[keep], gyro[keep], segment.gyro_temp_c[good][keep]),
     }
     return rows, _Samples(
         number=number,
@@ -279,6 +283,17 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         n=t.size,
         noise_dps=float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
     )
+
+
+def reach_of(bins: Ints, gyro_dps: Floats, temp_c: Floats) -> Floats:
+    """Lowest and highest output and temperature of each bin that has samples, shape (bins, 4)."""
+    ends = []
+    for values in (gyro_dps, temp_c):
+        for extreme in (np.fmin, np.fmax):
+            end = np.full(int(bins.max()) + 1, np.nan)
+            extreme.at(end, bins, values)
+            ends.append(end)
+    return np.stack(ends, axis=1)[np.unique(bins)]
 
 
 def missing_samples(t_s: Floats) -> int:
@@ -403,6 +418,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: 
         since_power_on_s=since_on,
         since_set_s=c["since_set_s"],
         step_dps=c["step_dps"],
+        reach=c["reach"],
         untestable=untestable,
         notes=tuple(notes),
     )

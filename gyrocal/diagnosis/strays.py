@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import kstest, rankdata
+from scipy.stats import hypergeom, kstest, rankdata
 
+from gyrocal.calibration.groups import rate_groups
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.changes import STEPS
 from gyrocal.diagnosis.coil import TOLL_NATS, Candidate
@@ -27,7 +28,8 @@ Ints = NDArray[np.int64]
 #: A data set this many times farther off than nearly all others is not of this recording; no more than this share is:
 #: half as much again as is to be borne, since a few that are less far off count among the others.
 _GROSS, _MOST_SHARE = 8.0, 0.15
-#: Data sets that lie by chance as they do in rate, temperature or time with less probability are off together, by physics.
+#: Data sets that lie by chance as they do in rate, temperature or time, or at one rate, with less probability are off together,
+#: by physics.
 _TOGETHER_P = 0.01
 #: Fewer data sets show no single one beside the twelve terms of a surface; the robust fit settles in so many rounds.
 _FEWEST_SETS, _ROUNDS = 30, 30
@@ -61,6 +63,11 @@ class Strays:
 
     def __len__(self) -> int:
         return int(self.numbers.size)
+
+    def less(self, numbers: Ints) -> Strays:
+        """These but for some of them."""
+        kept = ~np.isin(self.numbers, numbers)
+        return Strays(self.numbers[kept], self.off_dps[kept], self.std_dps[kept])
 
     def joined(self, other: Strays) -> Strays:
         """These and others."""
@@ -107,7 +114,9 @@ def gross_strays(series: Series) -> Strays:
         return NO_STRAYS
     size = np.abs(left) / spread
     bad = size > _GROSS * float(np.quantile(size, 1.0 - _MOST_SHARE))
-    places = (np.abs(set_means(series, series.rate_dps)[1]), set_means(series, series.temp_c)[1], numbers)
+    rate = set_means(series, series.rate_dps)[1]
+    bad &= ~_of_one_rate(bad, rate)
+    places = (np.abs(rate), set_means(series, series.temp_c)[1], numbers)
     if not bad.any() or bad.sum() > _most(numbers.size) or _together(bad, places):
         return NO_STRAYS
     return Strays(numbers[bad], left[bad], spread[bad])
@@ -140,6 +149,18 @@ def _together(bad: NDArray[np.bool_], coordinates: Sequence[NDArray[np.generic]]
         return False
     places = [(rankdata(x)[bad] - 0.5) / bad.size for x in coordinates]
     return len(places) * min(float(kstest(p, "uniform").pvalue) for p in places) < _TOGETHER_P
+
+
+def _of_one_rate(bad: NDArray[np.bool_], rate_dps: Floats) -> NDArray[np.bool_]:
+    """Which of the sets are off at one rate, or at one both ways, of more of them than by chance: whatever they are, they come again."""
+    found = np.zeros_like(bad)
+    for group in (rate_groups(rate_dps), rate_groups(np.abs(rate_dps))):
+        here, all_here = np.bincount(group, bad), np.bincount(group)
+        # Of as many draws as sets are off so many or more hit the rate; any rate may be it.
+        by_chance = hypergeom.sf(here - 1.0, bad.size, all_here, int(bad.sum()))
+        together = (here > 1.0) & (np.count_nonzero(all_here) * by_chance < _TOGETHER_P)
+        found |= bad & together[group]
+    return found
 
 
 def far_off(series: Series, left_dps: Floats) -> list[Remark]:
@@ -180,6 +201,9 @@ def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:
     for c in ranked:
         best.setdefault(sum(change.effect in STEPS for change in c.changes), c)
     strays, _, beside = min(((*_alone(c), c) for c in best.values()), key=lambda f: f[2].score - f[1])
+    means = beside.fitted.model.means
+    chosen = np.isin(means.set_index, strays.numbers)
+    strays = strays.less(means.set_index[_of_one_rate(chosen, means.rate_dps)])
     few = len(strays) + len(known) <= _most(len(beside.fitted.model.means))
     if not len(strays) or not few:
         return NO_STRAYS

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.series import (
     Raw,
     Series,
     outliers,
+    reach_of,
     sample_notes,
 )
 from gyrocal.errors import DataError
@@ -105,6 +106,7 @@ def series_of_table(table: DataSetTable) -> Series:
         has_time=table.t_s is not None,
         is_table=True,
         copies=copies(table.rate_dps, table.gyro_dps, table.temp_c),
+        reach=reach_of(groups[~wild], table.gyro_dps[~wild], table.temp_c[~wild]),
     )
 
 

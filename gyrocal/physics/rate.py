@@ -318,8 +318,6 @@ DEAD_ZONE = Effect(
         grid=_dead_widths,
         refined=("width_dps",),
         requires=(many_rates, data_at_rest),
-        # A table at rest keeps one phase of what turns with it, and nobody has logged which.
-        alike_without={"table_angle": "earth_rate_tilt"},
         scatters=True,
         in_part=True,
     ),

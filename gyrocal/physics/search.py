@@ -74,8 +74,6 @@ class Search:
         Needs beyond the channels and the coordinate in which the effect is seen.
     twin_of : str
         The effect of exactly the same law that is looked for in its stead; empty: none.
-    alike_without : mapping
-        Coordinate to the effect that it is alike where the record lacks that coordinate.
     told_apart : mapping
         Another effect to what a hand must do to tell the two apart, where no profile can.
     prior_nats : float
@@ -104,7 +102,6 @@ class Search:
     refined: tuple[str, ...] = ()
     requires: tuple[Requirement, ...] = ()
     twin_of: str = ""
-    alike_without: Mapping[str, str] = field(default_factory=dict)
     told_apart: Mapping[str, str] = field(default_factory=dict)
     prior_nats: float = 0.0
     usual: Mapping[str, tuple[float, float]] = field(default_factory=dict)

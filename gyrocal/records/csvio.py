@@ -213,7 +213,14 @@ def _raise_at_bad_line(
                         f"{path}, line {number}: is empty. Remove it, and other empty lines."
                     ) from cause
                 if len(row) != len(header):
-                    msg = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. The file may be truncated; repair or remove the line."
+                    why = (
+                        "The file may be truncated; repair or remove the line"
+                        if len(row) < len(header)
+                        else "Its numbers may have decimal commas: write points, or repair the line"
+                    )
+                    msg = (
+                        f"{path}, line {number}: {len(row)} cells where the header has {len(header)}. {why}."
+                    )
                     raise InputError(msg) from cause
                 for name, cell in zip(header, row, strict=True):
                     if name in wanted and _DATE.match(cell):

@@ -138,9 +138,7 @@ def reading(path: Path) -> Iterator[None]:
     except PermissionError as error:
         raise InputError(f"{path}: may not be read (permission denied). Change its permissions.") from error
     except UnicodeDecodeError as error:
-        msg = (
-            f"{path}: is not a text file (byte {error.start} is not UTF-8). Check that it is the right file."
-        )
+        msg = f"{path}: is not a text file (byte {error.start} is not UTF-8). Check that it is the right file, and save a table as UTF-8."
         raise InputError(msg) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error

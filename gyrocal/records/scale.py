@@ -33,16 +33,33 @@ _MISTAKES = (
     (3600.0, "it is in deg/h"),
     (1.0 / 3600.0, "the rate is in deg/h"),
     (60.0, "it is in deg/min"),
+    (1.0 / 60.0, "the rate is in deg/min"),
     (1e3, "it is in mdeg/s"),
     (1e-3, "the rate is in mdeg/s"),
+    (1.0 / 360.0, "it is in rev/s"),
+    (360.0, "the rate is in rev/s"),
+    (1.0 / 6.0, "it is in rpm"),
+    (6.0, "the rate is in rpm"),
 )
-#: Those that a part of a recording may hold beside rows that are right: half and twice are too near to what a gyro may do.
-_PART_MISTAKES = tuple((times, what) for times, what in _MISTAKES if not 1.0 / 3.0 < times < 3.0)
+#: Those that a part of a recording may hold beside rows that are right: half and twice are too near to what a gyro may do, and
+#: so is a sixth where a factor is told roughly, as of one that is clipped.
+_PART_MISTAKES = tuple((times, what) for times, what in _MISTAKES if not 0.1 < times < 10.0)
+_EXACT_MISTAKES = tuple(
+    (times, what) for times, what in _MISTAKES if times > 0.0 and not 1.0 / 3.0 < times < 3.0
+)
 #: Where the rate is less than this share of the largest, a bias or a dead band makes any ratio.
 _FAST_SHARE = 0.25
 #: A part in another unit is so many data sets, one after another; so much of what a part says goes with what is true; and so
 #: many of all rows are right or in a part: where a wheel counts backwards some are as far off as a unit by chance.
 _FEWEST_IN_PART, _SHARED, _ALL_BUT = 4, 0.7, 0.8
+#: A few rows are in another unit where, read in it, they are off the others' line by no more than so many times what one in two
+#: is off, while as they stand they are off by so many times more; at so many rates one after another, for one may lie there by chance.
+_SPREAD_TIMES, _OFF_TIMES, _FEWEST_EXACT = 6.0, 10.0, 2
+#: Digits that tables are written with, as a share of the largest rate: no closer can a row follow the others.
+_DIGITS_SHARE = 1e-6
+#: An output is clipped where rows within this share of its range from its end have rates over a range so many times as wide,
+#: and nearly all faster ones are among them.
+_RAIL_SHARE, _RAIL_TIMES = 0.005, 6.0
 #: Parts that a sentence lists.
 _LISTED = 3
 
@@ -93,6 +110,26 @@ def output_scale(rate_dps: Floats, gyro_dps: Floats) -> float:
     if half == 0 or not apart.any():
         return float("nan")
     return float(np.median((gyro[half:] - gyro[: rate.size - half])[apart] / step[apart]))
+
+
+def unclipped(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
+    """Rows whose output is at neither end of its range; all where the output does not stand still there while the rate grows."""
+    within, rates = _RAIL_SHARE * float(np.ptp(gyro_dps)), float(np.ptp(rate_dps))
+    free = np.ones(rate_dps.size, dtype=np.bool_)
+    for end in (float(gyro_dps.min()), float(gyro_dps.max())):
+        rail = np.abs(gyro_dps - end) <= within
+        slow, fast = np.min(np.abs(rate_dps[rail])), np.max(np.abs(rate_dps[rail]))
+        one_way = bool(np.all(rate_dps[rail] > 0.0) or np.all(rate_dps[rail] < 0.0))
+        if one_way and fast - slow > _RAIL_TIMES * _RAIL_SHARE * rates:
+            faster = rate_dps * np.sign(rate_dps[rail][0]) > slow
+            free &= ~rail if np.mean(rail[faster]) > _ALL_BUT else True
+    return free
+
+
+def scale_unclipped(rate_dps: Floats, gyro_dps: Floats) -> float:
+    """`output_scale` of the rows whose output is not clipped: a gyro beyond its range is in no other unit."""
+    free = unclipped(rate_dps, gyro_dps)
+    return output_scale(rate_dps[free], gyro_dps[free])
 
 
 def stray_rows(rate_dps: Floats, gyro_dps: Floats, most: float = _MOST_STRAY) -> NDArray[np.int64]:
@@ -185,6 +222,36 @@ def parts_in_other_units(
     )
 
 
+def few_in_other_units(rate_dps: Floats, gyro_dps: Floats) -> tuple[Part, ...]:
+    """Stretches of few consecutive rows that are in another unit to within the spread of the others."""
+    free = unclipped(rate_dps, gyro_dps)
+    scale = output_scale(rate_dps[free], gyro_dps[free])
+    if not np.isfinite(scale):
+        return ()
+    bias = float(np.median((gyro_dps - scale * rate_dps)[free]))
+    as_told = np.abs(gyro_dps - scale * rate_dps - bias)
+    usual = max(float(np.median(as_told[free])), _DIGITS_SHARE * float(np.median(np.abs(rate_dps))))
+    near, far = _SPREAD_TIMES * usual, _OFF_TIMES * _SPREAD_TIMES * usual
+    times = np.array([factor for factor, _ in _EXACT_MISTAKES])
+    of_rate = np.array([meaning.startswith("the rate") for _, meaning in _EXACT_MISTAKES])
+    # Read in the unit of each mistake, which is one of the rate, or of the output; a rate near zero then tells nothing.
+    on_line = scale * np.where(of_rate, times, 1.0) * rate_dps[:, None]
+    in_unit = np.abs(gyro_dps[:, None] / np.where(of_rate, 1.0, times) - on_line - bias)
+    in_unit[np.abs(on_line) <= far] = np.inf
+    other = (in_unit.min(axis=1) < near) & (as_told > far)
+    tells = np.flatnonzero(other | ((as_told < near) & (np.abs(scale * rate_dps) > far)))
+    kind = np.where(other, in_unit.argmin(axis=1), -1)[tells]
+    return tuple(
+        Part(
+            tells[rows],
+            float(np.median(gyro_dps[tells[rows]] / rate_dps[tells[rows]])),
+            _EXACT_MISTAKES[kind[rows[0]]][1],
+        )
+        for rows in _alike(kind)
+        if kind[rows[0]] >= 0 and np.unique(np.abs(rate_dps[tells[rows]])).size >= _FEWEST_EXACT
+    )
+
+
 def _alike(kind: Ints) -> list[Ints]:
     """Stretches of consecutive rows of one kind."""
     rows = np.arange(kind.size)
@@ -208,7 +275,9 @@ def odd_part(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats, number: Ints, *
         (False, np.argsort(temp_c, kind="stable")),
     ):
         columns = rate_dps[order], gyro_dps[order], number[order]
-        parts = parts_in_other_units(*columns, _PART_MISTAKES, fewest=_FEWEST_IN_PART, within=WORST_SCALE)
+        parts = parts_in_other_units(
+            *columns, _PART_MISTAKES, fewest=_FEWEST_IN_PART, within=WORST_SCALE
+        ) or few_in_other_units(*columns[:2])
         if parts:
             said = [
                 f"{_where(number[rows], temp_c[rows], by_time=by_time, lines=lines)} the output is {times_said(part.times)} times the rate ({part.meaning})"
@@ -289,13 +358,13 @@ def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Od
         return Odd(f"the gyro says {gyro_dps[0]:.6g} in every row: it is stuck", _STUCK)
     if not ideal and np.array_equal(rate_dps, gyro_dps):
         return Odd("the gyro says exactly the rate in every row, which no gyro does", _COPIED)
-    scale = output_scale(rate_dps, gyro_dps)
+    scale = scale_unclipped(rate_dps, gyro_dps)
     if not np.isfinite(scale) or 1.0 / WORST_SCALE < scale < WORST_SCALE:
         return None
     text = f"the output is {scale:.3g} times the rate"
-    for mistake, meaning in _MISTAKES:
-        if abs(scale / mistake - 1.0) < _NEAR:
-            return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT, a_scale=True)
+    mistake, meaning = min(_MISTAKES, key=lambda known: abs(scale / known[0] - 1.0))
+    if abs(scale / mistake - 1.0) < _NEAR:
+        return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT, a_scale=True)
     if abs(scale) < _DEAD:
         return Odd(f"{text}: it does not follow the rate", _STUCK, a_scale=True)
     return Odd(f"{text}, which is another unit or sign", _CONVERT, a_scale=True)

@@ -11,6 +11,7 @@ import numpy as np
 from gyrocal.errors import InputError
 from gyrocal.records.columns import MAP_THEM, ColumnMap, mapped_header, scaled
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
+from gyrocal.records.recognise import other_table
 from gyrocal.records.timeline import Timeline, usual_step
 
 COLUMNS = ("t_s", "gyro_dps", "temp_c", "rate_dps")
@@ -75,11 +76,26 @@ def iterate_static_log(
         if columns["t_s"].size == 0:
             continue
         if timeline is None:
-            usual_dt_s = usual_step(path, columns["t_s"][:_HEAD_ROWS], mapped=mapping is not None)
+            usual_dt_s = _usual_step(path, columns, mapped=mapping is not None)
             timeline = Timeline(path, usual_dt_s, closes=False)
         yield from cut_at_steps(timeline, first_line, columns)
     if timeline is None:
         raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")
+
+
+def _usual_step(path: Path, columns: dict[str, Floats], *, mapped: bool) -> float:
+    """Usual time step of a log, s; refuses one in which no time passes, and a table of data sets, whose rows are minutes apart."""
+    t_s = columns["t_s"][:_HEAD_ROWS]
+    try:
+        usual_dt_s = usual_step(path, t_s, mapped=mapped)
+    except InputError as error:
+        says = other_table(list(columns), ("t_s", "gyro_dps"))
+        if says and np.unique(columns["rate_dps"]).size > 1:
+            raise InputError(f"{path}: {says}") from error
+        raise
+    if t_s.size > 1 and np.ptp(t_s) == 0.0:
+        raise InputError(f"{path}: t_s is {t_s[0]:.6g} in every row. Log the time of each sample.")
+    return usual_dt_s
 
 
 def _own_columns(path: Path, chunk_rows: int) -> Iterator[tuple[int, dict[str, Floats]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from gyrocal.calibration.checks import no_rate_text
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
@@ -56,6 +57,30 @@ def _not_written(coordinate: str) -> str:
     )
 
 
+def _no_sure_gain(chance: float, rates: int, temps: int, one_way: bool, no_gain: bool) -> str:
+    """Counts are 0 where there are enough for a surface and a law beside it."""
+    reasons = {
+        "all rates are of one sign, so that odd and even errors are one: record the same rates in the other direction": one_way,
+        f"{rates} rates carry a cubic and no more: record more of them": rates > 0,
+        f"{temps} temperatures carry a quadratic and no more: record more of them": temps > 0,
+        "on data left out it gains nothing for sure: record more sweeps of the same rates": no_gain,
+    }
+    true = [reason for reason, holds in reasons.items() if holds] or [
+        "it is known no better than it is large: record the same rates and temperatures again, in another order"
+    ]
+    return (
+        "What was found would make another run of this gyro better than the surface alone with probability "
+        f"{chance:.2f} only: no improved coefficients are written, for {'; '.join(true)}."
+    )
+
+
+def _no_inverse(count: int, rate_dps: float, temp_c: float) -> str:
+    return (
+        f"No improved coefficients are written, for with what was found {no_rate_text(count, rate_dps, temp_c)}. Record "
+        "smaller rates, or leave these out, and diagnose again."
+    )
+
+
 def _clock(ppm: float) -> str:
     return (
         f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the "
@@ -86,17 +111,19 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.STRAY_SETS: _stray_sets,
     Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
     "surface takes it up; check scale and units",
+    Said.CLIPPED: "the output stands still in {count} of {sets} data sets, from {least_dps:.4g} deg/s on: the gyro is clipped there, "
+    "and no coefficients tell these rates apart. Leave them out, and diagnose again",
     Said.LEFT_OUT_SETS: "whole data sets (every eighth segment) and whole temperatures or sweeps in turn",
     Said.LEFT_OUT_BLOCKS: "every {folds}th block of {block_s:g} s",
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
     Said.NOT_TEMPERATURE_ALONE: _beyond_temperature,
     Said.NOT_WRITTEN: _not_written,
-    Said.LAW_NOT_WRITTEN: "{effect} is named and is not in the improved coefficients: they are the mean of models that are about as "
+    Said.LAW_NOT_WRITTEN: "The improved coefficients have no {effect}, though it is named: they are the mean of models that are about as "
     "likely, and those have other laws, curves or errors of single rates in its place.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
-    Said.NO_SURE_GAIN: "What was found would make another run of this gyro better than the surface alone with probability "
-    "{chance:.2f} only: no improved coefficients are written. Record sweeps of both signs at each temperature.",
+    Said.NO_SURE_GAIN: _no_sure_gain,
+    Said.NO_INVERSE: _no_inverse,
     Said.TOO_FEW_TO_WRITE: "It has {rows} data sets, in which one law may pass for another: what is found is told, but improved "
     "coefficients are written from {enough} on.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "

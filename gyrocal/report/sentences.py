@@ -100,7 +100,7 @@ def short_sentences(d: Diagnosis) -> list[str]:
     """The answer without its details, which the page has: verdict, places, names with their sizes, what is gained and left."""
     said = list(d.sentences)
     if not said:
-        named = [s for e in d.effects for s in _named(e, d)]
+        named = [s for e in d.effects for s in _named(e)]
         said = [_VERDICTS[d.verdict], *_places(d), *named, *_whole_gain(d), *unnamed_sentences(d), *_left(d)]
     said += [_begun(n) for n in d.notes if not of_the_data(n)]
     if d.next_experiment is not None:
@@ -161,7 +161,7 @@ def _sentences(d: Diagnosis) -> list[str]:
     """Does the recording agree with the simulation; where not; which physics; how sure; what is gained."""
     said = [_VERDICTS[d.verdict], *_places(d)]
     for effect in d.effects:
-        said += [*_named(effect, d), *_shown(effect, d)]
+        said += [*_named(effect), *_shown(effect, d)]
     said += [*unnamed_sentences(d), *filter(None, [staircase_sentence(d)])]
     if nameless(d) or sum(e.improvement is not None for e in d.effects) > 1:
         said += _whole_gain(d)
@@ -253,7 +253,7 @@ def _where(d: Diagnosis, place: Located) -> str:
     return f"{place_words(place, _coordinate(d, place))}, {p_equals(place.p_value)}"
 
 
-def _named(effect: NamedEffect, d: Diagnosis) -> list[str]:
+def _named(effect: NamedEffect) -> list[str]:
     """What an effect is, how large, and what else it could be."""
     in_name_only = effect.share < _LEAST_PART
     known = {} if in_name_only else effect.parameters
@@ -267,7 +267,7 @@ def _named(effect: NamedEffect, d: Diagnosis) -> list[str]:
             "and a curve without a name follows the rest."
         )
     if effect.alternatives:
-        rivals = "; ".join(_other(a, a.effect in d.not_testable) for a in effect.alternatives)
+        rivals = "; ".join(_other(a) for a in effect.alternatives)
         said.append(f"The same data could be {rivals}.")
     return said
 
@@ -285,9 +285,7 @@ def _part(share: float) -> str:
     return f"{100.0 * share:.0f} %" if share >= _LEAST_PART else f"less than {100.0 * _LEAST_PART:.0f} %"
 
 
-def _other(a: Alternative, untestable: bool) -> str:
-    if untestable:
-        return f"{a.effect} (which this record cannot test)"
+def _other(a: Alternative) -> str:
     odds = "equally well" if a.evidence_ratio < 1.05 else f"{a.evidence_ratio:.2g} to 1 against it"
     return f"{a.effect} ({odds})"
 
@@ -296,7 +294,7 @@ def traded_sentence(effect: NamedEffect) -> str:
     """For an amplitude that the record cannot separate from a shape: what is well known all the same."""
     amplitude, adds = effect.parameters.get("amplitude"), effect.adds
     shapes = [n for n, e in effect.parameters.items() if n != "amplitude" and e.std > 0]
-    if amplitude is None or adds is None or not shapes:
+    if amplitude is None or amplitude.at_bound or adds is None or not shapes:
         return ""
     if _relative(amplitude) < _TRADED * _relative(adds):
         return ""

@@ -74,13 +74,18 @@ def interval_text(e: Estimate) -> str:
     low, high = e.interval_95
     if not low < high:
         return "chosen, not estimated"
+    if e.at_bound:
+        return f"from {_of_sign(low, e)} on" if math.isinf(high) else f"up to {_of_sign(high, e)}"
     return f"{_of_sign(low, e)} to {_of_sign(high, e)}"
 
 
 def _of_sign(value: float, e: Estimate) -> str:
     """A number to the digits of the interval, and never as 0 where the interval leaves zero out."""
     low, high = e.interval_95
-    places = decimals(0.5 * (high - low))
+    # Of an interval that is open on one side the other one tells.
+    places = decimals(
+        abs(e.value - (low if math.isinf(high) else high)) if e.at_bound else 0.5 * (high - low)
+    )
     if low * high > 0 and math.isfinite(value) and round(value, places) == 0:
         return f"{value:.2g}"
     return fixed(value, places)
@@ -89,6 +94,9 @@ def _of_sign(value: float, e: Estimate) -> str:
 def estimate_text(e: Estimate) -> str:
     """Value with unit and, where it was estimated, its interval."""
     low, high = e.interval_95
+    if e.at_bound:
+        least = "at least" if math.isinf(high) else "at most"
+        return f"{least} {value_text(e)}, the bound of the catalogue (95 %: {interval_text(e)})"
     return f"{value_text(e)} (95 %: {interval_text(e)})" if low < high else value_text(e)
 
 

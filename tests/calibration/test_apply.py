@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from gyrocal.calibration import apply
 from gyrocal.calibration.apply import COLUMNS, ApplyConfig, apply_recording, hold
+from gyrocal.calibration.calibrate import FitConfig, calibrate
 from gyrocal.calibration.provenance import check_sensor
 from gyrocal.cli import gyrocal_command
 from gyrocal.errors import CoefficientError, DataError, GyrocalError, InputError, OutputError
@@ -150,6 +151,29 @@ def test_a_table_of_data_sets_in_counts(tmp_path: Path) -> None:
     assert applied.notes == (
         "whether this is the same gyro was not checked by model and serial: not stated in both files",
     )
+
+
+def test_rows_that_were_averaged_are_within_their_own_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a table of 4,000 rows the ends had been those of means of two rows; here 640 are as many."""
+    monkeypatch.setattr("gyrocal.calibration.calibrate.MOST_DATA_SETS", 400)
+    rng = np.random.default_rng(4)
+    rate = np.tile(np.repeat(np.linspace(-100.0, 100.0, 8), 8), 10)
+    temp = np.linspace(-20.0, 60.0, rate.size) + 0.2 * rng.standard_normal(rate.size)
+    gyro = 1.01 * rate + 0.2 + 3e-3 * temp + 3e-3 * rng.standard_normal(rate.size)
+    rows = [f"{w:.3f},{g:.6f},{c:.3f}" for w, g, c in zip(rate, gyro, temp, strict=True)]
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join(["rate_dps,gyro_dps,temp_c", *rows]) + "\n")
+    (tmp_path / "c.json").write_text(calibrate(table, FitConfig(paper=True)).coefficients.to_text())
+    assert apply_recording(config(tmp_path, table), quiet).flagged_rows == 0
+    # Nor is what was left out in it.
+    row = int(np.argmax(temp)) + 1
+    (tmp_path / "c.json").write_text(
+        calibrate(table, FitConfig(paper=True, exclude=(row,))).coefficients.to_text()
+    )
+    (tmp_path / "out.csv").unlink()
+    assert apply_recording(config(tmp_path, table), quiet).flagged_rows == 1
 
 
 def test_rates_without_noise_are_corrected_like_others(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from gyrocal.calibration.jumps import jumps_of
 from gyrocal.calibration.noise import gaps
 from gyrocal.calibration.static import StaticConfig, StaticFigures, earth_rate_dph, examine_static
 from gyrocal.cli import gyrocal_command
-from gyrocal.errors import DataError
+from gyrocal.errors import DataError, GyrocalError
 from tests.calibration.runs import Part, gyro_row, write_run
 from tests.calibration.simulation import flicker
 
@@ -181,6 +182,26 @@ def test_a_run_s_long_record(tmp_path: Path) -> None:
         DataError, match=r"holds no samples at rest\. Record some with the static_allan profile"
     ):
         examine_static(StaticConfig(turning))
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        ("t_s,gyro_dps", "{t},nan", "every sample of the gyro is empty or not finite. Check its column"),
+        ("t_s,gyro_dps", "7,0.1", "t_s is 7 in every row. Log the time of each sample"),
+        (
+            "t_s,rate_dps,gyro_dps,temp_c",
+            "{t}00,{t},{t},20",
+            "is a table of data sets: `fit` and `report` take it",
+        ),
+        ("t_s,gyro_dps,temp_c", "{t}00,0.1,20", "they look like milliseconds"),
+    ],
+)
+def test_logs_that_are_none_are_told_what_they_are(tmp_path: Path, header: str, row: str, said: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([header, *(row.format(t=i) for i in range(60))]) + "\n")
+    with pytest.raises(GyrocalError, match=re.escape(said)):
+        examine_static(StaticConfig(path))
 
 
 def test_late_samples_are_no_gaps_and_missing_ones_are() -> None:

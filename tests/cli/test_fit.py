@@ -148,7 +148,11 @@ GOOD = [f"{r},{r + 0.1},{t}.5" for t in (0, 20, 40) for r in range(-100, 101, 25
         (b"\x00\x01\x02\xff\xfe" * 40, 3, "is not a text file"),
         (HEADER.encode() + b"\n", 3, "no rows"),
         ("\n".join([HEADER, *GOOD, "10,10.1"]).encode(), 3, "2 cells where the header has 3"),
-        ("\n".join([HEADER, *GOOD, "10,10.1,20,7"]).encode(), 3, "4 cells where the header has 3"),
+        (
+            "\n".join([HEADER, *GOOD, "10,10.1,20,7"]).encode(),
+            3,
+            "4 cells where the header has 3. Its numbers may have decimal commas",
+        ),
         ("\n".join([HEADER, *GOOD, "10,nan,20"]).encode(), 3, "line 29: gyro_dps is empty or not finite"),
         ("\n".join([HEADER, *GOOD, "10,inf,20"]).encode(), 3, "line 29: gyro_dps is empty or not finite"),
         ("\n".join([HEADER, *GOOD, "10,ten,20"]).encode(), 3, "line 29: gyro_dps is 'ten', not a number"),

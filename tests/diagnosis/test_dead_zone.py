@@ -60,6 +60,7 @@ def diagnosed(request: pytest.FixtureRequest) -> tuple[Callable[[Floats], Floats
         Options(heldout=False),
     )
     assert "dead_zone" in [e.effect for e in found.effects]
+    assert not {a.effect for e in found.effects for a in e.alternatives} & found.not_testable.keys()
     assert found.improved is not None
     return through, width_dps, found.improved
 

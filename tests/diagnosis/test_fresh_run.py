@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.changes import Change
 from gyrocal.diagnosis.coil import TableSearch
-from gyrocal.diagnosis.fresh_run import chance_of_gain
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.fresh_run import chance_of_gain, no_file, without_rate
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import Means, means_of
 from gyrocal.diagnosis.parts import polynomials
+from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.records.datasets import DataSetTable
 from tests.diagnosis.test_layers import sweeps
 
 
@@ -40,6 +48,59 @@ def test_the_chance_of_gain_is_that_of_the_stated_uncertainty(means: Means) -> N
     assert chance_of_gain(surface(0.02, 0.01**2), surface(0.0), means) == pytest.approx(0.841, abs=2e-3)
     assert chance_of_gain(surface(0.02, 1.0), surface(0.0), means) == pytest.approx(0.504, abs=2e-3)
     assert chance_of_gain(surface(0.0), surface(0.0), means) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("kept", "lacks"),
+    [
+        (lambda m: m.rate_dps > -1e9, {}),
+        (lambda m: m.rate_dps >= 0.0, {"one_way": True}),
+        (lambda m: np.abs(m.rate_dps) == np.abs(m.rate_dps).max(), {"rates": 2}),
+    ],
+)
+def test_the_reason_why_there_is_no_file_is_this_recordings(
+    means: Means, kept: Callable[[Means], NDArray[np.bool_]], lacks: dict[str, Any]
+) -> None:
+    rows = kept(means)
+    part = replace(
+        means,
+        **{name: getattr(means, name)[rows] for name in ("t_s", "rate_dps", "gyro_dps", "temp_c")},
+        supply_v=None,
+    )
+    remark = no_file(surface(0.0), part, 0.6, None)
+    nothing = {"chance": 0.6, "rates": 0, "temps": 0, "one_way": False, "no_gain": False}
+    assert remark == Remark(Said.NO_SURE_GAIN, nothing | lacks)
+
+
+def test_few_temperatures_are_a_reason(means: Means) -> None:
+    part = replace(means, temp_c=np.where(means.t_s < np.median(means.t_s), 20.0, 30.0))
+    assert no_file(surface(0.0), part, 0.6, None).facts["temps"] == 2
+
+
+def test_a_gain_that_data_left_out_do_not_show_is_a_reason(means: Means) -> None:
+    for low, no_gain in ((-0.1, True), (0.1, False)):
+        gain = Improvement(1.0, 1.0, 1.0, (-1.0, 1.0), 0.0, 0.0, (low, 1.0), 0.0, Remark(Said.LEFT_OUT_SETS))
+        assert no_file(surface(0.0), means, 0.6, gain).facts["no_gain"] is no_gain
+
+
+def test_outputs_that_no_rate_gives_are_the_reason_before_all_others(means: Means) -> None:
+    bent = surface(0.0)
+    c = bent.surface.coefficients_dps.copy()
+    c[2, 0] = 100.0
+    bent = replace(bent, surface=replace(bent.surface, coefficients_dps=c, direction="input"))
+    remark = no_file(bent, means, 0.5, None)
+    assert remark.said is Said.NO_INVERSE
+    assert remark.facts["count"] == without_rate(bent, means).size > 0
+
+
+def test_where_nothing_is_found_a_surface_without_inverse_is_refused_as_fit_does() -> None:
+    rng = np.random.default_rng(5)
+    rate = np.tile(np.linspace(-100.0, 100.0, 15), 6)
+    temp = np.repeat(np.linspace(-20.0, 60.0, 6), 15) + 0.05 * rng.standard_normal(90)
+    gyro = 1.01 * rate + 0.2 - 0.01 * rate**2 + 0.003 * rng.standard_normal(90)
+    said = r"folded\.csv: by the fitted surface 4\d data sets have an output that no rate gives .* leave these out\."
+    with pytest.raises(DataError, match=said):
+        diagnose(DataSetTable(Path("folded.csv"), rate, gyro, temp), options=Options(heldout=False))
 
 
 def test_a_warm_up_comes_again_and_a_drift_moves_no_level(means: Means) -> None:

@@ -73,6 +73,13 @@ def test_a_scale_far_off_is_said_and_a_sound_one_is_not() -> None:
     assert "0.802 times the rate" in remark_words(note)
 
 
+def test_a_clipped_gyro_is_said_and_not_taken_for_one_of_another_unit() -> None:
+    table = make_table()
+    np.clip(table.gyro_dps, -70.0, 70.0, out=table.gyro_dps)
+    (note,) = check_inputs(series_of_table(table), None)
+    assert "stands still in 40 of 55 data sets, from 96 deg/s on: the gyro is clipped" in remark_words(note)
+
+
 def test_kelvin_is_refused() -> None:
     table = make_table()
     with pytest.raises(DataError, match=r"from 253 to 333.\d °C, and no gyro works so hot. Convert"):

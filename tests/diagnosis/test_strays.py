@@ -104,6 +104,23 @@ def test_a_stray_data_set_is_said_and_nothing_else_is_named() -> None:
     assert low < 20.0 < high
 
 
+@pytest.mark.parametrize("off_dps", [0.03, 0.06, 0.3])
+def test_what_is_off_at_one_rate_whenever_it_is_visited_is_no_stray(off_dps: float) -> None:
+    """Six sets at one of fifteen rates had been six disturbed ones; a disturbed one beside them still is."""
+    rng = np.random.default_rng(1)
+    rates = np.linspace(-100.0, 100.0, 15)
+    rate = np.concatenate([rng.permutation(rates) for _ in range(6)])
+    temp = np.repeat(np.linspace(-20.0, 60.0, 6), 15) + 0.05 * rng.standard_normal(90)
+    gyro = 1.01 * rate + 0.2 + 3e-3 * rng.standard_normal(90) + off_dps * (rate == rates[10])
+    table = DataSetTable(Path("t.csv"), rate, gyro, temp)
+    found = diagnose(table, options=Options(heldout=False))
+    names = {e.effect for e in found.effects}
+    assert "bursts" not in names
+    assert names & {"reference_rate_error", "mechanical_resonance"}
+    gyro[33] += 0.6
+    assert gross_strays(series_of_table(table)).numbers.tolist() == [33]
+
+
 def make_disturbed(seed: int, off: NDArray[np.int64], asymmetry: float = 0.0) -> DataSetTable:
     """Nineteen rates in any order at each of seven temperatures, some sets 20 to 150 standard deviations off."""
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,18 @@ import pytest
 
 from gyrocal.calibration.choice import fit_chosen
 from gyrocal.calibration.datasets import load_recording
+from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination, alive
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming
+from gyrocal.diagnosis.series import series_of_run
 from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import read_data_sets
+from gyrocal.records.run import read_run
 
 
 def _table(path: Path, wander_dps: float) -> Path:
@@ -32,6 +36,26 @@ def _table(path: Path, wander_dps: float) -> Path:
     lines = [f"{t:.1f},{w:.6f},{y:.6f},{c:.3f}" for t, w, y, c in rows]
     path.write_text("\n".join(["t_s,rate_dps,gyro_dps,temp_c", *lines]) + "\n")
     return path
+
+
+def test_a_file_is_valid_wherever_the_thermometer_was_read(tmp_path: Path) -> None:
+    """Temperatures are smoothed, and samples averaged: of a table 3 in 147 rows were outside of its own file."""
+    table = read_data_sets(_table(tmp_path / "sweeps.csv", 0.0))
+    read_c = table.temp_c + 0.15 * np.random.default_rng(2).standard_normal(table.temp_c.size)
+    found = diagnose(replace(table, temp_c=read_c), options=Options(heldout=False))
+    assert found.surface is not None
+    assert not found.surface.flags(table.gyro_dps, read_c).any()
+
+
+def test_rows_of_a_run_know_how_far_their_samples_reach() -> None:
+    run = read_run(Path("sample_data/run"))
+    series = series_of_run(run)
+    assert series.reach is not None
+    read_c = np.concatenate([run.segment(r).gyro_temp_c[run.segment(r).good] for r in run.segments])
+    assert np.fmin.reduce(series.reach)[2] == np.nanmin(read_c)
+    assert np.fmax.reduce(series.reach)[3] == np.nanmax(read_c)
+    assert np.all(series.reach[:, 0] <= series.gyro_dps)
+    assert np.all(series.reach[:, 1] >= series.gyro_dps)
 
 
 @pytest.mark.parametrize("wander_dps", [0.0, 1e-3])

@@ -14,7 +14,7 @@ from gyrocal.physics.effect import Effect
 from gyrocal.physics.fold import BY_COORDINATE
 from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.offer import Offer
-from tests.physics.test_catalogue import COORDINATES, SURFACE, conditions
+from tests.physics.test_catalogue import SURFACE, conditions
 
 EFFECTS = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
 
@@ -112,9 +112,8 @@ def test_twins_are_looked_for_as_the_first_of_them() -> None:
 @EFFECTS
 def test_relations_name_effects_of_the_catalogue(effect: Effect) -> None:
     search = effect.search
-    others = {*search.accounts_for, *search.told_apart, *search.alike_without.values()}
+    others = {*search.accounts_for, *search.told_apart}
     assert others <= set(CATALOGUE) - {effect.id}
-    assert set(search.alike_without) <= COORDINATES
     assert set(search.refined) <= {p.name for p in effect.parameters}
 
 

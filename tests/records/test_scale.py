@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gyrocal.records.scale import gross_row, odd_output, odd_part, output_scale
+from gyrocal.records.scale import gross_row, odd_output, odd_part, output_scale, unclipped
 
 RATE = np.tile(np.linspace(-100.0, 100.0, 11), 4)
 
@@ -31,6 +31,10 @@ def test_a_gyros_scale_error_is_no_other_unit(scale: float) -> None:
         (0.5, "half of the rate"),
         (2.0, "twice the rate"),
         (3600.0, "deg/h"),
+        (1 / 360, "(it is in rev/s)"),
+        (1 / 6, "(it is in rpm)"),
+        (6.0, "(the rate is in rpm)"),
+        (60.0, "(it is in deg/min)"),
         (27312.6, "another unit or sign"),
         (1e-4, "does not follow the rate"),
     ],
@@ -96,6 +100,54 @@ def test_a_temperature_in_another_unit_is_told_in_whatever_order_the_rows_are() 
     odd = odd_part(RATES[order], gyro[order], TEMPS[order], NUMBERS, lines=False)
     assert odd is not None
     assert "in 8 data sets at 0.0 °C (the first is 2)" in odd.what
+
+
+@pytest.mark.parametrize("first", [1, 9, 30, 45, 51])
+@pytest.mark.parametrize(
+    ("times", "meaning"),
+    [(np.pi / 180, "rad/s"), (3600.0, "deg/h"), (1000.0, "mdeg/s"), (1 / 6, "rpm"), (1 / 360, "rev/s")],
+)
+def test_a_few_rows_in_another_unit_are_told_apart_from_disturbed_ones(
+    times: float, meaning: str, first: int
+) -> None:
+    for count in (3, 5):
+        part = (first <= NUMBERS) & (first + count > NUMBERS)
+        odd = odd_part(RATES, told(part, times), TEMPS, NUMBERS, lines=True)
+        assert odd is not None
+        assert f"it is in {meaning}" in odd.what
+    rates = np.where(part, RATES * times, RATES)
+    odd = odd_part(rates, told(NUMBERS < 0, 1.0), TEMPS, NUMBERS, lines=True)
+    assert odd is not None
+    assert f"the rate is in {meaning}" in odd.what
+
+
+def test_a_few_rows_that_are_off_are_in_no_other_unit() -> None:
+    """In 300 made-up tables of sets that are mixed up, disturbed, lost or stuck none is refused."""
+    rng = np.random.default_rng(6)
+    for _ in range(60):
+        rows = rng.integers(0, NUMBERS.size - 5) + np.arange(3)
+        sound = told(NUMBERS < 0, 1.0)
+        for wrong in (
+            sound[rng.choice(NUMBERS.size, 3)],
+            rng.uniform(-100.0, 100.0, 3),
+            1e-3 * rng.standard_normal(3),
+            np.full(3, sound[rows[0]]),
+            sound[rows] * np.exp(rng.uniform(-4.0, 4.0)),
+        ):
+            gyro = sound.copy()
+            gyro[rows] = wrong
+            assert odd_part(RATES, gyro, TEMPS, NUMBERS, lines=True) is None
+
+
+@pytest.mark.parametrize("most", [22.0, 39.0, 60.0, 90.0])
+def test_a_clipped_gyro_is_in_no_other_unit(most: float) -> None:
+    gyro = np.clip(told(NUMBERS < 0, 1.0), -most, most)
+    assert odd_output(RATES, gyro) is None
+    odd = odd_output(RATES, gyro * np.pi / 180)
+    assert odd is not None
+    assert "rad/s" in odd.what
+    assert np.array_equal(unclipped(RATES, gyro), np.abs(gyro) < most) or most == 90.0
+    assert unclipped(RATES, told(NUMBERS < 0, 1.0)).all()
 
 
 def _clipped() -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from typing import Any
@@ -288,6 +289,20 @@ def test_amplitude_traded_for_a_shape_is_said_with_what_is_known() -> None:
         (1391.93, 1068.2, 1871.0, "s", "1390 s (95 %: 1070 to 1870)"),
         (3.4272, 3.0247, 3.8297, "mdeg/s", "3.43 mdeg/s (95 %: 3.02 to 3.83)"),
         (2.0, 2.0, 2.0, "1", "2"),
+        (
+            1e5,
+            99942.0,
+            math.inf,
+            "ppm",
+            "at least 100000 ppm, the bound of the catalogue (95 %: from 99942 on)",
+        ),
+        (
+            -10.0,
+            -math.inf,
+            -9.97,
+            "mdeg/s",
+            "at most -10.000 mdeg/s, the bound of the catalogue (95 %: up to -9.970)",
+        ),
     ],
 )
 def test_value_and_interval_have_the_digits_of_the_half_width(

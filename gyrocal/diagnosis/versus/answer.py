@@ -22,6 +22,7 @@ from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.terms import Term
+from gyrocal.records.files import finite
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -164,7 +165,9 @@ def law_of(found: Diagnosis, difference: Series) -> Coefficients:
     for e in found.effects:
         if e.effect in known or not difference.has_time or not _is_function(e.effect):
             continue
-        parameters = {n: {"value": p.value, "std": p.std, "unit": p.unit} for n, p in e.parameters.items()}
+        parameters = {
+            n: {"value": p.value, "std": finite(p.std), "unit": p.unit} for n, p in e.parameters.items()
+        }
         term = Term(e.effect, parameters, False)
         beside = _refitted(replace(law, terms=(*law.terms, term)), difference, _BIAS_AND_SCALE)
         if (less := _square_of(beside, difference)) < square:
