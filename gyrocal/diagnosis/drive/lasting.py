@@ -64,10 +64,11 @@ def _denied(
 ) -> dict[str, tuple[str, Test]]:
     """Named laws that the log itself speaks against, each with the coordinate over which it lives, and its gain there.
 
-    A delay that grows is of a clock; a bias that settles by itself did not come with the motion; and turns that
-    differ more from place to place than they do in the mean are of the ground: on another path their mean is another.
+    A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; a bias
+    that settles by itself did not come with the motion; and turns that differ more from place to place than they do in the
+    mean are of the ground: on another path their mean is another.
     """
-    found = {}
+    found = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
     if "delay" in named and odd["delay"][2] < STRANGER_P:
         found["delay"] = ("delay", odd["delay"])
     for name in (n for n in named if KINDS[n].group == "motion"):
