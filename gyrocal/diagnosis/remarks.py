@@ -71,6 +71,7 @@ class Said(Enum):
     BIAS_JUMPS = auto()
     WHEELS_CHANGE = auto()
     TRACK_CHANGES = auto()
+    DELAY_GROWS = auto()
     TRACK_MIXED_UP = auto()
 
 

@@ -183,7 +183,12 @@ def restricted_loss(field: MarkovField, y: Floats, columns: Floats) -> float:
 
 
 def restricted_maximum(
-    field_of: Callable[[Floats], MarkovField], y: Floats, columns: Floats, prior: Floats, spread: Floats
+    field_of: Callable[[Floats], MarkovField],
+    y: Floats,
+    columns: Floats,
+    prior: Floats,
+    spread: Floats,
+    first: Floats,
 ) -> tuple[Floats, Floats]:
     """Logarithms of the noise's levels that maximise the restricted likelihood times a normal prior.
 
@@ -193,7 +198,9 @@ def restricted_maximum(
         Field for logarithms of levels, shape (p,).
     y, columns : ndarray, shapes (n,), (n, m)
     prior, spread : ndarray, shape (p,)
-        Mean and standard deviation of each logarithm beforehand; the search begins at the mean.
+        Mean and standard deviation of each logarithm beforehand.
+    first : ndarray, shape (p,)
+        Where the search begins.
 
     Returns
     -------
@@ -213,10 +220,10 @@ def restricted_maximum(
     limits = [(m - 6.0 * s, m + 6.0 * s) for m, s in zip(prior, spread, strict=True)]
     found = optimize.minimize(
         loss,
-        prior,
+        first,
         method="L-BFGS-B",
         bounds=limits,
-        options={"maxiter": _ITERATIONS, "eps": _STEP, "ftol": _CONVERGED / max(abs(loss(prior)), 1.0)},
+        options={"maxiter": _ITERATIONS, "eps": _STEP, "ftol": _CONVERGED / max(abs(loss(first)), 1.0)},
     )
     steps = _LOOKED * np.diag(spread)
     rises = [0.5 * (loss(found.x + h) + loss(found.x - h)) - found.fun for h in steps]

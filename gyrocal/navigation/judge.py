@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal.navigation.levels import describes
+from gyrocal.navigation.levels import Whiteness
 from gyrocal.navigation.track import Track
 
 #: The filter must promise this share of the gyro's deviation of position, or less. On 167 second drives 0.95 left the path
@@ -21,18 +21,17 @@ class Judgement:
 
     Attributes
     ----------
-    nis, lag1 : float
+    whiteness : Whiteness
         As in `Track`.
     consistent : bool
-        Both lie where those of a filter do that describes the log.
+        It is that of a filter that describes the log.
     gain : float
         Deviation of position that the filter promises (`Track.drift_m`) over that of the gyro's path as this log shows it.
     left_to_gyro : bool
         The heading is left to the gyro, since the filter is not consistent or promises too little.
     """
 
-    nis: float
-    lag1: float
+    whiteness: Whiteness
     consistent: bool
     gain: float
     left_to_gyro: bool
@@ -45,12 +44,12 @@ def judge(gyro: Track, filtered: Track) -> Judgement:
     by the way between the two, squared and added. What the gyro may err by beforehand counts for nothing, since a
     gyro that is better than it says, or in luck, would be given up for it.
     """
-    consistent = describes(filtered.nis, filtered.lag1)
+    consistent = filtered.whiteness.describes
     apart_m = math.sqrt(np.mean((filtered.x_m - gyro.x_m) ** 2 + (filtered.y_m - gyro.y_m) ** 2))
     off_m = math.hypot(filtered.drift_m, apart_m)
     # A gyro that errs by nothing leaves nothing to gain.
     gain = filtered.drift_m / off_m if off_m != 0.0 else math.inf
-    return Judgement(filtered.nis, filtered.lag1, consistent, gain, not consistent or gain > GAIN)
+    return Judgement(filtered.whiteness, consistent, gain, not consistent or gain > GAIN)
 
 
 def left_to_gyro(gyro: Track, filtered: Track) -> Track:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.fusion import Counts, Navigator, RobotParameters, StaticBias, Trajectory
 from gyrocal.navigation.align import Alignment, HeadingErrors, PositionErrors
+from gyrocal.navigation.levels import Whiteness, summed
 
 Floats = NDArray[np.float64]
 
@@ -53,9 +54,10 @@ class Track:
     innovation_deg, innovation_sigma_deg : ndarray, shape (k,)
     covariance : ndarray, shape (9, 9)
         Of the state errors at the end.
-    nis, nis_rows, lag1 : float, int, float
-        Mean of the squared normalised innovations over all rows (1 when consistent), how many there were, and the
-        correlation of neighbours (0 when white).
+    whiteness : Whiteness
+        Of the innovations of all rows.
+    nis_rows : int
+        How many there were.
     drift_m : float
         Deviation of position that the model promises but for the scales' part, which is the same with the filter and
         without: root mean square over all rows; NaN for the paper's filter.
@@ -74,9 +76,8 @@ class Track:
     innovation_sigma_deg: Floats
     covariance: Floats
     counts: Counts
-    nis: float
+    whiteness: Whiteness
     nis_rows: int
-    lag1: float
     drift_m: float
     bias: StaticBias | None
     robot: RobotParameters
@@ -93,6 +94,7 @@ class Recorder:
         self._nis_sum, self._nis_rows = 0.0, 0
         self._pair_sum, self._last = 0.0, 0.0
         self._drift_sum, self._rows = 0.0, 0
+        self._slow_sum, self._sums, self._waiting = 0.0, 0, np.zeros(0)
 
     def add(self, t: Trajectory, keep: NDArray[np.bool_]) -> None:
         """Take the rows that are kept, and the innovations of all."""
@@ -115,13 +117,21 @@ class Recorder:
             self._nis_rows += normalised.size
             self._pair_sum += float(normalised[:-1] @ normalised[1:] + self._last * normalised[0])
             self._last = float(normalised[-1])
+            sums, self._waiting = summed(np.concatenate([self._waiting, normalised]))
+            self._slow_sum += float(sums @ sums)
+            self._sums += sums.size
 
     def track(self, condition: Condition, navigator: Navigator, rest: Rest | None) -> Track:
         """What was recorded."""
         x, y, heading, states, std, z, sigma = (
             np.concatenate(parts) for parts in zip(*self._parts, strict=True)
         )
-        nis = self._nis_sum / self._nis_rows if self._nis_rows else math.nan
+        seen = Whiteness(
+            self._nis_sum / self._nis_rows if self._nis_rows else math.nan,
+            self._pair_sum / self._nis_sum if self._nis_sum else math.nan,
+            self._slow_sum / self._sums if self._sums else math.nan,
+            self._sums,
+        )
         return Track(
             condition,
             x,
@@ -133,9 +143,8 @@ class Recorder:
             sigma,
             navigator.covariance,
             navigator.counts,
-            nis,
+            seen,
             self._nis_rows,
-            self._pair_sum / self._nis_sum if self._nis_sum else math.nan,
             math.sqrt(self._drift_sum / self._rows) if self._rows else math.nan,
             rest.bias if rest else None,
             navigator.robot,

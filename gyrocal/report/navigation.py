@@ -14,11 +14,13 @@ from matplotlib.figure import Figure
 import gyrocal
 from gyrocal.fusion import STATES, Coefficients
 from gyrocal.navigation.align import METHODS
+from gyrocal.navigation.judge import Judgement
 from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
 from gyrocal.navigation.track import CONDITIONS, Track
 from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.csvio import Floats, format_columns
+from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
 from gyrocal.report.navigation_figures import (
     bars_caption,
@@ -158,9 +160,15 @@ def _log_summary(replay: LogReplay, robot: Robot) -> dict[str, Any]:
         "yaw": None if found.speed_only else compare_yaw(found, robot.wheel_separation_m).to_json(),
         "observability": {k: v.to_json() for k, v in replay.observability.items()},
         "conditions": {t.condition.id: _track_summary(t, robot) for t in replay.tracks},
-        "filter": {k: vars(v) for k, v in replay.judgements.items()},
+        "filter": {k: _judged(v) for k, v in replay.judgements.items()},
         "notes": list(replay.notes),
     }
+
+
+def _judged(judgement: Judgement) -> dict[str, Any]:
+    found: dict[str, Any] = finite(asdict(judgement))
+    white: dict[str, Any] = found.pop("whiteness")
+    return white | found
 
 
 def _track_summary(track: Track, robot: Robot) -> dict[str, Any]:
@@ -182,7 +190,12 @@ def _track_summary(track: Track, robot: Robot) -> dict[str, Any]:
         result["alignment"] = {"method": METHODS[a.method], "rotation_deg": a.rotation_deg}
         result["alignment"] |= {"x_m": a.x_m, "y_m": a.y_m, "sigma": list(a.sigma)}
     if track.condition.filtering:
-        result["nis"] = {"mean": track.nis, "rows": track.nis_rows, "lag1": track.lag1}
+        result["nis"] = {
+            "mean": track.whiteness.nis,
+            "rows": track.nis_rows,
+            "lag1": track.whiteness.lag1,
+            "slow": finite(track.whiteness.slow),
+        }
         result["noise"] = asdict(track.robot.noise)
         result["estimates"] = {
             name: {"value": float(track.states[-1, k]), "sigma": float(track.std[-1, k])}
@@ -315,11 +328,14 @@ def filter_sentence(replays: Sequence[LogReplay]) -> str:
     ]
     judged = [r.judgements[k] for r, k in zip(replays, last, strict=True)]
     holding = sum(j.consistent for j in judged)
-    nis, lag1 = (float(np.median([getattr(j, name) for j in judged])) for name in ("nis", "lag1"))
+    nis, lag1, slow = (
+        float(np.median([getattr(j.whiteness, name) for j in judged])) for name in ("nis", "lag1", "slow")
+    )
     many = len(replays) > 1
     which = f" on {holding} of {len(replays)} logs" if many and 0 < holding < len(replays) else ""
     state = "is consistent" if holding else "is not consistent"
-    text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{', medians' if many else ''})"
+    of_sums = f", NIS of sums {slow:.2f}" if math.isfinite(slow) else ""
+    text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{of_sums}{', medians' if many else ''})"
     left = sum(j.left_to_gyro for j in judged) if replays[0].kind == "model" else 0
     if left == len(replays):
         return f"{text} and is left to the gyro{', which it cannot better here' if holding else ''}."

@@ -180,7 +180,7 @@ def draw_innovations(replay: LogReplay) -> Figure:
         seen = np.maximum(np.quantile(np.abs(z[measured]), 0.995), 2 * np.median(sigma[measured]))
         limit = 1.4 * float(seen) if measured.size else 1.0
         axes.set_ylim(-limit, limit)
-        said = f"{outside:.1%} outside ±2σ (Gaussian: 4.6 %), NIS {track.nis:.2f}, {track.counts.gated} slips gated"
+        said = f"{outside:.1%} outside ±2σ (Gaussian: 4.6 %), NIS {track.whiteness.nis:.2f}, {track.counts.gated} slips gated"
         axes.set_title(f"{track.condition.label}\n{said}", fontsize=7, fontweight="normal")
         axes.set_xlabel("t, s")
     panels[0].set_ylabel("innovation, deg")

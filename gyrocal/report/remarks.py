@@ -172,6 +172,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "load); no robot file holds that",
     Said.TRACK_CHANGES: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the encoders' turns are others by {change:.3g} % "
     "(95 %: {least:.3g} to {most:.3g}), as on another ground; no robot file holds that",
+    Said.DELAY_GROWS: "What the gyro is late against the encoders changes by {change:.3g} ms (95 %: {least:.3g} to {most:.3g}) in this "
+    "drive, as by clocks that run apart: no delay of a robot file holds that",
     Said.TRACK_MIXED_UP: "About half or twice the wheel separation: see whether the file holds half a track or a tread "
     "for a track.",
 }

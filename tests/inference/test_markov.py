@@ -79,7 +79,8 @@ def test_levels_are_found() -> None:
     for seed in range(40):
         rng = np.random.default_rng([seed, 5])
         y = np.cumsum(rng.normal(size=n)) * np.exp(truth[1]) + np.exp(truth[0]) * rng.normal(size=n)
-        logs, spread = restricted_maximum(field_of, y, np.ones((n, 1)), truth + 0.7, np.full(2, 1.0))
+        usual = truth + 0.7
+        logs, spread = restricted_maximum(field_of, y, np.ones((n, 1)), usual, np.full(2, 1.0), usual)
         found.append(logs)
         left.append(spread)
     mean, std = np.mean(found, axis=0), np.std(found, axis=0)

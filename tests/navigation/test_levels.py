@@ -13,7 +13,7 @@ from gyrocal.fusion import Aligner, Navigator, RobotParameters, Rows
 from gyrocal.navigation import levels
 from gyrocal.navigation.equip import equip
 from gyrocal.navigation.judge import judge
-from gyrocal.navigation.levels import rest_walk, whiteness
+from gyrocal.navigation.levels import LAG1_LIMIT, NIS_RANGE, Whiteness, rest_walk, whiteness
 from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot, robot_of
@@ -85,10 +85,23 @@ def test_the_rests_of_a_log_say_how_large_a_bias_is_likely(bias_dps: float, low:
 
 def test_whiteness_of_white_and_of_smoothed_noise() -> None:
     white = np.random.default_rng(2).normal(size=100_000)
-    assert whiteness(white) == pytest.approx((1.0, 0.0), abs=0.02)
-    nis, lag1 = whiteness(np.convolve(white, [0.5, 0.5], mode="valid"))
-    assert (nis, lag1) == pytest.approx((0.5, 0.5), abs=0.02)
-    assert np.isnan(whiteness(np.empty(0))).all()
+    seen, smooth, none = whiteness(white), whiteness(np.convolve(white, [0.5, 0.5])), whiteness(np.empty(0))
+    assert (seen.nis, seen.lag1) == pytest.approx((1.0, 0.0), abs=0.02)
+    # Of 1000 sums: four standard deviations of their mean square.
+    assert seen.slow == pytest.approx(1.0, abs=0.18)
+    assert seen.describes
+    assert (smooth.nis, smooth.lag1) == pytest.approx((0.5, 0.5), abs=0.02)
+    assert not smooth.describes
+    assert np.isnan([none.nis, none.lag1, none.slow]).all()
+
+
+def test_what_hides_in_each_innovation_shows_in_their_sums() -> None:
+    """A tenth of a standard deviation that comes and goes with the heading."""
+    white = np.random.default_rng(2).normal(size=5000)
+    seen = whiteness(white + 0.2 * np.sin(np.arange(5000) / 100.0))
+    assert NIS_RANGE[0] < seen.nis < NIS_RANGE[1]
+    assert abs(seen.lag1) < LAG1_LIMIT
+    assert not seen.describes
 
 
 def replayed(drive: Drive) -> LogReplay:
@@ -171,7 +184,9 @@ def test_robot_and_replay_share_their_defaults(tmp_path: Path) -> None:
 def test_a_filter_is_followed_where_it_moves_the_path_by_more_than_it_is_unsure_of() -> None:
     found = replayed(draw(np.random.default_rng(3), rest_s=1.0))
     alone, filtered = found.tracks
-    sure = replace(filtered, nis=1.0, lag1=0.0, drift_m=3.0, x_m=alone.x_m, y_m=alone.y_m)
+    sure = replace(
+        filtered, whiteness=Whiteness(1.0, 0.0, 1.0, 10), drift_m=3.0, x_m=alone.x_m, y_m=alone.y_m
+    )
     for apart_m, gain, left in ((0.0, 1.0, True), (1.0, 0.949, True), (4.0, 0.6, False)):
         judged = judge(alone, replace(sure, y_m=alone.y_m + apart_m))
         assert judged.gain == pytest.approx(gain, abs=1e-3)

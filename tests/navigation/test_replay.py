@@ -46,7 +46,7 @@ def test_blocks_of_any_size_give_the_same_replay(chunk_rows: int) -> None:
         np.testing.assert_allclose(b.states, a.states, atol=1e-9)
         np.testing.assert_allclose(b.std, a.std, atol=1e-9)
         assert b.counts == a.counts
-        assert b.nis == pytest.approx(a.nis, nan_ok=True)
+        assert b.whiteness.nis == pytest.approx(a.whiteness.nis, nan_ok=True)
         assert b.errors is not None
         assert a.errors is not None
         assert b.errors.end_m == pytest.approx(a.errors.end_m)
@@ -61,7 +61,7 @@ def test_few_rows_are_kept_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> Non
     assert thin.t_s[-1] == full.t_s[-1]
     for a, b in zip(full.tracks, thin.tracks, strict=True):
         assert b.x_m[-1] == pytest.approx(a.x_m[-1], abs=1e-9)
-        assert b.nis == pytest.approx(a.nis, nan_ok=True)
+        assert b.whiteness.nis == pytest.approx(a.whiteness.nis, nan_ok=True)
         assert b.errors is not None
         assert a.errors is not None
         assert b.errors.end_m == pytest.approx(a.errors.end_m, abs=1e-9)

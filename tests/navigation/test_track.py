@@ -31,5 +31,12 @@ def test_neighbouring_innovations_are_neighbours_across_blocks(cuts: list[int]) 
     nu = np.array([2.0, -4.0, np.nan, 2.0, 6.0, 2.0, -2.0])
     own = nu[np.isfinite(nu)]
     track = recorded(nu, cuts)
-    assert track.lag1 == pytest.approx(own[1:] @ own[:-1] / (own @ own))
-    assert track.nis == pytest.approx(np.mean((own / 2.0) ** 2))
+    assert track.whiteness.lag1 == pytest.approx(own[1:] @ own[:-1] / (own @ own))
+    assert track.whiteness.nis == pytest.approx(np.mean((own / 2.0) ** 2))
+
+
+def test_sums_of_innovations_go_on_across_blocks() -> None:
+    nu = np.random.default_rng(1).normal(size=430)
+    slow = [recorded(nu, cuts).whiteness for cuts in ([], [7, 130, 399])]
+    assert slow[0].slow == pytest.approx(slow[1].slow)
+    assert [one.sums for one in slow] == [4, 4]

@@ -30,12 +30,13 @@ from gyrocal.diagnosis.drive.improved import (
 )
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.motions import rather_settles
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import instants, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
-from gyrocal.diagnosis.drive.truth import ALONE, TruthAnswer, ask_truth
+from gyrocal.diagnosis.drive.truth import ALONE, SCALES, TruthAnswer, ask_truth
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -208,7 +209,26 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
     # First what the next drive has, too: a jump bends a path much as any of these does.
     yaw, truth = _with_laws(series, yaw, truth)
     jumping, told = _with_jump(series, yaw, truth)
-    return (yaw, truth) if jumping is yaw else _with_laws(series, jumping, told)
+    if jumping is not yaw:
+        yaw, truth = _with_laws(series, jumping, told)
+    if "jump" in yaw.chosen:
+        truth = _scales_beside_the_course(series, yaw, truth)
+    return _wheels_beside_structure(yaw, truth), truth
+
+
+def _scales_beside_the_course(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> TruthAnswer:
+    """With scales that hold beside a bias of each part of the drive, of which one jump need not be the whole course."""
+    freed = _asked(series, yaw, truth, bias_changes=True)
+    if freed is None:
+        return truth
+    of_scales = {n: freed.values[n] for n in SCALES}
+    stds = {n: freed.stds[n] for n in SCALES}
+    return replace(
+        truth,
+        values={**truth.values, **of_scales},
+        stds={**truth.stds, **stds},
+        covariance=freed.covariance,
+    )
 
 
 def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:
@@ -238,6 +258,21 @@ def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
         return yaw
     value, std = joint_estimate(yaw, truth, "asymmetry")
     return yaw.gaining({**yaw.named, "asymmetry": (value / std) ** 2})
+
+
+def _wheels_beside_structure(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
+    """With what laws of the wheels gain beside what the truth shows the surest that has no name.
+
+    An error of the gyro that is none of the catalogue, as of turns one way, is in the heading difference too, and looks
+    like wheels there.
+    """
+    surest = min(truth.odd, key=lambda c: truth.odd[c], default="")
+    if not surest or truth.odd[surest] >= STRANGER_P:
+        return yaw
+    beside = [*yaw.chosen, *(n for n in yaw.gram.names if n.startswith(f"{surest}:"))]
+    of_wheels = [n for n in yaw.named if n in ("track", "asymmetry") or KINDS[n].group == "slip"]
+    gains = {n: yaw.told.added([b for b in beside if b != n], [n]) for n in of_wheels}
+    return yaw.gaining({n: gains.get(n, gain) for n, gain in yaw.named.items()})
 
 
 def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:
@@ -286,11 +321,14 @@ def _taken_out(series: DriveSeries, yaw: YawAnswer) -> Figures:
     return replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
 
 
-def _asked(series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None) -> TruthAnswer | None:
+def _asked(
+    series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None, *, bias_changes: bool = False
+) -> TruthAnswer | None:
     laws = yaw.bias_laws
     groups = {KINDS[n].group or n for n in laws.names}
     alone = [] if series.differential else [n for n in ALONE if (KINDS[n].group or n) not in groups]
-    return ask_truth(series, _taken_out(series, yaw), laws, yaw.model.noise, alone, near)
+    figures, noise = _taken_out(series, yaw), yaw.model.noise
+    return ask_truth(series, figures, laws, noise, alone, near, bias_changes=bias_changes)
 
 
 def _undenied(
@@ -325,6 +363,8 @@ def _with_truth(
     beside it than the law is beside the scale may have stood for it, as on a path that turns one way.
     """
     if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
+        return 0.0, None
+    if KINDS[name].group == "motion" and rather_settles(yaw.told, yaw.fitted, name):
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
     found = _asked(series, wider, truth)

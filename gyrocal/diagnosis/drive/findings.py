@@ -138,7 +138,7 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         g, w = (found[n].value if n in found else 0.0 for n in SCALES)
         spread = float(np.sqrt(std**2 + sum(s.std**2 for s in found.values())))
         left = (1 + c) * (1 + g) / (1 + w) - 1
-        if left**2 >= GAIN * spread**2:
+        if left**2 >= GAIN * spread**2 and "track" not in yaw.uneven:
             found["track"] = Scale(left, spread)
     elif "track" in yaw.named:
         against = _against(c, std, truth)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,8 @@ from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, NORMAL_95, 
 _CHANGES, _FLICKERS = 0.06, 1.5
 #: What track and asymmetry change by from one drive to the next, relative.
 _TRACK_CHANGES, _ASYMMETRY_CHANGES = 2e-3, 3e-4
+#: Coordinates over which it is the robot's turns that differ, and those over which its way does.
+_OF_TURNS, _OF_THE_WAY = ("place",), ("speed", "heading", "acceleration")
 
 
 @dataclass(frozen=True)
@@ -334,14 +336,15 @@ def _geometry_keys(
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     track, track_std = _beside_bias(yaw, "track", bias)
-    track_std = float(np.hypot(track_std, _track_by_place(yaw)))
+    track_std = float(np.hypot(track_std, _unheld(yaw, _OF_TURNS, "track")))
     # What the scales of the truth, or a slope, make of the ratio of the headings is no track.
     gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
     track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
     if "track" not in parts and not {*SCALES, ROBOT_TILT.id}.isdisjoint(parts):
         track = 0.0
     separation = series.robot.wheel_separation_m * (1 + track)
-    one = float(np.hypot(std, _ASYMMETRY_CHANGES)) / np.sqrt(2.0)
+    changes = float(np.hypot(_ASYMMETRY_CHANGES, _unheld(yaw, _OF_THE_WAY, "asymmetry")))
+    one = float(np.hypot(std, changes)) / np.sqrt(2.0)
     keys = {
         "wheel_separation_m": separation,
         "initial_std.wheel_separation_m": separation * float(np.hypot(track_std, _TRACK_CHANGES)),
@@ -353,17 +356,25 @@ def _geometry_keys(
     return keys
 
 
-def _track_by_place(yaw: YawAnswer) -> float:
-    """How far the track differs from place to place (rms, relative), where it does: the next drive has other places."""
-    if "place" not in yaw.odd:
+def _unheld(yaw: YawAnswer, coordinates: Collection[str], law: str) -> float:
+    """How far track or asymmetry differ within the drive (rms, relative) over coordinates in which something lives.
+
+    No robot file holds that, and the next drive has other places, headings and speeds.
+    """
+    blocks = strangers(yaw.model.frame)
+    cells = [
+        n
+        for n in yaw.gram.names
+        if ":" in n and n.split(":")[0] in coordinates and n.split(":")[0] in yaw.odd
+    ]
+    if not cells:
         return 0.0
-    cells = [n for n in yaw.gram.names if n.startswith("place:")]
     values, covariance = yaw.beyond(cells)
-    columns = strangers(yaw.model.frame)["place"]
-    turned = columns @ values
+    columns = np.column_stack([blocks[c][:, int(k)] for c, k in (n.split(":") for n in cells)])
+    moved = columns @ values
     noise = np.einsum("ij,jk,ik", columns, covariance, columns)
-    square = max(float(turned @ turned) - float(noise), 0.0)
-    return float(np.sqrt(square) / np.linalg.norm(yaw.laws["track"].column))
+    square = max(float(moved @ moved) - float(noise), 0.0)
+    return float(np.sqrt(square) / np.linalg.norm(yaw.laws[law].column))
 
 
 def _beside_bias(yaw: YawAnswer, name: str, bias_dps: float) -> tuple[float, float]:
@@ -383,6 +394,8 @@ def _noise_keys(yaw: YawAnswer) -> dict[str, float]:
         "noise.angle_random_walk_deg_per_rt_h": noise.arw_dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ,
         "noise.bias_walk_dps_per_rt_s": noise.walk_dps_per_rt_s,
         "noise.flicker_dps": noise.flicker_dps,
+        # The gyro's own: wheels that err are not to make it noisier on the next drive.
+        "noise.flicker_dps_std": noise.flicker_dps * yaw.model.log_std["flicker_dps"],
     }
     if not yaw.model.frame.series.differential:
         return keys

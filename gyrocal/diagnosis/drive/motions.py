@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, SETTLING
 from gyrocal.diagnosis.drive.yaw import Evidence
 
 Floats = NDArray[np.float64]
@@ -57,6 +57,12 @@ def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], le
     gain, warmed, at_once = (told.added(beside, [n]) for n in (taken, "slope", AT_ONCE))
     denied, as_likely = at_once < gain - _AS_LIKELY, warmed >= max(least, gain - _AS_LIKELY)
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
+
+
+def rather_settles(told: Evidence, beside: Sequence[str], name: str) -> bool:
+    """Whether a bias that settles by itself explains surely more than a law of the motion does in its place."""
+    gain = told.added(beside, [name])
+    return any(told.added(beside, [n]) > gain + _AS_LIKELY for n in told.own.names if n in SETTLING)
 
 
 def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Sequence[str]) -> bool:

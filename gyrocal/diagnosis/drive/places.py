@@ -64,7 +64,7 @@ def places(
 
 
 def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
-    """When and by how much the bias jumps, or from when on and by how much track or wheels are others."""
+    """When and by how much the bias jumps or what a delay grows, or from when on and by how much track or wheels are others."""
     begin_s = yaw.model.frame.series.t_s[0]
 
     def told(said: Said, unit: float, before: float, std: float, law: Law) -> Remark:
@@ -76,6 +76,12 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
     found = []
     if "jump" in yaw.chosen:
         found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
+    if "delay" in yaw.odd:
+        (grown,), ((variance,),) = yaw.beyond(["delay:0"])
+        half = 1e3 * NORMAL_95 * float(np.sqrt(variance))
+        change = 1e3 * float(grown)
+        facts = {"change": change, "least": change - half, "most": change + half}
+        found.append(Remark(Said.DELAY_GROWS, facts))
     for name, law in yaw.changed.items():
         (value,), ((variance,),) = yaw.beyond([name])
         said = Said.TRACK_CHANGES if name.endswith("track") else Said.WHEELS_CHANGE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
+from gyrocal.diagnosis.drive.lasting import undenied, uneven
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     SETTLING,
@@ -47,8 +48,6 @@ _WINDOWS_S = (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
 _CLEARLY = 0.8
 #: A delay beyond this part of a node is taken out, and the rest estimated again, so often at the most.
 _SHIFT, _ROUNDS = 0.2, 3
-#: Parts of a drive in which a named law must be the same.
-_PARTS = 24
 
 
 @dataclass(frozen=True)
@@ -247,7 +246,10 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
         if abs(rest_s) < _SHIFT * max(NODE_S, window_s):
             break
         ahead_s += float(rest_s)
-    return answer
+    # What has no name would swell the noise, the gyro's as well as the wheels', as a law would that is not in the mean; but
+    # for wheels that change at an instant, which are no columns of a coordinate.
+    again = answer.nameless and not answer.changed
+    return _examine(series, ahead_s, window_s, answer) if again else answer
 
 
 def align(series: DriveSeries) -> tuple[float, float]:
@@ -276,22 +278,26 @@ def align(series: DriveSeries) -> tuple[float, float]:
     return (delay_s, window_s) if found < _CLEARLY * plain else (0.0, 0.0)
 
 
-def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
+def _examine(
+    series: DriveSeries, ahead_s: float, window_s: float, before: YawAnswer | None = None
+) -> YawAnswer:
     nodes = nodes_of(series, max(NODE_S, window_s))
     frame = frame_of(series, nodes, ahead_s, window_s, _rough_bias_dps(series))
     constant, laws = constant_laws(frame), candidate_laws(frame)
-    model = yaw_model(frame, list((constant | laws).values()))
-    everything = constant | laws | settling_laws(frame)
     blocks = strangers(frame)
+    odd_before = [] if before is None else [x for c in before.odd if c in blocks for x in blocks[c].T]
+    model = yaw_model(frame, [*(law.column for law in (constant | laws).values()), *odd_before])
+    # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
+    candidates = _of_groups(laws, laws if before is None else before.named)
+    everything = constant | laws | settling_laws(frame)
     columns = _columns_of(everything, blocks)
-    known = known_before(series)
-    free = evidence(model, columns)
+    known, free = known_before(series), evidence(model, columns)
     told = free.knowing(known)
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
-    chosen = _selected(told, least, list(laws))
+    chosen = _selected(told, least, candidates)
     if (wider := _widened(series, known, free.own, chosen)) != known:
         known, told = wider, free.knowing(wider)
-        chosen = _selected(told, least, list(laws))
+        chosen = _selected(told, least, candidates)
     jumping = jump_of(model, everything, chosen, known, STRANGER_P)
     beyond = wheel_out_of_true(frame, model, everything, chosen, known)
     beyond |= {n: x for n, x in jumping.items() if n in KINDS}
@@ -300,25 +306,21 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         columns |= {name: x.column for name, x in (beyond | jumping).items()}
         free = evidence(model, columns)
         told = free.knowing(known)
-        chosen = _selected(told, [*least, *beyond], list(laws))
-    chosen = rather_warmed(told, middling(told, chosen, of_motion(laws)), laws, GAIN)
+        chosen = _selected(told, [*least, *beyond], candidates)
+    chosen = rather_warmed(told, middling(told, chosen, of_motion(laws)), candidates, GAIN)
     odd, changed = nameless(free, chosen, jumping, blocks)
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
-    if "jump" in chosen:
-        gain = _gain(told, [*chosen, *beside], "jump")
-        if chance(gain) < STRANGER_P:
-            odd = odder(odd, "time", (gain, 1, chance(gain)))
-        else:
-            chosen.remove("jump")
-    named = _named(told, chosen, beside, ahead_s)
+    chosen, odd = _with_sure_jump(told, chosen, beside, odd)
+    earned = _named(told, chosen, beside, ahead_s)
+    named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
     ]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
     values, covariance = told.own.solve([*chosen, *unnamed])
-    uneven = _uneven(model, everything, chosen, named)
-    odd = odder(odd, "time", *uneven.values())
+    changing = uneven(model, everything, chosen, named)
+    odd = odder(odd, "time", *changing.values())
     return YawAnswer(
         model,
         everything,
@@ -332,10 +334,22 @@ def _examine(series: DriveSeries, ahead_s: float, window_s: float) -> YawAnswer:
         window_s,
         told,
         known,
-        frozenset(uneven) | {n.removeprefix("time:") for n in jumping},
+        frozenset(changing) | {n.removeprefix("time:") for n in jumping} | (earned.keys() - named.keys()),
         changed,
         unnamed,
     )
+
+
+def _with_sure_jump(
+    told: Evidence, chosen: Sequence[str], beside: Sequence[str], odd: Mapping[str, Test]
+) -> tuple[list[str], dict[str, Test]]:
+    """Laws and tests, with a jump of the bias only where it holds beside what has no name."""
+    if "jump" not in chosen:
+        return list(chosen), dict(odd)
+    gain = _gain(told, [*chosen, *beside], "jump")
+    if chance(gain) < STRANGER_P:
+        return list(chosen), odder(odd, "time", (gain, 1, chance(gain)))
+    return [n for n in chosen if n != "jump"], dict(odd)
 
 
 def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -387,6 +401,12 @@ def _rough_bias_dps(series: DriveSeries) -> float:
 def _group(name: str) -> str:
     """Laws of one group stand for each other: only one of them is taken."""
     return KINDS[name].group or name
+
+
+def _of_groups(laws: Iterable[str], of: Iterable[str]) -> list[str]:
+    """Laws that stand for one of others."""
+    groups = {_group(n) for n in of}
+    return [n for n in laws if _group(n) in groups]
 
 
 def _pair_of(name: str) -> str:
@@ -458,26 +478,3 @@ def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s
         gains["delay"] = _delay_gain(told.own, everything, ahead_s)
     named = {n: g for n, g in gains.items() if g >= (GAIN if KINDS[n].group == "slip" else _least(gains))}
     return dict(sorted(named.items(), key=lambda item: -item[1]))
-
-
-def _uneven(
-    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
-) -> dict[str, Test]:
-    """Named laws that change between the parts of a drive: gain, degrees of freedom and p-value of each.
-
-    A law that was taken for another one, of a patch of ground or of a wheel that sticks at times, holds in some parts
-    and not in others. Parts of equal weight, so that each could show it.
-    """
-    found = {}
-    tried = [n for n in named if not n.startswith("wheel_")]
-    for name in tried:
-        column = laws[name].column
-        weight = np.cumsum(column**2)
-        part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
-        columns = {n: laws[n].column for n in chosen}
-        more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
-        gain = evidence(model, columns | more).added(chosen, list(more))
-        p = len(tried) * float(stats.chi2.sf(gain, len(more)))
-        if p < STRANGER_P:
-            found[name] = (gain, len(more), p)
-    return found

@@ -380,6 +380,8 @@ def ask_truth(
     noise: YawNoise,
     alone: Sequence[str] = (),
     near: TruthAnswer | None = None,
+    *,
+    bias_changes: bool = False,
 ) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
@@ -393,6 +395,8 @@ def ask_truth(
         Laws of `ALONE` that are asked for beside them, of which it knows nothing.
     near : TruthAnswer, optional
         Of nearly the same path: its levels of noise are begun from.
+    bias_changes : bool
+        Whether the bias of each part of the drive is free.
     """
     levels = None if near is None else near.levels
     base = reckon(series, figures)
@@ -401,7 +405,7 @@ def ask_truth(
     if knots is None:
         return None
     if knots.position is None:
-        return _answer(knots, base, _laid(knots, base, laws, noise, levels))
+        return _answer(knots, base, _laid(knots, base, laws, noise, levels), bias_changes=bias_changes)
     if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     laid = _laid(knots, base, laws, noise, levels)
@@ -412,12 +416,12 @@ def ask_truth(
         turned = _laid(other, base, laws, noise)
         plain = _laid(replace(knots, heading=None), base, laws, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
-    answer = _answer(knots, base, laid)
+    answer = _answer(knots, base, laid, bias_changes=bias_changes)
     # What a path misses of its mirror image is no structure of the drive.
     return replace(answer, mirrored=True, odd={}) if mirrored else answer
 
 
-def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
+def _answer(knots: Knots, base: Reckoned, laid: _Laid, *, bias_changes: bool) -> TruthAnswer:
     state, problem, logs = laid.state, laid.problem, laid.levels.logs
     odd: dict[str, float] = {}
     beside: dict[str, Floats] = {}
@@ -425,6 +429,8 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         more = {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
         odd[coordinate] = float(stats.chi2.sf(_gain(problem, more, logs), len(more)))
         beside |= more if odd[coordinate] < STRANGER_P else {}
+        if bias_changes:
+            beside |= {n: column for n, column in more.items() if n in BIAS_PARTS}
     # A scale must hold beside whatever else is in the path.
     problem = replace(problem, columns={**problem.columns, **beside})
     solved = problem.solve(logs)
@@ -434,7 +440,9 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid) -> TruthAnswer:
         covariance[names.index(name), names.index(name)] += _MODEL_STD**2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
-    of_parts = [v for n, v in zip(names, values, strict=True) if n in BIAS_PARTS]
+    # Parts that the truth does not show by itself are noise.
+    moving = odd.get("time", 1.0) < STRANGER_P
+    of_parts = [v for n, v in zip(names, values, strict=True) if n in BIAS_PARTS and moving]
     moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
     at = [names.index(n) for n in SCALES]
     of_laws = [names.index(n) for n in [*knots.laws][: knots.told]]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
 
-from gyrocal.diagnosis.drive.laws import Frame, Law, difference
+from gyrocal.diagnosis.drive.laws import Frame, difference
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
 from gyrocal.inference.spread import mean_square
@@ -43,6 +43,8 @@ _SPREAD = dict.fromkeys(
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Where the search for the levels begins: wander of the track, jitter of the clock, and an encoder without ticks.
 _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
+#: Standard deviations above what is usual at which the search begins for levels that others may hide.
+_SEEN = 1.5
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
 _LEAST_TICK_M, _STILL = 1e-6, 1e-5
 #: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
@@ -212,8 +214,8 @@ class YawModel:
         return _field(self.frame, noise, self.left_out).given(columns)
 
 
-def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
-    """Estimate the noise with all `laws` free in the mean, then again without the intervals that stand out."""
+def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
+    """Estimate the noise with columns free in the mean, then again without the intervals that stand out."""
     y = difference(frame)
     usual = usual_noise(frame.series)
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
@@ -221,7 +223,7 @@ def yaw_model(frame: Frame, laws: Sequence[Law]) -> YawModel:
     left_out = np.where(frame.nodes.broken | starting, LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
-    columns = _independent(np.column_stack([x.column for x in laws]), _field(frame, usual, left_out))
+    columns = _independent(np.column_stack(means), _field(frame, usual, left_out))
     noise, log_std = _levels(frame, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     outliers = _outliers(model, columns)
@@ -268,8 +270,10 @@ def _levels(
 
     prior = np.log([getattr(usual, n) for n in names])
     spread = np.array([_SPREAD[n] for n in names])
+    # From a level that is lost beneath the others the search sees no slope.
+    first = prior + spread * [_SEEN * (n in ("wander", "jitter_s")) for n in names]
     logs, left = restricted_maximum(
-        lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread
+        lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread, first
     )
     # A log cannot measure its 1/f noise, and the variance of a bias goes by the square: taken as its mean over all levels
     # that are possible, not as that of the likeliest one.

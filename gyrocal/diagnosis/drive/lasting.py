@@ -1,0 +1,87 @@
+"""Whether a law that earned its name holds all through a drive: one that does not has the name of something else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import stats
+
+from gyrocal.diagnosis.drive.laws import KINDS, Law
+from gyrocal.diagnosis.drive.motions import rather_settles
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
+from gyrocal.diagnosis.drive.yaw import Evidence, YawModel, evidence
+
+#: Parts of a drive in which a named law must be the same.
+_PARTS = 24
+
+
+def uneven(
+    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
+) -> dict[str, Test]:
+    """Named laws that change between the parts of a drive: gain, degrees of freedom and p-value of each.
+
+    A law that was taken for another one, of a patch of ground or of a wheel that sticks at times, holds in some parts
+    and not in others. Parts of equal weight, so that each could show it.
+    """
+    found = {}
+    tried = [n for n in named if not n.startswith("wheel_")]
+    for name in tried:
+        column = laws[name].column
+        weight = np.cumsum(column**2)
+        part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
+        columns = {n: laws[n].column for n in chosen}
+        more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
+        gain = evidence(model, columns | more).added(chosen, list(more))
+        p = len(tried) * float(stats.chi2.sf(gain, len(more)))
+        if p < STRANGER_P:
+            found[name] = (gain, len(more), p)
+    return found
+
+
+def undenied(
+    model: YawModel,
+    told: Evidence,
+    laws: Mapping[str, Law],
+    fitted: Sequence[str],
+    named: Mapping[str, float],
+    odd: Mapping[str, Test],
+) -> tuple[dict[str, float], dict[str, Test]]:
+    """Named laws less those that the log itself speaks against, and tests by coordinate with what these leave."""
+    others, left = _denied(model, told, laws, fitted, named, odd), dict(odd)
+    for coordinate, test in others.values():
+        left = odder(left, coordinate, test)
+    return {n: gain for n, gain in named.items() if n not in others}, left
+
+
+def _denied(
+    model: YawModel,
+    told: Evidence,
+    laws: Mapping[str, Law],
+    fitted: Sequence[str],
+    named: Mapping[str, float],
+    odd: Mapping[str, Test],
+) -> dict[str, tuple[str, Test]]:
+    """Named laws that the log itself speaks against, each with the coordinate over which it lives, and its gain there.
+
+    A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; a bias
+    that settles by itself did not come with the motion; and turns that differ more from place to place than they do in the
+    mean are of the ground: on another path their mean is another.
+    """
+    found = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
+    if "delay" in named and odd["delay"][2] < STRANGER_P:
+        found["delay"] = ("delay", odd["delay"])
+    for name in (n for n in named if KINDS[n].group == "motion"):
+        if rather_settles(told, [n for n in fitted if n != name], name):
+            found[name] = ("time", _test(named[name]))
+    of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]
+    if any(n in named for n in of_turns):
+        values = dict(zip(fitted, told.own.solve(fitted)[0], strict=True))
+        slipped = np.sum([values[n] * laws[n].column for n in of_turns], axis=0)
+        if np.linalg.norm(slipped) < model.noise.wander * np.linalg.norm(laws["track"].column):
+            found |= {n: ("turn_rate", _test(named[n])) for n in of_turns if n in named}
+    return found
+
+
+def _test(gain: float) -> Test:
+    return gain, 1, float(stats.chi2.sf(gain, 1))

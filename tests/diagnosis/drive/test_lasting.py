@@ -1,0 +1,118 @@
+"""Laws that resemble something else: they have no name where the log itself speaks against them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from gyrocal.diagnosis.drive.engine import _wheels_beside_structure, diagnose_drive, examine
+from gyrocal.diagnosis.drive.yaw import usual_flicker_dps
+from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot, robot_of
+from tests.diagnosis.drive.fleet import Plan, drive
+
+Floats = NDArray[np.float64]
+PLAN = Plan("random", 8.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.003, bias_walk=0.0, wheel_noise=3e-4)
+
+
+@pytest.fixture
+def resting() -> Robot:
+    return robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
+
+
+def gyro_path(log: DriveBlock) -> tuple[Floats, Floats]:
+    """Heading, rad, and way, m, at the end of each row."""
+    heading = np.cumsum(np.radians(log.gyro_dps) * np.diff(log.t_s, prepend=log.t_s[0]))
+    return heading, 0.5 * (log.left_m + log.right_m)
+
+
+def turned(log: DriveBlock, times: Floats) -> DriveBlock:
+    """The log with the wheels' turns so many times as large."""
+    more_m = 0.5 * (times - 1.0) * (log.right_m - log.left_m)
+    return replace(log, left_m=log.left_m - more_m, right_m=log.right_m + more_m)
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_a_clock_that_drifts_is_no_delay(drifts: bool, resting: Robot) -> None:
+    """A tenth of a millisecond in a second is 0.05 s at the end: its mean of 0.024 s had been named."""
+    log = drive(PLAN, 2)
+    since_s = log.t_s - log.t_s[0]
+    late_s = 1e-4 * since_s if drifts else np.full(since_s.size, 0.024)
+    heading = np.interp(since_s - late_s, since_s, gyro_path(log)[0])
+    rate_dps = np.degrees(np.diff(heading, prepend=heading[0])) * 20.0
+    found = diagnose_drive("log", replace(log, gyro_dps=rate_dps), resting).diagnosis
+    assert [e.effect for e in found.effects] == ([] if drifts else ["gyro_delay"])
+    assert ("delay" in [p.coordinate for p in found.located if p.remains]) == drifts
+    grown = [
+        note.facts["change"]
+        for note in found.notes
+        if isinstance(note, Remark) and note.said is Said.DELAY_GROWS
+    ]
+    assert grown == ([pytest.approx(0.1 * since_s[-1], rel=0.05)] if drifts else [])
+
+
+@pytest.mark.parametrize("patchy", [False, True])
+def test_ground_that_slips_in_places_is_no_slip_of_the_robot(patchy: bool, resting: Robot) -> None:
+    """Where a third of the ground slips by 0.3 the turns differ by more than their mean of 0.1."""
+    log = drive(PLAN, 4)
+    heading, way_m = gyro_path(log)
+    at = np.cumsum(way_m * np.exp(1j * heading))
+    slips = np.sin(at.real / 2.0) * np.sin(at.imag / 2.0) > 0.2
+    log = turned(log, 1.0 + np.where(patchy, 0.3 * slips, 0.1))
+    found = diagnose_drive("log", log, resting).diagnosis
+    assert [e.effect for e in found.effects] == ([] if patchy else ["skid_slip"])
+    assert ("turn_rate" in [p.coordinate for p in found.located if p.remains]) == patchy
+
+
+def test_a_bias_that_rings_after_the_start_did_not_come_with_the_motion(resting: Robot) -> None:
+    log = drive(replace(PLAN, rest_s=30.0, truth_m=0.1), 5)
+    log = replace(log, gyro_temp_c=np.full(len(log), np.nan))
+    rung = np.exp(-(log.t_s - log.t_s[0]) / 40.0)
+    found = diagnose_drive("log", replace(log, gyro_dps=log.gyro_dps + 0.05 * rung), resting)
+    assert "gyro_bias" not in [e.effect for e in found.diagnosis.effects]
+    assert found.diagnosis.verdict == "unexplained"
+    assert "time" in [p.coordinate for p in found.diagnosis.located if p.remains]
+
+
+def test_wheels_hold_beside_what_the_truth_shows_of_the_gyro(resting: Robot) -> None:
+    """A gyro that errs one way, which the truth shows, looks like wheels that differ where the robot turns mostly that way."""
+    found = examine("log", drive(replace(PLAN, truth_m=0.01, minutes=5.0), 6), resting, None)
+    assert found.truth is not None
+    claimed = replace(found.yaw, named={"asymmetry": 100.0})
+    one_sided = replace(found.truth, odd={"turn_rate": 1e-9, "speed": 0.1})
+    assert not _wheels_beside_structure(claimed, one_sided).named
+    assert _wheels_beside_structure(claimed, replace(found.truth, odd={"turn_rate": 0.1})).named
+
+
+def test_a_track_that_wanders_is_seen_beneath_the_slip_in_turns(resting: Robot) -> None:
+    """From a level that is lost beneath it the search saw no slope: the places of such a track were found odd."""
+    log = drive(replace(PLAN, turn_noise=0.003), 7)
+    white = np.random.default_rng(3).normal(size=len(log))
+    keep = np.exp(-0.05 / 4.0)
+    wander = 0.06 * np.sqrt(1.0 - keep**2) * lfilter([1.0], [1.0, -keep], white)
+    found = examine("log", turned(log, 1.0 + wander), resting, None).yaw
+    assert 0.04 < found.model.noise.wander < 0.09
+    assert not found.odd
+
+
+def test_wheels_that_err_by_heading_make_no_gyro_noisy(resting: Robot) -> None:
+    """As of a slope that loads one side: what lives over the heading is in the mean, not in the noise of the gyro."""
+    log = drive(replace(PLAN, rest_s=0.0), 8)
+    heading, way_m = gyro_path(log)
+    loaded = 0.003 * np.sin(heading) * way_m
+    restless = replace(resting, parameters=replace(resting.parameters, static_s=0.0))
+    odd = replace(log, left_m=log.left_m - 0.5 * loaded, right_m=log.right_m + 0.5 * loaded)
+    found = diagnose_drive("log", odd, restless)
+    noise = found.yaw.model.noise
+    assert "heading" in found.yaw.odd
+    assert noise.flicker_dps < 4.0 * usual_flicker_dps(noise.arw_dps_per_rt_hz)
+    assert found.robot is not None
+    assert found.robot.noise_std["flicker_dps"] > 0.0
+    # The next drive heads elsewhere, by which its wheels differ as this one's do about their mean: 0.003 / sqrt(2).
+    assert 0.001 < found.robot.initial_std["left_scale"] < 0.003
