@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.history import temperature_history
+from gyrocal.diagnosis.history import TemperatureHistory, temperature_history
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import (
@@ -78,15 +78,7 @@ def series_of_table(table: DataSetTable) -> Series:
     white, notes = _white(table)
     times = mean(t_s)
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
-    step_c = lattice_of_means(table.temp_c) or 0.0
-    history = temperature_history(times, read, count[filled], step_c)
-    course_c = history.temp_at(times)
-    if (
-        step_c > _COARSEST_C
-        or _missed(read, course_c, step_c)
-        or _scatter_is_real(rate, gyro, read, course_c)
-    ):
-        history = history.as_read(times, read)
+    history = _history(times, rate, gyro, read, count[filled], lattice_of_means(table.temp_c) or 0.0)
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
@@ -108,6 +100,17 @@ def series_of_table(table: DataSetTable) -> Series:
         copies=copies(table.rate_dps, table.gyro_dps, table.temp_c),
         reach=reach_of(groups[~wild], table.gyro_dps[~wild], table.temp_c[~wild]),
     )
+
+
+def _history(
+    t_s: Floats, rate_dps: Floats, gyro_dps: Floats, read_c: Floats, count: Floats, step_c: float
+) -> TemperatureHistory:
+    """The course of the temperature through readings, or the readings where no smooth course is behind them."""
+    history = temperature_history(t_s, read_c, count, step_c)
+    course_c = history.temp_at(t_s)
+    as_read = step_c > _COARSEST_C or _missed(read_c, course_c, step_c)
+    as_read = as_read or _scatter_is_real(rate_dps, gyro_dps, read_c, course_c)
+    return history.as_read(t_s, read_c) if as_read else history
 
 
 def _missed(read_c: Floats, course_c: Floats, step_c: float) -> bool:
