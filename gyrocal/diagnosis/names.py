@@ -359,15 +359,22 @@ def _resembling(nearest: Winner | None, without: Fitted, block: str, worth: floa
 
 
 def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws, worth: float) -> _Alone:
-    """The laws that explain a block best, those of one mechanism if they do nearly as well."""
+    """The laws that explain a block best, those of one mechanism if they do nearly as well.
+
+    What a warm-up of two time constants is takes neither alone, and a drift that slows down may be nearer to it than one:
+    both together are asked as well, and win where they are more than alike. Plays of two widths would follow any memory so.
+    """
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
     best = _alone(fitted, without, block, trials, laws, worth)
-    for kind in sorted(best.kinds):
-        if len(best.kinds) == 1 or not CATALOGUE[kind].search.adds_up:
+    summed = {
+        t.effect.id for t in trials if t.effect.search.adds_up and BLOCKS[block].family == BIAS_DRIFT.family
+    }
+    for kind in sorted(best.kinds | summed if best.kinds else ()):
+        if best.kinds == {kind} or not CATALOGUE[kind].search.adds_up:
             continue
         single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws, worth)
         ahead = best.cost - single.cost
-        if ahead > 0.0:
+        if ahead > (0.0 if kind in best.kinds else ALIKE_NATS):
             left = single.fitted.nll - (without.nll - worth)
             best = replace(single, near=dict.fromkeys(best.near, left + ahead) | {kind: left})
     return best

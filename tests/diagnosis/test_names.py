@@ -56,6 +56,17 @@ def test_a_warm_up_comes_again_as_surely_as_it_is_told_from_a_drift(
     assert Naming(cast(Fitted, None), (), nearest=nearest).comes_again == pytest.approx(again, abs=1e-3)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_warm_up_of_two_time_constants_is_no_drift(seed: int) -> None:
+    """One that slows down is nearer to two exponentials than one of them is, but does not come again."""
+    found = naming_of(1e-3 * np.exp(-_T_S / 177.0) + 1e-3 * np.exp(-_T_S / 3369.0), seed)
+    assert {n.law.effect for n in found.named} == {"warm_up"}
+    assert found.comes_again > 0.9
+    drift = naming_of(3e-3 * (_T_S / _T_S[-1]) ** 0.3, seed)
+    assert [n.law.effect for n in drift.named] == ["bias_drift"]
+    assert drift.comes_again < 0.1
+
+
 def test_a_warm_up_of_two_time_constants_is_two_laws() -> None:
     """One law by itself takes a constant that is neither, beside which a second one is not seen."""
     found = naming_of(1e-3 * np.exp(-_T_S / 250.0) + 2e-3 * np.exp(-_T_S / 2700.0), 0)
