@@ -26,7 +26,7 @@ from gyrocal.diagnosis.parts import (
     polynomials,
 )
 from gyrocal.diagnosis.rising import dead_zone, rising
-from gyrocal.diagnosis.series import SURROGATE_PERIOD_S
+from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
@@ -190,13 +190,21 @@ def file_without_surface(fitted: Fitted) -> Coefficients:
         sensor={"model": series.sensor_model},
         surface=Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c),
         covariance_dps2=np.zeros((_TERMS, _TERMS)),
-        valid=Valid(
-            (float(series.gyro_dps.min()), float(series.gyro_dps.max())),
-            (float(series.temp_c.min()), float(series.temp_c.max())),
-        ),
+        valid=_valid(series),
         noise=_noise(fitted),
         provenance=origin,
     )
+
+
+def _valid(series: Series) -> Valid:
+    """As far as the rows reach, or what they are means of: `apply` corrects samples, and temperatures as they are read."""
+    gyro = float(series.gyro_dps.min()), float(series.gyro_dps.max())
+    temp = float(series.temp_c.min()), float(series.temp_c.max())
+    if series.reach is None:
+        return Valid(gyro, temp)
+    gyro_low, _, temp_low, _ = np.fmin.reduce(series.reach).tolist()
+    _, gyro_high, _, temp_high = np.fmax.reduce(series.reach).tolist()
+    return Valid((gyro_low, gyro_high), (min(temp[0], temp_low), max(temp[1], temp_high)))
 
 
 def _noise(fitted: Fitted) -> Noise:

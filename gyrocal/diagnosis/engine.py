@@ -42,7 +42,7 @@ from gyrocal.diagnosis.scatter import (
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
 from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
-from gyrocal.diagnosis.surface import covering, surface_alone
+from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
@@ -122,7 +122,7 @@ def diagnose(
     series, found, findings, lost = _taken_apart(whole, recorded.gyro_dps, level)
     stairs = staircase(found.naming.fitted, layers_of(found) if options.heldout else [], options.seed)
     withheld = doubtful(found)
-    surface, improved = surface_alone(found), covering(correction(found, withheld), found.series)
+    surface, improved = surface_alone(found), correction(found, withheld)
     parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), named_effects(found)
     written, why_not = _written(found, improved, surface, stairs.total, (layered, parts))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)

@@ -20,8 +20,7 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import EACH_RATE, SURFACE, design_at, legendre_to_powers, passing
-from gyrocal.diagnosis.series import Series
-from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.additive import solve
 from gyrocal.physics.surface import SHAPE, Surface
 
@@ -38,22 +37,10 @@ def surface_alone(found: Examination) -> Coefficients:
     rows = np.flatnonzero(means.is_set)
     carried = carried_terms(means.series)
     if carried.size < len(SURFACE) or rows.size < _SETS_A_TERM * len(SURFACE):
-        return covering(_under_noise_found(fitted), means.series)
+        return _under_noise_found(fitted)
     chosen = fit_chosen(coarsen(_data_sets(means).select(rows), MOST_DATA_SETS)[0]).fit
-    file = covering(file_without_surface(fitted), means.series)
-    return replace(file, surface=chosen.surface, covariance_dps2=chosen.covariance_dps2)
-
-
-def covering(file: Coefficients, series: Series) -> Coefficients:
-    """The file, valid as far as what its rows are means of reaches: `apply` corrects samples, and temperatures as they are read."""
-    if series.reach is None:
-        return file
-    gyro_low, _, temp_low, _ = np.fmin.reduce(series.reach).tolist()
-    _, gyro_high, _, temp_high = np.fmax.reduce(series.reach).tolist()
-    temps = file.valid.temp_c
     return replace(
-        file,
-        valid=Valid((gyro_low, gyro_high), (min(temps[0], temp_low), max(temps[1], temp_high))),
+        file_without_surface(fitted), surface=chosen.surface, covariance_dps2=chosen.covariance_dps2
     )
 
 
