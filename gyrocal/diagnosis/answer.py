@@ -67,8 +67,10 @@ def _instead_of_each_rate(found: Examination) -> dict[str, float]:
 
     Its evidence, less what it pays, is more than theirs alone, so that it is no less likely: 0 nats.
     """
+    named = {n.law.effect for n in found.naming.named}
     better = [c for c in found.of_rate if c.score < found.ranked[0].score]
-    return {better[0].fitted.model.laws[-1].effect: 0.0} if better else {}
+    instead = better[0].fitted.model.laws[-1].effect if better else None
+    return {instead: 0.0} if instead is not None and instead not in named else {}
 
 
 def _as_one(laws: list[NamedEffect]) -> NamedEffect:

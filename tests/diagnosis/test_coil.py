@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.answer import named_effects
+from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
 from gyrocal.diagnosis.changes import Change, Changes
 from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, TableSearch, averaged
 from gyrocal.diagnosis.correction import correction
@@ -333,3 +333,18 @@ def test_what_the_surface_can_take_back_is_not_believed_beyond_what_the_record_s
     shown = search._beyond_rate(search.base.error_dps)
     own = search._beyond_rate(law.columns[:, 0])
     assert search._cancelled(fitted) == pytest.approx(max(0.0, own / shown - 1.0))
+
+
+def test_a_law_with_a_name_is_none_that_errors_of_each_rate_could_be() -> None:
+    """It stands beside them; one that only a rival model has stands in their place."""
+    law = SimpleNamespace(effect="mechanical_resonance")
+    rival = Candidate(None, (), cast(Any, SimpleNamespace(model=SimpleNamespace(laws=(law,)))), 1.0)
+    first = Candidate(None, (), cast(Any, None), 2.0)
+
+    def instead(named: tuple[str, ...]) -> dict[str, float]:
+        names = tuple(SimpleNamespace(law=SimpleNamespace(effect=e)) for e in named)
+        found = SimpleNamespace(naming=SimpleNamespace(named=names), of_rate=(rival,), ranked=(first,))
+        return _instead_of_each_rate(cast(Any, found))
+
+    assert instead(()) == {"mechanical_resonance": 0.0}
+    assert instead(("mechanical_resonance",)) == {}
