@@ -238,7 +238,7 @@ TEMPERATURE_ORDER = Effect(
     search=Search(
         grid=_powers,
         columns=_order_columns,
-        requires=(temperature_changes(10.0),),
+        requires=(_SOME_CHANGE,),
     ),
     hiding=Hiding(_draw_order),
     c_text=CText(_temperature_order_c, (POWER,)),
