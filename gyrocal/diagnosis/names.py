@@ -361,8 +361,8 @@ def _resembling(nearest: Winner | None, without: Fitted, block: str, worth: floa
 def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws, worth: float) -> _Alone:
     """The laws that explain a block best, those of one mechanism if they do nearly as well.
 
-    What a warm-up of two time constants is takes neither alone, and a drift that slows down may be nearer to it than one:
-    both together are asked as well, and win where they are more than alike. Plays of two widths would follow any memory so.
+    A drift that slows down may be nearer to a warm-up of two time constants than one exponential is: two together are asked
+    as well, and win where they are more than alike. Plays of two widths, which could follow any memory, are not.
     """
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
     best = _alone(fitted, without, block, trials, laws, worth)
