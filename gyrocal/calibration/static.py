@@ -33,7 +33,7 @@ from gyrocal.inference.allan_model import FLICKER
 from gyrocal.inference.flicker import TIME_CONSTANTS_S, flicker_correlation
 from gyrocal.inference.rounding import StepCounts, mean_error, slope_error
 from gyrocal.records.bags import is_bag
-from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
+from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice, iterate_gyro_log
 from gyrocal.records.run import Run, read_run
 from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H
 
@@ -41,7 +41,6 @@ Floats = NDArray[np.float64]
 
 RATE_RAMP = "rate_ramp"
 
-_EMPTY = "every sample of the gyro is empty or not finite. Check its column, and log again."
 #: A slope over temperature needs as many degrees.
 _LEAST_SPAN_C = 3.0
 _LEAST_MEANS = 16
@@ -188,7 +187,7 @@ def examine_static(
     reading = _read(blocks)
     if reading.samples == 0:
         lacks = "holds no samples at rest. Record some with the static_allan profile."
-        raise DataError(f"{config.path}: {lacks if run else _EMPTY}")
+        raise DataError(f"{config.path}: {lacks if run else ALL_EMPTY}")
     course, raw = reading.course.course(), reading
     spans = list[tuple[float, float]]()
     if run is None:

@@ -10,7 +10,7 @@ from gyrocal.calibration.turns import calibrate_turns
 from gyrocal.errors import DataError, InputError
 from gyrocal.navigation.umbmark import Umbmark, umbmark
 from gyrocal.records.csvio import read_columns, read_header, require_columns
-from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
+from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice, iterate_gyro_log
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import read_robot
 from gyrocal.report.turns import TurnReport, turn_files
@@ -41,9 +41,7 @@ def examine_turns(log: Path, mark_deg: float, choice: GyroChoice | None = None) 
         notes.append(plural(empty, f"{empty} empty [sample is|samples are] bridged by the next one"))
     use = here & known
     if np.count_nonzero(use) < 2:
-        raise DataError(
-            f"{log}: has no samples to look for turns in: every sample of the gyro is empty or not finite. Check its column, and log again."
-        )
+        raise DataError(f"{log}: has no samples to look for turns in: {ALL_EMPTY}")
     try:
         found = calibrate_turns(t_s[use], gyro[use], mark_deg)
     except DataError as error:

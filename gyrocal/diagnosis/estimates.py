@@ -103,7 +103,7 @@ class _Beside:
         amplitude, lost = likeliest(self.effect, size, std)
         if len(self.effect.search.refined) > 1:
             # Of a peak between two rates the higher ones all fit.
-            lost += 2.0 * _FALLS * float(np.log(max(abs(amplitude), std)))
+            lost += 2.0 * _rarity(amplitude, std)
         beyond = columns - self.surface @ (self.surface.T @ columns)
         unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
         return Point(loss + lost, amplitude, std, unit_dps)
@@ -157,12 +157,13 @@ def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Map
     if len(free) != 2:
         return [(1.0, law.shape, fitted)]
     beside = _beside(fitted, law, laws, [])
-    _, along = _intervals(beside, law.shape, free)
+    modes = _modes(beside, law.shape, free)
+    along = [point for mode in modes for point in _around(beside, mode, free, law.shape)[1]]
     low, high = amplitude_interval([beside.of(law.columns), *along])
     if low * high > 0.0 and max(abs(low), abs(high)) < _KNOWN * min(abs(low), abs(high)):
         return [(1.0, law.shape, fitted)]
     found: list[tuple[float, Mapping[str, float], Fitted]] = []
-    for mode in _modes(beside, law.shape, free):
+    for mode in modes:
         near = moved(fitted, law, mode, laws)
         found += _shapes_near(fitted.refit(near.model, start=near.fit.log_variance), mode, law, laws)
     logarithms = np.array([logarithm for logarithm, _, _ in found])
@@ -190,12 +191,17 @@ def _shapes_near(
     cell = float(np.sum([np.log(np.log(high / low)) for low, high in (intervals[n] for n in free)]))
     # The evidence has no prior of the amplitude yet.
     here = beside.of(law.columns)
-    likely = here.loss / 2.0 - fitted.nll - _FALLS * float(np.log(max(abs(here.amplitude), here.std)))
+    likely = here.loss / 2.0 - fitted.nll - _rarity(here.amplitude, here.std)
     found: list[tuple[float, Mapping[str, float], Fitted]] = []
     for place in product(*axes):
         other = {**law.shape, **dict(zip(free, map(float, place), strict=True))}
         found.append((likely - beside.at(other).loss / 2.0 + cell, other, moved(fitted, law, other, laws)))
     return found
+
+
+def _rarity(amplitude: float, std: float) -> float:
+    """What an amplitude loses beforehand by its size, nats; one that is not known counts as its standard deviation."""
+    return _FALLS * float(np.log(max(abs(amplitude), std)))
 
 
 def moved(fitted: Fitted, law: Law, shape: Mapping[str, float], laws: Laws) -> Fitted:
@@ -306,12 +312,12 @@ def _modes(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> 
     if len(free) < 2:
         return best
     best += [_best_shape(beside, start, free) for start in _starts(beside, shape, free)]
-    best.sort(key=lambda mode: beside.at(mode).loss)
-    least, found = beside.at(best[0]).loss, best[:1]
-    for mode in best[1:]:
-        near = any(all(abs(np.log(mode[n] / x[n])) < _SAME_MODE for n in free) for x in found)
-        if beside.at(mode).loss < least + RISE_95 and not near:
-            found.append(mode)
+    losses = [beside.at(mode).loss for mode in best]
+    found = list[dict[str, float]]()
+    for k in np.argsort(losses, kind="stable").tolist():
+        near = any(all(abs(np.log(best[k][n] / x[n])) < _SAME_MODE for n in free) for x in found)
+        if losses[k] < min(losses) + RISE_95 and not near:
+            found.append(best[k])
     return found
 
 

@@ -366,11 +366,11 @@ def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws, worth: fl
     """
     trials = [t for e in effects_of(block) for t in laws.trials(e)]
     best = _alone(fitted, without, block, trials, laws, worth)
-    summed = {
-        t.effect.id for t in trials if t.effect.search.adds_up and BLOCKS[block].family == BIAS_DRIFT.family
-    }
-    for kind in sorted(best.kinds | summed if best.kinds else ()):
-        if best.kinds == {kind} or not CATALOGUE[kind].search.adds_up:
+    summed = {t.effect.id for t in trials if t.effect.search.adds_up}
+    if BLOCKS[block].family != BIAS_DRIFT.family:
+        summed &= best.kinds
+    for kind in sorted(summed):
+        if not best.kinds or best.kinds == {kind}:
             continue
         single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws, worth)
         ahead = best.cost - single.cost

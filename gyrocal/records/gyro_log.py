@@ -36,6 +36,9 @@ _DAMAGED = ("parts of the file are damaged and left out",)
 #: Telemetry is a few messages a second, filtered and without clocks of its own.
 _TELEMETRY = ".tlog"
 
+#: Of a log whose gyro says nothing.
+ALL_EMPTY = "every sample of the gyro is empty or not finite. Check its column, and log again."
+
 
 @dataclass(frozen=True)
 class GyroChoice:

@@ -47,40 +47,28 @@ def undenied(
     named: Mapping[str, float],
     odd: Mapping[str, Test],
 ) -> tuple[dict[str, float], dict[str, Test]]:
-    """Named laws less those that the log itself speaks against, and tests by coordinate with what these leave."""
-    others, left = _denied(model, told, laws, fitted, named, odd), dict(odd)
-    for coordinate, test in others.values():
-        left = odder(left, coordinate, test)
-    return {n: gain for n, gain in named.items() if n not in others}, left
-
-
-def _denied(
-    model: YawModel,
-    told: Evidence,
-    laws: Mapping[str, Law],
-    fitted: Sequence[str],
-    named: Mapping[str, float],
-    odd: Mapping[str, Test],
-) -> dict[str, tuple[str, Test]]:
-    """Named laws that the log itself speaks against, each with the coordinate over which it lives, and its gain there.
+    """Named laws less those that the log itself speaks against, and tests by coordinate with what these gained there.
 
     A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; a bias
     that settles by itself did not come with the motion; and turns that differ more from place to place than they do in the
     mean are of the ground: on another path their mean is another.
     """
-    found = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
+    denied = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
     if "delay" in named and odd["delay"][2] < STRANGER_P:
-        found["delay"] = ("delay", odd["delay"])
+        denied["delay"] = ("delay", odd["delay"])
     for name in (n for n in named if KINDS[n].group == "motion"):
         if rather_settles(told, [n for n in fitted if n != name], name):
-            found[name] = ("time", _test(named[name]))
+            denied[name] = ("time", _test(named[name]))
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]
     if any(n in named for n in of_turns):
         values = dict(zip(fitted, told.own.solve(fitted)[0], strict=True))
         slipped = np.sum([values[n] * laws[n].column for n in of_turns], axis=0)
         if np.linalg.norm(slipped) < model.noise.wander * np.linalg.norm(laws["track"].column):
-            found |= {n: ("turn_rate", _test(named[n])) for n in of_turns if n in named}
-    return found
+            denied |= {n: ("turn_rate", _test(named[n])) for n in of_turns if n in named}
+    left = dict(odd)
+    for coordinate, test in denied.values():
+        left = odder(left, coordinate, test)
+    return {n: gain for n, gain in named.items() if n not in denied}, left
 
 
 def _test(gain: float) -> Test:
