@@ -19,6 +19,7 @@ from gyrocal.diagnosis.layers import DIRECTION, Law, Model
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
 from gyrocal.diagnosis.names import ALIKE_NATS, Named
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.rate_errors import largest
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect, UnnamedPart
 from gyrocal.diagnosis.staircase import Step
@@ -46,7 +47,8 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         found_as = _effect(
             found, REFERENCE_RATE_ERROR.id, {"amplitude": size}, p, _instead_of_each_rate(found)
         )
-        named.append((gain, found_as))
+        where = Remark(Said.LARGEST_RATES, {"rates": largest(found.naming.fitted)})
+        named.append((gain, replace(found_as, beside=where)))
     if _of_the_input(found):
         share = _input_share(found)
         p = float(chi2.sf(2.0 * found.naming.input_gain, 1))

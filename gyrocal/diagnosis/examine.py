@@ -30,6 +30,7 @@ from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, name
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
+from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
 from gyrocal.diagnosis.within import Pattern, patterns
@@ -115,7 +116,8 @@ def examine(series: Series, level: float) -> Examination:
     if series.is_table and np.ptp(series.rate_dps) > 0:
         return _table(left, found)
     full = full_model(means)
-    whole = settle_direction(alive(fit_anyhow(full)))
+    full, fitted = with_tails(full, fit_anyhow(full))
+    whole = settle_direction(alive(fitted))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
     passes = wandering(full)
     jumped, jumps = _with_jumps(whole, passes, laws)

@@ -63,6 +63,8 @@ class Component:
         Its variance, in the unit of the record squared, where that is not to be estimated.
     expected : bool
         Whether it is believed however large it is: what every record of the kind has.
+    toll : float
+        What it costs beside its variance to have been given the shape that it has, nats.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Component:
     covariance: Floats | None = None
     held: float | None = None
     expected: bool = False
+    toll: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -224,7 +227,7 @@ class Contrasts:
             bounds=[(float(low), float(high)) for low, high in bounds],
             options={"maxiter": iterations, "ftol": 1e-7, "gtol": 3e-3},
         )
-        nll = float(found.fun) + self._left.size * float(np.log(self.unit)) + self._flat
+        nll = float(found.fun) + self._beside(components)
         logs = {c.name: float(x) for c, x in zip(components, found.x, strict=True)}
         return Fit(logs, self.variances(components, logs), nll)
 
@@ -240,7 +243,11 @@ class Contrasts:
         """Negative restricted log-likelihood at given variances."""
         likelihood = _Likelihood([self.part(c) for c in components], self._left)
         value = likelihood(np.array([logs[c.name] for c in components]))[0]
-        return value + self._left.size * float(np.log(self.unit)) + self._flat
+        return value + self._beside(components)
+
+    def _beside(self, components: Sequence[Component]) -> float:
+        """What a negative log-likelihood in the own unit lacks, nats."""
+        return self._left.size * float(np.log(self.unit)) + self._flat + sum(c.toll for c in components)
 
     def precision(self, components: Sequence[Component], logs: Mapping[str, float]) -> tuple[Floats, Floats]:
         """``(P y, P)``: what a scan for further columns needs, shapes (n,) and (n, n).

@@ -8,6 +8,7 @@ from gyrocal.calibration.checks import no_rate_text
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
+from gyrocal.report.words import listed
 from gyrocal.units import plural
 
 
@@ -81,6 +82,12 @@ def _no_inverse(count: int, rate_dps: float, temp_c: float) -> str:
     )
 
 
+def _largest_rates(rates: Sequence[tuple[float, float, float]]) -> str:
+    """Each with its error in ppm and the standard deviation of that."""
+    each = (f"{rate:.4g} deg/s ({error:+.0f} +- {std:.0f} ppm)" for rate, error, std in rates)
+    return f"The errors are largest at {listed(list(each))}."
+
+
 def _clock(ppm: float) -> str:
     return (
         f"Samples arrive {abs(ppm):.0f} ppm {'later' if ppm > 0 else 'sooner'} than the nominal sample rate says: the "
@@ -139,6 +146,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SAMPLE_CLOCK: _clock,
     Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
+    Said.LARGEST_RATES: _largest_rates,
     Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out",
     Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [counts|count] as no motion of that wheel",
     Said.CALIBRATED: "the gyro was calibrated with the coefficients given",

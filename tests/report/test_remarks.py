@@ -26,6 +26,7 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (Said.STRAY_SAMPLES, {"count": 1}, "1 sample stands out of the noise"),
         (Said.STRAY_SAMPLES, {"count": 2}, "2 samples stand out of the noise"),
         (Said.STRANGE_SETS, {"sets": [(41, -20.0, 24.96, 312.4)]}, "number 41 (-20 deg/s at 25.0 degC, off by 312 mdeg/s)."),
+        (Said.LARGEST_RATES, {"rates": [(54.12, -312.4, 15.2)]}, "The errors are largest at 54.12 deg/s (-312 +- 15 ppm)."),
         (Said.NOT_TEMPERATURE_ALONE, {"left_mdps": 1.23456, "branches_mdps": None}, "1.23 mdeg/s rms are left"),
         (Said.NOT_TEMPERATURE_ALONE, {"left_mdps": 1.0, "branches_mdps": 0.5}, "cooling differ by 0.5 mdeg/s rms"),
         (Said.NOT_WRITTEN, {"coordinate": "temperature_rate"}, "What follows temperature rate without a name"),

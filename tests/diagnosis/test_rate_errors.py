@@ -1,0 +1,85 @@
+"""Errors of a few rates that are far larger than those of the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.diagnosis.examine import fit_anyhow
+from gyrocal.diagnosis.layers import Fitted, Model, full_model, surface_of
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.parts import EACH_RATE
+from gyrocal.diagnosis.rate_errors import largest, toll, with_tails
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
+
+_SIZES = np.linspace(5.0, 100.0, 20)
+
+
+def fitted_to(errors: Floats, seed: int) -> tuple[Model, Fitted]:
+    """Sweeps at five temperatures, both ways, of a gyro without error on a table with these errors, as shares of the rate."""
+    rng = np.random.default_rng(seed)
+    rate = np.tile(np.concatenate([_SIZES, -_SIZES]), 5)
+    temp = np.repeat(np.linspace(5.0, 45.0, 5), rate.size // 5) + 0.01 * rng.standard_normal(rate.size)
+    gyro = rate * (1.0 + np.tile(errors, 10)) + 1e-3 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("sweeps.csv"), rate, gyro, temp, t_s=60.0 * np.arange(rate.size))
+    full = full_model(means_of(series_of_table(table)))
+    return full, fit_anyhow(full)
+
+
+def of_few(size: float) -> Floats:
+    errors = np.zeros(_SIZES.size)
+    errors[[7, 14]] = size, -0.7 * size
+    return errors
+
+
+def test_toll_is_that_of_the_law_of_the_errors() -> None:
+    """Of an error that is known the normal law with its own scale, and what the scale costs, is Cauchy's."""
+    errors = np.array([0.0, 0.3, 1.0, 5.0, 100.0])
+    scales = np.sqrt(0.5 * (1.0 + errors**2))
+    nats = -stats.norm.logpdf(errors, scale=scales) + toll(errors**2)
+    np.testing.assert_allclose(nats, -stats.cauchy.logpdf(errors), rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_errors_of_a_few_rates_do_not_bend_the_surface(seed: int) -> None:
+    full, plain = fitted_to(of_few(3e-4), seed)
+    found, tailed = with_tails(full, plain)
+    assert tailed.nll < plain.nll - 3.0
+    assert found.components[EACH_RATE] is tailed.model.components[EACH_RATE]
+    rates = np.linspace(-100.0, 100.0, 81)
+
+    def off_dps(fitted: Fitted) -> float:
+        # Of all that stays with the gyro, at rates between those of the record, too.
+        solution = fitted.solve()
+        error = surface_of(fitted.model, solution).error_dps(rates, np.full(rates.size, 25.0))
+        return float(np.sqrt(np.mean(error**2)))
+
+    assert off_dps(tailed) < 0.5 * off_dps(plain)
+    (first, second, third) = largest(tailed)
+    assert (first[0], second[0]) == (pytest.approx(40.0), pytest.approx(75.0))
+    assert abs(first[1] - 300.0) < 4.0 * first[2] < 100.0
+    assert abs(second[1] + 210.0) < 4.0 * second[2] < 100.0
+    assert abs(third[1]) < 4.0 * third[2]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_one_size_keep_one_variance(seed: int) -> None:
+    errors = 2e-4 * np.random.default_rng(100 + seed).standard_normal(_SIZES.size)
+    full, plain = fitted_to(errors, seed)
+    found, same = with_tails(full, plain)
+    assert same is plain
+    assert found.components[EACH_RATE] is full.components[EACH_RATE]
+
+
+def test_without_errors_of_each_rate_nothing_is_done() -> None:
+    full, plain = fitted_to(of_few(0.0), 0)
+    less = full.without([EACH_RATE])
+    alone = plain.refit(plain.model.without([EACH_RATE]))
+    assert with_tails(less, alone) == (less, alone)
