@@ -85,23 +85,30 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
         return None
     score, p = fitted.contrasts.precision(fitted.model.all, fitted.fit.log_variance)
     unit = MDPS * np.ones(len(means)) if effect == BIAS_STEP.id else PPM * means.rate_dps
+    most = CATALOGUE[effect].parameter("amplitude").high
     later = np.where(np.arange(len(means))[:, None] >= rows, unit[:, None], 0.0)
-    row = int(rows[int(np.argmax(_gains(later, score, p)))])
+    row = int(rows[int(np.argmax(_gains(later, score, p, most)))])
     at_s, reach_s = float(means.from_s[row]), float(means.to_s[row] - means.from_s[row - 1]) / 2.0
     for _ in range(_ZOOMS):
         instants = np.concatenate([[at_s], np.linspace(at_s - reach_s, at_s + reach_s, _WITHIN)])
         near = [laws.at(CATALOGUE[effect], {"at_s": float(at)})[:, 0] for at in instants]
-        best = int(np.argmax(_gains(np.column_stack(near), score, p)))
+        best = int(np.argmax(_gains(np.column_stack(near), score, p, most)))
         at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
     law = Law(effect, {"at_s": at_s}, near[best][:, None])
-    return fitted.refit(fitted.model.with_laws(law)), int(rows.size)
+    found = fitted.refit(fitted.model.with_laws(law))
+    # At rates that hardly turn a scale factor could be anything, and take what another law leaves of them.
+    possible = abs(float(found.solve().amplitudes[law.name][0])) < most
+    return (found, int(rows.size)) if possible else None
 
 
-def _gains(columns: Floats, score: Floats, p: Floats) -> Floats:
-    """Twice the log-likelihood that each column gains by itself, shape (m,)."""
+def _gains(columns: Floats, score: Floats, p: Floats, most: float) -> Floats:
+    """Twice the log-likelihood that each column gains by itself, shape (m,), with an amplitude of `most` at the most."""
     information = np.einsum("ij,ij->j", columns, p @ columns)
     enough = information > 1e-9 * np.max(information, initial=0.0)
-    return np.where(enough, (columns.T @ score) ** 2 / np.where(enough, information, 1.0), 0.0)
+    information = np.where(enough, information, 1.0)
+    pull = columns.T @ score
+    amplitude = np.clip(pull / information, -most, most)
+    return np.where(enough, amplitude * (2.0 * pull - amplitude * information), 0.0)
 
 
 def _rivals(wide: Fitted, jumped: Fitted, laws: Laws) -> dict[str, float]:

@@ -70,3 +70,21 @@ def test_a_jump_between_temperatures_is_none_of_what_follows_the_temperature(see
     found = examine(series_of_table(table), 0.01).naming
     assert [n.law.effect for n in found.named] == ["bias_step"]
     assert not found.unnamed
+
+
+def test_rates_that_hardly_turn_have_no_scale_factor_of_their_own() -> None:
+    """Lost in a dead zone at first, they would need one that is nothing; no gyro's jumps by as much."""
+    rng = np.random.default_rng(3)
+    small, large = [0.01, 0.011, 0.018, 0.019], [0.03, 0.06, 6.0, 17.0, 31.0, 49.0, 70.0, 90.0]
+    sweep = np.array([sign * size for size in small + large for sign in (1.0, -1.0)])
+    rate = np.concatenate([np.zeros(20), sweep, *[np.concatenate([np.zeros(5), sweep[8:]])] * 3])
+    gyro = np.where(np.abs(rate) < 0.02, 0.0, 1.001 * rate) + 0.01 + 3e-4 * rng.standard_normal(rate.size)
+    t = _PERIOD_S * np.arange(rate.size, dtype=np.float64)
+    table = DataSetTable(Path("small.csv"), rate, gyro, 25.0 + 0.1 * np.sin(t / 500.0), t_s=t)
+    full = full_model(means_of(series_of_table(table)))
+    fitted = fit_anyhow(full)
+    laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
+    # Without shapes near zero nothing else takes them.
+    bare = fitted.refit(fitted.model.without([n for n in fitted.model.components if "near zero" in n]))
+    for one in (fitted, bare):
+        assert "scale_step" not in {j.law.effect for j in with_jumps(one, wandering(full), laws)[1]}

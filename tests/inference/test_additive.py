@@ -62,6 +62,16 @@ def test_what_is_expected_comes_back_and_is_not_doubted_for_its_size() -> None:
     assert found["group"] == pytest.approx((between - within) / each, rel=5e-3)
 
 
+def test_a_toll_is_paid_once() -> None:
+    y, flat, (member, white) = one_way(30, 8, np.random.default_rng(1))
+    contrasts = Contrasts(y, flat)
+    free, paid = contrasts.fit([member, white]), contrasts.fit([replace(member, toll=3.5), white])
+    assert paid.nll == pytest.approx(free.nll + 3.5, abs=1e-6)
+    assert contrasts.nll([replace(member, toll=3.5), white], free.log_variance) == pytest.approx(
+        free.nll + 3.5, abs=0.2
+    )
+
+
 @pytest.mark.parametrize("slope", [False, True])
 def test_likelihood_is_the_density_of_the_contrasts(slope: bool) -> None:
     """By the textbook's formula of the restricted likelihood, comparable between flat columns of any size."""
