@@ -137,8 +137,9 @@ def name(
         fitted, left = present(fitted, laws) if found else (fitted, left)
         fitted, left, instead = _instead(fitted, left, named, passes, laws)
         named += instead
-    fitted, unseen = _unseen(fitted, named, laws)
+    fitted, unseen = _unseen(fitted, named, passes, laws)
     named += unseen
+    nearest = {n.block: {n.law.effect: 0.0, **n.rivals} for n in unseen} | nearest
     fitted, laws = tied_anew(fitted, laws)
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
@@ -196,16 +197,25 @@ def _instead(
     return fitted, worth, []
 
 
-def _unseen(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
-    """The model with a law of the rate that no smooth part is like enough to show, as a dead zone between two rates is."""
-    if any(CATALOGUE[n.law.effect].family == BLOCKS[ODD].family for n in named):
-        return fitted, []
-    trials = [t for e in effects_of(ODD) for t in laws.trials(e)]
-    best = best_law(fitted, fitted, ODD, trials, laws)
-    gain = 0.0 if best is None else fitted.nll - best.fitted.nll
-    if best is None or gain < best.least_nats:
-        return fitted, []
-    return best.fitted, [Named(best.law, ODD, gain, 1.0, best.rivals, best.shapes)]
+def _unseen(
+    fitted: Fitted, named: Sequence[Named], passes: Sequence[Component], laws: Laws
+) -> tuple[Fitted, list[Named]]:
+    """The model with laws that no smooth part is like enough to show, as a dead zone between two rates is.
+
+    Nor does a walk of the bias show a drift that 1/f noise follows as well.
+    """
+    found: list[Named] = []
+    for block in (ODD, "bias in time"):
+        if any(CATALOGUE[n.law.effect].family == BLOCKS[block].family for n in named):
+            continue
+        beside = _beside(fitted, passes) if passes and not BLOCKS[block].stays else fitted
+        trials = [t for e in effects_of(block) for t in laws.trials(e)]
+        best = best_law(beside, beside, block, trials, laws)
+        gain = 0.0 if best is None else beside.nll - best.fitted.nll
+        if best is not None and gain >= best.least_nats:
+            fitted = best.fitted
+            found.append(Named(best.law, block, gain, 1.0, best.rivals, best.shapes))
+    return fitted, found
 
 
 def _of_input(fitted: Fitted) -> float:
@@ -444,7 +454,8 @@ def _paired(
     pair = best_pair(fitted, without, block, own)
     if pair is None:
         return found
-    pair = reshaped(pair, laws)
+    # Laws of other blocks keep the shapes by which their names know them.
+    pair = reshaped(pair, laws, [one.name for one in pair.model.laws[-2:]])
     gain = found.fitted.nll - pair.nll
     if gain < GAIN + 0.5 * np.log(len(own)):
         return found

@@ -18,9 +18,11 @@ from gyrocal.units import S_PER_H
 #: Instants of a jump of the bias that are tried from the first; a scan of all of them adds the likely ones.
 _JUMP_NET = 48
 
-#: A drift is straight, or slows down: the power that is nearest to ageing with the logarithm of time is about a third.
-_POWERS = (0.35, 0.5, 0.7, 1.0)
-_POWER = shape("power", "1", 0.2, 1.0, 1.0, "1: steady; below 1 it slows down, as ageing does")
+#: A drift is straight, slows down or grows: the power that is nearest to ageing with the logarithm of time is about a third.
+_POWERS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+_POWER = shape(
+    "power", "1", 0.2, 3.0, 1.0, "1: steady; below 1 it slows down, as ageing does; above 1 it grows"
+)
 _AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record's clock")
 
 

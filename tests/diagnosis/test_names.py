@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import less
 from gyrocal.diagnosis.coil import TOLL_NATS
+from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.estimates import of_law
-from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.laws import GAIN, effects_of
-from gyrocal.diagnosis.layers import Fitted, Law
-from gyrocal.diagnosis.names import Named, Naming, _mechanisms, still_there
+from gyrocal.diagnosis.examine import examine, fit_anyhow
+from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
+from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import Named, Naming, _Alone, _mechanisms, _paired, still_there
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.trial.made_up import make_up
 
@@ -65,6 +69,16 @@ def test_a_warm_up_of_two_time_constants_is_no_drift(seed: int) -> None:
     drift = naming_of(3e-3 * (_T_S / _T_S[-1]) ** 0.3, seed)
     assert [n.law.effect for n in drift.named] == ["bias_drift"]
     assert drift.comes_again < 0.1
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_drift_that_grows_is_no_warm_up(seed: int) -> None:
+    """Two exponentials that cancel each other at the beginning are as like it as can be, and come again."""
+    found = naming_of(3e-3 * (_T_S / _T_S[-1]) ** 2.2, seed)
+    (drift,) = found.named
+    assert drift.law.effect == "bias_drift"
+    assert drift.law.shape["power"] == pytest.approx(2.2, abs=0.4)
+    assert found.comes_again < 0.1
 
 
 def test_a_warm_up_of_two_time_constants_is_two_laws() -> None:
@@ -263,3 +277,36 @@ def test_what_laws_of_time_and_memory_explain_is_no_shape_in_temperature() -> No
     found = examine(series_of_table(DataSetTable(Path("soaks.csv"), rate, rate + error, temp, t_s=t_s)), 0.01)
     assert "temperature_order" not in {n.law.effect for n in found.naming.named}
     assert found.naming.unnamed["temperature"] > GAIN, "it is modelled all the same"
+
+
+def test_a_pair_of_laws_leaves_those_of_other_blocks_as_they_are_named() -> None:
+    """A law whose shape went on beside a later pair was in the model without its name, and its name without the law."""
+    rng = np.random.default_rng(4)
+    temp = 25.0 + 12.0 * np.sin(_T_S / 1500.0)
+    plays = [played(temp, width_c) for width_c in (1.5, 7.0)]
+    added = 2e-3 * plays[0] + 2e-3 * plays[1] + 20e-3 * np.exp(-_T_S / 420.0)
+    gyro = 0.01 + added + _NOISE_DPS * rng.standard_normal(_SETS)
+    table = DataSetTable(Path("rest.csv"), np.zeros(_SETS), gyro, temp, t_s=_T_S)
+    full = full_model(means_of(series_of_table(table)))
+    fitted = fit_anyhow(full)
+    laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
+    coarse = {"tau_s": 450.0}
+    warm_up = Law("warm_up", coarse, laws.at(CATALOGUE["warm_up"], coarse))
+    fitted = fitted.refit(fitted.model.without(["warm-up"]).with_laws(warm_up))
+    without = less(fitted, "memory")
+    trials = [t for e in effects_of("memory") for t in laws.trials(e) if e.id == "thermal_hysteresis"]
+    first = best_law(fitted, without, "memory", trials, laws)
+    assert first is not None
+    one = _Alone(first.fitted, [Named(first.law, "memory", without.nll - first.fitted.nll, 0.0, {}, 1)], {})
+    found = _paired(fitted, without, "memory", trials, laws, one)
+    assert [n.law.effect for n in found.named] == ["thermal_hysteresis"] * 2
+    assert [law.name for law in found.fitted.model.laws] == [warm_up.name, *(n.law.name for n in found.named)]
+
+
+def played(temp_c: NDArray[np.float64], width_c: float) -> NDArray[np.float64]:
+    """Play of a half width."""
+    at = np.empty(temp_c.size)
+    at[0] = temp_c[0]
+    for k in range(1, temp_c.size):
+        at[k] = min(max(at[k - 1], temp_c[k] - width_c), temp_c[k] + width_c)
+    return at
