@@ -167,13 +167,14 @@ def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale | None:
     In turns the encoders' heading tells it, on all of the way the truth: two measurements of one figure.
     """
     told = []
-    if "spinning" in yaw.chosen:
-        told.append(yaw.estimate("spinning"))
-    elif "spinning" in yaw.laws:
-        (value,), ((variance,),) = yaw.beyond(["spinning"])
-        told.append((float(value), float(np.sqrt(variance))))
     if truth is not None and not truth.mirrored and SPINNING in truth.values:
         told.append((truth.values[SPINNING], truth.stds[SPINNING]))
+    if "spinning" in yaw.chosen:
+        told.append(yaw.estimate("spinning"))
+    elif told and "spinning" in yaw.laws:
+        # By themselves turns have not told it.
+        (value,), ((variance,),) = yaw.beyond(["spinning"])
+        told.append((float(value), float(np.sqrt(variance))))
     weights = np.array([std**-2 for _, std in told])
     if not told or not np.isfinite(weights).all():
         return None
