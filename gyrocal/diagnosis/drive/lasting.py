@@ -39,6 +39,14 @@ def uneven(
     return found
 
 
+def outlasting(
+    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, Test]]:
+    """Named laws whose mean is beyond what the parts of the drive differ by, and those of all that change between these."""
+    changing = uneven(model, laws, chosen, named)
+    return {n: g for n, g in named.items() if n not in changing or outlasts(g, changing[n])}, changing
+
+
 def outlasts(gain: float, changing: Test) -> bool:
     """Whether a law that changes between the parts of a drive has a mean beyond what these differ by.
 

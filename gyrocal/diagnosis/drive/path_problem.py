@@ -15,12 +15,10 @@ from gyrocal.diagnosis.drive.path_noise import PathNoise
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
 from gyrocal.diagnosis.drive.reckoning import Floats
 from gyrocal.inference.gls import Regression, regress
+from gyrocal.physics.drive import GYRO_SCALE
 
 #: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
 _UNTOLD = 1e6
-
-
-_GYRO_SCALE = "gyro_scale"
 
 
 @dataclass(frozen=True)
@@ -119,17 +117,17 @@ def one_sided(
     law, std : optional
         What a scale of the turns one way does without, and what is thought possible of it.
     """
-    both = problem.columns[_GYRO_SCALE]
-    residual = problem.residual + taken_out[_GYRO_SCALE] * both
+    both = problem.columns[GYRO_SCALE.id]
+    residual = problem.residual + taken_out[GYRO_SCALE.id] * both
     others = {n: column for n, column in problem.columns.items() if n != law}
     if law:
         residual = residual + taken_out[law] * problem.columns[law]
-    known = {**problem.known, _GYRO_SCALE: (0.0, problem.known[_GYRO_SCALE][1])}
+    known = {**problem.known, GYRO_SCALE.id: (0.0, problem.known[GYRO_SCALE.id][1])}
     ways = [
         replace(
             problem,
             residual=residual,
-            columns={**others, _GYRO_SCALE: 0.5 * (both + sign * one_size)},
+            columns={**others, GYRO_SCALE.id: 0.5 * (both + sign * one_size)},
             known=known,
         )
         for sign in (-1.0, 1.0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
-from gyrocal.diagnosis.drive.lasting import outlasts, undenied, uneven
+from gyrocal.diagnosis.drive.lasting import outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     SETTLING,
@@ -314,8 +314,7 @@ def _examine(
     chosen, odd = _with_sure_jump(told, chosen, beside, odd)
     earned = _named(told, chosen, beside, ahead_s)
     named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
-    changing = uneven(model, everything, chosen, named)
-    named = {n: gain for n, gain in named.items() if n not in changing or outlasts(gain, changing[n])}
+    named, changing = outlasting(model, everything, chosen, named)
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
     ]
