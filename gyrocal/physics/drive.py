@@ -172,11 +172,10 @@ def _eccentricity(c: DriveConditions, p: Mapping[str, float], memory: Memory) ->
 
 def _start_stop(c: DriveConditions, p: Mapping[str, float], memory: Memory) -> tuple[DriveChange, Memory]:
     moving = c.dt_s > 0
-    speed = np.divide(c.distance_m, c.dt_s, out=np.zeros(len(c)), where=moving)
-    gained = speed - _before(speed, memory)
-    hard = np.abs(gained) > p["threshold_mps2"] * c.dt_s
-    slip = p["amplitude"] * gained * hard
-    return c.wheels(slip, slip), _last(speed, memory)
+    speed = np.abs(np.divide(c.distance_m, c.dt_s, out=np.zeros(len(c)), where=moving))
+    gained = np.maximum(speed - _before(speed, memory), 0.0)
+    share = p["amplitude"] * np.divide(gained, c.dt_s, out=np.zeros(len(c)), where=moving)
+    return c.wheels(share * c.left_m, share * c.right_m), _last(speed, memory)
 
 
 def _gyro_delay(c: DriveConditions, p: Mapping[str, float], memory: Memory) -> tuple[DriveChange, Memory]:
@@ -323,16 +322,13 @@ WHEEL_ECCENTRICITY = DriveEffect(
 START_STOP_SLIP = DriveEffect(
     "start_stop_slip",
     "wheel slip",
-    "dU = k dv where |dv/dt| is above a threshold",
-    "In hard acceleration the wheels spin, in hard braking they slide.",
-    (
-        amplitude("m per m/s", 1.0, 0.02, "distance per change of speed"),
-        shape("threshold_mps2", "m/s^2", 0.0, 20.0, 1.0, "threshold of the acceleration"),
-    ),
-    ("left_m", "right_m"),
+    "dU = k a U while the speed grows, a = d|v|/dt",
+    "A wheel that drives slips in proportion to its force: while the speed grows it goes further than the robot.",
+    (amplitude("s^2/m", 1.0, 0.05, "share of the way for each m/s^2"),),
+    _YAW,
     "acceleration",
     ("wheel_scale",),
-    "kinematics of a slipping wheel",
+    "Gustafsson, Automatica 33, 1087 (1997): slip in proportion to force",
     False,
     _start_stop,
 )

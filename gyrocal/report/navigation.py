@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import gyrocal
 from gyrocal.fusion import STATES, Coefficients
 from gyrocal.navigation.align import METHODS
-from gyrocal.navigation.judge import Judgement
+from gyrocal.navigation.judge import MOST_APART, Judgement
 from gyrocal.navigation.replay import LogReplay
 from gyrocal.navigation.table import HEADINGS, MEASURES, Table, make_table
 from gyrocal.navigation.track import CONDITIONS, Track
@@ -334,8 +334,12 @@ def filter_sentence(replays: Sequence[LogReplay]) -> str:
     many = len(replays) > 1
     which = f" on {holding} of {len(replays)} logs" if many and 0 < holding < len(replays) else ""
     state = "is consistent" if holding else "is not consistent"
+    apart = float(np.median([j.apart for j in judged]))
+    of_path = (
+        f", path moved {apart:.1f} times as far as it says" if not holding and apart > MOST_APART else ""
+    )
     of_sums = f", NIS of sums {slow:.2f}" if math.isfinite(slow) else ""
-    text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{of_sums}{', medians' if many else ''})"
+    text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{of_sums}{of_path}{', medians' if many else ''})"
     left = sum(j.left_to_gyro for j in judged) if replays[0].kind == "model" else 0
     if left == len(replays):
         return f"{text} and is left to the gyro{', which it cannot better here' if holding else ''}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -187,7 +188,23 @@ def test_a_filter_is_followed_where_it_moves_the_path_by_more_than_it_is_unsure_
     sure = replace(
         filtered, whiteness=Whiteness(1.0, 0.0, 1.0, 10), drift_m=3.0, x_m=alone.x_m, y_m=alone.y_m
     )
+    alone = replace(alone, drift_m=5.0)
     for apart_m, gain, left in ((0.0, 1.0, True), (1.0, 0.949, True), (4.0, 0.6, False)):
         judged = judge(alone, replace(sure, y_m=alone.y_m + apart_m))
         assert judged.gain == pytest.approx(gain, abs=1e-3)
         assert judged.left_to_gyro == left
+
+
+def test_a_filter_that_moves_the_path_by_more_than_both_deviations_allow_is_not_followed() -> None:
+    """As on a slope, where the wheels are loaded on one side and no innovation shows it."""
+    found = replayed(draw(np.random.default_rng(3), rest_s=1.0))
+    alone, filtered = found.tracks
+    alone = replace(alone, drift_m=5.0)
+    sure = replace(filtered, whiteness=Whiteness(1.0, 0.0, 1.0, 10), drift_m=3.0, x_m=alone.x_m)
+    for apart_m, times, kept in ((8.0, 2.0, True), (12.0, 3.0, False)):
+        judged = judge(alone, replace(sure, y_m=alone.y_m + apart_m))
+        assert judged.apart == pytest.approx(times)
+        assert judged.consistent == kept
+        assert judged.left_to_gyro != kept
+    unsaid = replace(sure, y_m=alone.y_m + 12.0, drift_m=math.nan)
+    assert judge(alone, unsaid).consistent

@@ -181,13 +181,14 @@ def test_eccentric_wheel_comes_back_after_a_turn() -> None:
     assert abs(right.sum()) < 1e-12
 
 
-def test_slip_only_in_hard_acceleration() -> None:
-    speed = np.array([0.0, 0.05, 0.5, 0.5, 0.0])
-    c = DriveConditions(
-        0.1 * np.arange(5, dtype=np.float64), np.full(5, 0.1), speed * 0.1, speed * 0.1, np.zeros(5), 0.5
-    )
-    change = whole(DRIVE_CATALOGUE["start_stop_slip"], c, amplitude=0.1, threshold_mps2=1.0)
-    np.testing.assert_allclose(change.distance_m, [0, 0, 0.045, 0, -0.05], atol=1e-12)
+def test_wheels_spin_in_proportion_to_how_the_speed_grows_and_not_as_they_brake() -> None:
+    speed = np.array([0.0, 0.05, 0.5, 0.5, 0.0, -0.5])
+    step = 0.1 * speed
+    t = 0.1 * np.arange(6, dtype=np.float64)
+    c = DriveConditions(t, np.full(6, 0.1), 0.9 * step, 1.1 * step, np.zeros(6), 0.5)
+    change = whole(DRIVE_CATALOGUE["start_stop_slip"], c, amplitude=0.1)
+    np.testing.assert_allclose(change.distance_m, step * [0, 0.05, 0.45, 0, 0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(change.encoder_yaw_rad, 0.4 * change.distance_m, atol=1e-12)
 
 
 def test_jitter_cancels_over_the_log() -> None:

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.drive.findings import (
     named_effects,
     not_testable,
     scales,
+    spinning,
     verdict,
 )
 from gyrocal.diagnosis.drive.heldout import improvements
@@ -30,7 +31,7 @@ from gyrocal.diagnosis.drive.improved import (
 )
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
-from gyrocal.diagnosis.drive.motions import rather_settles
+from gyrocal.diagnosis.drive.motions import AS_LIKELY, rather_settles
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import instants, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
@@ -204,6 +205,9 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
 def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthAnswer | None]:
     """Laws of the heading difference with those that the truth, where there is one, denies or adds, and what it says."""
     yaw, truth = _undenied(series, yaw, _asked(series, yaw))
+    if "spinning" in yaw.chosen and spinning(yaw, truth) is None:
+        # No wheel goes less far while it drives, nor spins in turns alone.
+        yaw = yaw.without(["spinning"], "acceleration")
     if truth is None or truth.mirrored:
         return yaw, truth
     # First what the next drive has, too: a jump bends a path much as any of these does.
@@ -237,7 +241,7 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
         tried = [
             (_with_truth(series, yaw, truth, n), n)
             for n in _BY_TRUTH
-            if n in yaw.laws and n not in yaw.chosen
+            if n in yaw.laws and n not in yaw.chosen and n not in yaw.uneven
         ]
         (gain, found), name = max(tried, key=lambda one: one[0][0], default=((0.0, None), ""))
         if found is None or gain < GAIN:
@@ -342,7 +346,7 @@ def _undenied(
     of_motion = [n for n in yaw.named if KINDS[n].group == "motion"]
     if not of_motion:
         return yaw, truth
-    other = yaw.without(of_motion)
+    other = yaw.without(of_motion, "speed")
     if truth is None or truth.mirrored:
         return (other if "speed" in yaw.odd else yaw), truth
     instead = _asked(series, other)
@@ -372,6 +376,9 @@ def _with_truth(
         return 0.0, None
     (both, both_std), (own, own_std) = joint_estimate(wider, found, name), wider.estimate(name)
     gain = yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2
+    # On loops a scale of the turns one way looks like one of all turns and a bias in motion that happen to fit each other.
+    if truth.one_way.get("", 0.0) > AS_LIKELY and found.one_way.get(name, -np.inf) > -AS_LIKELY:
+        return 0.0, None
     beside = found.told(GYRO_SCALE.id) ** 2
     if truth.believed(GYRO_SCALE.id) and gain > max(beside, 2.0 * np.log(OUT)):
         gain += truth.told(GYRO_SCALE.id) ** 2 - beside

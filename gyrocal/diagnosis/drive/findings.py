@@ -107,6 +107,12 @@ def told_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple
 
 
 def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
+    """What the truth shows or has a part in: scales, laws of the bias, the track that is left, wheels that spin."""
+    slip = spinning(yaw, truth)
+    return _turns_and_way(yaw, truth) | ({} if slip is None else {START_STOP_SLIP.id: slip})
+
+
+def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
     """What the truth shows, scales of gyro and wheels and laws of the bias (`ALONE`), and the track that is left.
 
     Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro), so that only the truth tells the three apart.
@@ -153,6 +159,27 @@ def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
         found[best] = Scale(value, std)
     return found
+
+
+def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale | None:
+    """Share of the way by which wheels spin for each m/s^2 that the speed grows, where turns and way together show it.
+
+    In turns the encoders' heading tells it, on all of the way the truth: two measurements of one figure.
+    """
+    told = []
+    if truth is not None and not truth.mirrored and SPINNING in truth.values:
+        told.append((truth.values[SPINNING], truth.stds[SPINNING]))
+    if "spinning" in yaw.chosen:
+        told.append(yaw.estimate("spinning"))
+    elif told and "spinning" in yaw.laws:
+        # By themselves turns have not told it.
+        (value,), ((variance,),) = yaw.beyond(["spinning"])
+        told.append((float(value), float(np.sqrt(variance))))
+    weights = np.array([std**-2 for _, std in told])
+    if not told or not np.isfinite(weights).all():
+        return None
+    value, std = float(np.average([v for v, _ in told], weights=weights)), float(weights.sum() ** -0.5)
+    return Scale(value, std) if value > 0.0 and (value / std) ** 2 >= GAIN else None
 
 
 def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
@@ -245,7 +272,7 @@ def named_effects(
     """Everything that earns its name, the strongest first."""
     gains: list[tuple[float, NamedEffect]] = []
     for name, gain in yaw.named.items():
-        if name == "track":
+        if name in ("track", "spinning"):
             continue
         gains.append((gain, _of_law(name, gain, yaw, truth)))
     for name, scale in parts.items():
@@ -254,8 +281,6 @@ def named_effects(
     bias = _unexpected_bias(series, yaw)
     if bias is not None and not any(e.effect == GYRO_BIAS.id for _, e in gains):
         gains.append(bias)
-    if truth is not None and spins(truth):
-        gains.append(_of_spin(truth))
     gains.sort(key=lambda item: -item[0])
     effects: list[NamedEffect] = []
     for _, effect in gains:
@@ -396,19 +421,6 @@ def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedE
     return gain, _effect(GYRO_BIAS.id, parameters, p, others, Remark(Said.BIAS_NO_REST))
 
 
-def spins(truth: TruthAnswer) -> bool:
-    """Whether nothing is so sure of what misses the truth as that the wheels go further while the speed grows."""
-    surest = min(truth.odd.values(), default=1.0)
-    return truth.told(SPINNING) > BELIEVED and truth.odd["acceleration"] == surest
-
-
-def _of_spin(truth: TruthAnswer) -> tuple[float, NamedEffect]:
-    slip_s, std = truth.values[SPINNING], truth.stds[SPINNING]
-    parameters = {"amplitude": Estimate.normal(slip_s, std, START_STOP_SLIP.parameters[0].unit)}
-    gain = truth.told(SPINNING) ** 2
-    return gain, _effect(START_STOP_SLIP.id, parameters, truth.odd["acceleration"], ())
-
-
 def undecided(yaw: YawAnswer, effects: Sequence[NamedEffect]) -> bool:
     """Whether encoders and gyro turn by a ratio of which the log does not say whose it is."""
     return "track" in yaw.named and _RATIO.isdisjoint(e.effect for e in effects)
@@ -442,7 +454,7 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
     }
     if _tilt(yaw, truth).value > 0.0:
         del reasons[ROBOT_TILT.id]
-    if truth is not None and spins(truth):
+    if spinning(yaw, truth) is not None:
         del reasons[START_STOP_SLIP.id]
     if "slope" not in yaw.laws:
         reasons[BIAS_TEMPERATURE.id] = Lack(Why.NO_GYRO_TEMPERATURE)

@@ -16,7 +16,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
-from gyrocal.physics.drive import ROBOT_TILT
+from gyrocal.physics.drive import ROBOT_TILT, START_STOP_SLIP
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
@@ -27,6 +27,8 @@ from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, NORMAL_95, 
 _CHANGES, _FLICKERS = 0.06, 1.5
 #: What track and asymmetry change by from one drive to the next, relative.
 _TRACK_CHANGES, _ASYMMETRY_CHANGES = 2e-3, 3e-4
+#: What no key of a robot file holds.
+_NO_KEYS = {ROBOT_TILT.id, START_STOP_SLIP.id}
 #: Coordinates over which it is the robot's turns that differ, and those over which its way does.
 _OF_TURNS, _OF_THE_WAY = ("place",), ("speed", "heading", "acceleration")
 
@@ -226,6 +228,8 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]
         if KINDS[name].figure or name == "wheel_sin":
             continue
         value, std = yaw.estimate(name)
+        if name == "spinning" and START_STOP_SLIP.id in parts:
+            value, std = parts[START_STOP_SLIP.id].value, parts[START_STOP_SLIP.id].std
         turn = yaw.law_rad(name)
         if name == "wheel_cos":
             turn = turn + yaw.law_rad("wheel_sin")
@@ -234,7 +238,9 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]
         metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
         # A ratio of turns that may be another's is no track's.
         named = name in (parts if name == "track" else yaw.named)
-        found.append(DriveEstimate(KINDS[name].shown, 100 * value, 100 * std, "%", metres, "encoders", named))
+        unit, per_si = (KINDS[name].unit, 1.0) if KINDS[name].unit else ("%", 100.0)
+        one = DriveEstimate(KINDS[name].shown, per_si * value, per_si * std, unit, metres, "encoders", named)
+        found.append(one)
     return found
 
 
@@ -272,7 +278,7 @@ def improved_robot(
     keys |= _slip_keys(yaw)
     # A slope stays where it is.
     wheels = {"asymmetry"} if ROBOT_TILT.id in parts else {"track", "asymmetry"}
-    earned = bool(keys) or bool(set(parts) - {ROBOT_TILT.id}) or not wheels.isdisjoint(lasting)
+    earned = bool(keys) or bool(set(parts) - _NO_KEYS) or not wheels.isdisjoint(lasting)
     if not earned:
         return None
     if series.differential:

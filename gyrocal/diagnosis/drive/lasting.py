@@ -39,6 +39,23 @@ def uneven(
     return found
 
 
+def outlasting(
+    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, Test]]:
+    """Named laws whose mean is beyond what the parts of the drive differ by, and those of all that change between these."""
+    changing = uneven(model, laws, chosen, named)
+    return {n: g for n, g in named.items() if n not in changing or outlasts(g, changing[n])}, changing
+
+
+def outlasts(gain: float, changing: Test) -> bool:
+    """Whether a law that changes between the parts of a drive has a mean beyond what these differ by.
+
+    Of a law that comes and goes, as over patches of ground, some mean is left on any path, and on the next one another.
+    """
+    among_parts, parts, _ = changing
+    return bool(stats.f.sf(gain * parts / among_parts, 1, parts) < STRANGER_P)
+
+
 def undenied(
     model: YawModel,
     told: Evidence,
@@ -50,13 +67,13 @@ def undenied(
     """Named laws less those that the log itself speaks against, and tests by coordinate with what these gained there.
 
     A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; a bias
-    that settles by itself did not come with the motion; and turns that differ more from place to place than they do in the
+    that settles by itself did not come with the motion or the temperature; and turns that differ more from place to place than they do in the
     mean are of the ground: on another path their mean is another.
     """
     denied = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
     if "delay" in named and odd["delay"][2] < STRANGER_P:
         denied["delay"] = ("delay", odd["delay"])
-    for name in (n for n in named if KINDS[n].group == "motion"):
+    for name in (n for n in named if KINDS[n].group == "motion" or n == "slope"):
         if rather_settles(told, [n for n in fitted if n != name], name):
             denied[name] = ("time", _test(named[name]))
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]

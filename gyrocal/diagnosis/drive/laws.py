@@ -18,6 +18,7 @@ from gyrocal.physics.drive import (
     GYRO_BIAS,
     GYRO_DELAY,
     SKID_SLIP,
+    START_STOP_SLIP,
     WHEEL_ASYMMETRY,
     WHEEL_ECCENTRICITY,
     DriveConditions,
@@ -29,7 +30,7 @@ from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 Floats = NDArray[np.float64]
 
 #: Catalogue units in one SI unit of a coefficient (deg/s for rates of the gyro).
-PER_SI = {"%": 1e2, "ppm": 1e6, "mdeg/s": 1e3, "mdeg/s per degC": 1e3, "s": 1.0}
+PER_SI = {"%": 1e2, "ppm": 1e6, "mdeg/s": 1e3, "mdeg/s per degC": 1e3, "s": 1.0, "s^2/m": 1.0}
 #: Small enough for the laws that are not linear in their amplitude, SI.
 _SMALL = 1e-3
 #: Curvatures of half saturation that are tried.
@@ -66,7 +67,8 @@ class Kind:
     shown : str
         Its name among the estimates.
     figure, unit : str
-        Of the gyro: its field of `Figures`, which is its key below ``gyro`` in the robot file too, and the unit of both.
+        Of the gyro: its field of `Figures`, which is its key below ``gyro`` in the robot file too, and the unit of both; a law
+        of the wheels without a unit is a share.
     group : str
         Laws of one group stand for each other: only one of them is taken.
     lag_s : float
@@ -100,6 +102,7 @@ KINDS: Mapping[str, Kind] = {
     "slip_turn_rate": _SLIP,
     "slip_curvature": _SLIP,
     **{f"slip_saturating_{half:g}": _SLIP for half in HALF_CURVATURES},
+    "spinning": Kind(START_STOP_SLIP.id, unit="s^2/m", group="spinning"),
     "wheel_cos": Kind(WHEEL_ECCENTRICITY.id),
     "wheel_sin": Kind(WHEEL_ECCENTRICITY.id),
 }
@@ -229,7 +232,7 @@ def difference(frame: Frame) -> Floats:
 def law(frame: Frame, effect: DriveEffect, where: Floats | None = None, **shape: float) -> Law:
     """One law of the catalogue at a small amplitude, divided by it; `where` weighs its rows."""
     size = _SMALL * PER_SI[effect.parameters[0].unit]
-    conditions = frame.steady if effect is SKID_SLIP else frame.conditions
+    conditions = frame.steady if effect in (SKID_SLIP, START_STOP_SLIP) else frame.conditions
     change, _ = effect.change(conditions, effect.complete({"amplitude": size, **shape}), None)
     turn = (change.encoder_yaw_rad - change.gyro_yaw_rad) / _SMALL
     return Law(effect.id, shape, frame.nodes.between(np.cumsum(turn if where is None else turn * where)))
@@ -266,6 +269,7 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
         found["slope"] = Law(slope.effect, slope.shape, slope.column + away * law(frame, GYRO_BIAS).column)
     if series.differential:
         found["delay"] = late(frame)
+        found["spinning"] = law(frame, START_STOP_SLIP)
         found["slip_turn_rate"] = law(frame, SKID_SLIP, law=0.0, shape=1.0)
         found["slip_curvature"] = law(frame, SKID_SLIP, law=float(SLIP_LAWS.index("curvature")), shape=1.0)
         saturating = float(SLIP_LAWS.index("curvature_saturating"))
@@ -275,11 +279,12 @@ def candidate_laws(frame: Frame) -> dict[str, Law]:
 
 
 def settling_laws(frame: Frame) -> dict[str, Law]:
-    """A bias that settles after the start, where a rest there may have seen another one than the drive.
+    """A bias that settles after the start, where a rest there may have seen another one than the drive, or a temperature may stand for it.
 
-    Of no name, for no robot file holds them: that gyros warm up by themselves may be all that a step of the bias stands for.
+    Of no name, for no robot file holds them: that gyros warm up by themselves may be all that a step of the bias stands for,
+    or one that goes with a temperature that rises all the time.
     """
-    if frame.series.first_rest_s < _LEAST_REST_S:
+    if frame.series.first_rest_s < _LEAST_REST_S and frame.conditions.temp_c is None:
         return {}
     since_s = frame.series.t_s - frame.series.t_s[0]
     columns = {n: law(frame, GYRO_BIAS, where=np.exp(-since_s / s)).column for n, s in SETTLING.items()}
@@ -311,6 +316,7 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     share = (c.t_s - c.t_s[0]) / series.duration_s - 0.5
     heading = np.cumsum(turn)
     acceleration = np.gradient(speed, c.t_s) if np.all(np.diff(c.t_s) > 0) else np.zeros_like(speed)
+    growth = acceleration * np.sign(speed)
     delay = late(frame).column
     moving = np.abs(speed) > 0
     edges = np.quantile(np.abs(speed[moving]), [1 / 3, 2 / 3]) if moving.any() else np.zeros(2)
@@ -324,7 +330,8 @@ def strangers(frame: Frame) -> dict[str, Floats]:
         + [f(2 * heading) * turn for f in (np.cos, np.sin)]
         + [f(heading) * c.dt_s for f in (np.cos, np.sin)],
         "turn_rate": [turn * (turn > 0), turn * c.gyro_dps, turn * c.gyro_dps**2],
-        "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way],
+        # Wheels that slide as they brake beside those that spin, which have a name.
+        "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way, turn * np.maximum(-growth, 0.0)],
     }
     ground = by_place(c.t_s, heading, way, turn)
     if ground:

@@ -13,7 +13,7 @@ from gyrocal.diagnosis.drive.yaw import Evidence
 Floats = NDArray[np.float64]
 
 #: Gain by which a law is 20 times as likely as another: with less, either may have made the log.
-_AS_LIKELY = 2.0 * float(np.log(20.0))
+AS_LIKELY = 2.0 * float(np.log(20.0))
 
 
 def of_motion(laws: Iterable[str]) -> list[str]:
@@ -55,17 +55,17 @@ def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], le
         return list(chosen)
     beside = [n for n in chosen if n != taken]
     gain, warmed, at_once = (told.added(beside, [n]) for n in (taken, "slope", AT_ONCE))
-    denied, as_likely = at_once < gain - _AS_LIKELY, warmed >= max(least, gain - _AS_LIKELY)
+    denied, as_likely = at_once < gain - AS_LIKELY, warmed >= max(least, gain - AS_LIKELY)
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
 
 
 def rather_settles(told: Evidence, beside: Sequence[str], name: str) -> bool:
     """Whether a bias that settles by itself explains surely more than a law of the motion does in its place."""
     gain = told.added(beside, [name])
-    return any(told.added(beside, [n]) > gain + _AS_LIKELY for n in told.own.names if n in SETTLING)
+    return any(told.added(beside, [n]) > gain + AS_LIKELY for n in told.own.names if n in SETTLING)
 
 
 def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Sequence[str]) -> bool:
     """Whether one of other laws in the place of one is as likely as it is."""
     gain = told.added(beside, [name])
-    return any(told.added(beside, [n]) > gain - _AS_LIKELY for n in instead)
+    return any(told.added(beside, [n]) > gain - AS_LIKELY for n in instead)

@@ -12,12 +12,14 @@ from gyrocal.diagnosis.drive.reckoning import Floats, Reckoned
 _PARTS = 8
 #: Columns of the bias of single parts among those without a name, less that of the last: their mean is zero.
 BIAS_PARTS = tuple(f"time:{k}" for k in range(_PARTS - 1))
-#: The column without a name of wheels that go further while the speed grows, m per m/s: a name has it in the catalogue.
+#: The column of wheels that go further while the speed grows, s^2/m: a name has it in the catalogue.
 SPINNING = "acceleration:0"
+#: The column of turns that have one sign whichever way they go.
+ONE_SIZE = "turn_rate:0"
 
 
-def path_strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
-    """Columns of no name; coordinate -> (rows, m)."""
+def path_strangers(knots: Knots, path: Reckoned) -> dict[str, dict[str, Floats]]:
+    """Columns of no name, and `SPINNING`, by coordinate; each of shape (rows,)."""
     turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
     share = (path.t_s - path.t_s[0]) / float(np.ptp(path.t_s)) - 0.5
     speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
@@ -26,13 +28,16 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     whole, half_s = np.cumsum(path.way_m), 0.5 * SPEED_SMOOTH_S
     ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (half_s, -half_s))
     gained = np.diff(np.abs(ahead - behind) / SPEED_SMOOTH_S, prepend=0.0)
+    growth = np.divide(gained, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
     within = (part == np.arange(_PARTS)[:, None]).astype(np.float64)
     errors = {
         "turn_rate": [(np.abs(turned), nothing), (turned * rate, nothing), (nothing, path.way_m * rate)],
         "speed": [(nothing, path.way_m * speed), (path.way_m, nothing)],
         # Wheels that spin or slide: where the speed grows, and where it falls.
-        "acceleration": [(nothing, -np.maximum(gained, 0.0)), (nothing, -np.minimum(gained, 0.0))],
+        "acceleration": [
+            (nothing, sign * path.way_m * np.maximum(-sign * growth, 0.0)) for sign in (-1.0, 1.0)
+        ],
         # First a bias that is another one from some time on, or for a while.
         "time": [(path.dt_s * (within[k] - within[-1]), nothing) for k in range(_PARTS - 1)]
         + [(turned * share, nothing), (nothing, path.way_m * share)],
@@ -55,5 +60,8 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         if parts
     }
     # What moves positions alone is not seen in headings alone.
-    seen = {name: block[:, np.any(block != 0.0, axis=0)] for name, block in found.items()}
-    return {name: block for name, block in seen.items() if block.size}
+    seen = {
+        name: {f"{name}:{k}": column for k, column in enumerate(block.T) if np.any(column != 0.0)}
+        for name, block in found.items()
+    }
+    return {name: block for name, block in seen.items() if block}

@@ -15,7 +15,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located, NamedEffect
-from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT, START_STOP_SLIP
+from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT
 from gyrocal.units import NORMAL_95
 
 #: Noise above what the robot file says by more than this is no noise of that kind.
@@ -49,8 +49,6 @@ def places(
         odd["turn_rate"] = min(float(stats.chi2.sf(yaw.named["track"], 1)), odd.get("turn_rate", 1.0))
     if any(e.effect == ROBOT_TILT.id for e in effects):
         odd.pop("heading", None)
-    if any(e.effect == START_STOP_SLIP.id for e in effects):
-        odd.pop("acceleration", None)
     left = [Located(c, "mean", p, float("nan"), remains=True) for c, p in odd.items()]
     of_wheels = (("wheels", law.shape["until_s"]) for law in yaw.changed.values())
     target, at_s = next(of_wheels, ("bias", yaw.jump_s))

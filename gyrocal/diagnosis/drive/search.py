@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
-from gyrocal.diagnosis.drive.lasting import undenied, uneven
+from gyrocal.diagnosis.drive.lasting import outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     SETTLING,
@@ -36,6 +36,7 @@ Floats = NDArray[np.float64]
 #: Twice the log likelihood that a law must gain to be named; beside a law of slip also this share of what that gains. On
 #: 100 drives with nothing hidden, made by another hand, no law gained more than 11.4.
 GAIN, SECOND = 15.0, 0.02
+_SLIPS = ("slip", "spinning")
 #: What two laws must gain together that alone gain nothing: as improbable by chance as one's gain.
 PAIR_GAIN = float(stats.chi2.isf(stats.chi2.sf(GAIN, 1), 2))
 #: Share of what it explains together with columns of no name from which on a law does not need their leave.
@@ -219,12 +220,12 @@ class YawAnswer:
         chosen = tuple(n for n in self.chosen if n not in laws)
         return self.solved(chosen, {n: g for n, g in self.named.items() if n not in laws})
 
-    def without(self, denied: Sequence[str]) -> YawAnswer:
-        """The same less laws that something else speaks against: what they had explained has no name."""
+    def without(self, denied: Sequence[str], coordinate: str) -> YawAnswer:
+        """The same less laws that something else speaks against: what they had explained has no name but its coordinate."""
         gain = sum(self.named[n] for n in denied)
         test = (gain, len(denied), float(stats.chi2.sf(gain, len(denied))))
-        odd = tuple(dict.fromkeys([*self.odd, "speed"]))
-        return replace(self.less(denied), strangers=odder(self.strangers, "speed", test), odd=odd)
+        odd = tuple(dict.fromkeys([*self.odd, coordinate]))
+        return replace(self.less(denied), strangers=odder(self.strangers, coordinate, test), odd=odd)
 
     @property
     def left_rad(self) -> Floats:
@@ -313,13 +314,13 @@ def _examine(
     chosen, odd = _with_sure_jump(told, chosen, beside, odd)
     earned = _named(told, chosen, beside, ahead_s)
     named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
+    named, changing = outlasting(model, everything, chosen, named)
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
     ]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
     values, covariance = told.own.solve([*chosen, *unnamed])
-    changing = uneven(model, everything, chosen, named)
     odd = odder(odd, "time", *changing.values())
     return YawAnswer(
         model,
@@ -457,7 +458,7 @@ def _cancelling(told: Evidence, chosen: Sequence[str], candidates: Sequence[str]
 
 def _least(gained: Mapping[str, float]) -> float:
     """What a law must gain beside others: the shape of a slip law is never quite that of the robot's, all else is linear."""
-    return max(GAIN, SECOND * max((g for n, g in gained.items() if KINDS[n].group == "slip"), default=0.0))
+    return max(GAIN, SECOND * max((g for n, g in gained.items() if KINDS[n].group in _SLIPS), default=0.0))
 
 
 def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s: float) -> dict[str, float]:

@@ -9,11 +9,11 @@ rows, whose errors are in part the noise of the same gyro.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
 from gyrocal.diagnosis.drive.laws import (
     AT_ONCE,
@@ -26,16 +26,15 @@ from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
-    PathNoise,
     cell_edges_s,
     path_noise,
     stacked,
 )
-from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, SPINNING, path_strangers
+from gyrocal.diagnosis.drive.path_problem import PathProblem, oddities, one_sided, spins
+from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
-from gyrocal.inference.gls import Regression, regress
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
@@ -58,8 +57,6 @@ _FREE, _WAY_FREE = 4.0, 1.0
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
-#: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
-_UNTOLD = 1e6
 #: Scales that the truth alone tells apart.
 SCALES = ("gyro_scale", "wheel_scale")
 
@@ -81,7 +78,7 @@ class TruthAnswer:
     values, stds : mapping
         Laws of the bias by their names in `KINDS`, ``bias`` always (beyond what was taken out), ``gyro_scale``,
         ``wheel_scale`` (relative), ``lever_ahead``, ``lever_left`` (m), ``clock`` (s, the truth is late), and
-        ``mounting`` (rad, where there are headings), and `SPINNING` where the path misses the truth by that coordinate.
+        ``mounting`` (rad, where there are headings), and `SPINNING` where there are positions.
     covariance : ndarray, shape (2, 2)
         Of `SCALES`.
     of_laws : ndarray, shape (p, p)
@@ -96,6 +93,8 @@ class TruthAnswer:
         Noise of truth and way.
     bias_moves_dps : float
         How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``gyro_bias`` is the mean then.
+    one_way : mapping
+        Twice the log of how much likelier a scale of the turns one way is than one of all, and than that and a law of the motion.
     """
 
     values: Mapping[str, float]
@@ -107,6 +106,7 @@ class TruthAnswer:
     loss: float = 0.0
     levels: _Levels | None = None
     bias_moves_dps: float = 0.0
+    one_way: Mapping[str, float] = field(default_factory=dict)
 
     def told(self, name: str) -> float:
         """A figure in its standard deviations; 0 where the truth is mirrored or says nothing of it."""
@@ -217,49 +217,9 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     return columns
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """Rows of one linearisation: residual, columns, what is known of each coefficient, noise."""
-
-    residual: Floats
-    columns: Mapping[str, Floats]
-    known: Mapping[str, tuple[float, float]]
-    noise: PathNoise
-
-    def cut(self, keep: NDArray[np.bool_]) -> _Problem:
-        """For some of the rows."""
-        return _Problem(
-            self.residual[keep],
-            {n: c[keep] for n, c in self.columns.items()},
-            self.known,
-            self.noise.cut(keep),
-        )
-
-    @property
-    def design(self) -> Floats:
-        """All columns, shape (rows, parameters)."""
-        return np.column_stack([*self.columns.values()])
-
-    def left(self, values: Floats) -> Floats:
-        """Rows that coefficients leave."""
-        return np.asarray(self.residual - self.design @ values)
-
-    def solve(self, logs: Floats) -> Regression:
-        """Coefficients under noise of these levels; the loss is infinite where they make none."""
-        x = self.design
-        size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
-        mean, std = np.array([self.known.get(name, (0.0, np.inf)) for name in self.columns]).T
-        std = np.minimum(std * size, _UNTOLD)
-        try:
-            found = regress(self.noise.whole(logs), x / size, self.residual, mean * size, std)
-        except np.linalg.LinAlgError:
-            return Regression(np.zeros(x.shape[1]), np.eye(x.shape[1]), np.inf, np.inf)
-        return replace(found, values=found.values / size, covariance=found.covariance / np.outer(size, size))
-
-
 def _problem(
     knots: Knots, base: Reckoned, state: _State, laws: BiasLaws, noise: YawNoise, wander_s: float
-) -> _Problem:
+) -> PathProblem:
     path = _reckoned(knots, base, state)
     at = knots.mean(path.at_m)
     apart = at if knots.position is None else knots.position - at
@@ -281,10 +241,10 @@ def _problem(
     if state.strayed is not None:
         # As noise about zero again; what is known beforehand has not been moved.
         residual[: -knots.told] += spread.turned[: -knots.told] @ state.strayed
-    return _Problem(residual, _columns(knots, path), known, spread)
+    return PathProblem(residual, _columns(knots, path), known, spread)
 
 
-def _levels(problem: _Problem, first: Floats) -> Floats:
+def _levels(problem: PathProblem, first: Floats) -> Floats:
     spread = np.array([_WAY_FREE, *[_FREE] * (first.size - 1)])
 
     def loss(logs: Floats) -> float:
@@ -316,7 +276,7 @@ class _Laid:
     """A path laid on the truth: where the linearisation stands, and the problem, levels and loss there."""
 
     state: _State
-    problem: _Problem
+    problem: PathProblem
     levels: _Levels
     loss: float
 
@@ -405,7 +365,9 @@ def ask_truth(
     if knots is None:
         return None
     if knots.position is None:
-        return _answer(knots, base, _laid(knots, base, laws, noise, levels), bias_changes=bias_changes)
+        return _answer(
+            knots, base, _laid(knots, base, laws, noise, levels), figures, bias_changes=bias_changes
+        )
     if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     laid = _laid(knots, base, laws, noise, levels)
@@ -416,23 +378,34 @@ def ask_truth(
         turned = _laid(other, base, laws, noise)
         plain = _laid(replace(knots, heading=None), base, laws, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
-    answer = _answer(knots, base, laid, bias_changes=bias_changes)
+    answer = _answer(knots, base, laid, figures, bias_changes=bias_changes)
     # What a path misses of its mirror image is no structure of the drive.
     return replace(answer, mirrored=True, odd={}) if mirrored else answer
 
 
-def _answer(knots: Knots, base: Reckoned, laid: _Laid, *, bias_changes: bool) -> TruthAnswer:
+def _answer(
+    knots: Knots, base: Reckoned, laid: _Laid, figures: Figures, *, bias_changes: bool
+) -> TruthAnswer:
     state, problem, logs = laid.state, laid.problem, laid.levels.logs
-    odd: dict[str, float] = {}
+    blocks = path_strangers(knots, _reckoned(knots, base, state))
+    odd = oddities(problem, blocks, logs)
+    if spins(problem, blocks, odd, logs):
+        problem = problem.with_columns({SPINNING: blocks["acceleration"].pop(SPINNING)})
+        odd = oddities(problem, blocks, logs)
+    one_way: dict[str, float] = {}
+    if "turn_rate" in blocks:
+        in_motion = {"step": figures.bias_motion_dps, **dict.fromkeys(MOVING, figures.bias_moving_dps)}
+        whole = {n: v + in_motion.get(n, 0.0) for n, v in state.values.items()}
+        tried = ("", *(n for n in knots.laws if n in in_motion))
+        size, std = blocks["turn_rate"][ONE_SIZE], ALONE[AT_ONCE]
+        one_way = {n: one_sided(problem, size, logs, whole, n, std if n else 1.0) for n in tried}
     beside: dict[str, Floats] = {}
-    for coordinate, block in path_strangers(knots, _reckoned(knots, base, state)).items():
-        more = {f"{coordinate}:{k}": block[:, k] for k in range(block.shape[1])}
-        odd[coordinate] = float(stats.chi2.sf(_gain(problem, more, logs), len(more)))
+    for coordinate, more in blocks.items():
         beside |= more if odd[coordinate] < STRANGER_P else {}
         if bias_changes:
             beside |= {n: column for n, column in more.items() if n in BIAS_PARTS}
     # A scale must hold beside whatever else is in the path.
-    problem = replace(problem, columns={**problem.columns, **beside})
+    problem = problem.with_columns(beside)
     solved = problem.solve(logs)
     values, covariance = solved.values, solved.covariance
     names = list(problem.columns)
@@ -440,6 +413,10 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid, *, bias_changes: bool) ->
         covariance[names.index(name), names.index(name)] += _MODEL_STD**2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
+    spinning = blocks.get("acceleration", {}).get(SPINNING)
+    if spinning is not None:
+        wider = problem.with_columns({SPINNING: spinning})
+        found[SPINNING], stds[SPINNING] = wider.told(SPINNING, logs)
     # Parts that the truth does not show by itself are noise.
     moving = odd.get("time", 1.0) < STRANGER_P
     of_parts = [v for n, v in zip(names, values, strict=True) if n in BIAS_PARTS and moving]
@@ -460,10 +437,5 @@ def _answer(knots: Knots, base: Reckoned, laid: _Laid, *, bias_changes: bool) ->
         loss=laid.loss,
         levels=laid.levels,
         bias_moves_dps=moves_dps,
+        one_way=one_way,
     )
-
-
-def _gain(problem: _Problem, more: Mapping[str, Floats], logs: Floats) -> float:
-    """Twice the log likelihood that columns add."""
-    wider = replace(problem, columns={**problem.columns, **more})
-    return problem.solve(logs).left - wider.solve(logs).left

@@ -407,21 +407,3 @@ def test_a_bias_that_settles_is_no_step_that_the_next_drive_has(resting: Robot) 
         assert ("time" in [p.coordinate for p in found.diagnosis.located if p.remains]) != lasts
         written = found.robot is not None and found.robot.parameters.gyro.bias_motion_dps != 0.0
         assert written == lasts
-
-
-def test_wheels_that_spin_while_the_speed_grows_are_named_where_the_truth_shows_them(resting: Robot) -> None:
-    log = drive(replace(RESTS, shape="random", truth_m=0.01), 6)
-    speed = np.convolve(0.5 * (log.left_m + log.right_m), np.full(20, 1.0), "same")
-    gained = np.diff(speed, prepend=speed[0])
-    for slip, sign, names in ((0.05, 1.0, ["start_stop_slip"]), (0.05, -1.0, [])):
-        more = slip * np.maximum(sign * gained, 0.0) * sign
-        found = diagnose_drive(
-            "log", replace(log, left_m=log.left_m + more, right_m=log.right_m + more), resting
-        )
-        assert [e.effect for e in found.diagnosis.effects] == names
-        assert ("start_stop_slip" in found.diagnosis.not_testable) == (not names)
-        # What braking wheels slide has no name, but its place.
-        assert ("acceleration" in [p.coordinate for p in found.diagnosis.located if p.remains]) == (not names)
-        if names:
-            amplitude = found.diagnosis.effects[0].parameters["amplitude"]
-            assert amplitude.value == pytest.approx(slip, abs=max(3.0 * amplitude.std, 0.3 * slip))

@@ -97,7 +97,7 @@ def test_a_bias_beyond_what_the_robot_file_grants_is_named_where_no_rest_takes_i
 
 @pytest.mark.parametrize(("std", "known"), [(0.01, True), (0.03, False)])
 def test_a_truth_that_knows_a_scale_poorly_is_said_to_be_poor(std: float, known: bool) -> None:
-    log = yaw(laws={"slope": 0, "step": 0}, gram=SimpleNamespace(names=()))
+    log = yaw(laws={"slope": 0, "step": 0}, chosen=(), gram=SimpleNamespace(names=()))
     reasons = findings.not_testable(series(), log, truth(0.0, 0.0, std))
     assert ("gyro_scale" not in reasons) == known
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.engine import _wheels_beside_structure, diagnose_drive, examine
+from gyrocal.diagnosis.drive.lasting import outlasts
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.yaw import usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.records.drive import DriveBlock
@@ -116,3 +118,48 @@ def test_wheels_that_err_by_heading_make_no_gyro_noisy(resting: Robot) -> None:
     assert found.robot.noise_std["flicker_dps"] > 0.0
     # The next drive heads elsewhere, by which its wheels differ as this one's do about their mean: 0.003 / sqrt(2).
     assert 0.001 < found.robot.initial_std["left_scale"] < 0.003
+
+
+@pytest.mark.parametrize("settles", [False, True])
+def test_a_gyro_that_warms_up_by_itself_does_not_follow_the_temperature(settles: bool) -> None:
+    """Both rise all the time, the one within half a minute and the other within minutes."""
+    log = drive(replace(PLAN, rest_s=0.0, bias_dps=0.0), 4)
+    since_s = log.t_s - log.t_s[0]
+    by_dps = 0.3 * (1.0 - np.exp(-since_s / 40.0)) if settles else 0.02 * (log.gyro_temp_c - 20.0)
+    robot = robot_of({"wheel_separation_m": 0.5, "static_s": 0.0}, Path("robot.toml"))
+    found = diagnose_drive("log", replace(log, gyro_dps=log.gyro_dps + by_dps), robot)
+    assert ("bias_temperature" in [e.effect for e in found.diagnosis.effects]) != settles
+    assert ("time" in [p.coordinate for p in found.diagnosis.located if p.remains]) == settles
+    assert found.robot is not None
+    assert (found.robot.parameters.gyro.bias_slope_dps_per_c != 0.0) != settles
+
+
+def test_wheels_that_differ_now_and_then_have_no_name(resting: Robot) -> None:
+    """The mean of what comes and goes is another one on the next drive."""
+    log = drive(PLAN, 6)
+    on = np.random.default_rng(3).normal(size=60)[((log.t_s - log.t_s[0]) / 8.01).astype(np.int64)] > 0.0
+    for mean, amplitude in ((0.004, 0.0), (0.002, 0.006)):
+        half = 0.5 * (mean + amplitude * np.where(on, 1.0, -1.0))
+        unlike = replace(log, left_m=log.left_m * (1.0 - half), right_m=log.right_m * (1.0 + half))
+        found = examine("log", unlike, resting, None).yaw
+        assert ("asymmetry" in found.named) == (amplitude == 0.0)
+        assert ("time" in found.odd) == (amplitude > 0.0)
+
+
+def test_the_mean_of_a_law_is_weighed_by_what_its_parts_differ() -> None:
+    """F of 1 and 23 is beyond 14.2 once in 1000: the mean gains what one of 23 parts does, times that."""
+    assert not outlasts(14.0, (23.0, 23, 1e-4))
+    assert outlasts(15.0, (23.0, 23, 1e-4))
+    assert not outlasts(15.0, (46.0, 23, 1e-4))
+
+
+@pytest.mark.parametrize("one_way", [False, True])
+def test_a_scale_of_the_turns_one_way_is_none_of_all_turns(one_way: bool, resting: Robot) -> None:
+    """On figures of eight it looks like half of it and a bias in motion."""
+    log = drive(replace(PLAN, shape="eights", truth_m=0.02), 5)
+    more = np.where(log.gyro_dps > 0.5, 0.003, 0.0 if one_way else 0.003)
+    found = examine("log", replace(log, gyro_dps=log.gyro_dps * (1.0 + more)), resting, None)
+    assert found.truth is not None
+    assert (found.truth.one_way[""] > 0.0) == one_way
+    assert [*found.parts] == ([] if one_way else ["gyro_scale"])
+    assert ("turn_rate" in [c for c, p in found.truth.odd.items() if p < STRANGER_P]) == one_way

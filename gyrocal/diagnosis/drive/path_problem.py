@@ -1,0 +1,141 @@
+"""One linearisation of a path that is laid on a truth: its least squares, and what is left that has no name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from gyrocal.diagnosis.drive.motions import AS_LIKELY
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_noise import PathNoise
+from gyrocal.diagnosis.drive.path_strangers import SPINNING
+from gyrocal.diagnosis.drive.reckoning import Floats
+from gyrocal.inference.gls import Regression, regress
+from gyrocal.physics.drive import GYRO_SCALE
+
+#: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
+_UNTOLD = 1e6
+
+
+@dataclass(frozen=True)
+class PathProblem:
+    """Rows of one linearisation: residual, columns, what is known of each coefficient, noise."""
+
+    residual: Floats
+    columns: Mapping[str, Floats]
+    known: Mapping[str, tuple[float, float]]
+    noise: PathNoise
+
+    def cut(self, keep: NDArray[np.bool_]) -> PathProblem:
+        """For some of the rows."""
+        return PathProblem(
+            self.residual[keep],
+            {n: c[keep] for n, c in self.columns.items()},
+            self.known,
+            self.noise.cut(keep),
+        )
+
+    @property
+    def design(self) -> Floats:
+        """All columns, shape (rows, parameters)."""
+        return np.column_stack([*self.columns.values()])
+
+    def with_columns(self, more: Mapping[str, Floats]) -> PathProblem:
+        """The same with further columns."""
+        return replace(self, columns={**self.columns, **more})
+
+    def told(self, name: str, logs: Floats) -> tuple[float, float]:
+        """A coefficient and its standard deviation."""
+        found, at = self.solve(logs), list(self.columns).index(name)
+        return float(found.values[at]), float(np.sqrt(found.covariance[at, at]))
+
+    def left(self, values: Floats) -> Floats:
+        """Rows that coefficients leave."""
+        return np.asarray(self.residual - self.design @ values)
+
+    def solve(self, logs: Floats) -> Regression:
+        """Coefficients under noise of these levels; the loss is infinite where they make none."""
+        x = self.design
+        size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
+        mean, std = np.array([self.known.get(name, (0.0, np.inf)) for name in self.columns]).T
+        std = np.minimum(std * size, _UNTOLD)
+        try:
+            found = regress(self.noise.whole(logs), x / size, self.residual, mean * size, std)
+        except np.linalg.LinAlgError:
+            return Regression(np.zeros(x.shape[1]), np.eye(x.shape[1]), np.inf, np.inf)
+        return replace(found, values=found.values / size, covariance=found.covariance / np.outer(size, size))
+
+
+def _gain(problem: PathProblem, more: Mapping[str, Floats], logs: Floats) -> float:
+    """Twice the log likelihood that columns add."""
+    return problem.solve(logs).left - problem.with_columns(more).solve(logs).left
+
+
+def oddities(
+    problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], logs: Floats
+) -> dict[str, float]:
+    """P-value of the columns of each coordinate."""
+    return {c: float(stats.chi2.sf(_gain(problem, more, logs), len(more))) for c, more in blocks.items()}
+
+
+def spins(
+    problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], odd: Mapping[str, float], logs: Floats
+) -> bool:
+    """Whether wheels that spin are surer than anything without a name, wheels that slide as they brake among it."""
+    of_speed = blocks.get("acceleration", {})
+    if SPINNING not in of_speed:
+        return False
+    gains = {name: _gain(problem, {name: column}, logs) for name, column in of_speed.items()}
+    spinning = gains.pop(SPINNING)
+    others = min([STRANGER_P, *(p for c, p in odd.items() if c != "acceleration")])
+    surest = stats.chi2.sf(spinning, 1) < others and spinning > max(gains.values(), default=0.0) + AS_LIKELY
+    return bool(surest and problem.with_columns({SPINNING: of_speed[SPINNING]}).told(SPINNING, logs)[0] > 0.0)
+
+
+def one_sided(
+    problem: PathProblem,
+    one_size: Floats,
+    logs: Floats,
+    taken_out: Mapping[str, float],
+    law: str = "",
+    std: float = 1.0,
+) -> float:
+    """Twice the log of how much likelier a scale of the turns one way is than one of all turns, and a law beside it.
+
+    That has one figure more, which is a chance the more, the more closely it is known of all that was possible.
+
+    Parameters
+    ----------
+    one_size : ndarray, shape (rows,)
+        What turns do that have one sign whichever way they go.
+    taken_out : mapping
+        Coefficients that the path is without.
+    law, std : optional
+        What a scale of the turns one way does without, and what is thought possible of it.
+    """
+    both = problem.columns[GYRO_SCALE.id]
+    residual = problem.residual + taken_out[GYRO_SCALE.id] * both
+    others = {n: column for n, column in problem.columns.items() if n != law}
+    if law:
+        residual = residual + taken_out[law] * problem.columns[law]
+    known = {**problem.known, GYRO_SCALE.id: (0.0, problem.known[GYRO_SCALE.id][1])}
+    ways = [
+        replace(
+            problem,
+            residual=residual,
+            columns={**others, GYRO_SCALE.id: 0.5 * (both + sign * one_size)},
+            known=known,
+        )
+        for sign in (-1.0, 1.0)
+    ]
+    return _against(problem, logs) + 2.0 * float(np.log(std)) - min(_against(way, logs) for way in ways)
+
+
+def _against(problem: PathProblem, logs: Floats) -> float:
+    """Minus twice the log of the evidence of some columns, but for what all of the same noise share."""
+    solved = problem.solve(logs)
+    return solved.left - float(np.linalg.slogdet(solved.covariance)[1])

@@ -1,0 +1,70 @@
+"""Wheels that spin while the speed grows: the way shows it beside a truth, turns without one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.drive import findings
+from gyrocal.diagnosis.drive.engine import diagnose_drive
+from gyrocal.diagnosis.drive.path_strangers import SPINNING
+from gyrocal.diagnosis.drive.search import YawAnswer
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot, read_robot
+from tests.diagnosis.drive.fleet import Plan, drive
+
+PLAN = Plan("random", 6.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=2e-4)
+
+
+@pytest.fixture
+def resting(tmp_path: Path) -> Robot:
+    path = tmp_path / "resting.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
+    return read_robot(path)
+
+
+def spinning(log: DriveBlock, share_s2_per_m: float, *, braking: bool = False) -> DriveBlock:
+    """The log with wheels that go further while the speed grows, or as they brake."""
+    dt_s = float(np.median(np.diff(log.t_s)))
+    kernel = np.hanning(round(0.6 / dt_s) | 1)
+    speed = np.abs(np.convolve(0.5 * (log.left_m + log.right_m), kernel / kernel.sum(), "same")) / dt_s
+    grows = np.gradient(speed, dt_s) * (-1.0 if braking else 1.0)
+    further = 1.0 + share_s2_per_m * np.maximum(grows, 0.0)
+    return replace(log, left_m=log.left_m * further, right_m=log.right_m * further)
+
+
+@pytest.mark.parametrize("truth_m", [0.0, 0.01])
+def test_wheels_that_spin_while_the_speed_grows_are_named(resting: Robot, truth_m: float) -> None:
+    """By the way, where a truth shows it, and by turns that begin as the speed grows."""
+    log = drive(replace(PLAN, truth_m=truth_m), 6)
+    for share, braking in ((0.1, False), (-0.1, False), (-0.1, True)):
+        found = diagnose_drive("log", spinning(log, share, braking=braking), resting)
+        named = [e.effect for e in found.diagnosis.effects]
+        assert (named == ["start_stop_slip"]) == ("start_stop_slip" in named) == (share > 0.0)
+        assert ("start_stop_slip" in found.diagnosis.not_testable) == (share < 0.0)
+        # What braking wheels slide has no name, but its place.
+        left = [p.coordinate for p in found.diagnosis.located if p.remains]
+        assert ("acceleration" in left) == (share < 0.0)
+        if share > 0.0:
+            amplitude = found.diagnosis.effects[0].parameters["amplitude"]
+            assert amplitude.value == pytest.approx(share, abs=max(3.0 * amplitude.std, 0.15 * share))
+
+
+def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
+    resting: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = drive(replace(PLAN, truth_m=0.01), 6)
+    found = diagnose_drive("log", spinning(log, 0.1), resting)
+    assert found.truth is not None
+    value, std = found.truth.values[SPINNING], found.truth.stds[SPINNING]
+    weak = replace(found.truth, values={**found.truth.values, SPINNING: 3.0 * std}, stds={**found.truth.stds})
+    least = replace(found.yaw, chosen=tuple(n for n in found.yaw.chosen if n != "spinning"))
+    for of_turns, told in ((3.0, True), (1.0, False), (-3.0, False)):
+        monkeypatch.setattr(
+            YawAnswer, "beyond", lambda *_, k=of_turns: (np.array([k * std]), np.array([[std**2]]))
+        )
+        assert (findings.spinning(least, weak) is not None) == told
+    assert value > 0.0
