@@ -18,7 +18,7 @@ from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, n
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import Laws, effects_of
-from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
+from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
     EACH_RATE,
     Coil,
@@ -26,6 +26,7 @@ from gyrocal.diagnosis.parts import (
     drifts,
     of_each_direction,
     passing,
+    polynomials,
     remembering,
 )
 from gyrocal.inference.additive import START, Component, Contrasts
@@ -140,6 +141,10 @@ class TableSearch:
             beam = wider
         self._spread()
         return sorted(self.known.values(), key=lambda c: c.score)
+
+    def beside(self, laws: Sequence[Law]) -> TableSearch:
+        """The search over models that have some laws, which compare with these."""
+        return TableSearch(self.base.with_laws(*laws), _contrasts={None: self._contrasts[None]})
 
     def less_shapes(self) -> TableSearch:
         """The search over models without smooth shapes in temperature, which compare with these.
@@ -278,7 +283,7 @@ class TableSearch:
 
         Each hides the others. The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
         """
-        columns = {law.name: law.columns for law in fitted.model.laws}
+        columns = {law.name: law.columns for law in fitted.model.laws if not self.base.holds(law)}
         columns |= {
             n: c.columns for n, c in fitted.model.components.items() if n in smooth and c.columns is not None
         }
@@ -297,7 +302,7 @@ class TableSearch:
             self._at_coil[coil] = replace(
                 self.base, basis=basis, design=basis.surface(), components={**self.base.components, **moved}
             )
-        return replace(self._at_coil[coil], laws=tuple(self.changes.law(change) for change in changes))
+        return self._at_coil[coil].with_laws(*(self.changes.law(change) for change in changes))
 
     def best(self, candidate: Candidate, effect: str) -> list[Change]:
         """The shape of an effect that gains most beside a candidate; none where the record cannot show any."""
@@ -312,14 +317,24 @@ class TableSearch:
     def best_coil(self, candidate: Candidate) -> Coil:
         """The lag of the coil that gains most beside a candidate without one, to first order; None where there is none."""
         score, p = self._precision(candidate)
-        surface = candidate.fitted.model.legendre(candidate.fitted.solve())
-        x = np.column_stack([lagging @ surface for lagging in self._lagging.values()])
+        lags = self._at_coil_of(candidate.fitted)
+        x = np.column_stack([lagging @ lags for lagging in self._lagging.values()])
         along, information = x.T @ score, np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
         gain = np.where(along > 0.0, along**2 / information, 0.0)
         k = int(np.argmax(gain))
         share = min(_SHARES, key=lambda a: abs(a - float(along[k] / information[k])))
         coil = share, _LAGS_S[k]
         return coil if gain[k] > 0.0 and self._reached(coil) else None
+
+    def _at_coil_of(self, fitted: Fitted) -> Floats:
+        """Coefficients of all that lags, shape (12,): the surface less what shapes in temperature were freed of."""
+        solution = fitted.solve()
+        found = fitted.model.legendre(solution)
+        for part in fitted.model.parts:
+            if part.block == SHAPES and part.name in solution.amplitudes:
+                own = solution.amplitudes[part.name] * np.array(part.weights)
+                found = found - polynomials(part.columns, fitted.model.basis.frame) @ own
+        return found
 
     @cached_property
     def _lagging(self) -> dict[float, Floats]:
@@ -347,7 +362,11 @@ class TableSearch:
         coil, changes = candidate.coil, candidate.changes
         yield (None if coil is not None else self.best_coil(candidate)), changes
         for k in range(len(changes)):
-            yield coil, changes[:k] + changes[k + 1 :]
+            fewer = changes[:k] + changes[k + 1 :]
+            yield coil, fewer
+            if coil is None:
+                # What took a lag's evidence gives it back only when it is gone.
+                yield self.best_coil(self.fit(None, fewer, candidate)), fewer
         yield from self.reshaped(candidate)
         if len(changes) < _MOST_CHANGES:
             # Steps may be several.
