@@ -26,14 +26,13 @@ from gyrocal.diagnosis.parts import (
     drifts,
     of_each_direction,
     passing,
-    polynomials,
     remembering,
 )
 from gyrocal.inference.additive import START, Component, Contrasts
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.thermal import THERMAL_LAG
-from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
 
 Floats = NDArray[np.float64]
 
@@ -127,11 +126,16 @@ class TableSearch:
             coils += [lag for lag in lags if self._reached(lag)]
         beam = [self.fit(None, (change,), first) for change in self.best_lasting(first)]
         beam += [self.fit(c.coil, c.changes, first) for c in near]
-        for coil in coils:
-            alone = self.fit(coil, (), first)
+        # What drifts or jumps in the bias mostly does so in the scale factor too, and one alone shows little.
+        of_bias = [
+            (change,) for effect in (BIAS_DRIFT.id, BIAS_STEP.id) for change in self.best(first, effect)
+        ]
+        for coil, changes in [*((coil, ()) for coil in coils), *((None, changes) for changes in of_bias)]:
+            alone = self.fit(coil, changes, first)
             beam.append(alone)
             for effect in (SCALE_DRIFT.id, SCALE_STEP.id):
-                beam += [self.fit(coil, (change,), first) for change in self.best(alone, effect)]
+                more = self.best(alone, effect)
+                beam += [self.fit(coil, tuple(sorted({*changes, change})), alone) for change in more]
         beam = _best(beam)
         for _ in range(_ROUNDS):
             wider = [self.fit(*move, c) for c in beam for move in self.moves(c)]
@@ -317,24 +321,14 @@ class TableSearch:
     def best_coil(self, candidate: Candidate) -> Coil:
         """The lag of the coil that gains most beside a candidate without one, to first order; None where there is none."""
         score, p = self._precision(candidate)
-        lags = self._at_coil_of(candidate.fitted)
-        x = np.column_stack([lagging @ lags for lagging in self._lagging.values()])
+        surface = candidate.fitted.model.legendre(candidate.fitted.solve())
+        x = np.column_stack([lagging @ surface for lagging in self._lagging.values()])
         along, information = x.T @ score, np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
         gain = np.where(along > 0.0, along**2 / information, 0.0)
         k = int(np.argmax(gain))
         share = min(_SHARES, key=lambda a: abs(a - float(along[k] / information[k])))
         coil = share, _LAGS_S[k]
         return coil if gain[k] > 0.0 and self._reached(coil) else None
-
-    def _at_coil_of(self, fitted: Fitted) -> Floats:
-        """Coefficients of all that lags, shape (12,): the surface less what shapes in temperature were freed of."""
-        solution = fitted.solve()
-        found = fitted.model.legendre(solution)
-        for part in fitted.model.parts:
-            if part.block == SHAPES and part.name in solution.amplitudes:
-                own = solution.amplitudes[part.name] * np.array(part.weights)
-                found = found - polynomials(part.columns, fitted.model.basis.frame) @ own
-        return found
 
     @cached_property
     def _lagging(self) -> dict[float, Floats]:

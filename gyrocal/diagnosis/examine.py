@@ -186,9 +186,7 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
     models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
-    return Examination(
-        series, found, last.best, last.worth, naming, laws, *models, frozenset(mending), aside
-    )
+    return Examination(series, found, last.best, last.worth, naming, laws, *models, frozenset(mending), aside)
 
 
 def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] = ()) -> _Round:
@@ -212,17 +210,17 @@ def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] =
 
 
 def _beside_names(before: _Round) -> _Round:
-    """The round that follows what was named, where its models explain more; else the one before.
+    """The round that follows where laws say more than smooth parts did, and its models more than theirs; else the one before.
 
     What smooth parts cannot follow, as a narrow peak, the noise has to make up for, and hides all that is smaller.
     """
     held = [n for n in before.naming.named if before.naming.fitted.model.holds(n.law)]
-    if not held:
+    if not held or before.by_law[0].score >= before.ranked[0].score:
         return before
     search = before.search.beside([n.law for n in held])
     ranked = search.run(best_of_each(before.ranked)[:BEGUN_WITH])
-    known = min(c.score for c in (before.ranked[0], *before.by_law))
-    return _round(search, ranked, held) if ranked[0].score + sum(map(_paid, held)) < known else before
+    better = ranked[0].score + sum(map(_paid, held)) < before.by_law[0].score
+    return _round(search, ranked, held) if better else before
 
 
 def _least(laws: Laws) -> float:

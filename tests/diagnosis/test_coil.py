@@ -178,6 +178,19 @@ def test_what_a_narrow_peak_hid_is_looked_for_beside_it() -> None:
     assert all(c.fitted.model.laws for _, c in found.candidates)
 
 
+def test_drifts_of_bias_and_scale_factor_that_show_little_alone_are_asked_together() -> None:
+    t_s = 40.0 * np.arange(120, dtype=np.float64)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
+    gyro = rate * 1.0001 + 3e-4 * np.random.default_rng(7).standard_normal(t_s.size)
+    table = DataSetTable(Path("any.csv"), rate, gyro, 30.0 + t_s / 200.0, t_s=t_s)
+    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    search.moves = lambda candidate: ()  # type: ignore[method-assign]
+    search.run()
+    asked = {frozenset(change.effect for change in changes) for coil, changes in search.known if coil is None}
+    for of_bias in ("bias_drift", "bias_step"):
+        assert {frozenset({of_bias, of_scale}) for of_scale in ("scale_drift", "scale_step")} <= asked
+
+
 def _knee(rates: int, seed: int) -> DataSetTable:
     """A gyro whose gain falls by 0.2 % above 62 deg/s, at rates of both signs and temperatures up and down."""
     rng = np.random.default_rng(seed)
