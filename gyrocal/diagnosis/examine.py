@@ -210,7 +210,7 @@ def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] =
 
 
 def _beside_names(before: _Round) -> _Round:
-    """The round that follows where laws say more than smooth parts did, and its models more than theirs; else the one before.
+    """The round that follows where laws say more than smooth parts did, if it shows more than they do; else the one before.
 
     What smooth parts cannot follow, as a narrow peak, the noise has to make up for, and hides all that is smaller.
     """
@@ -219,8 +219,9 @@ def _beside_names(before: _Round) -> _Round:
         return before
     search = before.search.beside([n.law for n in held])
     ranked = search.run(best_of_each(before.ranked)[:BEGUN_WITH])
-    better = ranked[0].score + sum(map(_paid, held)) < before.by_law[0].score
-    return _round(search, ranked, held) if better else before
+    # Nothing new gains less than what a further law would pay.
+    gained = before.by_law[0].score - ranked[0].score - sum(map(_paid, held))
+    return _round(search, ranked, held) if gained > TOLL_NATS else before
 
 
 def _least(laws: Laws) -> float:
