@@ -173,7 +173,7 @@ def _searched(found: Examination) -> list[_Searched]:
     if best.coil is not None:
         nats = min(c.score for c in found.ranked if c.coil is None) - best.score
         searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
-    for law in best.fitted.model.laws:
+    for law in (law for law in best.fitted.model.laws if law.effect in best.effects):
         without = [c for c in found.ranked if law.effect not in c.effects]
         # The best model with each comes last and stays.
         rivals = {e: c.score - best.score for c in reversed(without) for e in c.effects - best.effects}

@@ -18,7 +18,7 @@ from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, n
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import Laws, effects_of
-from gyrocal.diagnosis.layers import Fitted, Model, contrasts_of
+from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
     EACH_RATE,
     Coil,
@@ -32,7 +32,7 @@ from gyrocal.inference.additive import START, Component, Contrasts
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.thermal import THERMAL_LAG
-from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
 
 Floats = NDArray[np.float64]
 
@@ -126,11 +126,16 @@ class TableSearch:
             coils += [lag for lag in lags if self._reached(lag)]
         beam = [self.fit(None, (change,), first) for change in self.best_lasting(first)]
         beam += [self.fit(c.coil, c.changes, first) for c in near]
-        for coil in coils:
-            alone = self.fit(coil, (), first)
+        # What drifts or jumps in the bias mostly does so in the scale factor too, and one alone shows little.
+        of_bias = [
+            (change,) for effect in (BIAS_DRIFT.id, BIAS_STEP.id) for change in self.best(first, effect)
+        ]
+        for coil, changes in [*((coil, ()) for coil in coils), *((None, changes) for changes in of_bias)]:
+            alone = self.fit(coil, changes, first)
             beam.append(alone)
             for effect in (SCALE_DRIFT.id, SCALE_STEP.id):
-                beam += [self.fit(coil, (change,), first) for change in self.best(alone, effect)]
+                more = self.best(alone, effect)
+                beam += [self.fit(coil, tuple(sorted({*changes, change})), alone) for change in more]
         beam = _best(beam)
         for _ in range(_ROUNDS):
             wider = [self.fit(*move, c) for c in beam for move in self.moves(c)]
@@ -140,6 +145,10 @@ class TableSearch:
             beam = wider
         self._spread()
         return sorted(self.known.values(), key=lambda c: c.score)
+
+    def beside(self, laws: Sequence[Law]) -> TableSearch:
+        """The search over models that have some laws, which compare with these."""
+        return TableSearch(self.base.with_laws(*laws), _contrasts={None: self._contrasts[None]})
 
     def less_shapes(self) -> TableSearch:
         """The search over models without smooth shapes in temperature, which compare with these.
@@ -278,7 +287,7 @@ class TableSearch:
 
         Each hides the others. The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
         """
-        columns = {law.name: law.columns for law in fitted.model.laws}
+        columns = {law.name: law.columns for law in fitted.model.laws if not self.base.holds(law)}
         columns |= {
             n: c.columns for n, c in fitted.model.components.items() if n in smooth and c.columns is not None
         }
@@ -297,7 +306,7 @@ class TableSearch:
             self._at_coil[coil] = replace(
                 self.base, basis=basis, design=basis.surface(), components={**self.base.components, **moved}
             )
-        return replace(self._at_coil[coil], laws=tuple(self.changes.law(change) for change in changes))
+        return self._at_coil[coil].with_laws(*(self.changes.law(change) for change in changes))
 
     def best(self, candidate: Candidate, effect: str) -> list[Change]:
         """The shape of an effect that gains most beside a candidate; none where the record cannot show any."""
@@ -347,7 +356,11 @@ class TableSearch:
         coil, changes = candidate.coil, candidate.changes
         yield (None if coil is not None else self.best_coil(candidate)), changes
         for k in range(len(changes)):
-            yield coil, changes[:k] + changes[k + 1 :]
+            fewer = changes[:k] + changes[k + 1 :]
+            yield coil, fewer
+            if coil is None:
+                # What took a lag's evidence gives it back only when it is gone.
+                yield self.best_coil(self.fit(None, fewer, candidate)), fewer
         yield from self.reshaped(candidate)
         if len(changes) < _MOST_CHANGES:
             # Steps may be several.

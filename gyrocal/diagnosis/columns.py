@@ -53,7 +53,6 @@ def offer_of(series: Series) -> Offer:
         temp_span_c=float(np.ptp(series.history.temp_c)),
         turn_starts_s=_between_turns(series),
         since_power_on_s=None if since_on is None else float(since_on.min()),
-        has_time=series.has_time,
         channels=frozenset(f.name for f in fields(c) if getattr(c, f.name) is not None),
         lacking=series.untestable,
         supply_v=None if series.supply_v is None else float(np.median(series.supply_v)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
-from gyrocal.diagnosis.names import Naming, name
+from gyrocal.diagnosis.names import Named, Naming, jumped, name
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.series import Series
@@ -120,12 +121,50 @@ def examine(series: Series, level: float) -> Examination:
     whole = settle_direction(alive(fitted))
     laws = laws_of(means, surface_of(whole.model, whole.solve()))
     passes = wandering(full)
-    jumped, jumps = _with_jumps(whole, passes, laws)
+    beside, jumps = _with_jumps(whole, passes, laws)
     if jumps:
-        jumped = settle_direction(jumped)
-    settled, worth = present(errors_of_each_rate(jumped, draws_of(full)))
-    naming, laws = name(settled, worth, laws, jumps, passes)
+        beside = settle_direction(beside)
+    settled, worth = present(errors_of_each_rate(beside, draws_of(full)))
+    naming, laws = name(settled, worth, laws, [*map(jumped, jumps)], passes)
     return Examination(left, found, whole, worth, naming, laws)
+
+
+@dataclass(frozen=True)
+class _Round:
+    """A search of a table, and what was named beside the best of its models.
+
+    Attributes
+    ----------
+    best : Fitted
+        The best of its models beside a scale factor that wanders.
+    plain : list of Candidate
+        Its models without shapes in temperature, the best first.
+    idle : list of str
+        Components that names had to stand beside, which else are not there.
+    """
+
+    search: TableSearch
+    ranked: list[Candidate]
+    best: Fitted
+    worth: Mapping[str, float]
+    plain: list[Candidate]
+    naming: Naming
+    laws: Laws
+    idle: list[str]
+
+    @cached_property
+    def by_law(self) -> list[Candidate]:
+        """The best model with what was named in place of its smooth parts, and what each law pays; none without a name."""
+        if not self.naming.named:
+            return []
+        best, fitted = self.ranked[0], self.naming.fitted
+        fitted = fitted.refit(fitted.model.without(self.idle))
+        paid = sum(_paid(n) for n in self.naming.named if not self.search.base.holds(n.law))
+        return [replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)]
+
+
+def _paid(named: Named) -> float:
+    return TOLL_NATS + 0.5 * float(np.log(max(1, named.trials)))
 
 
 def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
@@ -134,42 +173,57 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     ranked = search.run()
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
-    # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
-    drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
-    first = ranked[0].fitted
-    best = alive(first.refit(replace(first.model, components={**first.model.components, **drifting})))
-    laws = laws_of(base.means, surface_of(best.model, best.solve()))
-    settled, worth = present(errors_of_each_rate(settle_direction(best), draws_of(base)))
-    beside = replace(settled.model, components={**settled.model.components, **drifting})
-    plain = _plain(worth, search, ranked, laws)
-    naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws)
+    last = _beside_names(_round(search, ranked))
+    search, ranked, naming, laws = last.search, last.ranked, last.naming, last.laws
     smooth = search.beside_smooth(ranked)
-    idle = [n for n in drifting if n not in settled.model.components]
-    by_law = [_by_law(ranked[0], naming, idle)] if naming.named else []
-    of_rate = [c for models in (ranked, plain) if models for c in search.with_law_of_rate(models, laws)]
+    of_rate = [c for models in (ranked, last.plain) if models for c in search.with_law_of_rate(models, laws)]
     of_rate.sort(key=lambda c: c.score)
-    both = sorted([*ranked, *smooth, *plain, *of_rate, *by_law], key=lambda c: c.score)
+    both = sorted([*ranked, *smooth, *last.plain, *of_rate, *last.by_law], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = averaged(both) if joint or naming.named or naming.unnamed else []
     if near:
         of_each_rate = search.with_errors_of_each_rate([c for _, c in near])
         near = averaged(sorted([*both, *of_each_rate], key=lambda c: c.score))
-    own = {law.name: () for law in first.model.laws}
+    first = ranked[0].fitted
+    own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
     models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
-    return Examination(series, found, best, worth, naming, laws, *models, frozenset(mending), aside)
+    return Examination(series, found, last.best, last.worth, naming, laws, *models, frozenset(mending), aside)
 
 
-def _by_law(best: Candidate, naming: Naming, idle: Sequence[str]) -> Candidate:
-    """The best model with what was named in place of its smooth parts, and what each law pays.
+def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] = ()) -> _Round:
+    """Name what can be named beside the best model of a search.
 
     Parameters
     ----------
-    idle : components that names had to stand beside, which else are not there
+    held : what has a name and is in all of its models
     """
-    fitted = naming.fitted.refit(naming.fitted.model.without(idle))
-    paid = sum(TOLL_NATS + 0.5 * float(np.log(max(1, n.trials))) for n in naming.named)
-    return replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)
+    base, first = search.base, ranked[0].fitted
+    # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
+    drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
+    best = alive(first.refit(replace(first.model, components={**first.model.components, **drifting})))
+    laws = laws_of(base.means, surface_of(best.model, best.solve()))
+    settled, worth = present(errors_of_each_rate(settle_direction(best), draws_of(base)))
+    beside = replace(settled.model, components={**settled.model.components, **drifting})
+    plain = _plain(worth, search, ranked, laws)
+    naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws, held)
+    idle = [n for n in drifting if n not in settled.model.components]
+    return _Round(search, ranked, best, worth, plain, naming, laws, idle)
+
+
+def _beside_names(before: _Round) -> _Round:
+    """The round that follows where laws say more than smooth parts did, if it shows more than they do; else the one before.
+
+    What smooth parts cannot follow, as a narrow peak, the noise has to make up for, and hides all that is smaller.
+    """
+    held = [n for n in before.naming.named if before.naming.fitted.model.holds(n.law)]
+    if not held or before.by_law[0].score >= before.ranked[0].score:
+        return before
+    search = before.search.beside([n.law for n in held])
+    ranked = search.run(best_of_each(before.ranked)[:BEGUN_WITH])
+    # Nothing new gains less than what a further law would pay.
+    gained = before.by_law[0].score - ranked[0].score - sum(map(_paid, held))
+    return _round(search, ranked, held) if gained > TOLL_NATS else before
 
 
 def _least(laws: Laws) -> float:
@@ -205,11 +259,11 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
 
     A plan goes through temperatures in turn: what is smooth in temperature can follow what happened at an instant.
     """
-    jumped, jumps = with_jumps(whole, passes, laws)
+    beside, jumps = with_jumps(whole, passes, laws)
     following = [n for n, b in whole.model.blocks.items() if b in _FOLLOWING]
     plain, instead = with_jumps(whole.refit(whole.model.without(following)), passes, laws)
     more = len(instead) - len(jumps)
-    return (plain, instead) if instead and plain.nll <= jumped.nll + REPLACED + more else (jumped, jumps)
+    return (plain, instead) if instead and plain.nll <= beside.nll + REPLACED + more else (beside, jumps)
 
 
 def draws_of(full: Model) -> Component | None:

@@ -107,7 +107,7 @@ def name(
     fitted: Fitted,
     worth: Mapping[str, float],
     laws: Laws,
-    jumps: Sequence[Jump] = (),
+    held: Sequence[Named] = (),
     passes: Sequence[Component] = (),
 ) -> tuple[Naming, Laws]:
     """Name what can be named, the strongest block first; also the laws through the surface at the end.
@@ -115,15 +115,15 @@ def name(
     Parameters
     ----------
     fitted, worth : the model with the blocks that are there, and what each is worth
-    jumps : jumps in the model
+    held : what has a name and is in the model
     passes : what is to stand beside further jumps, which only names have made visible; empty: they are not looked for
     """
-    named = [_jumped(jump) for jump in jumps]
+    named = [*held]
     fitted, laws, found, nearest = _name_blocks(fitted, worth, named, laws)
     named += found
     if passes:
         fitted, more = with_jumps(fitted, passes, laws)
-        named += [_jumped(jump) for jump in more]
+        named += [jumped(jump) for jump in more]
         # A walk that smooth parts had taken the place of: laws that it can follow are none.
         fitted = _beside(fitted, passes)
     fitted, named = _backward(fitted, named)
@@ -184,7 +184,7 @@ def _instead(
         other = _beside(_with_laws(evidence(fitted, block, laws)[1], own), passes)
         other, _, more, _ = _name_blocks(*present(other, laws), named, laws)
         other, jumps = with_jumps(other, passes, laws)
-        more += [_jumped(jump) for jump in jumps]
+        more += [jumped(jump) for jump in jumps]
         if not more:
             continue
         both = _with_laws(fitted, [n.law for n in more])
@@ -270,7 +270,8 @@ def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted,
     return fitted, [n for n in named if n.law.name not in held or fitted.model.holds(n.law)]
 
 
-def _jumped(jump: Jump) -> Named:
+def jumped(jump: Jump) -> Named:
+    """A jump, which stands beside all smooth parts."""
     return Named(jump.law, "", jump.gain, 1.0, dict(jump.rivals), jump.trials)
 
 

@@ -194,5 +194,4 @@ def _untestable(table: DataSetTable) -> dict[str, Reason]:
     }
     if table.t_s is None:
         found["time"] = Lack(Why.UNTIMED_ORDER)
-        found["temperature_rate"] = Lack(Why.UNTIMED_RATES)
     return found

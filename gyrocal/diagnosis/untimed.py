@@ -9,11 +9,15 @@ import numpy as np
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
-from gyrocal.units import S_PER_H
+from gyrocal.units import S_PER_H, S_PER_MIN
 
 #: An interval that ends this little behind a data set ends at it.
 _ON_THE_SET = 0.05
-_EACH = " a data set"
+#: Ends of units: in time, in data sets, and the factor from the one to the other.
+_PER_TIME = (
+    ("per degC/min", "per degC a data set", S_PER_MIN / SURROGATE_PERIOD_S),
+    ("/h", " a data set", SURROGATE_PERIOD_S / S_PER_H),
+)
 
 
 def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
@@ -26,10 +30,8 @@ def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str,
             found["at_data_set"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 1.0, "1")
         elif name == "tau_s":
             found["tau_data_sets"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 0.0, "data sets")
-        elif e.unit.endswith("/h"):
-            found[name] = _scaled(e, SURROGATE_PERIOD_S / S_PER_H, 0.0, e.unit.removesuffix("/h") + _EACH)
         else:
-            found[name] = e
+            found[name] = _per_set(e)
     return found
 
 
@@ -42,7 +44,8 @@ def by_time(parameters: Mapping[str, Estimate]) -> dict[str, float]:
         elif name == "tau_data_sets":
             found["tau_s"] = e.value * SURROGATE_PERIOD_S
         else:
-            found[name] = e.value * S_PER_H / SURROGATE_PERIOD_S if e.unit.endswith(_EACH) else e.value
+            factors = [factor for _, per_set, factor in _PER_TIME if e.unit.endswith(per_set)]
+            found[name] = e.value / next(iter(factors), 1.0)
     return found
 
 
@@ -54,6 +57,13 @@ def between_sets(parameters: Mapping[str, Estimate]) -> Remark | None:
     first = int(np.floor(at.interval_95[0]))
     last = max(int(np.ceil(at.interval_95[1] - _ON_THE_SET)), first + 1)
     return Remark(Said.BETWEEN_SETS, {"first": first, "last": last})
+
+
+def _per_set(e: Estimate) -> Estimate:
+    for per_time, per_set, factor in _PER_TIME:
+        if e.unit.endswith(per_time):
+            return _scaled(e, factor, 0.0, e.unit.removesuffix(per_time) + per_set)
+    return e
 
 
 def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:

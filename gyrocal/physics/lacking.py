@@ -34,7 +34,6 @@ class Why(Enum):
     TABLE_NO_POWER_ON = auto()
     TABLE_NO_SAMPLES = auto()
     UNTIMED_ORDER = auto()
-    UNTIMED_RATES = auto()
     # A drive log.
     NO_INCLINATION = auto()
     LIKE_GYRO_BIAS = auto()

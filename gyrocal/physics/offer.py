@@ -38,7 +38,6 @@ class Offer:
     temp_span_c : range of the temperatures as they were sampled, deg C
     turn_starts_s : ndarray, beginnings of data sets between the first turns of the table and its last, s
     since_power_on_s : least time since the gyro was switched on, s; None: nobody knows when that was
-    has_time : whether the times are known, and not only the order
     channels : fields of `Conditions` that the record has
     lacking : coordinate to the reason why the record cannot show it
     supply_v : usual supply, V; None where it was not read
@@ -52,7 +51,6 @@ class Offer:
     temp_span_c: float
     turn_starts_s: Floats
     since_power_on_s: float | None
-    has_time: bool
     channels: frozenset[str]
     lacking: Mapping[str, Reason]
     supply_v: float | None = None
@@ -76,10 +74,10 @@ class Offer:
     def why_unseen(self, coordinate: str) -> Reason | None:
         """Why a coordinate does not show in the record; None where it does.
 
-        Time is never lacking (the order of the rows stands for it), and where times are known a warm-up has the
-        same shape whenever it is first seen.
+        Time is never lacking (the order of the rows stands for it), and a warm-up has the same shape whenever it is
+        first seen.
         """
-        if coordinate == "time" or (coordinate == "time_since_power_on" and self.has_time):
+        if coordinate in ("time", "time_since_power_on"):
             return None
         return self.lacking.get(coordinate)
 

@@ -29,7 +29,6 @@ WORDS: Mapping[Why, str] = {
     Why.TABLE_NO_POWER_ON: "a table of data sets does not say when the gyro was powered on",
     Why.TABLE_NO_SAMPLES: "a table of data sets carries no samples",
     Why.UNTIMED_ORDER: "the table has no t_s; the order of the data sets stands for time",
-    Why.UNTIMED_RATES: "the table has no t_s, so temperature rates are per data set only",
     Why.NO_INCLINATION: "the log has no inclination",
     Why.LIKE_GYRO_BIAS: "it cannot be told from a gyro bias",
     Why.MOMENTS_ONLY: "it changes distances for moments only, which nothing in the log resolves",

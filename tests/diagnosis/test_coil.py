@@ -84,6 +84,14 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
 
 
+def test_without_times_the_bias_remembers_in_data_sets_and_the_coil_does_not_stand_for_it() -> None:
+    table = replace(_soaks("shupe_gradient"), t_s=None)
+    named = {e.effect: e for e in named_effects(examine(series_of_table(table), 1e-3))}
+    assert named.keys() == {"shupe_gradient"}
+    low, high = named["shupe_gradient"].parameters["tau_data_sets"].interval_95
+    assert low < 10.0 < high
+
+
 def test_a_bias_that_follows_the_temperature_rate_is_told_from_one_that_remembers() -> None:
     """A difference from an inside that follows within half a minute is nearly the rate, and had been its name."""
     rng = np.random.default_rng(4)
@@ -99,6 +107,21 @@ def test_a_bias_that_follows_the_temperature_rate_is_told_from_one_that_remember
     (named,) = named_effects(found)
     assert named.effect == "shupe"
     assert named.parameters["amplitude"].value == pytest.approx(3.0, rel=0.1)
+
+
+def test_what_took_the_evidence_of_a_lag_is_exchanged_for_it() -> None:
+    """Beside a drift that mends most of what the lag does the lag gains nothing, and without either the step is dearer."""
+    t_s = 40.0 * np.arange(120, dtype=np.float64)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
+    table = DataSetTable(Path("any.csv"), rate, rate * 1.0001, 30.0 + 20.0 * np.sin(t_s / 500.0), t_s=t_s)
+    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    lag = 0.7, 200.0
+    search.best_coil = lambda candidate: lag  # type: ignore[method-assign]
+    drift, step = Change("scale_drift", 1.0), Change("bias_step", 40.0)
+    moves = set(search.moves(search.fit(None, (drift, step), search.fit(None, (), None))))
+    assert {(lag, (drift,)), (lag, (step,)), (lag, (drift, step))} <= {
+        (coil, tuple(sorted(changes, reverse=True))) for coil, changes in moves
+    }
 
 
 def test_a_coil_that_never_got_warm_is_not_looked_for() -> None:
@@ -134,6 +157,38 @@ def test_the_lag_that_gains_most_is_foreseen_without_a_fit() -> None:
     assert found is not None
     assert found[0] >= 0.7
     assert found[1] == pytest.approx(200.0, rel=0.5)
+
+
+def test_what_a_narrow_peak_hid_is_looked_for_beside_it() -> None:
+    """No smooth shape follows a peak of 2 deg/s, so that the noise does, and hides errors of each rate and a cubic bend."""
+    rng = np.random.default_rng(3)
+    sizes = np.linspace(0.0, 100.0, 21)[1:]
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 4)
+    temp_c = np.repeat([20.0, 50.0, 35.0, 12.0], 41)
+    of_each = rng.normal(0.0, 6e-5, sizes.size)
+    share = np.tile(np.concatenate([of_each[::-1], [0.0], of_each]), 4)
+    peak = 0.06 / (1.0 + ((np.abs(rate) - 36.0) / 2.0) ** 2)
+    bend = 4e-3 * ((temp_c - 31.0) / 19.0) ** 3
+    gyro = rate * (1.0 + share) + peak + bend + 3e-4 * rng.standard_normal(rate.size)
+    t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
+    found = examine(series_of_table(DataSetTable(Path("peak.csv"), rate, gyro, temp_c, t_s=t_s)), 1e-3)
+    named = {e.effect for e in named_effects(found)}
+    assert named == {"mechanical_resonance", "reference_rate_error", "temperature_order"}
+    # What has a name is in every model that the file is made of.
+    assert all(c.fitted.model.laws for _, c in found.candidates)
+
+
+def test_drifts_of_bias_and_scale_factor_that_show_little_alone_are_asked_together() -> None:
+    t_s = 40.0 * np.arange(120, dtype=np.float64)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
+    gyro = rate * 1.0001 + 3e-4 * np.random.default_rng(7).standard_normal(t_s.size)
+    table = DataSetTable(Path("any.csv"), rate, gyro, 30.0 + t_s / 200.0, t_s=t_s)
+    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    search.moves = lambda candidate: ()  # type: ignore[method-assign]
+    search.run()
+    asked = {frozenset(change.effect for change in changes) for coil, changes in search.known if coil is None}
+    for of_bias in ("bias_drift", "bias_step"):
+        assert {frozenset({of_bias, of_scale}) for of_scale in ("scale_drift", "scale_step")} <= asked
 
 
 def _knee(rates: int, seed: int) -> DataSetTable:

@@ -161,7 +161,11 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
     assert stated["amplitude"].value == pytest.approx(1.0)
     assert stated["amplitude"].unit == "mdeg/s a data set"
     assert stated["tau_data_sets"].interval_95 == (2.5, 3.5)
-    for parameters in (jump, drift):
+    rate = {"amplitude": Estimate(6.0, 0.6, "mdeg/s per degC/min", (4.8, 7.2))}
+    stated = by_data_set(untimed, rate)
+    assert stated["amplitude"].value == pytest.approx(18.0)
+    assert stated["amplitude"].unit == "mdeg/s per degC a data set"
+    for parameters in (jump, drift, rate):
         assert by_time(by_data_set(untimed, parameters)) == pytest.approx(
             {name: e.value for name, e in parameters.items()}
         )

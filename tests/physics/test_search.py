@@ -27,7 +27,6 @@ WHOLE = Offer(
     temp_span_c=61.0,
     turn_starts_s=np.arange(1000.0, 80000.0, 1000.0),
     since_power_on_s=30.0,
-    has_time=True,
     channels=frozenset(Conditions.__dataclass_fields__),
     lacking={},
 )
@@ -92,7 +91,6 @@ def test_a_lacking_coordinate_says_why() -> None:
     dark = replace(WHOLE, lacking={"table_angle": "nobody looked", "time_since_power_on": "nobody knows"})
     assert find_effect("magnetic").why_not(dark) == "nobody looked"
     assert find_effect("warm_up").why_not(dark) is None
-    assert find_effect("warm_up").why_not(replace(dark, has_time=False)) == "nobody knows"
     late = find_effect("warm_up").why_not(replace(WHOLE, since_power_on_s=6000.0))
     assert late == Lack(Why.LATE, {"hours": 1.5})
 
