@@ -45,8 +45,8 @@ _RISES = (0.0, 0.5, 1.0, 2.0, 4.0)
 _SPREADS = (0.0, 0.8, 1.6)
 #: Of the time constants of a grid one of so many has a part in a spread, and none less than this.
 _THINNED, _LEAST_WEIGHT = 3, 0.01
-#: Powers of the time: a drift is straight, or slows down.
-_POWERS = (1.0, 0.7, 0.5, 0.35)
+#: Powers of the time: a drift grows, is straight, or slows down.
+_POWERS = (2.0, 1.4, 1.0, 0.7, 0.5, 0.35)
 
 
 class Change(NamedTuple):

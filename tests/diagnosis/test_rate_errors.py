@@ -28,7 +28,9 @@ def fitted_to(errors: Floats, seed: int) -> tuple[Model, Fitted]:
     rate = np.tile(np.concatenate([_SIZES, -_SIZES]), 5)
     temp = np.repeat(np.linspace(5.0, 45.0, 5), rate.size // 5) + 0.01 * rng.standard_normal(rate.size)
     gyro = rate * (1.0 + np.tile(errors, 10)) + 1e-3 * rng.standard_normal(rate.size)
-    table = DataSetTable(Path("sweeps.csv"), rate, gyro, temp, t_s=60.0 * np.arange(rate.size))
+    table = DataSetTable(
+        Path("sweeps.csv"), rate, gyro, temp, t_s=60.0 * np.arange(rate.size, dtype=np.float64)
+    )
     full = full_model(means_of(series_of_table(table)))
     return full, fit_anyhow(full)
 
@@ -63,7 +65,7 @@ def test_errors_of_a_few_rates_do_not_bend_the_surface(seed: int) -> None:
 
     assert off_dps(tailed) < 0.5 * off_dps(plain)
     (first, second, third) = largest(tailed)
-    assert (first[0], second[0]) == (pytest.approx(40.0), pytest.approx(75.0))
+    assert [first[0], second[0]] == pytest.approx([40.0, 75.0])
     assert abs(first[1] - 300.0) < 4.0 * first[2] < 100.0
     assert abs(second[1] + 210.0) < 4.0 * second[2] < 100.0
     assert abs(third[1]) < 4.0 * third[2]
