@@ -184,6 +184,8 @@ def _written(
     (layered, parts), means = what, found.model.means
     if not (layered or parts):
         need_rates(found.series.name, surface, means)
+        # What models have that are nearly as good would move the surface for a reason that nobody can tell.
+        return None, []
     if (rows := len(found.series)) < _ENOUGH_ROWS:
         return None, [Remark(Said.TOO_FEW_TO_WRITE, {"rows": rows, "enough": _ENOUGH_ROWS})]
     if not (layered or any(p.corrected for p in parts) or found.candidates):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.changes import Change
 from gyrocal.diagnosis.coil import TableSearch
 from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.fresh_run import chance_of_gain, no_file, without_rate
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import Means, means_of
@@ -101,6 +102,22 @@ def test_where_nothing_is_found_a_surface_without_inverse_is_refused_as_fit_does
     said = r"folded\.csv: by the fitted surface 4\d data sets have an output that no rate gives .* leave these out\."
     with pytest.raises(DataError, match=said):
         diagnose(DataSetTable(Path("folded.csv"), rate, gyro, temp), options=Options(heldout=False))
+
+
+@pytest.mark.parametrize("seed", [4, 9])
+def test_where_nothing_is_found_no_file_is_written(seed: int) -> None:
+    """A bias that walks has an end, and the next run begins elsewhere: 13 deg/h had become 64 with nothing to say of it."""
+    rng = np.random.default_rng(seed)
+    rate = np.concatenate([sign * np.linspace(0.0, 120.0, 11) for sign in (1.0, -1.0) * 3])
+    t: NDArray[np.float64] = 60.0 * np.arange(rate.size, dtype=np.float64)
+    temp = 25.0 + 4.0 * np.sin(t / 1500.0) + 0.3 * rng.standard_normal(rate.size)
+    walk = 2e-3 * np.cumsum(rng.standard_normal(rate.size))
+    gyro = 1.001 * rate + 0.02 + walk + 3e-3 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("null.csv"), rate, gyro, temp, t_s=t)
+    assert examine(series_of_table(table), 0.01).candidates
+    found = diagnose(table, options=Options(heldout=False))
+    assert found.verdict == "consistent"
+    assert found.improved is None
 
 
 def test_a_warm_up_comes_again_and_a_drift_moves_no_level(means: Means) -> None:
