@@ -385,8 +385,10 @@ def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:
     # A turn shows in few windows; a gyro bias shifts them all and goes with the median. Encoders have none.
     turned = [float(np.max(np.abs(v), initial=0.0)) for v in (gyro - np.median(gyro), encoder)]
     if max(turned) < MIN_TURN_DEG:
-        msg = f"{name}: has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders); gyro and encoders cannot be compared. Log a drive that turns both ways."
-        raise DataError(msg)
+        return (
+            f"the log has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders): "
+            "whether unit and sign of the gyro are right cannot be seen; log a drive that turns both ways",
+        )
     turned_deg = np.cumsum(found.right_m - found.left_m) / separation_m * RAD_TO_DEG
     t_s, names = found.bin_s + found.t_start_s, ("the encoders", "gyro_dps")
     fault = turn_part_fault(t_s, turned_deg, np.cumsum(found.gyro_deg), names)

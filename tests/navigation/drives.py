@@ -134,10 +134,6 @@ BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         _with(left_m=lambda b: 1e3 * b.left_m, right_m=lambda b: 1e3 * b.right_m),
         "left_m and right_m are distances since the row before, in metres.",
     ),
-    "no turns": (
-        lambda b: cut(b, slice(400)),
-        "has no turns (within 5 s at most",
-    ),
     "no rest": (
         lambda b: cut(b, slice(150, None)),
         "the robot moves in its first 10 s",

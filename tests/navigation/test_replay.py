@@ -16,7 +16,7 @@ from gyrocal.navigation.replay import replay_log
 from gyrocal.navigation.simulate import CW
 from gyrocal.navigation.table import make_table
 from gyrocal.navigation.track import CONDITIONS
-from gyrocal.records.drive import DriveBlock
+from gyrocal.records.drive import DriveBlock, cut
 from tests.navigation.drives import both_ways, calibration, drive, robot, source
 
 
@@ -122,6 +122,17 @@ def test_without_rest_the_replay_goes_on_and_it_is_said() -> None:
     assert found.notes == (
         "static_s = 0: the robot does not stand at the start, so no static bias was taken; its error is left to the filter",
     )
+
+
+def test_a_log_without_turns_is_replayed_and_it_is_said() -> None:
+    """Straight on, nothing tells the unit of the gyro; nor does the path hang on it."""
+    log = cut(drive(), slice(400))
+    found = replay_log(source(log), robot())
+    assert any("has no turns (within 5 s at most" in note for note in found.notes)
+    errors = found.tracks[0].errors
+    assert errors is not None
+    assert errors.rms_m < 0.1
+    assert not any("has no turns" in note for note in replay_log(source(drive()), robot()).notes)
 
 
 def test_a_calibration_that_does_not_cover_the_log() -> None:
