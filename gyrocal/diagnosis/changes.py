@@ -23,7 +23,7 @@ from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
-from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, POWERS, SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import S_PER_H
 
 Floats = NDArray[np.float64]
@@ -45,8 +45,6 @@ _RISES = (0.0, 0.5, 1.0, 2.0, 4.0)
 _SPREADS = (0.0, 0.8, 1.6)
 #: Of the time constants of a grid one of so many has a part in a spread, and none less than this.
 _THINNED, _LEAST_WEIGHT = 3, 0.01
-#: Powers of the time: a drift grows, is straight, or slows down.
-_POWERS = (2.0, 1.4, 1.0, 0.7, 0.5, 0.35)
 
 
 class Change(NamedTuple):
@@ -76,7 +74,7 @@ class Changes:
             rise_s = float(np.median(np.diff(m.t_s))) * np.array(_RISES)
             return range(_FEWEST_SETS, len(m) - _FEWEST_SETS), rise_s.tolist()
         if effect in DRIFTS:
-            return _POWERS, (0.0,)
+            return POWERS[::-1], (0.0,)
         if effect == WARM_UP.id:
             return [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < np.ptp(m.t_s)], _SPREADS
         return list(self._history[effect]), _SPREADS if effect == SHUPE_GRADIENT.id else (0.0,)

@@ -19,7 +19,7 @@ from gyrocal.units import S_PER_H
 _JUMP_NET = 48
 
 #: A drift is straight, slows down or grows: the power that is nearest to ageing with the logarithm of time is about a third.
-_POWERS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+POWERS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 _POWER = shape(
     "power", "1", 0.2, 3.0, 1.0, "1: steady; below 1 it slows down, as ageing does; above 1 it grows"
 )
@@ -57,7 +57,7 @@ def _net(offer: Offer) -> list[dict[str, float]]:
 
 
 def _powers(offer: Offer) -> list[dict[str, float]]:
-    return [{"power": power} for power in _POWERS]
+    return [{"power": power} for power in POWERS]
 
 
 def _between_turns(offer: Offer) -> list[dict[str, float]]:

@@ -84,8 +84,8 @@ def _no_inverse(count: int, rate_dps: float, temp_c: float) -> str:
 
 def _largest_rates(rates: Sequence[tuple[float, float, float]]) -> str:
     """Each with its error in ppm and the standard deviation of that."""
-    each = (f"{rate:.4g} deg/s ({error:+.0f} +- {std:.0f} ppm)" for rate, error, std in rates)
-    return f"The errors are largest at {listed(list(each))}."
+    each = [f"{rate:.4g} deg/s ({error:+.0f} +- {std:.0f} ppm)" for rate, error, std in rates]
+    return f"The errors are largest at {listed(each)}."
 
 
 def _clock(ppm: float) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.findings import Scale, joint_estimate, told_estimate
-from gyrocal.diagnosis.drive.laws import KINDS, MOVING, reference_temp_c, strangers
+from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -238,9 +238,9 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]
         metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
         # A ratio of turns that may be another's is no track's.
         named = name in (parts if name == "track" else yaw.named)
-        unit, per_si = (KINDS[name].unit, 1.0) if KINDS[name].unit else ("%", 100.0)
-        one = DriveEstimate(KINDS[name].shown, per_si * value, per_si * std, unit, metres, "encoders", named)
-        found.append(one)
+        unit = KINDS[name].unit or "%"
+        value, std = PER_SI[unit] * value, PER_SI[unit] * std
+        found.append(DriveEstimate(KINDS[name].shown, value, std, unit, metres, "encoders", named))
     return found
 
 

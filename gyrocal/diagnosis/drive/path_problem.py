@@ -70,16 +70,20 @@ class PathProblem:
         return replace(found, values=found.values / size, covariance=found.covariance / np.outer(size, size))
 
 
-def _gain(problem: PathProblem, more: Mapping[str, Floats], logs: Floats) -> float:
-    """Twice the log likelihood that columns add."""
-    return problem.solve(logs).left - problem.with_columns(more).solve(logs).left
+def _gains(
+    problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], logs: Floats
+) -> dict[str, float]:
+    """Twice the log likelihood that the columns of each block add."""
+    left = problem.solve(logs).left
+    return {n: left - problem.with_columns(more).solve(logs).left for n, more in blocks.items()}
 
 
 def oddities(
     problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], logs: Floats
 ) -> dict[str, float]:
     """P-value of the columns of each coordinate."""
-    return {c: float(stats.chi2.sf(_gain(problem, more, logs), len(more))) for c, more in blocks.items()}
+    gains = _gains(problem, blocks, logs)
+    return {c: float(stats.chi2.sf(gain, len(blocks[c]))) for c, gain in gains.items()}
 
 
 def spins(
@@ -89,7 +93,7 @@ def spins(
     of_speed = blocks.get("acceleration", {})
     if SPINNING not in of_speed:
         return False
-    gains = {name: _gain(problem, {name: column}, logs) for name, column in of_speed.items()}
+    gains = _gains(problem, {name: {name: column} for name, column in of_speed.items()}, logs)
     spinning = gains.pop(SPINNING)
     others = min([STRANGER_P, *(p for c, p in odd.items() if c != "acceleration")])
     surest = stats.chi2.sf(spinning, 1) < others and spinning > max(gains.values(), default=0.0) + AS_LIKELY

@@ -36,6 +36,7 @@ Floats = NDArray[np.float64]
 #: Twice the log likelihood that a law must gain to be named; beside a law of slip also this share of what that gains. On
 #: 100 drives with nothing hidden, made by another hand, no law gained more than 11.4.
 GAIN, SECOND = 15.0, 0.02
+#: Groups of laws of slip.
 _SLIPS = ("slip", "spinning")
 #: What two laws must gain together that alone gain nothing: as improbable by chance as one's gain.
 PAIR_GAIN = float(stats.chi2.isf(stats.chi2.sf(GAIN, 1), 2))

@@ -38,14 +38,6 @@ def robot(tmp_path: Path) -> Robot:
     return read_robot(path)
 
 
-@pytest.fixture
-def resting(tmp_path: Path) -> Robot:
-    """The robot of the fleet: it stands for eight seconds."""
-    path = tmp_path / "resting.toml"
-    path.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
-    return read_robot(path)
-
-
 def found(hidden: Hidden, robot: Robot, seed: int) -> DriveDiagnosis:
     return diagnose_drive("drive.csv", simulate(hidden, seed), robot)
 

@@ -25,13 +25,6 @@ NAN = np.full(6000, np.nan)
 RESTS = Plan("rests", 6.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=2e-4)
 
 
-@pytest.fixture
-def resting(tmp_path: Path) -> Robot:
-    path = tmp_path / "resting.toml"
-    path.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
-    return read_robot(path)
-
-
 def turns(hz: float, rate_dps: np.ndarray) -> DriveBlock:
     """A robot that turns on the spot as its wheels say, at a row every 1/hz."""
     half = 0.25 * np.radians(rate_dps) / hz

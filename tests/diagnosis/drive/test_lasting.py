@@ -23,11 +23,6 @@ Floats = NDArray[np.float64]
 PLAN = Plan("random", 8.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.003, bias_walk=0.0, wheel_noise=3e-4)
 
 
-@pytest.fixture
-def resting() -> Robot:
-    return robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
-
-
 def gyro_path(log: DriveBlock) -> tuple[Floats, Floats]:
     """Heading, rad, and way, m, at the end of each row."""
     heading = np.cumsum(np.radians(log.gyro_dps) * np.diff(log.t_s, prepend=log.t_s[0]))

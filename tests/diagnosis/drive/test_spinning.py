@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,17 +12,10 @@ from gyrocal.diagnosis.drive.engine import diagnose_drive
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.records.drive import DriveBlock
-from gyrocal.records.robot import Robot, read_robot
+from gyrocal.records.robot import Robot
 from tests.diagnosis.drive.fleet import Plan, drive
 
 PLAN = Plan("random", 6.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=2e-4)
-
-
-@pytest.fixture
-def resting(tmp_path: Path) -> Robot:
-    path = tmp_path / "resting.toml"
-    path.write_text("wheel_separation_m = 0.5\nstatic_s = 7.0\n")
-    return read_robot(path)
 
 
 def spinning(log: DriveBlock, share_s2_per_m: float, *, braking: bool = False) -> DriveBlock:
