@@ -53,8 +53,6 @@ _AT_COIL = ("surface", "temperature")
 _MOST_CHANGES = 3
 #: Models that the search goes on with, and how often: it costs as much as their number.
 _BEAM, _ROUNDS = 3, 6
-#: Steps of a fit from the variances of a model one step away.
-_ITERATIONS = 20
 #: What a further law pays, nats; with the logarithm of the root of the number of its shapes.
 TOLL_NATS = 3.0
 #: One that is not of one time constant, sudden or straight pays this beside: of two that explain as much the plain one.
@@ -260,7 +258,7 @@ class TableSearch:
                 self._contrasts[coil] = self._contrasts_of(model)
             contrasts = self._contrasts[coil]
             start = None if near is None else near.fitted.fit.log_variance
-            fit = contrasts.fit(model.all, start, _ITERATIONS if near else 60)
+            fit = contrasts.fit(model.all, start)
             fitted = Fitted(model, fit, contrasts)
             paid = self._toll(coil, changes) + _CANCELLED_NATS * self._cancelled(fitted)
             self.known[key] = Candidate(coil, changes, fitted, fit.nll + paid)

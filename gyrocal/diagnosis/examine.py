@@ -173,7 +173,11 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     ranked = search.run()
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
-    last = _beside_names(_round(search, ranked))
+    before = _round(search, ranked)
+    last = _beside_names(before)
+    if last is not before and len(more := strays_beside(last.ranked, aside)):
+        # What has no name yet makes the noise too large for a data set to be off.
+        return _table(without(series, more.numbers), found, aside.joined(more))
     search, ranked, naming, laws = last.search, last.ranked, last.naming, last.laws
     smooth = search.beside_smooth(ranked)
     of_rate = [c for models in (ranked, last.plain) if models for c in search.with_law_of_rate(models, laws)]

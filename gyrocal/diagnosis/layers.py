@@ -34,9 +34,6 @@ Floats = NDArray[np.float64]
 
 #: Components below this (logarithm of the share of the record's variance) have died and cost time only.
 _DEAD = -16.0
-#: Iterations of the variances from those of a model that is like it: more gains 0.03 nats at the most (313 fits of three
-#: practice recordings).
-_AGAIN = 40
 #: Components of a scale factor that wanders.
 WANDERING_SCALE = ("scale line", "scale walk")
 #: Instants at which a long record is looked at for steps of the bias and the scale factor.
@@ -263,13 +260,11 @@ class Fitted:
         wide = additive.widened(m.error_dps, m.design[:, m.flat], m.all, variance, found)
         return replace(found, covariance=wide)
 
-    def refit(
-        self, model: Model, iterations: int = _AGAIN, start: Mapping[str, float] | None = None
-    ) -> Fitted:
+    def refit(self, model: Model, start: Mapping[str, float] | None = None) -> Fitted:
         """Another model of the same record, from these variances or from others (logarithms)."""
         same = model.design is self.model.design
         contrasts = self.contrasts if same else contrasts_of(model, self.contrasts)
-        return Fitted(model, contrasts.fit(model.all, start or self.fit.log_variance, iterations), contrasts)
+        return Fitted(model, contrasts.fit(model.all, start or self.fit.log_variance), contrasts)
 
 
 def contrasts_of(model: Model, like: Contrasts | None = None, designs: Sequence[Floats] = ()) -> Contrasts:
@@ -365,10 +360,10 @@ def beyond_input(rows: Basis, bend: Floats) -> Floats:
     return design_at(output_dps, here.temp_c, frame) - at_input
 
 
-def fit_model(model: Model, start: Mapping[str, float] | None = None, iterations: int = 60) -> Fitted:
+def fit_model(model: Model, start: Mapping[str, float] | None = None) -> Fitted:
     """Variances of a model."""
     contrasts = contrasts_of(model)
-    return Fitted(model, contrasts.fit(model.all, start, iterations), contrasts)
+    return Fitted(model, contrasts.fit(model.all, start), contrasts)
 
 
 def surface_of(model: Model, solution: Solution) -> Surface:

@@ -45,34 +45,35 @@ def with_misfit(fitted: Fitted, own: Sequence[Law], laws: Laws) -> Fitted:
 
 
 def without_mending(fitted: Fitted, held: Mapping[str, Sequence[str]], laws: Laws) -> Fitted:
-    """The model less the laws that only mend what others leave which nearly hold; the one that says least goes first.
+    """The model less the laws that only mend what others leave which nearly hold.
+
+    Of several the first to go is the one without which the others do best.
 
     Parameters
     ----------
     held : names of the laws in question, each with the components that stand for the same
     """
     while True:
-        said = {}
+        left = {}
         for law in fitted.model.laws:
-            if law.name in held:
+            if law.name in held and any(other.effect != law.effect for other in fitted.model.laws):
                 own = held[law.name]
                 alone = fitted.refit(fitted.model.without(own)) if own else fitted
-                said[law.name] = _beyond_others(alone, law, laws)
-        weakest = min(said, key=said.__getitem__, default="")
-        if not weakest or said[weakest] >= _MENDING:
+                says, nll = _beyond_others(alone, law, laws)
+                left |= {law.name: nll} if says < _MENDING else {}
+        if not left:
             return fitted
-        fitted = fitted.refit(fitted.model.without_laws([weakest]))
+        fitted = fitted.refit(fitted.model.without_laws([min(left, key=left.__getitem__)]))
 
 
-def _beyond_others(fitted: Fitted, law: Law, laws: Laws) -> float:
-    """What a law explains beyond what those of other effects would if they nearly held, nats; infinite beside none."""
+def _beyond_others(fitted: Fitted, law: Law, laws: Laws) -> tuple[float, float]:
+    """What a law explains beyond what those of other effects would if they nearly held, and what these leave, nats."""
     others = [other for other in fitted.model.laws if other.effect != law.effect]
-    if not others:
-        return np.inf
     nearly = with_misfit(fitted, others, laws)
     without = nearly.model.without_laws([law.name])
     # Misfits that died beside the law do not come back by themselves.
-    return min(start.refit(without).nll for start in (fitted, nearly)) - nearly.nll
+    nll = min(start.refit(without).nll for start in (fitted, nearly))
+    return nll - nearly.nll, nll
 
 
 def _of_rate(law: Law) -> bool:

@@ -7,6 +7,7 @@ References
 ----------
 Patterson and Thompson, Biometrika 58 (1971): likelihood of error contrasts.
 Harville, J. Am. Stat. Assoc. 72 (1977): derivatives.
+Gilmour, Thompson and Cullis, Biometrics 51 (1995): average information.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-from scipy.optimize import minimize
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,13 +37,21 @@ _BESIDE = 40
 _SEED = 20
 #: Singular values below this share of the largest are rounding.
 _SAME_DIRECTION = 1e-9
+#: Columns of which the flat ones lack no more than this share tell of no variance: what is left is rounding, or how a ramp of
+#: the temperature is not quite straight, and an amplitude by it would be absurd elsewhere.
+_BEYOND_FLAT = 1e-4
 #: Information on the logarithm of a variance that a record tells nothing of: a factor of e^2 either way.
 _VAGUE = 0.25
 #: Rate of the exponential prior of each component's standard deviation, relative to that of the record: large parts
 #: that cancel each other are not believed where small ones do as well (Simpson et al., Stat. Sci. 32, 2017).
 _PRIOR_RATE = 1.0
-#: Steps of the climb before Newton-like ones.
-_CLIMBS = 8
+#: Steps of the climb before Newton's, and the most of these.
+_CLIMBS, _STEPS = 8, 60
+#: What is still to be gained when these end, nats, and the longest step of a logarithm.
+_CONVERGED, _LONGEST = 1e-3, 4.0
+#: By how much steps are shortened at first, what a step must bring of what it promises, and by how much they are lengthened
+#: and shortened then (Marquardt, J. SIAM 11, 1963).
+_DAMPED, _KEPT, _LONGER, _SHORTER = 1e-3, 1e-4, 0.2, 8.0
 #: Added to the diagonal, relative to the mean of the diagonal, so that rounding cannot make a matrix indefinite.
 _JITTER = 1e-10
 #: Columns that LAPACK turns at a time.
@@ -163,8 +171,7 @@ class Contrasts:
             factor = self._contrasts_of(component.columns)
             scale = float(np.sum(factor**2)) / factor.shape[0]
             whole = float(np.sum(component.columns**2)) / factor.shape[0]
-            if scale < _SAME_DIRECTION**2 * whole:
-                # The flat columns have all of it: what is left is rounding, and tells of no variance.
+            if scale < _BEYOND_FLAT**2 * whole:
                 factor, scale = np.zeros_like(factor), whole
             factor = factor / np.sqrt(scale or 1.0)
             return _Part(component.name, factor, None, scale or 1.0, component.expected)
@@ -205,7 +212,6 @@ class Contrasts:
         self,
         components: Sequence[Component],
         start: Mapping[str, float] | None = None,
-        iterations: int = 60,
     ) -> Fit:
         """Variances of the largest posterior, from `start` (logarithms) where it knows a component."""
         likelihood = _Likelihood([self.part(c) for c in components], self._left)
@@ -219,17 +225,9 @@ class Contrasts:
             if c.held is not None:
                 share = c.held * self.part(c).scale / self.unit**2
                 bounds[k] = np.log(max(share, np.exp(_LOW)))
-        found = minimize(
-            likelihood,
-            _climb(likelihood, first, bounds),
-            method="L-BFGS-B",
-            jac=True,
-            bounds=[(float(low), float(high)) for low, high in bounds],
-            options={"maxiter": iterations, "ftol": 1e-7, "gtol": 3e-3},
-        )
-        nll = float(found.fun) + self._beside(components)
-        logs = {c.name: float(x) for c, x in zip(components, found.x, strict=True)}
-        return Fit(logs, self.variances(components, logs), nll)
+        found, value = _ascend(likelihood, _climb(likelihood, first, bounds), bounds)
+        logs = {c.name: float(x) for c, x in zip(components, found, strict=True)}
+        return Fit(logs, self.variances(components, logs), value + self._beside(components))
 
     def variances(self, components: Sequence[Component], logs: Mapping[str, float]) -> dict[str, float]:
         """Variances in the unit of the record squared, from relative logarithms."""
@@ -242,7 +240,7 @@ class Contrasts:
     def nll(self, components: Sequence[Component], logs: Mapping[str, float]) -> float:
         """Negative restricted log-likelihood at given variances."""
         likelihood = _Likelihood([self.part(c) for c in components], self._left)
-        value = likelihood(np.array([logs[c.name] for c in components]))[0]
+        value = likelihood.at(np.array([logs[c.name] for c in components])).value
         return value + self._beside(components)
 
     def _beside(self, components: Sequence[Component]) -> float:
@@ -275,8 +273,44 @@ def _normalised(columns: Floats) -> Floats:
     return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
 
 
+@dataclass(frozen=True)
+class _Point:
+    """The negative log-likelihood at some variances, for their logarithms, shape (k,).
+
+    Attributes
+    ----------
+    value : float
+        With the prior, nats.
+    size : ndarray, shape (k,)
+        Variances.
+    trace, square : ndarray, shape (k,)
+        For each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``.
+    doubt : ndarray, shape (k,)
+        What the prior has against each.
+    pulled : ndarray, shape (k, m)
+        ``L^-1 M A^-1 y``, of the lower factor ``A = L L'``.
+    """
+
+    value: float
+    size: Floats
+    trace: Floats
+    square: Floats
+    doubt: Floats
+    pulled: Floats
+
+    @property
+    def slope(self) -> Floats:
+        return np.asarray(0.5 * (self.size * (self.trace - self.square) + self.doubt))
+
+    @property
+    def bend(self) -> Floats:
+        """Average information, shape (k, k), that of the prior beside it."""
+        pulled = self.size[:, None] * self.pulled
+        return np.asarray(0.5 * pulled @ pulled.T + 0.25 * np.diag(self.doubt))
+
+
 class _Likelihood:
-    """Negative log-likelihood of the contrasts and its gradient by the logarithms of the variances."""
+    """Negative log-likelihood of the contrasts, for the logarithms of the variances."""
 
     def __init__(self, parts: Sequence[_Part], left: Floats) -> None:
         self.left = left
@@ -312,38 +346,74 @@ class _Likelihood:
         below = linalg.lapack.dpotri(self._lower(logs), lower=1, overwrite_c=1)[0]
         return np.asarray(below + np.tril(below, -1).T)
 
-    def __call__(self, logs: Floats) -> tuple[float, Floats]:
-        """Value and gradient."""
-        value, size, trace, square = self.terms(logs)
-        doubt = self.rate * np.sqrt(size)
-        return value + float(np.sum(doubt)), 0.5 * (size * (trace - square) + doubt)
-
-    def terms(self, logs: Floats) -> tuple[float, Floats, Floats, Floats]:
-        """Value, variances, and for each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``."""
+    def at(self, logs: Floats) -> _Point:
+        """What it is there, and how it goes on."""
         lower = self._lower(logs)
         white = linalg.blas.dtrsm(1.0, lower, self.stacked.T, side=1, lower=1, trans_a=1)
         value = float(np.sum(np.log(np.diag(lower))) + 0.5 * white[-1] @ white[-1])
         weighted = linalg.blas.dtrsv(lower, white[-1], lower=1, trans=1)
+        trace, square, pulled = np.zeros(logs.size), np.zeros(logs.size), np.zeros((logs.size, len(lower)))
         each = np.einsum("ij,ij->i", white[:-1], white[:-1])
-        trace = np.bincount(self.owner, each, minlength=logs.size).astype(np.float64)
-        squared = (weighted @ self.columns) ** 2
-        square = np.bincount(self.owner, squared, minlength=logs.size).astype(np.float64)
+        along = weighted @ self.columns
+        begins = np.flatnonzero(np.diff(self.owner, prepend=-1))
+        if begins.size:
+            owners = self.owner[begins]
+            trace[owners] = np.add.reduceat(each, begins)
+            square[owners] = np.add.reduceat(along**2, begins)
+            pulled[owners] = np.add.reduceat(white[:-1] * along[:, None], begins, axis=0)
+        if self.dense:
+            halves = self.halves.reshape(len(self.dense), self.left.size, self.left.size)
+            forced = halves @ weighted + weighted @ halves
+            square[self.dense] = forced @ weighted
+            pulled[self.dense] = linalg.blas.dtrsm(1.0, lower, forced, side=1, lower=1, trans_a=1)
         # Below the diagonal the inverse, above it zeros.
         below = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0]
         trace[self.dense] = 2.0 * (self.halves @ below.T.ravel())
-        pulled = (self.halves.reshape(-1, self.left.size) @ weighted).reshape(-1, self.left.size)
-        square[self.dense] = 2.0 * (pulled @ weighted)
-        return value, np.exp(logs), trace, square
+        size = np.exp(logs)
+        doubt = self.rate * np.sqrt(size)
+        return _Point(value + float(np.sum(doubt)), size, trace, square, doubt, pulled)
 
 
 def _climb(likelihood: _Likelihood, logs: Floats, bounds: Floats) -> Floats:
     """Some steps that cannot lose likelihood, from anywhere (Zhou et al., J. Comput. Graph. Stat. 28, 2019)."""
     logs = np.clip(logs, *bounds.T)
     for _ in range(_CLIMBS):
-        trace, square = likelihood.terms(logs)[2:]
-        ratio = np.maximum(square, 1e-30) / np.maximum(trace, 1e-30)
+        here = likelihood.at(logs)
+        ratio = np.maximum(here.square, 1e-30) / np.maximum(here.trace, 1e-30)
         logs = np.clip(logs + 0.5 * np.log(ratio), *bounds.T)
     return logs
+
+
+def _ascend(likelihood: _Likelihood, logs: Floats, bounds: Floats) -> tuple[Floats, float]:
+    """Newton's steps with the average information, shortened where they promise too much: logarithms and loss at the end.
+
+    A component that dies goes towards nothing by ever the longest step, and is nothing where no more is to be gained by it.
+    """
+    (low, high), here, damped = bounds.T, likelihood.at(logs), _DAMPED
+    for _ in range(_STEPS):
+        slope, bend = here.slope, here.bend
+        free = (low < high) & ~((logs <= low) & (slope > 0.0)) & ~((logs >= high) & (slope < 0.0))
+        own = np.diag(bend)[free]
+        stiff = np.diag(damped * (own + _DAMPED) + _JITTER * np.max(own, initial=1.0))
+        step = np.zeros_like(logs)
+        step[free] = -linalg.solve(bend[np.ix_(free, free)] + stiff, slope[free], assume_a="pos")
+        step = np.clip(logs + np.clip(step, -_LONGEST, _LONGEST), low, high) - logs
+        promised = -float(slope @ step)
+        if promised < _CONVERGED:
+            break
+        try:
+            there = likelihood.at(logs + step)
+        except linalg.LinAlgError:
+            damped = max(_SHORTER * damped, _DAMPED)
+            continue
+        gained = here.value - there.value
+        if gained >= _KEPT * promised:
+            logs, here = logs + step, there
+            damped *= _LONGER
+        else:
+            damped = max(_SHORTER * damped, _DAMPED)
+    nothing = here.size * np.maximum(here.trace, here.square) < _CONVERGED
+    return np.where(nothing, low, logs), here.value
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 
 #: Steps of the search for levels at the most.
 _ITERATIONS = 40
-#: Step of the difference gradients, of logarithms, and what counts as no progress, of -2 log likelihood.
-_STEP, _CONVERGED = 1e-3, 1e-3
+#: Step of logarithms of levels by which the field is seen to change, and what counts as no progress, of -2 log likelihood.
+_STEP, _CONVERGED = 1e-5, 1e-3
 #: How far to either side of the maximum its width is looked at, of what a level may be off by beforehand.
 _LOOKED = 0.5
 #: Stands for the loss of levels that no matrix can be made of; larger than any loss.
@@ -90,10 +90,58 @@ class Given:
 
     def inverse(self) -> Floats:
         """``V^-1 columns``, shape (n, m)."""
+        return self._unexplained(self._means(), self.columns) / self.field.noise[:, None]
+
+    def _means(self, mixed: Floats | None = None) -> Floats:
+        """Means of the states given each of the columns, or each mixture of them (shape (m, q)): shape (n + 1, s, q)."""
+        states = self.states if mixed is None else self.states @ mixed
+        return np.asarray(_substitute(self.lower, self.below, states))
+
+    def _unexplained(self, means: Floats, columns: Floats) -> Floats:
+        """What the states leave of the observations, shape (n, q)."""
         f = self.field
-        states = _substitute(self.lower, self.below, self.states)
-        told = np.einsum("ks,ksm->km", f.after, states[1:]) + np.einsum("ks,ksm->km", f.before, states[:-1])
-        return np.asarray((self.columns - told) / f.noise[:, None])
+        seen = np.einsum("ks,ksm->km", f.after, means[1:]) + np.einsum("ks,ksm->km", f.before, means[:-1])
+        return np.asarray(columns - seen)
+
+    def restricted_loss(self) -> float:
+        """-2 log of the likelihood of the last column with the coefficients of the others integrated out (REML)."""
+        lower = np.linalg.cholesky(self.gram)
+        return self.log_det + 2.0 * float(np.sum(np.log(np.diag(lower)[:-1]))) + float(lower[-1, -1] ** 2)
+
+    def restricted_slope(self) -> MarkovSlope:
+        """Slope of `restricted_loss` along the logarithms of the field's variances.
+
+        Of each independent normal of variance v it is 1 less its mean square given the observations, in v (Fisher's
+        identity: Louis, J. R. Stat. Soc. B 44, 1982); the mean square is that of the mean, the variance beside known
+        coefficients, and what is not known of the coefficients.
+        """
+        f, lower = self.field, np.linalg.cholesky(self.gram)
+        # Columns of unit information, that have nothing in common, and what they leave of the last.
+        mixed = np.linalg.inv(lower).T
+        mixed[:, -1] *= lower[-1, -1]
+        means = self._means(mixed)
+        of_start, of_push, of_noise = _spread(self.lower, self.below, f.keep, f.before, f.after)
+        of_start += np.sum(means[0] ** 2, axis=1)
+        of_push += np.sum((means[1:] - f.keep[:, :, None] * means[:-1]) ** 2, axis=2)
+        of_noise += np.sum(self._unexplained(means, self.columns @ mixed) ** 2, axis=1)
+        return MarkovSlope(1.0 - of_start / f.start, 1.0 - of_push / f.push, 1.0 - of_noise / f.noise)
+
+
+@dataclass(frozen=True)
+class MarkovSlope:
+    """Slope along the logarithm of each variance of a field, shapes as in `MarkovField`."""
+
+    start: Floats
+    push: Floats
+    noise: Floats
+
+    def along(self, field: MarkovField, moved: MarkovField) -> float:
+        """By how much it rises from a field to one near it, to first order."""
+        return float(
+            self.start @ (moved.start / field.start - 1.0)
+            + np.sum(self.push * (moved.push / field.push - 1.0))
+            + self.noise @ (moved.noise / field.noise - 1.0)
+        )
 
 
 @njit(cache=True, error_model="numpy")
@@ -106,22 +154,28 @@ def _eliminate(
     lower, below, out = np.zeros((n + 1, s, s)), np.zeros((n + 1, s, s)), np.zeros((n + 1, s, m))
     block = np.zeros((s, s))
     for k in range(n + 1):
+        own, beside, told = lower[k], below[k], out[k]
         for a in range(s):
             for b in range(a + 1):
-                block[a, b] = 0.0
+                value = 0.0
                 if k > 0:
-                    block[a, b] += after[k - 1, a] * after[k - 1, b] / noise[k - 1]
+                    value += after[k - 1, a] * after[k - 1, b] / noise[k - 1]
                 if k < n:
-                    block[a, b] += before[k, a] * before[k, b] / noise[k]
+                    value += before[k, a] * before[k, b] / noise[k]
+                block[a, b] = value
             block[a, a] += 1.0 / (start[a] if k == 0 else push[k - 1, a])
             if k < n:
                 block[a, a] += keep[k, a] ** 2 / push[k, a]
-            for j in range(m):
-                if k > 0:
-                    out[k, a, j] += after[k - 1, a] * columns[k - 1, j] / noise[k - 1]
-                if k < n:
-                    out[k, a, j] += before[k, a] * columns[k, j] / noise[k]
+            if k > 0:
+                weight = after[k - 1, a] / noise[k - 1]
+                for j in range(m):
+                    told[a, j] += weight * columns[k - 1, j]
+            if k < n:
+                weight = before[k, a] / noise[k]
+                for j in range(m):
+                    told[a, j] += weight * columns[k, j]
         if k > 0:
+            last = lower[k - 1]
             # Row by row: below[k] lower[k-1]' is the block of the precision beside the diagonal.
             for a in range(s):
                 for b in range(s):
@@ -129,26 +183,28 @@ def _eliminate(
                     if a == b:
                         value -= keep[k - 1, a] / push[k - 1, a]
                     for c in range(b):
-                        value -= below[k, a, c] * lower[k - 1, b, c]
-                    below[k, a, b] = value / lower[k - 1, b, b]
+                        value -= beside[a, c] * last[b, c]
+                    beside[a, b] = value / last[b, b]
             for a in range(s):
                 for b in range(a + 1):
                     for c in range(s):
-                        block[a, b] -= below[k, a, c] * below[k, b, c]
+                        block[a, b] -= beside[a, c] * beside[b, c]
                 for c in range(s):
+                    weight = beside[a, c]
                     for j in range(m):
-                        out[k, a, j] -= below[k, a, c] * out[k - 1, c, j]
+                        told[a, j] -= weight * out[k - 1, c, j]
         for a in range(s):
             for b in range(a + 1):
                 value = block[a, b]
                 for c in range(b):
-                    value -= lower[k, a, c] * lower[k, b, c]
-                lower[k, a, b] = np.sqrt(value) if a == b else value / lower[k, b, b]
+                    value -= own[a, c] * own[b, c]
+                own[a, b] = np.sqrt(value) if a == b else value / own[b, b]
             for c in range(a):
+                weight = own[a, c]
                 for j in range(m):
-                    out[k, a, j] -= lower[k, a, c] * out[k, c, j]
+                    told[a, j] -= weight * told[c, j]
             for j in range(m):
-                out[k, a, j] /= lower[k, a, a]
+                told[a, j] /= own[a, a]
     return lower, below, out
 
 
@@ -172,14 +228,60 @@ def _substitute(lower: Floats, below: Floats, states: Floats) -> Floats:  # prag
     return out
 
 
-def restricted_loss(field: MarkovField, y: Floats, columns: Floats) -> float:
-    """-2 log of the likelihood of `y`, shape (n,), with the coefficients of `columns`, (n, m), integrated out (REML).
+@njit(cache=True, error_model="numpy")
+def _spread(
+    lower: Floats, below: Floats, keep: Floats, before: Floats, after: Floats
+) -> tuple[Floats, Floats, Floats]:  # pragma: no cover - compiled
+    """Variances of the states at node 0, of the pushes, and of what is seen of the states, given the observations.
 
-    LinAlgError where the columns depend on each other, or as `MarkovField.given`.
+    They need no more of the inverse of the precision than its blocks beside the diagonal, which follow from the last one
+    (Takahashi's recursion; Rue and Held, section 2.2.5).
     """
-    given = field.given(np.column_stack([columns, y]))
-    lower = np.linalg.cholesky(given.gram)
-    return given.log_det + 2.0 * float(np.sum(np.log(np.diag(lower)[:-1]))) + float(lower[-1, -1] ** 2)
+    n, s = keep.shape
+    of_push, of_seen = np.zeros((n, s)), np.zeros(n)
+    own, last, beside = np.zeros((s, s)), np.zeros((s, s)), np.zeros((s, s))
+    inverse, gain = np.zeros((s, s)), np.zeros((s, s))
+    for k in range(n, -1, -1):
+        for b in range(s):
+            # Columns of the inverse of the triangle.
+            for a in range(b, s):
+                value = 1.0 if a == b else 0.0
+                for c in range(b, a):
+                    value -= lower[k, a, c] * inverse[c, b]
+                inverse[a, b] = value / lower[k, a, a]
+        if k < n:
+            for a in range(s):
+                for b in range(s):
+                    gain[a, b] = 0.0
+                for c in range(s):
+                    for b in range(c + 1):
+                        gain[a, b] += below[k + 1, a, c] * inverse[c, b]
+            for a in range(s):
+                for b in range(s):
+                    beside[a, b] = 0.0
+                for c in range(s):
+                    for b in range(s):
+                        beside[a, b] -= last[a, c] * gain[c, b]
+        for a in range(s):
+            for b in range(a + 1):
+                value = 0.0
+                for c in range(a, s):
+                    value += inverse[c, a] * inverse[c, b]
+                if k < n:
+                    for c in range(s):
+                        value -= gain[c, a] * beside[c, b]
+                own[a, b] = own[b, a] = value
+        if k < n:
+            for a in range(s):
+                fades = keep[k, a]
+                of_push[k, a] = last[a, a] - 2.0 * fades * beside[a, a] + fades**2 * own[a, a]
+                for b in range(s):
+                    of_seen[k] += (
+                        after[k, a] * after[k, b] * last[a, b] + before[k, a] * before[k, b] * own[a, b]
+                    )
+                    of_seen[k] += 2.0 * after[k, a] * before[k, b] * beside[a, b]
+        own, last = last, own
+    return np.diag(last).copy(), of_push, of_seen
 
 
 def restricted_maximum(
@@ -210,20 +312,35 @@ def restricted_maximum(
     # Columns of unit size: only their span matters, and the Gram matrix stays well conditioned.
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
 
+    both = np.column_stack([scaled, y])
+
     def loss(levels: Floats) -> float:
         beforehand = float(np.sum(((levels - prior) / spread) ** 2))
         try:
-            return restricted_loss(field_of(levels), y, scaled) + beforehand
+            return field_of(levels).given(both).restricted_loss() + beforehand
         except np.linalg.LinAlgError:
             return _IMPOSSIBLE
 
+    def loss_and_slope(levels: Floats) -> tuple[float, Floats]:
+        field = field_of(levels)
+        try:
+            given = field.given(both)
+            value, slope = given.restricted_loss(), given.restricted_slope()
+        except np.linalg.LinAlgError:
+            return _IMPOSSIBLE, np.zeros_like(levels)
+        moved = [field_of(levels + step) for step in _STEP * np.eye(levels.size)]
+        beforehand = (levels - prior) / spread
+        slopes = np.array([slope.along(field, near) for near in moved]) / _STEP + 2.0 * beforehand / spread
+        return value + float(beforehand @ beforehand), slopes
+
     limits = [(m - 6.0 * s, m + 6.0 * s) for m, s in zip(prior, spread, strict=True)]
     found = optimize.minimize(
-        loss,
+        loss_and_slope,
         first,
+        jac=True,
         method="L-BFGS-B",
         bounds=limits,
-        options={"maxiter": _ITERATIONS, "eps": _STEP, "ftol": _CONVERGED / max(abs(loss(first)), 1.0)},
+        options={"maxiter": _ITERATIONS, "ftol": _CONVERGED / max(abs(loss(first)), 1.0)},
     )
     steps = _LOOKED * np.diag(spread)
     rises = [0.5 * (loss(found.x + h) + loss(found.x - h)) - found.fun for h in steps]

@@ -54,7 +54,7 @@ def test_a_surface_that_does_not_settle_is_one_of_the_input(
     monkeypatch.setattr(blocks, "_BENDS", 1)
     fitted, _ = open_loop
     bend = 2.0 * fitted.model.bend_of(fitted.solve())
-    found = blocks.around_itself(fitted.refit(fitted.model.directed("output", bend), 20))
+    found = blocks.around_itself(fitted.refit(fitted.model.directed("output", bend)))
     assert found.model.direction == "input"
     assert np.std(found.solve().left) == pytest.approx(3e-4, rel=0.1)
 
@@ -93,8 +93,8 @@ def test_a_direction_that_was_found_is_not_given_up_for_one_that_fits_worse() ->
     laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
     law = Law(SAGNAC_SINE.id, {"phase_rad_per_dps": k}, laws.at(SAGNAC_SINE, {"phase_rad_per_dps": k}))
     odd = [n for n, b in fitted.model.blocks.items() if b == "odd rate"]
-    beside = fitted.refit(replace(fitted.model.without(odd), laws=(law,)), 30)
+    beside = fitted.refit(replace(fitted.model.without(odd), laws=(law,)))
     bend = beside.model.bend_of(beside.solve())
-    found = blocks.around_itself(beside.refit(beside.model.directed("output", bend), 20))
+    found = blocks.around_itself(beside.refit(beside.model.directed("output", bend)))
     assert found.model.direction == "output"
     assert blocks.settle_direction(found).nll <= found.nll

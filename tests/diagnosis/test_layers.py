@@ -162,14 +162,14 @@ def test_a_second_start_never_fits_worse() -> None:
     model = full_model(means_of(series_of_table(sweeps(1)[0])), memory=False)
     found = fit_anyhow(model)
     assert np.isfinite(found.nll)
-    assert found.nll <= found.refit(model, 5).nll + 1.0
+    assert found.nll <= found.refit(model).nll + 1.0
 
 
 def test_a_surface_of_the_output_bends_as_the_surface_that_it_has_in_the_end() -> None:
     """Or the file, whose surface is one of the output, would be another model than the one that was fitted."""
-    fitted = fit_model(full_model(means_of(series_of_table(sweeps(1)[0])), memory=False), iterations=5)
+    fitted = fit_model(full_model(means_of(series_of_table(sweeps(1)[0])), memory=False))
     other = 3.0 * fitted.model.legendre(fitted.solve())
-    found = around_itself(fitted.refit(fitted.model.directed("output", other), 5))
+    found = around_itself(fitted.refit(fitted.model.directed("output", other)))
     assert found.model.bend is not None
     now = found.model.bend_of(found.solve())
     bends = [beyond_input(found.model.basis, b) @ now for b in (found.model.bend, now)]

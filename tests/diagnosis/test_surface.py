@@ -63,7 +63,7 @@ def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path, wander_dps: float
     path = _table(tmp_path / "sweeps.csv", wander_dps)
     series = series_of_table(read_data_sets(path))
     means = means_of(series)
-    whole = alive(fit_model(full_model(means, memory=False), iterations=2))
+    whole = alive(fit_model(full_model(means, memory=False)))
     blank = Surface(np.zeros(SHAPE), 0.0, 100.0, 25.0, 8.0)
     found = Examination(series, (), whole, {}, Naming(whole, ()), laws_of(means, blank))
     chosen = fit_chosen(load_recording(path).sets).fit

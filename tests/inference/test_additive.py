@@ -33,7 +33,7 @@ def test_balanced_one_way_layout_has_the_estimates_of_the_analysis_of_variance()
     cell = y.reshape(groups, each)
     within = float(np.sum((cell - cell.mean(axis=1, keepdims=True)) ** 2) / (groups * (each - 1)))
     between = float(each * np.sum((cell.mean(axis=1) - y.mean()) ** 2) / (groups - 1))
-    found = Contrasts(y, flat).fit(parts, iterations=200).variance
+    found = Contrasts(y, flat).fit(parts).variance
     # The weak prior of the standard deviations moves them by a small share of their own uncertainty.
     assert found["white"] == pytest.approx(within, rel=0.03)
     assert found["group"] == pytest.approx((between - within) / each, rel=0.06)
@@ -57,7 +57,7 @@ def test_what_is_expected_comes_back_and_is_not_doubted_for_its_size() -> None:
     within = float(np.sum((cell - cell.mean(axis=1, keepdims=True)) ** 2) / (groups * (each - 1)))
     between = float(each * np.sum((cell.mean(axis=1) - y.mean()) ** 2) / (groups - 1))
     parts = [replace(c, expected=True) for c in (member, white)]
-    found = Contrasts(y, flat).fit(parts, {"group": -30.0, "white": 0.0}, iterations=200).variance
+    found = Contrasts(y, flat).fit(parts, {"group": -30.0, "white": 0.0}).variance
     assert found["white"] == pytest.approx(within, rel=2e-3)
     assert found["group"] == pytest.approx((between - within) / each, rel=5e-3)
 

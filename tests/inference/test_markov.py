@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.inference.markov import MarkovField, restricted_loss, restricted_maximum
+from gyrocal.inference.markov import MarkovField, restricted_maximum
 
 Floats = NDArray[np.float64]
 
@@ -62,8 +62,27 @@ def test_restricted_loss_is_that_of_error_contrasts() -> None:
         field = some_field(30, seed)
         v = contrasts @ dense(field) @ contrasts.T
         likelihood = stats.multivariate_normal(np.zeros(28), v, allow_singular=False).logpdf(contrasts @ y)
-        apart.append(restricted_loss(field, y, columns) + 2 * likelihood)
+        loss = field.given(np.column_stack([columns, y])).restricted_loss()
+        apart.append(loss + 2 * likelihood)
     assert apart == pytest.approx([apart[0]] * 3, rel=1e-10)
+
+
+def test_slope_is_that_of_differences() -> None:
+    rng = np.random.default_rng(4)
+    both = rng.normal(size=(30, 3))
+    field = some_field(30, 6)
+    slope = field.given(both).restricted_slope()
+    for name in ("start", "push", "noise"):
+        variances, found = getattr(field, name), np.ravel(getattr(slope, name))
+        for k, step in enumerate(1e-5 * np.eye(variances.size)):
+            up, down = (
+                replace(field, **{name: variances * np.exp(sign * step).reshape(variances.shape)})
+                for sign in (1.0, -1.0)
+            )
+            rise = up.given(both).restricted_loss() - down.given(both).restricted_loss()
+            assert found[k] == pytest.approx(rise / 2e-5, abs=1e-5)
+            both_ways = slope.along(field, up) - slope.along(field, down)
+            assert both_ways == pytest.approx(rise, rel=1e-3, abs=1e-9)
 
 
 def test_levels_are_found() -> None:

@@ -1,6 +1,6 @@
 """The heading by the encoders against that by the gyro: noise levels, laws and their gains, in one state space.
 
-An interval's difference of turns is, with the states of `_field`,
+An interval's difference of turns is, with the states of `_Sources.field`,
 
     y_k = e_k - e_(k-1) - (g_1 + g_2 + g_3 + r) dt + o dphi + laws + w_k
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,43 +141,86 @@ def _white_at_rest(series: DriveSeries) -> float | None:
     return float(np.sqrt(0.5 * square * width_s)) if square > 0 else None
 
 
-def _field(frame: Frame, noise: YawNoise, left_out: Floats) -> MarkovField:
-    """The states e, g_1, g_2, g_3, r, o for a log."""
-    nodes, robot = frame.nodes, frame.series.robot
-    dt, moving = nodes.dt_s, ~nodes.resting
-    separation = robot.wheel_separation_m
-    c = frame.conditions
-    turn = nodes.between(np.cumsum(c.gyro_yaw_rad))
-    # From left to right and back within an interval is a way, too.
-    turned = nodes.between(np.cumsum(np.abs(c.gyro_yaw_rad)))
-    way = nodes.between(np.cumsum(np.abs(frame.series.left_m) + np.abs(frame.series.right_m)))
-    rate = np.divide(turn, dt, out=np.zeros_like(dt), where=dt > 0)
-    unsteady = (max(noise.tick_m, _LEAST_TICK_M) / separation) ** 2 + (noise.jitter_s * rate) ** 2
-    taus = np.array([*FLICKER_TAUS_S, WANDER_TAU_S])
-    fade = np.exp(-dt[:, None] / taus)
-    flicker, walk = ((DEG_TO_RAD * x) ** 2 for x in (noise.flicker_dps, noise.walk_dps_per_rt_s))
-    levels = np.array([flicker, flicker, flicker, noise.wander**2])
-    # A wheel between two ticks keeps its error but for what the robot turns meanwhile. Were it drawn anew, the waits
-    # about each rest would say that there is none, and half a tick in a slow turn would look like slip.
-    waiting = way == 0.0
-    unseen = nodes.between(frame.series.gyro_rad) ** 2
-    keep = np.column_stack([waiting, fade[:, :3], np.ones_like(dt), fade[:, 3:]])
-    push = np.column_stack(
-        [
-            np.where(waiting, _STILL * unsteady + moving * unseen, unsteady),
-            levels[:3] * (1 - fade[:, :3] ** 2),
-            walk * dt,
-            levels[3] * (1 - fade[:, 3] ** 2),
-        ]
-    )
-    zero = np.zeros_like(dt)
-    before = np.column_stack([-np.ones_like(dt), zero, zero, zero, zero, zero])
-    after = np.column_stack([np.ones_like(dt), -dt, -dt, -dt, -dt, turn])
-    white = (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * dt
-    slipping = (noise.slip_m_per_rt_m / separation) ** 2 * way + noise.turn**2 * turned
-    start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, levels[3]])
-    quiet = np.maximum(push, 1e-24)
-    return MarkovField(start, keep, quiet, before, after, white + slipping * moving + left_out + 1e-18)
+@dataclass(frozen=True)
+class _Sources:
+    """What noise of each level does in the intervals of a log, whatever the levels are; arrays of shape (m,) and (m, 4).
+
+    Attributes
+    ----------
+    turn, turned : turn of the robot, and its turns to either side together, rad
+    way : of both wheels, m
+    unseen : square of what the gyro turns meanwhile, rad^2
+    fade : what is left of the Gauss-Markov parts
+    """
+
+    separation_m: float
+    dt_s: Floats
+    moving: NDArray[np.bool_]
+    turn: Floats
+    turned: Floats
+    way: Floats
+    unseen: Floats
+    fade: Floats
+
+    @classmethod
+    def of(cls, frame: Frame) -> _Sources:
+        """Of a log."""
+        nodes, series = frame.nodes, frame.series
+        yaw_rad = frame.conditions.gyro_yaw_rad
+        return cls(
+            series.robot.wheel_separation_m,
+            nodes.dt_s,
+            ~nodes.resting,
+            nodes.between(np.cumsum(yaw_rad)),
+            # From left to right and back within an interval is a way, too.
+            nodes.between(np.cumsum(np.abs(yaw_rad))),
+            nodes.between(np.cumsum(np.abs(series.left_m) + np.abs(series.right_m))),
+            nodes.between(series.gyro_rad) ** 2,
+            np.exp(-nodes.dt_s[:, None] / [*FLICKER_TAUS_S, WANDER_TAU_S]),
+        )
+
+    @cached_property
+    def _keep(self) -> Floats:
+        fade = self.fade
+        return np.column_stack([self._waiting, fade[:, :3], np.ones_like(self.dt_s), fade[:, 3:]])
+
+    @cached_property
+    def _seen(self) -> tuple[Floats, Floats]:
+        """Weights of the states before and after an interval in its observation."""
+        one, zero, dt = np.ones_like(self.dt_s), np.zeros_like(self.dt_s), self.dt_s
+        before = np.column_stack([-one, zero, zero, zero, zero, zero])
+        return before, np.column_stack([one, -dt, -dt, -dt, -dt, self.turn])
+
+    @cached_property
+    def _waiting(self) -> NDArray[np.bool_]:
+        """Where a wheel between two ticks keeps its error but for what the robot turns meanwhile.
+
+        Were it drawn anew, the waits about each rest would say that there is none, and half a tick in a slow turn would
+        look like slip.
+        """
+        return np.asarray(self.way == 0.0)
+
+    @cached_property
+    def _rate_square(self) -> Floats:
+        rate = np.divide(self.turn, self.dt_s, out=np.zeros_like(self.dt_s), where=self.dt_s > 0)
+        return np.asarray(rate**2)
+
+    def field(self, noise: YawNoise, left_out: Floats) -> MarkovField:
+        """The states e, g_1, g_2, g_3, r, o of the log at these levels."""
+        tick = (max(noise.tick_m, _LEAST_TICK_M) / self.separation_m) ** 2
+        unsteady = tick + noise.jitter_s**2 * self._rate_square
+        flicker, walk = ((DEG_TO_RAD * x) ** 2 for x in (noise.flicker_dps, noise.walk_dps_per_rt_s))
+        levels = np.array([flicker, flicker, flicker, noise.wander**2])
+        drawn = levels * (1.0 - self.fade**2)
+        held = _STILL * unsteady + self.moving * self.unseen
+        push = np.column_stack(
+            [np.where(self._waiting, held, unsteady), drawn[:, :3], walk * self.dt_s, drawn[:, 3]]
+        )
+        white = (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * self.dt_s
+        slipping = (noise.slip_m_per_rt_m / self.separation_m) ** 2 * self.way + noise.turn**2 * self.turned
+        start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, levels[3]])
+        whole = white + slipping * self.moving + left_out + 1e-18
+        return MarkovField(start, self._keep, np.maximum(push, 1e-24), *self._seen, whole)
 
 
 @dataclass(frozen=True)
@@ -206,12 +250,16 @@ class YawModel:
     @property
     def white(self) -> Floats:
         """Variance of what accumulates in each interval, rad^2."""
-        return _field(self.frame, self.noise, self.left_out).noise
+        return self._sources.field(self.noise, self.left_out).noise
+
+    @cached_property
+    def _sources(self) -> _Sources:
+        return _Sources.of(self.frame)
 
     def given(self, columns: Floats, flicker_dps: float | None = None) -> Given:
         """Columns under the noise, at a level of 1/f noise of one's own where one is given."""
         noise = self.noise if flicker_dps is None else replace(self.noise, flicker_dps=flicker_dps)
-        return _field(self.frame, noise, self.left_out).given(columns)
+        return self._sources.field(noise, self.left_out).given(columns)
 
 
 def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
@@ -223,7 +271,7 @@ def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
     left_out = np.where(frame.nodes.broken | starting, LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
-    columns = _independent(np.column_stack(means), _field(frame, usual, left_out))
+    columns = _independent(np.column_stack(means), _Sources.of(frame).field(usual, left_out))
     noise, log_std = _levels(frame, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     outliers = _outliers(model, columns)
@@ -272,8 +320,9 @@ def _levels(
     spread = np.array([_SPREAD[n] for n in names])
     # From a level that is lost beneath the others the search sees no slope.
     first = prior + spread * [_SEEN * (n in ("wander", "jitter_s")) for n in names]
+    sources = _Sources.of(frame)
     logs, left = restricted_maximum(
-        lambda logs: _field(frame, noise_of(logs), left_out), y, columns, prior, spread, first
+        lambda logs: sources.field(noise_of(logs), left_out), y, columns, prior, spread, first
     )
     # A log cannot measure its 1/f noise, and the variance of a bias goes by the square: taken as its mean over all levels
     # that are possible, not as that of the likeliest one.

@@ -16,7 +16,7 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
 from gyrocal.diagnosis.drive.laws import MOVING, candidate_laws, frame_of, law
 from gyrocal.diagnosis.drive.search import align, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of, tick_size
-from gyrocal.diagnosis.drive.yaw import _field, _independent, usual_noise
+from gyrocal.diagnosis.drive.yaw import _independent, _Sources, usual_noise
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.physics.drive import SKID_SLIP
@@ -553,7 +553,7 @@ def test_laws_that_differ_by_a_lag_alone_leave_columns_that_arithmetic_can_tell(
     series = drive_series("d", _to_and_fro(2), resting, None)
     frame = frame_of(series, nodes_of(series), 0.0, 0.0, 0.0)
     laws = [x for name, x in candidate_laws(frame).items() if name in MOVING]
-    field = _field(frame, usual_noise(series), np.zeros(frame.nodes.dt_s.size))
+    field = _Sources.of(frame).field(usual_noise(series), np.zeros(frame.nodes.dt_s.size))
     apart = _independent(np.column_stack([*(x.column for x in laws), laws[0].column]), field)
     assert 1 < apart.shape[1] <= len(laws)
     assert field.given(apart).gram == pytest.approx(np.eye(apart.shape[1]), abs=1e-5)

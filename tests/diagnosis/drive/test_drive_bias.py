@@ -210,7 +210,10 @@ def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(resting: Rob
     assert not any(n == "step" or n.startswith("moving") for n in both.named)
 
 
-@pytest.mark.parametrize(("slope", "seeds"), [(0.0, range(3)), (1.5, range(1))])
+@pytest.mark.parametrize(
+    ("slope", "seeds"),
+    [(0.0, range(1)), pytest.param(0.0, range(1, 8), marks=pytest.mark.slow), (1.5, range(1))],
+)
 def test_encoders_and_truth_together_show_a_bias_that_neither_shows(
     slope: float, seeds: range, tmp_path: Path
 ) -> None:
@@ -346,7 +349,8 @@ def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:
     assert found.robot is None or found.robot.parameters.gyro.scale == 0.0
 
 
-def test_a_wheel_that_changes_slowly_steers_no_bias() -> None:
+@pytest.mark.parametrize("seeds", [range(4, 6), pytest.param(range(4, 14), marks=pytest.mark.slow)])
+def test_a_wheel_that_changes_slowly_steers_no_bias(seeds: range) -> None:
     """Without a rest a bias is told by the wheels alone, and has to hold beside what goes with the time.
 
     Of ten such drives the bias errs 0.7 times as much as without that.
@@ -357,7 +361,7 @@ def test_a_wheel_that_changes_slowly_steers_no_bias() -> None:
     )  # fmt: skip
     robot = robot_of({"wheel_separation_m": plan.separation_m, "static_s": 0.0}, Path("robot.toml"))
     off, steered = [], []
-    for seed in range(4, 9):
+    for seed in seeds:
         log = drive(plan, seed)
         grown = 1.0 + 0.01 * np.clip((log.t_s - 150.0) / 240.0, 0.0, 1.0)
         found = examine("log", replace(log, left_m=grown * log.left_m), robot, None).yaw
@@ -365,7 +369,7 @@ def test_a_wheel_that_changes_slowly_steers_no_bias() -> None:
         assert abs(value - plan.bias_dps) < 2.5 * std
         off.append(value - plan.bias_dps)
         steered.append(found.gram.solve(found.chosen)[0][found.chosen.index("bias")] - plan.bias_dps)
-    assert np.abs(off).sum() < 0.8 * np.abs(steered).sum()
+    assert np.abs(off).sum() < (0.8 if len(seeds) > 2 else 1.0) * np.abs(steered).sum()
 
 
 def test_a_wheel_that_sticks_when_slow_leaves_a_bias_without_a_rest_open() -> None:
