@@ -54,7 +54,7 @@ def without_mending(fitted: Fitted, held: Mapping[str, Sequence[str]], laws: Law
     held : names of the laws in question, each with the components that stand for the same
     """
     while True:
-        left = {}
+        left: dict[str, float] = {}
         for law in fitted.model.laws:
             if law.name in held and any(other.effect != law.effect for other in fitted.model.laws):
                 own = held[law.name]
