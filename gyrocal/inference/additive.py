@@ -7,7 +7,6 @@ References
 ----------
 Patterson and Thompson, Biometrika 58 (1971): likelihood of error contrasts.
 Harville, J. Am. Stat. Assoc. 72 (1977): derivatives.
-Gilmour, Thompson and Cullis, Biometrics 51 (1995): average information.
 """
 
 from __future__ import annotations
@@ -19,6 +18,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+
+from gyrocal.inference.newton import descend
+from gyrocal.inference.restricted import JITTER, Likelihood, Part, climb
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -42,18 +44,6 @@ _SAME_DIRECTION = 1e-9
 _BEYOND_FLAT = 1e-4
 #: Information on the logarithm of a variance that a record tells nothing of: a factor of e^2 either way.
 _VAGUE = 0.25
-#: Rate of the exponential prior of each component's standard deviation, relative to that of the record: large parts
-#: that cancel each other are not believed where small ones do as well (Simpson et al., Stat. Sci. 32, 2017).
-_PRIOR_RATE = 1.0
-#: Steps of the climb before Newton's, and the most of these.
-_CLIMBS, _STEPS = 8, 60
-#: What is still to be gained when these end, nats, and the longest step of a logarithm.
-_CONVERGED, _LONGEST = 1e-3, 4.0
-#: By how much steps are shortened at first, what a step must bring of what it promises, and by how much they are lengthened
-#: and shortened then (Marquardt, J. SIAM 11, 1963).
-_DAMPED, _KEPT, _LONGER, _SHORTER = 1e-3, 1e-4, 0.2, 8.0
-#: Added to the diagonal, relative to the mean of the diagonal, so that rounding cannot make a matrix indefinite.
-_JITTER = 1e-10
 #: Columns that LAPACK turns at a time.
 _BLOCK = 64
 
@@ -81,17 +71,6 @@ class Component:
     held: float | None = None
     expected: bool = False
     toll: float = 0.0
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A component in the space of error contrasts, scaled to a mean diagonal of one."""
-
-    name: str
-    factor: Floats | None
-    matrix: Floats | None
-    scale: float
-    expected: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,11 +133,11 @@ class Contrasts:
         self._left = left / self.unit
         # With this the likelihood is the evidence under flat coefficients, comparable between flat columns.
         self._flat = float(np.linalg.slogdet(seen.T @ seen)[1]) / 2.0
-        self._parts: dict[int, tuple[Component, _Part]] = {}
+        self._parts: dict[int, tuple[Component, Part]] = {}
         # Components in the directions that are looked in, which contrasts of other flat columns share.
         self._looked_at: dict[int, tuple[Component, Floats]] = {} if like is None else like._looked_at
 
-    def part(self, component: Component) -> _Part:
+    def part(self, component: Component) -> Part:
         """A component in the space of contrasts; kept, since models share most of them."""
         known = self._parts.get(id(component))
         if known is None or known[0] is not component:
@@ -166,7 +145,7 @@ class Contrasts:
             self._parts[id(component)] = known
         return known[1]
 
-    def _projected(self, component: Component) -> _Part:
+    def _projected(self, component: Component) -> Part:
         if component.columns is not None:
             factor = self._contrasts_of(component.columns)
             scale = float(np.sum(factor**2)) / factor.shape[0]
@@ -174,11 +153,11 @@ class Contrasts:
             if scale < _BEYOND_FLAT**2 * whole:
                 factor, scale = np.zeros_like(factor), whole
             factor = factor / np.sqrt(scale or 1.0)
-            return _Part(component.name, factor, None, scale or 1.0, component.expected)
+            return Part(component.name, factor, None, scale or 1.0, component.expected)
         first = self.flat.shape[1]
         matrix = self._turned(self._turned(self._seen(component), "T").T, "T")[first:, first:]
         scale = float(np.trace(matrix)) / matrix.shape[0]
-        return _Part(component.name, None, matrix / (scale or 1.0), scale or 1.0, component.expected)
+        return Part(component.name, None, matrix / (scale or 1.0), scale or 1.0, component.expected)
 
     def _seen(self, component: Component) -> Floats:
         """A covariance of the rows in the directions that are looked in."""
@@ -214,7 +193,7 @@ class Contrasts:
         start: Mapping[str, float] | None = None,
     ) -> Fit:
         """Variances of the largest posterior, from `start` (logarithms) where it knows a component."""
-        likelihood = _Likelihood([self.part(c) for c in components], self._left)
+        likelihood = Likelihood([self.part(c) for c in components], self._left)
         known = start or {}
         lowest = [START if c.expected else START + _REVIVED for c in components]
         first = np.array(
@@ -225,9 +204,10 @@ class Contrasts:
             if c.held is not None:
                 share = c.held * self.part(c).scale / self.unit**2
                 bounds[k] = np.log(max(share, np.exp(_LOW)))
-        found, value = _ascend(likelihood, _climb(likelihood, first, bounds), bounds)
+        found, there = descend(likelihood.at, climb(likelihood, first, bounds), bounds)
+        found = np.where(there.idle, _LOW, found)
         logs = {c.name: float(x) for c, x in zip(components, found, strict=True)}
-        return Fit(logs, self.variances(components, logs), value + self._beside(components))
+        return Fit(logs, self.variances(components, logs), there.value + self._beside(components))
 
     def variances(self, components: Sequence[Component], logs: Mapping[str, float]) -> dict[str, float]:
         """Variances in the unit of the record squared, from relative logarithms."""
@@ -239,7 +219,7 @@ class Contrasts:
 
     def nll(self, components: Sequence[Component], logs: Mapping[str, float]) -> float:
         """Negative restricted log-likelihood at given variances."""
-        likelihood = _Likelihood([self.part(c) for c in components], self._left)
+        likelihood = Likelihood([self.part(c) for c in components], self._left)
         value = likelihood.at(np.array([logs[c.name] for c in components])).value
         return value + self._beside(components)
 
@@ -252,7 +232,7 @@ class Contrasts:
 
         A column x raises the log-likelihood by up to ``(x' P y)^2 / (2 x' P x)``.
         """
-        likelihood = _Likelihood([self.part(c) for c in components], self._left)
+        likelihood = Likelihood([self.part(c) for c in components], self._left)
         inverse = likelihood.inverse(np.array([logs[c.name] for c in components]))
         whole = self._rows_of(self._rows_of(inverse).T) / self.unit**2
         return whole @ self.y, whole
@@ -271,149 +251,6 @@ def _directions(whole: Floats, span: Floats) -> Floats:
 
 def _normalised(columns: Floats) -> Floats:
     return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
-
-
-@dataclass(frozen=True)
-class _Point:
-    """The negative log-likelihood at some variances, for their logarithms, shape (k,).
-
-    Attributes
-    ----------
-    value : float
-        With the prior, nats.
-    size : ndarray, shape (k,)
-        Variances.
-    trace, square : ndarray, shape (k,)
-        For each component ``tr(A^-1 M)`` and ``y' A^-1 M A^-1 y``.
-    doubt : ndarray, shape (k,)
-        What the prior has against each.
-    pulled : ndarray, shape (k, m)
-        ``L^-1 M A^-1 y``, of the lower factor ``A = L L'``.
-    """
-
-    value: float
-    size: Floats
-    trace: Floats
-    square: Floats
-    doubt: Floats
-    pulled: Floats
-
-    @property
-    def slope(self) -> Floats:
-        return np.asarray(0.5 * (self.size * (self.trace - self.square) + self.doubt))
-
-    @property
-    def bend(self) -> Floats:
-        """Average information, shape (k, k), that of the prior beside it."""
-        pulled = self.size[:, None] * self.pulled
-        return np.asarray(0.5 * pulled @ pulled.T + 0.25 * np.diag(self.doubt))
-
-
-class _Likelihood:
-    """Negative log-likelihood of the contrasts, for the logarithms of the variances."""
-
-    def __init__(self, parts: Sequence[_Part], left: Floats) -> None:
-        self.left = left
-        self.rate = np.array([0.0 if p.expected else _PRIOR_RATE for p in parts])
-        self.with_columns = [k for k, p in enumerate(parts) if p.factor is not None]
-        self.dense = [k for k, p in enumerate(parts) if p.matrix is not None]
-        factors = [p.factor for p in parts if p.factor is not None]
-        self.stacked = np.concatenate([*factors, left[:, None]], axis=1)
-        self.columns = self.stacked[:, :-1]
-        self.owner = np.repeat(self.with_columns, [f.shape[1] for f in factors]).astype(np.int64)
-        # Of symmetric matrices the upper half with half the diagonal: M = H + H'.
-        self.halves = np.empty((len(self.dense), left.size**2))
-        for half, matrix in zip(self.halves, [p.matrix for p in parts if p.matrix is not None], strict=True):
-            half[:] = np.triu(matrix).ravel()
-            half[:: left.size + 1] *= 0.5
-
-    def _lower(self, logs: Floats) -> Floats:
-        """Lower factor of the covariance of the contrasts, zero above the diagonal, shape (m, m)."""
-        size = np.exp(logs)
-        a = (size[self.dense] @ self.halves).reshape(self.left.size, self.left.size)
-        a.ravel()[:: len(a) + 1] *= 2.0
-        # BLAS takes no matrix without columns: the record is one of no variance.
-        scaled = self.stacked * np.append(np.sqrt(size[self.owner]), 0.0)
-        lower = linalg.blas.dsyrk(1.0, scaled.T, 1.0, a.T, trans=1, lower=1, overwrite_c=1)
-        lower[np.diag_indices_from(lower)] += _JITTER * np.trace(lower) / len(lower)
-        factor, info = linalg.lapack.dpotrf(lower, lower=1, clean=0, overwrite_a=1)
-        if info:
-            raise linalg.LinAlgError("the covariance of the contrasts is not positive definite")
-        return np.asarray(factor)
-
-    def inverse(self, logs: Floats) -> Floats:
-        """Inverse of the covariance."""
-        below = linalg.lapack.dpotri(self._lower(logs), lower=1, overwrite_c=1)[0]
-        return np.asarray(below + np.tril(below, -1).T)
-
-    def at(self, logs: Floats) -> _Point:
-        """What it is there, and how it goes on."""
-        lower = self._lower(logs)
-        white = linalg.blas.dtrsm(1.0, lower, self.stacked.T, side=1, lower=1, trans_a=1)
-        value = float(np.sum(np.log(np.diag(lower))) + 0.5 * white[-1] @ white[-1])
-        weighted = linalg.blas.dtrsv(lower, white[-1], lower=1, trans=1)
-        trace, square, pulled = np.zeros(logs.size), np.zeros(logs.size), np.zeros((logs.size, len(lower)))
-        each = np.einsum("ij,ij->i", white[:-1], white[:-1])
-        along = weighted @ self.columns
-        begins = np.flatnonzero(np.diff(self.owner, prepend=-1))
-        if begins.size:
-            owners = self.owner[begins]
-            trace[owners] = np.add.reduceat(each, begins)
-            square[owners] = np.add.reduceat(along**2, begins)
-            pulled[owners] = np.add.reduceat(white[:-1] * along[:, None], begins, axis=0)
-        if self.dense:
-            halves = self.halves.reshape(len(self.dense), self.left.size, self.left.size)
-            forced = halves @ weighted + weighted @ halves
-            square[self.dense] = forced @ weighted
-            pulled[self.dense] = linalg.blas.dtrsm(1.0, lower, forced, side=1, lower=1, trans_a=1)
-        # Below the diagonal the inverse, above it zeros.
-        below = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0]
-        trace[self.dense] = 2.0 * (self.halves @ below.T.ravel())
-        size = np.exp(logs)
-        doubt = self.rate * np.sqrt(size)
-        return _Point(value + float(np.sum(doubt)), size, trace, square, doubt, pulled)
-
-
-def _climb(likelihood: _Likelihood, logs: Floats, bounds: Floats) -> Floats:
-    """Some steps that cannot lose likelihood, from anywhere (Zhou et al., J. Comput. Graph. Stat. 28, 2019)."""
-    logs = np.clip(logs, *bounds.T)
-    for _ in range(_CLIMBS):
-        here = likelihood.at(logs)
-        ratio = np.maximum(here.square, 1e-30) / np.maximum(here.trace, 1e-30)
-        logs = np.clip(logs + 0.5 * np.log(ratio), *bounds.T)
-    return logs
-
-
-def _ascend(likelihood: _Likelihood, logs: Floats, bounds: Floats) -> tuple[Floats, float]:
-    """Newton's steps with the average information, shortened where they promise too much: logarithms and loss at the end.
-
-    A component that dies goes towards nothing by ever the longest step, and is nothing where no more is to be gained by it.
-    """
-    (low, high), here, damped = bounds.T, likelihood.at(logs), _DAMPED
-    for _ in range(_STEPS):
-        slope, bend = here.slope, here.bend
-        free = (low < high) & ~((logs <= low) & (slope > 0.0)) & ~((logs >= high) & (slope < 0.0))
-        own = np.diag(bend)[free]
-        stiff = np.diag(damped * (own + _DAMPED) + _JITTER * np.max(own, initial=1.0))
-        step = np.zeros_like(logs)
-        step[free] = -linalg.solve(bend[np.ix_(free, free)] + stiff, slope[free], assume_a="pos")
-        step = np.clip(logs + np.clip(step, -_LONGEST, _LONGEST), low, high) - logs
-        promised = -float(slope @ step)
-        if promised < _CONVERGED:
-            break
-        try:
-            there = likelihood.at(logs + step)
-        except linalg.LinAlgError:
-            damped = max(_SHORTER * damped, _DAMPED)
-            continue
-        gained = here.value - there.value
-        if gained >= _KEPT * promised:
-            logs, here = logs + step, there
-            damped *= _LONGER
-        else:
-            damped = max(_SHORTER * damped, _DAMPED)
-    nothing = here.size * np.maximum(here.trace, here.square) < _CONVERGED
-    return np.where(nothing, low, logs), here.value
 
 
 @dataclass(frozen=True)
@@ -466,7 +303,7 @@ def solve(
     )
     z = stacked[:, flat.shape[1] :]
     v = noise + (z * prior[flat.shape[1] :]) @ z.T
-    v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
+    v[np.diag_indices_from(v)] += JITTER * np.trace(v) / len(v)
     factor = linalg.cho_factor(v, lower=True, overwrite_a=True)
     vx = linalg.cho_solve(factor, flat)
     information = flat.T @ vx
@@ -508,7 +345,7 @@ def _freed(
     v = np.zeros((len(flat), len(flat)))
     for c in components:
         v += variance[c.name] * _adds(c)
-    v[np.diag_indices_from(v)] += _JITTER * np.trace(v) / len(v)
+    v[np.diag_indices_from(v)] += JITTER * np.trace(v) / len(v)
     inverse = linalg.inv(v)
     vx = inverse @ flat
     gain = linalg.solve(flat.T @ vx, vx.T, assume_a="pos")

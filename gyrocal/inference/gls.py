@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,43 @@ def regress(
 def restricted_loss(noise: Floats, columns: Floats, y: Floats) -> float:
     """The loss of `regress` alone, for the same input."""
     return _loss(*_triangle(noise, columns, y, None, None))
+
+
+@dataclass(frozen=True)
+class Levels:
+    """The restricted likelihood for the logarithms of the levels that some parts of the noise have.
+
+    Attributes
+    ----------
+    value : float
+        Half of the loss.
+    slope : ndarray, shape (k,)
+    bend : ndarray, shape (k, k)
+        Average information (Gilmour, Thompson and Cullis, Biometrics 51, 1995).
+    """
+
+    value: float
+    slope: Floats
+    bend: Floats
+
+
+def restricted_levels(
+    noise: Floats, parts: Sequence[Floats], columns: Floats, y: Floats, mean: Floats, std: Floats
+) -> Levels:
+    """Half the loss of `regress`, and how it changes with the size of parts of the noise, of shape (n, n) each."""
+    lower, triangle = _triangle(noise, columns, y, mean, std)
+    inverse = np.linalg.inv(triangle[:-1, :-1])
+    values = inverse @ triangle[:-1, -1]
+    below = linalg.lapack.dpotri(lower, lower=1)[0]
+    precision = below + np.tril(below, -1).T
+    # Columns that have nothing in common, of which as much is known as of what is asked.
+    known = precision @ columns @ inverse
+    left = precision @ (y - columns @ values)
+    pulled = np.stack([part @ left for part in parts])
+    trace = [float(np.sum(precision * part) - np.sum(known * (part @ known))) for part in parts]
+    along = pulled @ known
+    bend = 0.5 * (pulled @ precision @ pulled.T - along @ along.T)
+    return Levels(0.5 * _loss(lower, triangle), 0.5 * (np.array(trace) - pulled @ left), bend)
 
 
 def _triangle(

@@ -149,8 +149,7 @@ def _eliminate(
     start: Floats, keep: Floats, push: Floats, before: Floats, after: Floats, noise: Floats, columns: Floats
 ) -> tuple[Floats, Floats, Floats]:  # pragma: no cover - compiled
     """Blocks of the Cholesky factor, on and below its diagonal, and the forward substitution of the columns."""
-    n, s = keep.shape
-    m = columns.shape[1]
+    (n, s), m = keep.shape, columns.shape[1]
     lower, below, out = np.zeros((n + 1, s, s)), np.zeros((n + 1, s, s)), np.zeros((n + 1, s, m))
     block = np.zeros((s, s))
     for k in range(n + 1):
@@ -299,10 +298,8 @@ def restricted_maximum(
     field_of : callable
         Field for logarithms of levels, shape (p,).
     y, columns : ndarray, shapes (n,), (n, m)
-    prior, spread : ndarray, shape (p,)
-        Mean and standard deviation of each logarithm beforehand.
-    first : ndarray, shape (p,)
-        Where the search begins.
+    prior, spread, first : ndarray, shape (p,)
+        Mean and standard deviation of each logarithm beforehand, and where the search begins.
 
     Returns
     -------

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from gyrocal.inference.gls import regress, restricted_loss
+from gyrocal.inference.gls import Levels, regress, restricted_levels, restricted_loss
 
 Floats = NDArray[np.float64]
 
@@ -69,3 +69,29 @@ def test_noise_that_is_none_is_refused(problem: tuple[Floats, Floats, Floats]) -
     noise, columns, y = problem
     with pytest.raises(np.linalg.LinAlgError):
         regress(-noise, columns, y)
+
+
+def test_slope_and_average_information_of_levels() -> None:
+    """Against differences; the bend against its definition, ``y' P V P V P y / 2`` with P the projection."""
+    rng = np.random.default_rng(7)
+    n, logs = 20, np.array([0.3, -0.4])
+    shapes = [np.diag(rng.uniform(0.5, 2.0, n)), np.exp(-np.abs(np.subtract.outer(range(n), range(n))) / 5.0)]
+    columns, y = rng.normal(size=(n, 3)), rng.normal(size=n)
+    mean, std = np.array([0.1, 0.0, -0.2]), np.array([0.5, 1e6, 2.0])
+
+    def at(logs: Floats) -> Levels:
+        parts = [np.exp(x) * shape for x, shape in zip(logs, shapes, strict=True)]
+        return restricted_levels(0.1 * np.eye(n) + sum(parts), parts, columns, y, mean, std)
+
+    here = at(logs)
+    noise = 0.1 * np.eye(n) + sum(np.exp(x) * shape for x, shape in zip(logs, shapes, strict=True))
+    assert here.value == pytest.approx(0.5 * regress(noise, columns, y, mean, std).loss)
+    rises = [(at(logs + h).value - at(logs - h).value) / 2e-5 for h in 1e-5 * np.eye(2)]
+    assert here.slope == pytest.approx(rises, rel=1e-5)
+    inverse = np.linalg.inv(noise)
+    known = np.linalg.inv(columns.T @ inverse @ columns + np.diag(std**-2.0))
+    values = known @ (columns.T @ inverse @ y + mean * std**-2.0)
+    left = inverse @ (y - columns @ values)
+    projection = inverse - inverse @ columns @ known @ columns.T @ inverse
+    pulled = np.stack([np.exp(x) * shape @ left for x, shape in zip(logs, shapes, strict=True)])
+    assert here.bend == pytest.approx(0.5 * pulled @ projection @ pulled.T)

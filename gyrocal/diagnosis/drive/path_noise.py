@@ -74,15 +74,13 @@ class PathNoise:
 
     def whole(self, logs: Floats) -> Floats:
         """Covariance at logarithms of the levels (way, white, wander, and of the headings white and wander)."""
-        found = (
-            self.gyro
-            + np.exp(logs[0]) * self.way
-            + np.exp(logs[1]) * self.white
-            + np.exp(logs[2]) * self.wander
-        )
-        if self.heading is not None and self.heading_wander is not None:
-            found = found + np.exp(logs[3]) * self.heading + np.exp(logs[4]) * self.heading_wander
-        return np.asarray(found)
+        return np.asarray(sum(self.parts(logs), self.gyro))
+
+    def parts(self, logs: Floats) -> list[Floats]:
+        """Of these the parts that a level belongs to, in its order."""
+        of_levels = [self.way, self.white, self.wander]
+        of_levels += [m for m in (self.heading, self.heading_wander) if m is not None]
+        return [np.exp(x) * part for x, part in zip(logs, of_levels, strict=True)]
 
     def strayed(self, left: Floats, logs: Floats) -> Floats:
         """Turns of the cells that the gyro's noise is likeliest to have made, from what is left of positions and headings."""

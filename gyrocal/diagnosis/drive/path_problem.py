@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,14 @@ from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_noise import PathNoise
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
 from gyrocal.diagnosis.drive.reckoning import Floats
-from gyrocal.inference.gls import Regression, regress
+from gyrocal.inference.gls import Levels, Regression, regress, restricted_levels
+from gyrocal.inference.newton import descend
 from gyrocal.physics.drive import GYRO_SCALE
 
 #: Standard deviation of an amplitude that nothing tells of, in units in which its column has length one.
 _UNTOLD = 1e6
+#: Levels of the noise are within so many standard deviations of what was thought.
+_FAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -59,15 +63,37 @@ class PathProblem:
 
     def solve(self, logs: Floats) -> Regression:
         """Coefficients under noise of these levels; the loss is infinite where they make none."""
-        x = self.design
-        size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
-        mean, std = np.array([self.known.get(name, (0.0, np.inf)) for name in self.columns]).T
-        std = np.minimum(std * size, _UNTOLD)
+        x, size, mean, std = self._sized
         try:
-            found = regress(self.noise.whole(logs), x / size, self.residual, mean * size, std)
+            found = regress(self.noise.whole(logs), x, self.residual, mean, std)
         except np.linalg.LinAlgError:
             return Regression(np.zeros(x.shape[1]), np.eye(x.shape[1]), np.inf, np.inf)
         return replace(found, values=found.values / size, covariance=found.covariance / np.outer(size, size))
+
+    @cached_property
+    def _sized(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Columns of length one, their lengths, and what is known of their coefficients."""
+        x = self.design
+        size = np.maximum(np.linalg.norm(x, axis=0), 1e-12)
+        mean, std = np.array([self.known.get(name, (0.0, np.inf)) for name in self.columns]).T
+        return x / size, size, mean * size, np.minimum(std * size, _UNTOLD)
+
+    def likeliest(self, usual: Floats, spread: Floats) -> Floats:
+        """Logarithms of the levels of the noise that are likeliest, where they are known to a spread beforehand."""
+        x, _, mean, std = self._sized
+
+        def at(logs: Floats) -> Levels:
+            parts = self.noise.parts(logs)
+            found = restricted_levels(self.noise.whole(logs), parts, x, self.residual, mean, std)
+            away = (logs - usual) / spread
+            return Levels(
+                found.value + 0.5 * float(away @ away),
+                found.slope + away / spread,
+                found.bend + np.diag(spread**-2.0),
+            )
+
+        bounds = np.column_stack([usual - _FAR * spread, usual + _FAR * spread])
+        return descend(at, usual, bounds)[0]
 
 
 def _gains(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from gyrocal.diagnosis.drive.laws import (
     AT_ONCE,
@@ -245,16 +244,7 @@ def _problem(
 
 
 def _levels(problem: PathProblem, first: Floats) -> Floats:
-    spread = np.array([_WAY_FREE, *[_FREE] * (first.size - 1)])
-
-    def loss(logs: Floats) -> float:
-        return min(problem.solve(logs).loss, 1e12) + float(np.sum(((logs - first) / spread) ** 2))
-
-    found = optimize.minimize(
-        loss, first, method="L-BFGS-B", options={"maxiter": 12, "eps": 1e-2, "ftol": 1e-5},
-        bounds=[(m - 3 * s, m + 3 * s) for m, s in zip(first, spread, strict=True)],
-    )  # fmt: skip
-    return np.asarray(found.x)
+    return problem.likeliest(first, np.array([_WAY_FREE, *[_FREE] * (first.size - 1)]))
 
 
 def _first_levels(knots: Knots) -> Floats:
@@ -354,7 +344,7 @@ def ask_truth(
     alone : sequence of str
         Laws of `ALONE` that are asked for beside them, of which it knows nothing.
     near : TruthAnswer, optional
-        Of nearly the same path: its levels of noise are begun from.
+        Of nearly the same path: its levels of noise are begun from, and it is as mirrored.
     bias_changes : bool
         Whether the bias of each part of the drive is free.
     """
@@ -371,9 +361,9 @@ def ask_truth(
     if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     laid = _laid(knots, base, laws, noise, levels)
-    mirrored = False
+    mirrored = near is not None and near.mirrored
     miss = laid.miss_m(knots)
-    if miss > _ODD * float(np.std(knots.position)):
+    if near is None and miss > _ODD * float(np.std(knots.position)):
         other = replace(knots, position=np.conj(knots.position), heading=None)
         turned = _laid(other, base, laws, noise)
         plain = _laid(replace(knots, heading=None), base, laws, noise)
