@@ -205,7 +205,7 @@ class Contrasts:
                 share = c.held * self.part(c).scale / self.unit**2
                 bounds[k] = np.log(max(share, np.exp(_LOW)))
         found, there = descend(likelihood.at, climb(likelihood, first, bounds), bounds)
-        found = np.where(there.idle, _LOW, found)
+        found = np.where(there.idle, bounds[:, 0], found)
         logs = {c.name: float(x) for c, x in zip(components, found, strict=True)}
         return Fit(logs, self.variances(components, logs), there.value + self._beside(components))
 
