@@ -79,14 +79,13 @@ class Levels:
 
 
 def restricted_levels(
-    noise: Floats, parts: Sequence[Floats], columns: Floats, y: Floats, mean: Floats, std: Floats
+    rest: Floats, parts: Sequence[Floats], columns: Floats, y: Floats, mean: Floats, std: Floats
 ) -> Levels:
-    """Half the loss of `regress`, and how it changes with the size of parts of the noise, of shape (n, n) each."""
-    lower, triangle = _triangle(noise, columns, y, mean, std)
+    """Half the loss of `regress` where the noise is some parts and a rest, shape (n, n) each, and how it follows their sizes."""
+    lower, triangle = _triangle(np.asarray(sum(parts, rest)), columns, y, mean, std)
     inverse = np.linalg.inv(triangle[:-1, :-1])
     values = inverse @ triangle[:-1, -1]
-    below = linalg.lapack.dpotri(lower, lower=1)[0]
-    precision = below + np.tril(below, -1).T
+    precision = inverse_of(lower)
     # Columns that have nothing in common, of which as much is known as of what is asked.
     known = precision @ columns @ inverse
     left = precision @ (y - columns @ values)
@@ -95,6 +94,12 @@ def restricted_levels(
     along = pulled @ known
     bend = 0.5 * (pulled @ precision @ pulled.T - along @ along.T)
     return Levels(0.5 * _loss(lower, triangle), 0.5 * (np.array(trace) - pulled @ left), bend)
+
+
+def inverse_of(lower: Floats) -> Floats:
+    """Inverse of a matrix from its lower Cholesky factor, which is zero above the diagonal."""
+    below = linalg.lapack.dpotri(lower, lower=1)[0]
+    return np.asarray(below + np.tril(below, -1).T)
 
 
 def _triangle(

@@ -312,9 +312,9 @@ def restricted_maximum(
     both = np.column_stack([scaled, y])
 
     def loss(levels: Floats) -> float:
-        beforehand = float(np.sum(((levels - prior) / spread) ** 2))
+        beforehand = (levels - prior) / spread
         try:
-            return field_of(levels).given(both).restricted_loss() + beforehand
+            return field_of(levels).given(both).restricted_loss() + float(beforehand @ beforehand)
         except np.linalg.LinAlgError:
             return _IMPOSSIBLE
 

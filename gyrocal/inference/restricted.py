@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from gyrocal.inference.gls import inverse_of
 from gyrocal.inference.newton import SETTLED
 
 Floats = NDArray[np.float64]
@@ -115,8 +116,7 @@ class Likelihood:
 
     def inverse(self, logs: Floats) -> Floats:
         """Inverse of the covariance."""
-        below = linalg.lapack.dpotri(self._lower(logs), lower=1, overwrite_c=1)[0]
-        return np.asarray(below + np.tril(below, -1).T)
+        return inverse_of(self._lower(logs))
 
     def at(self, logs: Floats) -> Point:
         """What it is there, and how it goes on."""

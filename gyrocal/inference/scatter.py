@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
 from gyrocal.inference.flicker import Rest
-from gyrocal.inference.gls import restricted_loss
+from gyrocal.inference.gls import inverse_of, restricted_loss
 from gyrocal.inference.levels import integrate
 
 Floats = NDArray[np.float64]
@@ -254,8 +254,7 @@ def projection(matrix: Floats, design: Floats) -> tuple[Floats, float]:
     ``P y`` are the residuals of generalised least squares, weighted by ``V^-1``.
     """
     factor = linalg.cholesky(matrix, lower=True, check_finite=False)
-    half, _ = linalg.lapack.dpotri(factor, lower=1)
-    inverse = np.tril(half) + np.tril(half, -1).T
+    inverse = inverse_of(factor)
     weighted = inverse @ design
     inner = linalg.cholesky(design.T @ weighted, lower=True)
     root = linalg.solve_triangular(inner, weighted.T, lower=True)

@@ -81,7 +81,7 @@ def test_slope_and_average_information_of_levels() -> None:
 
     def at(logs: Floats) -> Levels:
         parts = [np.exp(x) * shape for x, shape in zip(logs, shapes, strict=True)]
-        return restricted_levels(0.1 * np.eye(n) + sum(parts), parts, columns, y, mean, std)
+        return restricted_levels(0.1 * np.eye(n), parts, columns, y, mean, std)
 
     here = at(logs)
     noise = 0.1 * np.eye(n) + sum(np.exp(x) * shape for x, shape in zip(logs, shapes, strict=True))

@@ -84,7 +84,7 @@ class PathProblem:
 
         def at(logs: Floats) -> Levels:
             parts = self.noise.parts(logs)
-            found = restricted_levels(self.noise.whole(logs), parts, x, self.residual, mean, std)
+            found = restricted_levels(self.noise.gyro, parts, x, self.residual, mean, std)
             away = (logs - usual) / spread
             return Levels(
                 found.value + 0.5 * float(away @ away),

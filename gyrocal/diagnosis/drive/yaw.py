@@ -271,8 +271,9 @@ def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
     left_out = np.where(frame.nodes.broken | starting, LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
-    columns = _independent(np.column_stack(means), _Sources.of(frame).field(usual, left_out))
-    noise, log_std = _levels(frame, y, columns, usual, left_out)
+    sources = _Sources.of(frame)
+    columns = _independent(np.column_stack(means), sources.field(usual, left_out))
+    noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     outliers = _outliers(model, columns)
     if not outliers.size:
@@ -280,7 +281,7 @@ def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
     near = np.clip(outliers[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0, y.size - 1)
     left_out[near.ravel()] = LEFT_OUT
     # From the start again: with the outliers the fit may have gone astray for good.
-    noise, log_std = _levels(frame, y, columns, usual, left_out)
+    noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
     return _with_usual_flicker(YawModel(frame, y, noise, usual, left_out, outliers, log_std))
 
 
@@ -303,7 +304,7 @@ def _independent(columns: Floats, field: MarkovField) -> Floats:
 
 
 def _levels(
-    frame: Frame, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
+    frame: Frame, sources: _Sources, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
 ) -> tuple[YawNoise, dict[str, float]]:
     """Levels of the noise, and the standard deviation of the logarithm of each that was asked for."""
     names = [n for n in _SPREAD if n != "arw_dps_per_rt_hz" or _white_is_open(frame.series)]
@@ -320,7 +321,6 @@ def _levels(
     spread = np.array([_SPREAD[n] for n in names])
     # From a level that is lost beneath the others the search sees no slope.
     first = prior + spread * [_SEEN * (n in ("wander", "jitter_s")) for n in names]
-    sources = _Sources.of(frame)
     logs, left = restricted_maximum(
         lambda logs: sources.field(noise_of(logs), left_out), y, columns, prior, spread, first
     )

@@ -369,7 +369,7 @@ def test_a_wheel_that_changes_slowly_steers_no_bias(seeds: range) -> None:
         assert abs(value - plan.bias_dps) < 2.5 * std
         off.append(value - plan.bias_dps)
         steered.append(found.gram.solve(found.chosen)[0][found.chosen.index("bias")] - plan.bias_dps)
-    assert np.abs(off).sum() < (0.8 if len(seeds) > 2 else 1.0) * np.abs(steered).sum()
+    assert np.abs(off).sum() < (0.8 if len(seeds) > 2 else 0.7) * np.abs(steered).sum()
 
 
 def test_a_wheel_that_sticks_when_slow_leaves_a_bias_without_a_rest_open() -> None:
