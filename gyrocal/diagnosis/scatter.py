@@ -133,7 +133,8 @@ def outlier_findings(series: Series) -> list[Finding]:
             seen,
             {
                 "amplitude": Estimate.normal(size, spread, "mdeg/s"),
-                "share": Estimate(share, share / np.sqrt(count), "1", (low, high)),
+                # Of a burst the lesser samples are within the noise: the share of time inside bursts is larger.
+                "share_seen": Estimate(share, share / np.sqrt(count), "1", (low, high)),
             },
             p,
             place,

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.intervals import (
     Interval,
@@ -90,15 +91,34 @@ class _Candidate:
     columns: Floats
 
 
+class _Laws:
+    """Laws of the catalogue at the rows of a series."""
+
+    def __init__(self, series: Series) -> None:
+        self._conditions = conditions_of(series)
+        surface = fit_surface(series).surface
+        # Where the reference errs, the gyro turns as fast as it does.
+        self._turned = 1.0 / (1.0 - surface.slope_per_dps(series.gyro_dps, series.temp_c))
+
+    def at(self, effect: Effect, shape: Mapping[str, float]) -> _Candidate:
+        """A law at a shape, as the output shows it."""
+        columns = effect.columns(self._conditions, shape, None)
+        if effect.acts_on == "reference":
+            columns = columns * self._turned[:, None]
+        return _Candidate(effect.id, shape, columns)
+
+
 def patterns(series: Series, level: float) -> list[Pattern]:
     """Patterns within data sets, the strongest first, each tested beside those that were found before it.
 
     `level` is the rate of false alarms over all patterns together.
     """
-    candidates = _candidates(series)
     rows = _usable(series)
-    if not (candidates and rows.any()):
+    tried = _tried(series)
+    if not (tried and rows.any()):
         return []
+    laws = _Laws(series)
+    candidates = [laws.at(effect, shape) for effect, shape in tried]
     sets = np.unique(series.set_index[rows], return_inverse=True)[1]
     found: list[_Candidate] = []
     result: list[Pattern] = []
@@ -111,18 +131,18 @@ def patterns(series: Series, level: float) -> list[Pattern]:
             kind = _kind(candidate)
             if kind not in best or loss < best[kind][0]:
                 best[kind] = loss, candidate
-        tried = [(_test(series, rows, sets, [*found, c])[-1].p_value, c) for _, c in best.values()]
-        p, candidate = min(tried, key=lambda x: x[0])
+        tested = [(_test(series, rows, sets, [*found, c])[-1].p_value, c) for _, c in best.values()]
+        p, candidate = min(tested, key=lambda x: x[0])
         if p * len(candidates) > level:
             break
         candidates = [c for c in candidates if _kind(c) != _kind(candidate)]
-        found.append(_refined(series, rows, sets, found, candidate))
+        found.append(_refined(laws, series, rows, sets, found, candidate))
         result = _test(series, rows, sets, found)
-    return sorted(_with_intervals(series, rows, sets, result), key=lambda p: p.p_value)
+    return sorted(_with_intervals(laws, series, rows, sets, result), key=lambda p: p.p_value)
 
 
 def _with_intervals(
-    series: Series, rows: NDArray[np.bool_], sets: Ints, found: list[Pattern]
+    laws: _Laws, series: Series, rows: NDArray[np.bool_], sets: Ints, found: list[Pattern]
 ) -> list[Pattern]:
     """The same with how well amplitudes and shapes are known.
 
@@ -134,7 +154,7 @@ def _with_intervals(
     candidates = [_Candidate(p.effect, p.shape, p.columns) for p in found]
     y, z = _centred(series, rows, sets, candidates)
     covariance = jackknife(y, z, sets)
-    c, first, result = conditions_of(series), 0, []
+    first, result = 0, []
     for pattern in found:
         own = slice(first, first + pattern.amplitudes.size)
         first = own.stop
@@ -144,8 +164,7 @@ def _with_intervals(
             basis = np.linalg.qr(np.delete(z, np.arange(own.start, own.stop), axis=1))[0]
 
             def columns(shape: Mapping[str, float], effect: Effect = effect) -> Floats:
-                there = _Candidate(effect.id, shape, effect.columns(c, shape, None))
-                return _centred(series, rows, sets, [there])[1]
+                return _centred(series, rows, sets, [laws.at(effect, shape)])[1]
 
             beside = _ShapeWithin(effect, columns, y - basis @ (basis.T @ y), basis)
             own_intervals, size = beside.intervals(
@@ -195,34 +214,35 @@ def _kind(candidate: _Candidate) -> tuple[str, tuple[tuple[str, float], ...]]:
 
 
 def _refined(
-    series: Series, rows: NDArray[np.bool_], sets: Ints, beside: list[_Candidate], candidate: _Candidate
+    laws: _Laws,
+    series: Series,
+    rows: NDArray[np.bool_],
+    sets: Ints,
+    beside: list[_Candidate],
+    candidate: _Candidate,
 ) -> _Candidate:
     """The same pattern with its shape between the points of the grid."""
-    effect, c = CATALOGUE[candidate.effect], conditions_of(series)
-
-    def at(shape: Mapping[str, float]) -> _Candidate:
-        return _Candidate(effect.id, shape, effect.columns(c, shape, None))
+    effect = CATALOGUE[candidate.effect]
 
     def gain(shape: Mapping[str, float]) -> float:
-        return -_loss(series, rows, sets, [*beside, at(shape)])
+        return -_loss(series, rows, sets, [*beside, laws.at(effect, shape)])
 
-    return at(refined(candidate.shape, effect.search.refined, gain))
+    return laws.at(effect, refined(candidate.shape, effect.search.refined, gain))
 
 
 def _usable(series: Series) -> NDArray[np.bool_]:
     return np.asarray(series.is_set & (not series.is_table), dtype=np.bool_)
 
 
-def _candidates(series: Series) -> list[_Candidate]:
-    """Laws of the catalogue that live within data sets, at every shape that is tried."""
-    c, offer = conditions_of(series), offer_of(series)
-    found = []
+def _tried(series: Series) -> list[tuple[Effect, Mapping[str, float]]]:
+    """Laws of the catalogue that live within data sets, with every shape that is tried."""
+    offer = offer_of(series)
+    found: list[tuple[Effect, Mapping[str, float]]] = []
     for effect in CATALOGUE.values():
         if effect.seen_in not in _WITHIN or effect.search.twin_of or not effect.search.by_columns:
             continue
         if effect.why_not(offer) is None:
-            grid = effect.search.grid(offer)
-            found += [_Candidate(effect.id, shape, effect.columns(c, shape, None)) for shape in grid]
+            found += [(effect, shape) for shape in effect.search.grid(offer)]
     return found
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import series_of
 from gyrocal.diagnosis.estimates import of_pattern
 from gyrocal.diagnosis.within import Pattern, jackknife, patterns
@@ -34,6 +35,23 @@ def test_a_decay_time_has_an_interval(tmp_path: Path) -> None:
         low, high = estimate.interval_95
         assert low < estimate.value < high
         assert high - low < abs(estimate.value)
+
+
+def test_an_error_of_the_reference_is_turned_by_a_gyro_that_is_not_straight(tmp_path: Path) -> None:
+    """An angle error of 20 arcsec, twice a turn, under a gyro whose scale factor grows by a tenth up to the largest rate."""
+    write_run(make_recording([], 22, "even"), tmp_path / "run")
+    series = series_of(tmp_path / "run")
+    effect, shape = find_effect("table_eccentricity"), {"harmonic": 2.0}
+    off = effect.error_dps(conditions_of(series), {**shape, "amplitude": 20.0, "phase_rad": 0.7}, None, None)[
+        0
+    ]
+    bent = series.gyro_dps + 0.1 / 3.0 * series.rate_dps**3 / np.max(np.abs(series.rate_dps)) ** 2
+    turned = np.polyval(np.polyder(np.polyfit(series.rate_dps, bent, 3)), series.rate_dps)
+    (found,) = patterns(replace(series, gyro_dps=bent + turned * off), 0.01)
+    assert (found.effect, found.shape) == (effect.id, shape)
+    low, high = of_pattern(found)["amplitude"].interval_95
+    assert low < 20.0 < high
+    assert high - low < 1.0
 
 
 def test_a_table_that_wobbles_is_no_error_of_the_gyro(tmp_path: Path) -> None:

@@ -368,7 +368,7 @@ def _with_truth(
     """
     if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
         return 0.0, None
-    if KINDS[name].group == "motion" and rather_settles(yaw.told, yaw.fitted, name):
+    if KINDS[name].group == "motion" and rather_settles(yaw.told, yaw.fitted, name, GAIN):
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
     found = _asked(series, wider, truth)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, SETTLING
 from gyrocal.diagnosis.drive.yaw import Evidence
@@ -59,10 +60,20 @@ def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], le
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
 
 
-def rather_settles(told: Evidence, beside: Sequence[str], name: str) -> bool:
-    """Whether a bias that settles by itself explains surely more than a law of the motion does in its place."""
-    gain = told.added(beside, [name])
-    return any(told.added(beside, [n]) > gain + AS_LIKELY for n in told.own.names if n in SETTLING)
+def rather_settles(told: Evidence, beside: Sequence[str], name: str, least: float = 0.0) -> bool:
+    """Whether a bias that settles by itself is there, and explains surely more than a law of the motion does in its place.
+
+    Its time constant is anything: the likelihood is a mean over all that are tried.
+
+    Parameters
+    ----------
+    least : gain from which on it is there
+    """
+    gains = np.array([told.added(beside, [n]) for n in told.own.names if n in SETTLING])
+    if not gains.size:
+        return False
+    settling = 2.0 * float(logsumexp(0.5 * gains, b=1.0 / gains.size))
+    return settling > max(least, told.added(beside, [name]) + AS_LIKELY)
 
 
 def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Sequence[str]) -> bool:

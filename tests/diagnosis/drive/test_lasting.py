@@ -12,8 +12,10 @@ from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.engine import _wheels_beside_structure, diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
+from gyrocal.diagnosis.drive.laws import SETTLING
+from gyrocal.diagnosis.drive.motions import rather_settles
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
-from gyrocal.diagnosis.drive.yaw import usual_flicker_dps
+from gyrocal.diagnosis.drive.yaw import Evidence, Gram, usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, robot_of
@@ -127,6 +129,26 @@ def test_a_gyro_that_warms_up_by_itself_does_not_follow_the_temperature(settles:
     assert ("time" in [p.coordinate for p in found.diagnosis.located if p.remains]) == settles
     assert found.robot is not None
     assert (found.robot.parameters.gyro.bias_slope_dps_per_c != 0.0) != settles
+
+
+@pytest.mark.parametrize(
+    ("gain", "settling", "least", "rather"),
+    [
+        (283.0, (62.0, 151.0, 250.0, 290.0), 0.0, False),
+        (283.0, (62.0, 151.0, 250.0, 296.0), 0.0, True),
+        (283.0, (290.0, 290.0, 290.0, 290.0), 0.0, True),
+        (0.1, (4.4, 7.5, 7.0, 6.7), 0.0, True),
+        (0.1, (4.4, 7.5, 7.0, 6.7), 15.0, False),
+    ],
+)
+def test_a_bias_that_settles_has_to_be_there_and_to_be_likelier_at_any_time_constant(
+    gain: float, settling: tuple[float, ...], least: float, *, rather: bool
+) -> None:
+    """Odds of 20 to 1 are a gain of 6.0; of the likeliest of four time constants alone it is 2.8 more."""
+    names = ("slope", *SETTLING)
+    gram = Gram(names, np.eye(len(names)), np.sqrt([gain, *settling]))
+    told = Evidence(gram, (gram,) * 9, np.zeros(9))
+    assert rather_settles(told, [], "slope", least) is rather
 
 
 def test_wheels_that_differ_now_and_then_have_no_name(resting: Robot) -> None:
