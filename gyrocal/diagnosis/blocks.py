@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
-from gyrocal.diagnosis.layers import Fitted, Model
+from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.diagnosis.parts import EACH_RATE, SURFACE
 from gyrocal.inference.additive import Component
 
@@ -75,6 +75,23 @@ def gain_of_input(fitted: Fitted) -> tuple[float, float]:
         for d in ("output", "input")
     }
     return around_itself(ways["output"]).nll - ways["input"].nll, ways["input"].nll - fitted.nll
+
+
+def beside_laws(fitted: Fitted, laws: Sequence[Law], block: str) -> Fitted:
+    """The model with laws beside a block, less the smooth part of it that has taken the place of one of them.
+
+    Of two columns nearly alike the variances have either, and a law with a name would have no amplitude.
+    """
+
+    def least(one: Fitted) -> float:
+        return min(one.fit.log_variance[law.name] for law in laws)
+
+    found = fitted.refit(replace(fitted.model, laws=tuple(laws)))
+    if not any(found.has_died(law.name) for law in laws):
+        return found
+    parts = [n for n, b in found.model.blocks.items() if b == block and not found.has_died(n)]
+    fewer = [found.refit(found.model.without([n])) for n in parts]
+    return max([found, *fewer], key=least)
 
 
 def around_itself(fitted: Fitted) -> Fitted:

@@ -111,8 +111,11 @@ def likeliest(effect: Effect, size: float, std: float) -> tuple[float, float]:
 
 
 def laws_of(means: Means, surface: Surface) -> Laws:
-    """Laws at the rows of a record."""
-    return Laws(means, conditions_of(means.series), offer_of(means.series), surface)
+    """Laws at the rows of a record; a temperature rate that it does not state is the one that a robot would derive."""
+    c = conditions_of(means.series)
+    if not means.series.temp_rate_stated:
+        c = replace(c, temp_rate_c_per_s=None)
+    return Laws(means, c, offer_of(means.series), surface)
 
 
 def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:

@@ -260,6 +260,10 @@ class Fitted:
         wide = additive.widened(m.error_dps, m.design[:, m.flat], m.all, variance, found)
         return replace(found, covariance=wide)
 
+    def has_died(self, name: str) -> bool:
+        """Whether a component adds nothing."""
+        return self.fit.log_variance.get(name, 0.0) < _DEAD
+
     def refit(self, model: Model, start: Mapping[str, float] | None = None) -> Fitted:
         """Another model of the same record, from these variances or from others (logarithms)."""
         same = model.design is self.model.design

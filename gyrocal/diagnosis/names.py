@@ -17,6 +17,7 @@ from gyrocal.diagnosis.blocks import (
     ODD,
     REPLACED,
     around_itself,
+    beside_laws,
     evidence,
     gain_of_input,
     less,
@@ -347,7 +348,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     slack = 0.0 if block == EACH_RATE else REPLACED + len(named)
     if alone.fitted.nll <= whole_nll + slack:
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
-    beside = fitted.refit(replace(fitted.model, laws=alone.fitted.model.laws)) if replaces else fitted
+    beside = beside_laws(fitted, alone.fitted.model.laws, block) if replaces else fitted
     if BLOCKS[block].lasts:
         # What a law leaves is its misfit; the only law of a family stands for all that is like it.
         at_most = (without.nll - changing(alone.fitted, [n.law for n in named], laws).nll) / worth
