@@ -78,7 +78,7 @@ def gain_of_input(fitted: Fitted) -> tuple[float, float]:
 
 
 def beside_laws(fitted: Fitted, laws: Sequence[Law], block: str) -> Fitted:
-    """The model with laws beside a block, less the smooth part of it that has taken the place of one of them.
+    """The model with laws beside a block, less the smooth part of it that has taken the place of one of them and no more.
 
     Of two columns nearly alike the variances have either, and a law with a name would have no amplitude.
     """
@@ -91,7 +91,7 @@ def beside_laws(fitted: Fitted, laws: Sequence[Law], block: str) -> Fitted:
         return found
     parts = [n for n, b in found.model.blocks.items() if b == block and not found.has_died(n)]
     fewer = [found.refit(found.model.without([n])) for n in parts]
-    return max([found, *fewer], key=least)
+    return max([found, *(f for f in fewer if f.nll <= found.nll + REPLACED)], key=least)
 
 
 def around_itself(fitted: Fitted) -> Fitted:

@@ -111,9 +111,9 @@ def likeliest(effect: Effect, size: float, std: float) -> tuple[float, float]:
 
 
 def laws_of(means: Means, surface: Surface) -> Laws:
-    """Laws at the rows of a record; a temperature rate that it does not state is the one that a robot would derive."""
+    """Laws at the rows of a record; of samples, with the temperature rate that a robot derives from them."""
     c = conditions_of(means.series)
-    if not means.series.temp_rate_stated:
+    if not means.series.is_table:
         c = replace(c, temp_rate_c_per_s=None)
     return Laws(means, c, offer_of(means.series), surface)
 

@@ -97,8 +97,6 @@ class Series:
         Time since the segment began; the rate step that led to it.
     untestable : mapping
         Coordinate to the reason why this record cannot show it.
-    temp_rate_stated : bool
-        Whether the record states its temperature rate; else it is the slope of `history`.
     reach : ndarray, shape (n, 4)
         Lowest and highest output and temperature as read in what the row is the mean of; temperatures may be NaN.
     """
@@ -124,7 +122,6 @@ class Series:
     untestable: Mapping[str, Reason] = field(default_factory=dict)
     notes: tuple[Note, ...] = ()
     has_time: bool = True
-    temp_rate_stated: bool = False
     #: Rows were averages already (white noise has no stated averaging time).
     is_table: bool = False
     #: Rows of a table that repeat an earlier one to the last digit.

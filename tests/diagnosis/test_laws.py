@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -31,9 +29,7 @@ def laws(tmp_path_factory: pytest.TempPathFactory) -> Laws:
 def test_a_law_that_has_a_name_is_the_one_that_a_robot_evaluates(laws: Laws, effect_id: str) -> None:
     """A robot has no rate of its temperature but the one that it derives."""
     effect, c = CATALOGUE[effect_id], laws.conditions
-    robot = Conditions(
-        c.t_s, c.rate_dps, c.temp_c, since_power_on_s=c.since_power_on_s, supply_v=c.supply_v
-    )
+    robot = Conditions(c.t_s, c.rate_dps, c.temp_c, since_power_on_s=c.since_power_on_s, supply_v=c.supply_v)
     for trial in laws.trials(effect)[:3]:
         there = laws.means.spread(effect.unit_dps(robot, trial.shape, laws.surface))
         np.testing.assert_allclose(trial.columns[:, 0], there, atol=1e-9 * np.abs(there).max())
