@@ -11,7 +11,7 @@ Layers      ``examine`` leads: ``within`` (patterns inside data sets), ``means``
             ``rate_errors`` (of which a few may be large), ``blocks`` (which parts are there). A table of sweeps is searched
             jointly: ``coil``, ``changes``.
 Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
-            ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
+            ``in_place`` (laws that stand for a block), ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
             ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).
 Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
             ``correction`` (with what stays, of which ``rising`` leaves out what no robot can undo), both as coefficient

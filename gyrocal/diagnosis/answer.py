@@ -12,12 +12,13 @@ from scipy.stats import chi2
 from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.blocks import ODD, plain
 from gyrocal.diagnosis.coil import averaged
+from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.in_place import Named
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import DIRECTION, Law, Model
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
-from gyrocal.diagnosis.names import ALIKE_NATS, Named
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.rate_errors import largest
 from gyrocal.diagnosis.remarks import Remark, Said

@@ -19,6 +19,10 @@ from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
+#: Evidence within which two laws explain the data alike, nats: 20 to 1.
+ALIKE_NATS = 3.0
+#: Sets of laws of one size that are made larger.
+_BEAM = 3
 #: So many effects are fitted, each at its best shape; the others are far behind by a gain under fixed variances.
 _REFITTED = 3
 
@@ -56,6 +60,73 @@ def best_law(
     fitted : the model with the block
     current : the model without it, and with the laws that were found so far
     """
+    refits = _refitted(fitted, current, block, trials, laws)
+    if not refits:
+        return None
+    first, *others = refits
+    rivals = {r.effect.id: r.loss - first.loss for r in others}
+    return Winner(first.effect, first.fitted, rivals, first.shapes)
+
+
+def best_together(
+    fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial], laws: Laws, most: int
+) -> tuple[Winner, ...]:
+    """Laws of different mechanisms, `most` at the most, that together explain best what a block did, each less what it has to gain.
+
+    One law by itself takes a shape between those of several, beside which the others are not seen: a few of the best sets
+    of each size are each made larger. None where two sets as large do alike.
+
+    Parameters
+    ----------
+    fitted, current : as of `best_law`
+    """
+    sets: dict[frozenset[str], tuple[float, tuple[Winner, ...]]] = {}
+    beam: list[tuple[float, tuple[Winner, ...]]] = [(current.nll, ())]
+    for _ in range(most):
+        wider: dict[frozenset[str], tuple[float, tuple[Winner, ...]]] = {}
+        for loss, chosen in beam:
+            beside = chosen[-1].fitted if chosen else current
+            taken = {mechanism(w.effect) for w in chosen}
+            fresh = [t for t in trials if mechanism(t.effect) not in taken]
+            refits = _refitted(fitted, beside, block, fresh, laws)
+            for r in refits:
+                like = [x for x in refits if x is not r and mechanism(x.effect) == mechanism(r.effect)]
+                rivals = {x.effect.id: max(x.loss - r.loss, 0.0) for x in like}
+                winner = Winner(r.effect, r.fitted, rivals, r.shapes)
+                paid = loss - beside.nll + r.fitted.nll + winner.least_nats
+                key = frozenset({*taken, mechanism(r.effect)})
+                if key not in wider or paid < wider[key][0]:
+                    wider[key] = paid, (*chosen, winner)
+        beam = sorted(wider.values(), key=lambda x: x[0])[:_BEAM]
+        sets |= wider
+    if not sets:
+        return ()
+    least = min(loss for loss, _ in sets.values())
+    alike = [chosen for loss, chosen in sets.values() if loss < least + ALIKE_NATS]
+    fewest = min(map(len, alike))
+    simplest = [chosen for chosen in alike if len(chosen) == fewest]
+    return simplest[0] if len(simplest) == 1 else ()
+
+
+def mechanism(effect: Effect) -> str:
+    """What an effect and those that it is a limit of have in common."""
+    return effect.search.limit_of or effect.id
+
+
+@dataclass(frozen=True)
+class _Refit:
+    """A law that was fitted beside others: what it loses, with what is known of its shape and how many it has, nats."""
+
+    effect: Effect
+    fitted: Fitted
+    loss: float
+    shapes: int
+
+
+def _refitted(
+    fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial], laws: Laws
+) -> list[_Refit]:
+    """The best few effects beside the laws of `current`, each at its best shape, the best first."""
     model, logs = _without(fitted, current, block)
     score, p = fitted.contrasts.precision(model.all, logs)
 
@@ -71,8 +142,6 @@ def best_law(
         if own not in best or gain > best[own][0]:
             best[own] = gain, trial
     top = sorted((b for b in best.values() if np.isfinite(b[0])), key=lambda x: -x[0])[:_REFITTED]
-    if not top:
-        return None
 
     def loss(found: Fitted, effect: Effect) -> float:
         """What had more shapes to choose from has to gain more; one that changes with temperature is a law all the same."""
@@ -80,11 +149,11 @@ def best_law(
         before = effect.search.nats_before(found.model.laws[-1].shape)
         return min(found.nll, changes) - before + 0.5 * float(np.log(shapes[effect.id]))
 
-    refits = [(_with(current, _refined(trial, laws, gain_of), logs), trial.effect) for _, trial in top]
-    refits.sort(key=lambda x: loss(*x))
-    winner, effect = refits[0]
-    rivals = {e.id: loss(f, e) - loss(winner, effect) for f, e in refits[1:]}
-    return Winner(effect, winner, rivals, shapes[effect.id])
+    refits = []
+    for _, trial in top:
+        found, effect = _with(current, _refined(trial, laws, gain_of), logs), trial.effect
+        refits.append(_Refit(effect, found, loss(found, effect), shapes[effect.id]))
+    return sorted(refits, key=lambda r: r.loss)
 
 
 def best_pair(fitted: Fitted, current: Fitted, block: str, trials: Sequence[Trial]) -> Fitted | None:

@@ -24,12 +24,13 @@ from gyrocal.diagnosis.coil import (
     averaged,
     best_of_each,
 )
+from gyrocal.diagnosis.in_place import Named
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
-from gyrocal.diagnosis.names import Named, Naming, jumped, name
+from gyrocal.diagnosis.names import Naming, jumped, name
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.series import Series

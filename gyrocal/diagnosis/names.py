@@ -24,23 +24,19 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.contest import Winner, best_law, best_pair
+from gyrocal.diagnosis.contest import Winner, best_law
 from gyrocal.diagnosis.estimates import reshaped
+from gyrocal.diagnosis.in_place import Named, simplest
 from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of, tied_anew
+from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
-from gyrocal.diagnosis.misfit import changing, with_misfit, without_mending
+from gyrocal.diagnosis.misfit import changing, without_mending
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
 from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 
-#: Evidence within which two laws explain the data alike, nats: 20 to 1.
-ALIKE_NATS = 3.0
-#: A further law of another kind leaves nothing of the block or takes this share of its evidence, and no other law is like
-#: it: else it is the first one's misfit. On 69 recordings four were refused so, none of which was there.
-_SECOND = 0.2
 #: A law that takes most of a block's evidence names it, lack of fit and all. On the same recordings right ones took 0.69 and
 #: more, and none was refused; on 136 others an asymmetry with a soft knee took 0.57.
 _NAMED_SHARE = 0.5
@@ -53,34 +49,6 @@ _DROPPED = 4.0
 _LINE = 2.0
 #: What a law lacks that was not even near, nats.
 _UNLIKELY = 50.0
-#: Laws of one block. A search ends by what they gain; only the plays of a hysteresis without a corner ever were as many.
-_MOST_LAWS = 3
-
-
-@dataclass(frozen=True)
-class Named:
-    """A law that was named.
-
-    Attributes
-    ----------
-    block : str
-        Smooth parts that it stands for; empty: it stands beside all of them.
-    gain : float
-        Evidence for it, nats.
-    share : float
-        Part of its block's evidence that the laws take; below one there is lack of fit.
-    rivals : mapping
-        Other effects to how much worse they explain the same, nats.
-    trials : int
-        Shapes that were tried.
-    """
-
-    law: Law
-    block: str
-    gain: float
-    share: float
-    rivals: dict[str, float]
-    trials: int
 
 
 @dataclass(frozen=True)
@@ -286,26 +254,6 @@ class _Answer:
     nll: float
 
 
-@dataclass(frozen=True)
-class _Alone:
-    """Laws alone in place of a block: the model, what each of the nearest ones leaves of the block, nats, and the nearest."""
-
-    fitted: Fitted
-    named: list[Named]
-    near: dict[str, float]
-    nearest: Winner | None = None
-
-    @property
-    def kinds(self) -> set[str]:
-        """Effects that it takes."""
-        return {n.law.effect for n in self.named}
-
-    @property
-    def cost(self) -> float:
-        """One mechanism of several laws is likelier than two that do hardly better."""
-        return self.fitted.nll + GAIN * max(len(self.kinds) - 1, 0)
-
-
 def _name_either_way(fitted: Fitted, block: str, laws: Laws) -> _Answer:
     """Name a block; one that is odd in the rate beside a surface of the input and beside one of the output.
 
@@ -332,7 +280,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
         # Smooth parts that grow where errors of each rate go would lend a law what it does not explain.
         without = less(without, ODD)
     worth = without.nll - whole_nll
-    alone = _simplest(fitted, without, block, laws, worth)
+    alone = simplest(fitted, without, block, laws, worth)
     unnamed = _Answer(fitted, [], alone.near, fitted.nll)
     if not alone.named:
         return replace(unnamed, named=_resembling(alone.nearest, without, block, worth))
@@ -368,101 +316,6 @@ def _resembling(nearest: Winner | None, without: Fitted, block: str, worth: floa
         return []
     share = max((without.nll - nearest.fitted.nll) / worth, 0.0)
     return [Named(nearest.law, block, worth, share, {}, nearest.shapes)]
-
-
-def _simplest(fitted: Fitted, without: Fitted, block: str, laws: Laws, worth: float) -> _Alone:
-    """The laws that explain a block best, those of one mechanism if they do nearly as well.
-
-    A drift that slows down may be nearer to a warm-up of two time constants than one exponential is: two together are asked
-    as well, and win where they are more than alike. Plays of two widths, which could follow any memory, are not.
-    """
-    trials = [t for e in effects_of(block) for t in laws.trials(e)]
-    best = _alone(fitted, without, block, trials, laws, worth)
-    summed = {t.effect.id for t in trials if t.effect.search.adds_up}
-    if BLOCKS[block].family != BIAS_DRIFT.family:
-        summed &= best.kinds
-    for kind in sorted(summed):
-        if not best.kinds or best.kinds == {kind}:
-            continue
-        single = _alone(fitted, without, block, [t for t in trials if t.effect.id == kind], laws, worth)
-        ahead = best.cost - single.cost
-        if ahead > (0.0 if kind in best.kinds else ALIKE_NATS):
-            left = single.fitted.nll - (without.nll - worth)
-            best = replace(single, near=dict.fromkeys(best.near, left + ahead) | {kind: left})
-    return best
-
-
-def _alone(
-    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws, worth: float
-) -> _Alone:
-    """The best law in place of a block, and further ones beside it.
-
-    Parameters
-    ----------
-    without : the model without the block
-    worth : evidence for the block, nats
-    """
-    found = _Alone(without, [], {})
-    while len(found.named) < _MOST_LAWS:
-        taken = {e for e in found.kinds if not CATALOGUE[e].search.adds_up}
-        best = best_law(fitted, found.fitted, block, [t for t in trials if t.effect.id not in taken], laws)
-        if best is None:
-            break
-        gain = found.fitted.nll - best.fitted.nll
-        if not found.named:
-            behind = {best.effect.id: 0.0, **best.rivals}
-            near = {e: worth - gain + more for e, more in behind.items()}
-            found = replace(found, near=near, nearest=best)
-        least = best.least_nats
-        if gain < least:
-            break
-        another = found.named and best.effect.id not in found.kinds
-        bends = BLOCKS[block].family == BIAS_DRIFT.family
-        if another and not bends and _beyond_misfit(found, best.fitted, laws) < least:
-            # In time the first would bend into it.
-            break
-        told_apart = min(best.rivals.values(), default=np.inf) > ALIKE_NATS
-        left = worth - (without.nll - best.fitted.nll)
-        enough = left <= REPLACED + len(found.named) + 1 or gain >= _SECOND * worth
-        if another and not (told_apart and enough):
-            # The misfit of a law of another kind is no second effect, nor is what several laws take equally well.
-            break
-        law = Named(best.law, block, gain, 0.0, best.rivals, best.shapes)
-        found = _Alone(best.fitted, [*found.named, law], found.near)
-    return _paired(fitted, without, block, trials, laws, found)
-
-
-def _beyond_misfit(found: _Alone, best: Fitted, laws: Laws) -> float:
-    """What a further law explains beyond what the first ones would if they nearly held, nats.
-
-    Else it mends the shape that they had on the grid, or a corner that is round.
-    """
-    before, after = reshaped(found.fitted, laws), reshaped(best, laws)
-    first = slice(len(before.model.laws) - len(found.named), len(before.model.laws))
-    nearly = [with_misfit(f, f.model.laws[first], laws) for f in (before, after)]
-    return nearly[0].nll - nearly[1].nll
-
-
-def _paired(
-    fitted: Fitted, without: Fitted, block: str, trials: Sequence[Trial], laws: Laws, found: _Alone
-) -> _Alone:
-    """Two laws of one effect in place of one, where they explain more by what a second law has to."""
-    if len(found.named) != 1:
-        return found
-    law = found.named[0].law
-    if law.columns.shape[1] != 1 or not CATALOGUE[law.effect].search.adds_up:
-        return found
-    own = [t for t in trials if t.effect.id == law.effect]
-    pair = best_pair(fitted, without, block, own)
-    if pair is None:
-        return found
-    # Laws of other blocks keep the shapes by which their names know them.
-    pair = reshaped(pair, laws, [one.name for one in pair.model.laws[-2:]])
-    gain = found.fitted.nll - pair.nll
-    if gain < GAIN + 0.5 * np.log(len(own)):
-        return found
-    two = [replace(found.named[0], law=one) for one in pair.model.laws[-2:]]
-    return replace(found, fitted=pair, named=[two[0], replace(two[1], gain=gain)])
 
 
 def _of_robot(named: Named) -> bool:

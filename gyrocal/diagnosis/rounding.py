@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.examine import Examination, block_curve
-from gyrocal.diagnosis.names import Named
+from gyrocal.diagnosis.in_place import Named
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.units import NORMAL_95

@@ -74,6 +74,8 @@ class Search:
         Needs beyond the channels and the coordinate in which the effect is seen.
     twin_of : str
         The effect of exactly the same law that is looked for in its stead; empty: none.
+    limit_of : str
+        The effect whose law becomes this one at an end of its shape: both together are one mechanism; empty: none.
     told_apart : mapping
         Another effect to what a hand must do to tell the two apart, where no profile can.
     prior_nats : float
@@ -102,6 +104,7 @@ class Search:
     refined: tuple[str, ...] = ()
     requires: tuple[Requirement, ...] = ()
     twin_of: str = ""
+    limit_of: str = ""
     told_apart: Mapping[str, str] = field(default_factory=dict)
     prior_nats: float = 0.0
     usual: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -144,7 +144,7 @@ SHUPE = Effect(
     runtime=True,
     error_dps=_shupe,
     has_memory=True,
-    search=Search(requires=(_SOME_CHANGE,)),
+    search=Search(requires=(_SOME_CHANGE,), limit_of="shupe_gradient"),
     c_text=CText(_shupe_c),
 )
 

@@ -16,13 +16,15 @@ from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine, fit_anyhow
+from gyrocal.diagnosis.in_place import Alone, Named, _paired
 from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Named, Naming, _Alone, _mechanisms, _paired, still_there
+from gyrocal.diagnosis.names import Naming, _mechanisms, still_there
 from gyrocal.diagnosis.parts import BLOCKS
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.conditions import Conditions
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.trial.made_up import make_up
 
@@ -31,10 +33,10 @@ _T_S: NDArray[np.float64] = 60.0 * np.arange(_SETS, dtype=np.float64)
 _NOISE_DPS = 2e-4
 
 
-def naming_of(added_dps: NDArray[np.float64], seed: int) -> Naming:
+def naming_of(added_dps: NDArray[np.float64], seed: int, temp_c: NDArray[np.float64] | None = None) -> Naming:
     """What is named in data sets at rest, of noise of 0.2 mdeg/s and what is added."""
     noise = _NOISE_DPS * np.random.default_rng(seed).standard_normal(_SETS)
-    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0) if temp_c is None else temp_c
     table = DataSetTable(Path("rest.csv"), np.zeros(_SETS), 0.01 + noise + added_dps, temp, t_s=_T_S)
     return examine(series_of_table(table), 0.01).naming
 
@@ -98,6 +100,40 @@ def test_the_only_law_of_a_family_names_what_it_only_resembles() -> None:
     assert law.law.effect == "temperature_order"
     assert law.share < 0.6
     assert "temperature" in found.unnamed, "what the law leaves stays in the model"
+
+
+def heated_c() -> NDArray[np.float64]:
+    """Ramps up and down, and soaks."""
+    knots_s = [0.0, 1200.0, 2400.0, 4200.0, 5400.0, 7800.0, 9000.0, 10200.0, 13000.0]
+    return np.interp(_T_S, knots_s, [15.0, 35.0, 35.0, 18.0, 18.0, 38.0, 30.0, 30.0, 12.0])
+
+
+@pytest.mark.parametrize(
+    ("width_c", "play", "tau_s", "gradient"), [(5.6, 0.46, 370.0, 0.57), (1.6, -0.44, 420.0, -0.41)]
+)
+def test_thermal_transients_that_hide_each_other_are_named_together(
+    width_c: float, play: float, tau_s: float, gradient: float
+) -> None:
+    """Either alone takes a shape between both, beside which the other is not seen."""
+    temp = heated_c()
+    c = Conditions(_T_S, np.zeros(_SETS), temp)
+    plays = CATALOGUE["thermal_hysteresis"].unit_dps(c, {"width_c": width_c}, None)
+    lags = CATALOGUE["shupe_gradient"].unit_dps(c, {"tau_s": tau_s}, None)
+    found = naming_of(play * plays + gradient * lags, 1, temp)
+    shapes = {n.law.effect: n.law.shape for n in found.named}
+    assert shapes.keys() == {"thermal_hysteresis", "shupe_gradient"}
+    assert shapes["thermal_hysteresis"]["width_c"] == pytest.approx(width_c, rel=0.15)
+    assert shapes["shupe_gradient"]["tau_s"] == pytest.approx(tau_s, rel=0.15)
+    assert not found.unnamed
+
+
+def test_a_gradient_of_two_time_constants_is_one_mechanism() -> None:
+    temp = heated_c()
+    c = Conditions(_T_S, np.zeros(_SETS), temp)
+    law = CATALOGUE["shupe_gradient"]
+    both = law.unit_dps(c, {"tau_s": 100.0}, None) + law.unit_dps(c, {"tau_s": 900.0}, None)
+    found = naming_of(0.5 * both, 1, temp)
+    assert {n.law.effect for n in found.named} <= {"shupe", "shupe_gradient"}
 
 
 def test_laws_that_are_shaped_beside_each_other_keep_their_names() -> None:
@@ -297,7 +333,7 @@ def test_a_pair_of_laws_leaves_those_of_other_blocks_as_they_are_named() -> None
     trials = [t for e in effects_of("memory") for t in laws.trials(e) if e.id == "thermal_hysteresis"]
     first = best_law(fitted, without, "memory", trials, laws)
     assert first is not None
-    one = _Alone(first.fitted, [Named(first.law, "memory", without.nll - first.fitted.nll, 0.0, {}, 1)], {})
+    one = Alone(first.fitted, [Named(first.law, "memory", without.nll - first.fitted.nll, 0.0, {}, 1)], {})
     found = _paired(fitted, without, "memory", trials, laws, one)
     assert [n.law.effect for n in found.named] == ["thermal_hysteresis"] * 2
     assert [law.name for law in found.fitted.model.laws] == [warm_up.name, *(n.law.name for n in found.named)]
