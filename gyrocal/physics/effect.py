@@ -9,7 +9,7 @@ one percent of the effect, and matters for the strong ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -40,6 +40,8 @@ FAMILIES = (
     "sampling",
 )
 
+#: Step of a coefficient of the surface by which a law is seen to go with it: of a thousandth of what a surface has.
+_COEFFICIENT_STEP_DPS = 1e-5
 #: mdeg/s to deg/s, parts per million to a share.
 MDPS = 1e-3
 PPM = 1e-6
@@ -78,8 +80,30 @@ class Response(Protocol):
     ) -> tuple[Floats, Memory]: ...
 
 
+class BySurface(Protocol):
+    """Derivatives of an effect that acts through the surface by the surface's coefficients, shape (n, 12)."""
+
+    def __call__(self, c: Conditions, p: Mapping[str, float], surface: Surface, memory: Memory) -> Floats: ...
+
+
 #: A law without memory.
 Law = Callable[[Conditions, Mapping[str, float], Surface | None], Floats]
+
+
+def by_differences(law: Law) -> BySurface:
+    """The derivatives of a law without memory, by a step of each coefficient."""
+
+    def derivatives(c: Conditions, p: Mapping[str, float], surface: Surface, memory: Memory) -> Floats:
+        first, found = law(c, p, surface), []
+        for k in range(surface.coefficients_dps.size):
+            moved = surface.coefficients_dps.copy()
+            moved.ravel()[k] += _COEFFICIENT_STEP_DPS
+            found.append(
+                (law(c, p, replace(surface, coefficients_dps=moved)) - first) / _COEFFICIENT_STEP_DPS
+            )
+        return np.column_stack(found)
+
+    return derivatives
 
 
 def memoryless(law: Law) -> Response:
@@ -185,6 +209,8 @@ class Effect(Described):
         The coordinate on which its residual is folded; by `seen_in` where it has none of its own.
     c_text : CText, optional
         Its law as C; None: there is none.
+    by_surface : BySurface, optional
+        How it goes with the surface that it acts through.
     """
 
     error_dps: Response = field(repr=False)
@@ -194,6 +220,7 @@ class Effect(Described):
     hiding: Hiding = field(default_factory=Hiding, repr=False)
     fold: Fold | None = field(default=None, repr=False)
     c_text: CText | None = field(default=None, repr=False)
+    by_surface: BySurface | None = field(default=None, repr=False)
 
     def unit_dps(self, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
         """Its error at unit amplitude, shape (n,), deg/s; what `shape` does not say has its usual size."""

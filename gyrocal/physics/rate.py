@@ -14,6 +14,7 @@ from gyrocal.physics.effect import (
     Effect,
     Floats,
     amplitude,
+    by_differences,
     choice,
     memoryless,
     need_surface,
@@ -435,6 +436,7 @@ FIT_DIRECTION = Effect(
     search=Search(requires=(many_rates,), prior_nats=-1.0),
     hiding=Hiding(free_size=False),
     c_text=CText(_fit_direction_c, (_DIRECTION,)),
+    by_surface=by_differences(_fit_direction),
 )
 
 MECHANICAL_RESONANCE = Effect(

@@ -244,6 +244,10 @@ class SmoothTerm:
         """Its columns."""
         return columns_of(c, self.frame, self.columns, memory)
 
+    def by_surface(self, c: Conditions, surface: Surface, memory: Memory) -> float:
+        """Through none."""
+        return 0.0
+
     def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
         """Where a column, shape (n, p), lies outside what was seen of it; shape (n,)."""
         low, high = self.seen.T

@@ -67,6 +67,10 @@ class Part(Protocol):
         """Derivatives of its error by its k parameters, shape (n, k), and a memory of their own."""
         ...
 
+    def by_surface(self, c: Conditions, surface: Surface, memory: Memory) -> Floats | float:
+        """Derivative of its error by the coefficients of a surface that it acts through, shape (n, 12); 0: through none."""
+        ...
+
     def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
         """Which samples lie outside what it was fitted to, shape (n,)."""
         ...
@@ -151,6 +155,11 @@ class RuntimeTerm:
                 columns.append((ahead - error_dps) / step)
             after.append(course)
         return np.column_stack(columns), after
+
+    def by_surface(self, c: Conditions, surface: Surface, memory: Memory) -> Floats | float:
+        """The effect's own."""
+        law = self.effect.by_surface
+        return 0.0 if law is None else law(c, self.parameters, surface, memory)
 
     def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
         """Nowhere: a law holds beyond the record that showed it, as far as the surface does."""
@@ -332,13 +341,16 @@ def sensitivity(
     """
     slope = surface.slope_per_dps(solved.own_dps, c.temp_c)
     step = _SLOPE_STEP * surface.rate_scale_dps
-    ahead = [
-        term.at(c, surface, memory)(solved.rate_dps + step)[0] for term, memory in zip(terms, at, strict=True)
-    ]
+    each = list(zip(terms, at, strict=True))
+    ahead = [term.at(c, surface, memory)(solved.rate_dps + step)[0] for term, memory in each]
     terms_slope = (sum(ahead) - sum(solved.errors_dps)) / step
+    there = replace(c, rate_dps=solved.rate_dps)
     design = surface.design(solved.own_dps, c.temp_c)
+    through = sum((term.by_surface(there, surface, memory) for term, memory in each), np.zeros_like(design))
     shares = np.column_stack([np.empty((len(c), 0)), *tangents])
     if surface.direction == "input":
-        return np.asarray(-np.column_stack([design, shares]) / (1.0 + slope + terms_slope)[:, None])
-    whole = 1.0 + terms_slope * (1.0 - slope)
-    return np.asarray(-np.column_stack([design, (1.0 - slope)[:, None] * shares]) / whole[:, None])
+        whole = 1.0 + slope + terms_slope
+    else:
+        whole = 1.0 + terms_slope * (1.0 - slope)
+        through, shares = (1.0 - slope)[:, None] * through, (1.0 - slope)[:, None] * shares
+    return np.asarray(-np.column_stack([design + through, shares]) / whole[:, None])

@@ -53,12 +53,24 @@ def _thermal_lag(
 ) -> tuple[Floats, Memory]:
     surface = need_surface(surface, "thermal_lag")
     behind_c, memory = lag(c.t_s, c.temp_c, p["tau_s"], memory)
-    own = c.rate_dps
-    if surface.direction == "output":
-        # Its first-order inverse is enough for a difference of two nearby temperatures.
-        own = own + surface.error_dps(own, c.temp_c)
+    own = _own_dps(c, surface)
     at_coil = surface.error_dps(own, c.temp_c - behind_c)
     return p["amplitude"] * (at_coil - surface.error_dps(own, c.temp_c)), memory
+
+
+def _lag_by_surface(c: Conditions, p: Mapping[str, float], surface: Surface, memory: Memory) -> Floats:
+    behind_c, _ = lag(c.t_s, c.temp_c, p["tau_s"], memory)
+    own = _own_dps(c, surface)
+    return np.asarray(
+        p["amplitude"] * (surface.design(own, c.temp_c - behind_c) - surface.design(own, c.temp_c))
+    )
+
+
+def _own_dps(c: Conditions, surface: Surface) -> Floats:
+    """The surface's own rate; its first-order inverse is enough for a difference of two nearby temperatures."""
+    return (
+        c.rate_dps if surface.direction == "input" else c.rate_dps + surface.error_dps(c.rate_dps, c.temp_c)
+    )
 
 
 def _hysteresis(
@@ -194,6 +206,7 @@ THERMAL_LAG = Effect(
     ),
     fold=on_model("Error by the lag as modelled, mdeg/s"),
     c_text=CText(_thermal_lag_c, (_LAGGED,)),
+    by_surface=_lag_by_surface,
 )
 
 THERMAL_HYSTERESIS = Effect(

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from gyrocal.physics import kernels
-from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.catalogue import CATALOGUE, find_effect
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Floats
 from gyrocal.physics.kernels import lag, normal, play, uniform
-from gyrocal.physics.surface import Surface
+from gyrocal.physics.surface import Direction, Surface
 
 SURFACE = Surface(
     np.array([[0.0, 0.3, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [-0.5, 0.0, 0.0]]), 0, 100, 20, 30
@@ -30,6 +30,25 @@ def at(rate: Floats | list[float], **channels: Floats) -> Conditions:
     bare = Conditions(np.arange(n, dtype=np.float64), np.asarray(rate, dtype=np.float64), np.full(n, 20.0))
     given: dict[str, Any] = dict(channels)
     return replace(bare, **given)
+
+
+@pytest.mark.parametrize("direction", ["output", "input"])
+@pytest.mark.parametrize("effect_id", sorted(e.id for e in CATALOGUE.values() if e.runtime))
+def test_how_a_law_goes_with_the_surface_is_what_it_says(effect_id: str, direction: Direction) -> None:
+    """By differences; what says nothing does not go with it."""
+    effect, n = find_effect(effect_id), 40
+    t = 30.0 * np.arange(n, dtype=np.float64)
+    c = Conditions(t, 90.0 * np.cos(t), 20.0 + t / 60.0, since_power_on_s=t, supply_v=12.0 + 0.01 * np.sin(t))
+    p = effect.complete({"amplitude": 0.5 * effect.parameter("amplitude").typical})
+    surface = replace(SURFACE, direction=direction)
+    first = effect.error_dps(c, p, surface, None)[0]
+    said = np.zeros((n, 12)) if effect.by_surface is None else effect.by_surface(c, p, surface, None)
+    for k in range(12):
+        more: Floats = surface.coefficients_dps.copy()
+        more.ravel()[k] += 1e-3
+        moved = effect.error_dps(c, p, replace(surface, coefficients_dps=more), None)[0]
+        # Where it goes by the output, the surface moves that too, by a few percent of the slope.
+        np.testing.assert_allclose((moved - first) / 1e-3, said[:, k], atol=0.05 * np.abs(said).max() + 1e-9)
 
 
 def test_lag_of_a_ramp_is_exact_at_any_spacing() -> None:
