@@ -78,9 +78,9 @@ def gain_of_input(fitted: Fitted) -> tuple[float, float]:
 
 
 def beside_laws(fitted: Fitted, laws: Sequence[Law], block: str) -> Fitted:
-    """The model with laws beside a block, less the smooth part of it that has taken the place of one of them and no more.
+    """The model with laws beside a block, less the part of it that is one of them in all but name.
 
-    Of two columns nearly alike the variances have either, and a law with a name would have no amplitude.
+    Of two columns alike the variances have either, and a law with a name would have no amplitude.
     """
 
     def least(one: Fitted) -> float:
@@ -89,8 +89,8 @@ def beside_laws(fitted: Fitted, laws: Sequence[Law], block: str) -> Fitted:
     found = fitted.refit(replace(fitted.model, laws=tuple(laws)))
     if not any(found.has_died(law.name) for law in laws):
         return found
-    parts = [n for n, b in found.model.blocks.items() if b == block and not found.has_died(n)]
-    fewer = [found.refit(found.model.without([n])) for n in parts]
+    single = [p.name for p in found.model.parts if p.block == block and len(p.columns) == 1]
+    fewer = [found.refit(found.model.without([n])) for n in single if n in found.model.components]
     return max([found, *(f for f in fewer if f.nll <= found.nll + REPLACED)], key=least)
 
 

@@ -64,17 +64,23 @@ def descend(at: Callable[[Floats], P], logs: Floats, bounds: Floats) -> tuple[Fl
         step[free] = -linalg.solve(bend[np.ix_(free, free)] + stiff, slope[free], assume_a="pos")
         step = np.clip(logs + np.clip(step, -_LONGEST, _LONGEST), low, high) - logs
         downhill = -float(slope @ step)
-        if downhill < SETTLED:
+        if 0.0 <= downhill < SETTLED:
             break
-        try:
-            there = at(logs + step)
-        except linalg.LinAlgError:
-            damped = max(_SHORTER * damped, _DAMPED)
-            continue
-        kept = (here.value - there.value) / (downhill - 0.5 * float(step @ bend @ step))
-        if kept >= _KEPT:
+        # Of a step that was cut short what the slope and the bend promise may be a loss.
+        promised = downhill - 0.5 * float(step @ bend @ step)
+        there = _tried(at, logs + step) if promised > 0.0 else None
+        kept = -np.inf if there is None else (here.value - there.value) / promised
+        if there is not None and kept >= _KEPT:
             logs, here = logs + step, there
             damped *= float(np.clip(1.0 - (2.0 * kept - 1.0) ** 3, _LONGER, 2.0))
         else:
             damped = max(_SHORTER * damped, _DAMPED)
     return logs, here
+
+
+def _tried(at: Callable[[Floats], P], logs: Floats) -> P | None:
+    """The function there; None where it is none."""
+    try:
+        return at(logs)
+    except linalg.LinAlgError:
+        return None

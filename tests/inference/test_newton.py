@@ -78,3 +78,29 @@ def test_where_there_is_no_function_steps_are_shorter() -> None:
 
     logs, _ = descend(within, np.array([0.0, 2.0]), WIDE)
     assert np.exp(logs) == pytest.approx([1.0, 0.5], rel=0.1)
+
+
+@dataclass(frozen=True)
+class Valley:
+    """A quadratic function whose valley runs askew: cut short along one axis, the way to its bottom leads up its side."""
+
+    logs: Floats
+
+    bend = np.array([[1.0, 9.99], [9.99, 100.0]])
+    bottom = np.array([-20.0, 2.0])
+
+    @property
+    def value(self) -> float:
+        away = self.logs - self.bottom
+        return float(0.5 * away @ self.bend @ away)
+
+    @property
+    def slope(self) -> Floats:
+        return np.asarray(self.bend @ (self.logs - self.bottom))
+
+
+def test_a_step_that_is_cut_short_goes_no_way_up() -> None:
+    first = np.zeros(2)
+    logs, there = descend(Valley, first, WIDE)
+    assert there.value < SETTLED < Valley(first).value
+    assert logs == pytest.approx(Valley.bottom, abs=1.0)
