@@ -13,6 +13,7 @@ from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
 from gyrocal.diagnosis.drive.findings import undecided
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.drive.laws import KINDS
+from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS
 from gyrocal.report.page import Table
@@ -22,6 +23,8 @@ from gyrocal.units import NORMAL_95
 
 #: Evidence that tells nothing apart.
 _ALIKE = 3.0
+#: Slips of a wheel of which each has its place in the sentence.
+_SLIPS = 4
 #: Metres below which an estimate is not worth a sentence, and how many get one.
 _LEAST_M, _MOST = 0.001, 5
 _PATHS = {
@@ -40,10 +43,11 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     left = [place for place in diagnosis.located if place.remains]
     at_rest = found.series.robot.static_s > 0
     lines += _estimate_sentences(found.estimates, at_rest=at_rest, nameless=bool(left))
-    if found.yaw.model.outliers.size:
-        count = found.yaw.model.outliers.size
+    if slips := left_out(found.yaw):
+        first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.1f} s" for x in slips[:_SLIPS])
+        rest = f" and {len(slips) - _SLIPS} more" if len(slips) > _SLIPS else ""
         lines.append(
-            f"Isolated slips of a wheel (or spikes of the gyro) in {count} intervals are left out of all fits"
+            f"Slips of a wheel (or spikes of the gyro) are left out of all fits: {first}{rest} (all in diagnosis.json)"
         )
     if left:
         places = "; ".join(_place(place) for place in left)

@@ -33,7 +33,7 @@ from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.motions import AS_LIKELY, rather_settles
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
-from gyrocal.diagnosis.drive.places import instants, places
+from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
@@ -168,6 +168,7 @@ def diagnose_drive(
         drive={
             "estimates": [e.to_json() for e in estimates],
             "position_error": [s.to_json() for s in shown],
+            "left_out": [x.to_json() for x in left_out(yaw)],
         },
     )
     better = improved_robot(series, yaw, truth, found.parts, found.figures)

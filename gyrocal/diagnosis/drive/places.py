@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -16,7 +16,7 @@ from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located, NamedEffect
 from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT
-from gyrocal.units import NORMAL_95
+from gyrocal.units import NORMAL_95, RAD_TO_DEG
 
 #: Noise above what the robot file says by more than this is no noise of that kind.
 _NOISY = 4.0
@@ -59,6 +59,33 @@ def places(
             for one in left
         ]
     return sorted([*found.values(), *left, *_noisy(series, yaw)], key=lambda place: place.p_value)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Intervals on end in which the turns are off by more than noise, and that no fit has: when, and by how much, deg."""
+
+    from_s: float
+    to_s: float
+    turn_deg: float
+
+    def to_json(self) -> dict[str, float]:
+        """Entry of ``left_out``; times count from the start of the log."""
+        return {"from_s": self.from_s, "to_s": self.to_s, "turn_deg": self.turn_deg}
+
+
+def left_out(yaw: YawAnswer) -> list[LeftOut]:
+    """Slips of a wheel and spikes of the gyro, in order of time; turns of the encoders less those of the gyro."""
+    model, off_rad = yaw.model, yaw.left_rad
+    rows = model.outliers
+    if not rows.size:
+        return []
+    nodes_s = model.frame.nodes.t_s - model.frame.series.t_s[0]
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return [
+        LeftOut(float(nodes_s[k[0]]), float(nodes_s[k[-1] + 1]), float(RAD_TO_DEG * np.sum(off_rad[k])))
+        for k in runs
+    ]
 
 
 def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:

@@ -19,6 +19,7 @@ from gyrocal.diagnosis.drive.yaw import Evidence, Gram, usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, robot_of
+from gyrocal.report.drive_words import drive_sentences
 from tests.diagnosis.drive.fleet import Plan, drive
 
 Floats = NDArray[np.float64]
@@ -149,6 +150,23 @@ def test_a_bias_that_settles_has_to_be_there_and_to_be_likelier_at_any_time_cons
     gram = Gram(names, np.eye(len(names)), np.sqrt([gain, *settling]))
     told = Evidence(gram, (gram,) * 9, np.zeros(9))
     assert rather_settles(told, [], "slope", least) is rather
+
+
+def test_slips_of_a_wheel_are_left_out_and_said(resting: Robot) -> None:
+    """The right wheel counts 2 cm too much, twice, and 1 cm too little."""
+    log = drive(PLAN, 6)
+    rows, more_m = np.searchsorted(log.t_s, [100.0, 200.0, 300.0]), np.array([0.02, -0.01, 0.02])
+    right = log.right_m.copy()
+    right[rows] += more_m
+    found = diagnose_drive("log", replace(log, right_m=right), resting)
+    told = (found.diagnosis.drive or {})["left_out"]
+    assert [x["from_s"] <= t - log.t_s[0] <= x["to_s"] for x, t in zip(told, log.t_s[rows], strict=True)] == [
+        True
+    ] * 3
+    turned_deg = np.degrees(more_m / resting.wheel_separation_m)
+    assert [x["turn_deg"] for x in told] == pytest.approx(turned_deg, abs=0.2)
+    (said,) = [line for line in drive_sentences(found) if line.startswith("Slips")]
+    assert said.count("deg at") == 3
 
 
 def test_wheels_that_differ_now_and_then_have_no_name(resting: Robot) -> None:
