@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, memoryless
+from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, count, memoryless
 from gyrocal.physics.fold import on_turn_with_rate
 from gyrocal.physics.offer import table_turns
 from gyrocal.physics.search import Search, with_phase
@@ -97,7 +97,7 @@ TABLE_ECCENTRICITY = Effect(
     statement="The table's angle reference is off centre, so that the reference rate is wrong once or twice a turn.",
     parameters=(
         amplitude("arcsec", 3600.0, 5.0, "error of the reference angle"),
-        choice("harmonic", "1", 1.0, 64.0, 1.0, "periods a turn"),
+        count("harmonic", 1.0, 64.0, 1.0, "periods a turn"),
         choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "phase phi"),
     ),
     needs=("angle_deg", "rate_dps"),

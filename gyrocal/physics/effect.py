@@ -57,6 +57,7 @@ class Parameter:
 
     `linear`: the error is proportional to it. The linear strength is always called ``amplitude``.
     `choice`: another value may describe the same error, so that no interval is held against a known one.
+    `whole`: it is a whole number.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Parameter:
     linear: bool
     meaning: str
     choice: bool = False
+    whole: bool = False
 
 
 class Response(Protocol):
@@ -185,6 +187,8 @@ class Described:
             if not p.low <= value <= p.high:
                 msg = f"Effect {self.id}: {name} is {value:g} {p.unit}; allowed is {p.low:g} to {p.high:g}."
                 raise InputError(msg)
+            if p.whole and value != round(value):
+                raise InputError(f"Effect {self.id}: {name} is {value:g}; a whole number is wanted.")
         return self.typical() | {name: float(value) for name, value in given.items()}
 
 
@@ -258,3 +262,8 @@ def shape(name: str, unit: str, low: float, high: float, typical: float, meaning
 def choice(name: str, unit: str, low: float, high: float, typical: float, meaning: str) -> Parameter:
     """A parameter of shape of which another value may describe the same error: a phase, an order, a draw."""
     return Parameter(name, unit, low, high, typical, False, meaning, choice=True)
+
+
+def count(name: str, low: float, high: float, typical: float, meaning: str) -> Parameter:
+    """A choice of a whole number."""
+    return Parameter(name, "1", low, high, typical, False, meaning, choice=True, whole=True)

@@ -16,6 +16,7 @@ from gyrocal.physics.effect import (
     amplitude,
     by_differences,
     choice,
+    count,
     memoryless,
     need_surface,
     shape,
@@ -402,7 +403,7 @@ RATE_ORDER = Effect(
     statement="The error bends more with rate than a cubic can; no mechanism is claimed.",
     parameters=(
         amplitude("mdeg/s", 10000.0, 5.0, "size at w_s"),
-        choice("order", "1", 4.0, 9.0, 5.0, "power"),
+        count("order", 4.0, 9.0, 5.0, "power"),
         choice("scale_dps", "deg/s", 1.0, 10000.0, 100.0, "scale w_s"),
     ),
     needs=("rate_dps",),

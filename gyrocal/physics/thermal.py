@@ -13,7 +13,17 @@ import numpy as np
 
 from gyrocal.physics.c_text import POWER, CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions, Memory
-from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, memoryless, need_surface, shape
+from gyrocal.physics.effect import (
+    MDPS,
+    Effect,
+    Floats,
+    amplitude,
+    choice,
+    count,
+    memoryless,
+    need_surface,
+    shape,
+)
 from gyrocal.physics.fold import on_model, on_own
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import lag, play
@@ -238,7 +248,7 @@ TEMPERATURE_ORDER = Effect(
     statement="The bias, or the scale factor with it, bends more with temperature than a quadratic can.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 5.0, "size at T_m + T_s"),
-        choice("order", "1", 3.0, 9.0, 3.0, "power"),
+        count("order", 3.0, 9.0, 3.0, "power"),
         choice("center_c", "degC", -100.0, 150.0, 20.0, "temperature T_m where it vanishes"),
         choice("scale_c", "degC", 1.0, 200.0, 30.0, "scale T_s"),
     ),

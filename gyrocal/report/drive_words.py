@@ -44,10 +44,12 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     at_rest = found.series.robot.static_s > 0
     lines += _estimate_sentences(found.estimates, at_rest=at_rest, nameless=bool(left))
     if slips := left_out(found.yaw):
-        first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.1f} s" for x in slips[:_SLIPS])
-        rest = f" and {len(slips) - _SLIPS} more" if len(slips) > _SLIPS else ""
+        largest = sorted(slips, key=lambda x: -abs(x.turn_deg))[:_SLIPS]
+        first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.2f} s" for x in largest)
+        rest = f" and {len(slips) - _SLIPS} lesser ones" if len(slips) > _SLIPS else ""
         lines.append(
-            f"Slips of a wheel (or spikes of the gyro) are left out of all fits: {first}{rest} (all in diagnosis.json)"
+            "Intervals in which a wheel slips, or the gyro or the clock jumps, are left out of all fits: "
+            f"{first}{rest} (all in diagnosis.json)"
         )
     if left:
         places = "; ".join(_place(place) for place in left)

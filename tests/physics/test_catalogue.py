@@ -132,3 +132,11 @@ def test_ids_are_those_of_the_bench_table() -> None:
     rows = [line.split("|")[1] for line in bench.splitlines() if line.startswith("| `")]
     ids = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
     assert ids == set(CATALOGUE)
+
+
+@pytest.mark.parametrize("effect", ["table_eccentricity", "rate_order", "temperature_order"])
+def test_what_is_counted_is_a_whole_number(effect: str) -> None:
+    name = "harmonic" if effect == "table_eccentricity" else "order"
+    assert find_effect(effect).complete({name: 5.0})[name] == 5.0
+    with pytest.raises(InputError, match=rf"{effect}: {name} is 4.5; a whole number is wanted"):
+        find_effect(effect).complete({name: 4.5})

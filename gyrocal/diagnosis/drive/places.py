@@ -80,10 +80,13 @@ def left_out(yaw: YawAnswer) -> list[LeftOut]:
     rows = model.outliers
     if not rows.size:
         return []
-    nodes_s = model.frame.nodes.t_s - model.frame.series.t_s[0]
+    nodes = model.frame.nodes
+    # Times of nodes are those at which their intervals end.
+    ends_s = nodes.t_s - model.frame.series.t_s[0]
+    begins_s = ends_s - nodes.dt_s
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return [
-        LeftOut(float(nodes_s[k[0]]), float(nodes_s[k[-1] + 1]), float(RAD_TO_DEG * np.sum(off_rad[k])))
+        LeftOut(float(begins_s[k[0]]), float(ends_s[k[-1]]), float(RAD_TO_DEG * np.sum(off_rad[k])))
         for k in runs
     ]
 

@@ -363,14 +363,11 @@ def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[s
 def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
     """What the robot file knows of bias, track and asymmetry: mean and standard deviation of each."""
     std = series.robot.initial_std
-    known = {
+    return {
         "track": (0.0, max(std["wheel_separation_m"] / series.robot.wheel_separation_m, 1e-6)),
         "asymmetry": (0.0, max(float(np.hypot(std["left_scale"], std["right_scale"])), 1e-6)),
+        "bias": (series.robot.parameters.gyro.bias_dps, max(std["gyro_bias_dps"], 1e-9)),
     }
-    # A rest that the file promises takes the bias off whatever the file says of it.
-    if series.robot.static_s == 0:
-        known["bias"] = (series.robot.parameters.gyro.bias_dps, max(std["gyro_bias_dps"], 1e-9))
-    return known
 
 
 def _widened(
@@ -379,11 +376,12 @@ def _widened(
     """What is known beforehand, each as far off as the drive makes likeliest where that is more than was granted.
 
     Held to what is granted, a bias that is larger would become wheels that differ, and wheels that differ more a bias. What a
-    robot file itself says of the bias holds.
+    robot file itself says of the bias holds, but for a rest that it promises, which takes the bias off whatever that is.
     """
     found = dict(known)
+    says = "initial_std.gyro_bias_dps" in series.robot.given and series.robot.static_s == 0
     for name, (mean, std) in known.items():
-        if name not in chosen or (name == "bias" and "initial_std.gyro_bias_dps" in series.robot.given):
+        if name not in chosen or (name == "bias" and says):
             continue
         values, covariance = free.knowing({n: k for n, k in known.items() if n != name}).solve(chosen)
         at = list(chosen).index(name)

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
 from gyrocal.diagnosis.drive.motions import rather_settles
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.records.drive import DriveBlock
@@ -152,21 +153,34 @@ def test_a_bias_that_settles_has_to_be_there_and_to_be_likelier_at_any_time_cons
     assert rather_settles(told, [], "slope", least) is rather
 
 
+def slipping(log: DriveBlock, at_s: list[float], more_m: list[float]) -> DriveBlock:
+    """The log with a right wheel that counts more way in some rows."""
+    right = log.right_m.copy()
+    right[np.searchsorted(log.t_s, at_s)] += more_m
+    return replace(log, right_m=right)
+
+
 def test_slips_of_a_wheel_are_left_out_and_said(resting: Robot) -> None:
     """The right wheel counts 2 cm too much, twice, and 1 cm too little."""
+    at_s, more_m = [100.0, 200.0, 300.0], [0.02, -0.01, 0.02]
     log = drive(PLAN, 6)
-    rows, more_m = np.searchsorted(log.t_s, [100.0, 200.0, 300.0]), np.array([0.02, -0.01, 0.02])
-    right = log.right_m.copy()
-    right[rows] += more_m
-    found = diagnose_drive("log", replace(log, right_m=right), resting)
+    found = diagnose_drive("log", slipping(log, at_s, more_m), resting)
     told = (found.diagnosis.drive or {})["left_out"]
-    assert [x["from_s"] <= t - log.t_s[0] <= x["to_s"] for x, t in zip(told, log.t_s[rows], strict=True)] == [
-        True
-    ] * 3
-    turned_deg = np.degrees(more_m / resting.wheel_separation_m)
+    assert len(told) == 3
+    since_s = log.t_s[np.searchsorted(log.t_s, at_s)] - log.t_s[0]
+    assert all(x["from_s"] < t <= x["to_s"] + 1e-9 for x, t in zip(told, since_s, strict=True))
+    turned_deg = np.degrees(more_m) / resting.wheel_separation_m
     assert [x["turn_deg"] for x in told] == pytest.approx(turned_deg, abs=0.2)
-    (said,) = [line for line in drive_sentences(found) if line.startswith("Slips")]
+    (said,) = [line for line in drive_sentences(found) if "are left out of all fits" in line]
     assert said.count("deg at") == 3
+
+
+def test_a_slip_in_the_last_row_is_left_out_too(resting: Robot) -> None:
+    log = drive(PLAN, 6)
+    found = examine("log", slipping(log, [log.t_s[-1]], [0.02]), resting, None)
+    last = left_out(found.yaw)[-1]
+    assert last.to_s == pytest.approx(log.t_s[-1] - log.t_s[0], abs=0.1)
+    assert last.turn_deg == pytest.approx(np.degrees(0.02) / resting.wheel_separation_m, abs=0.2)
 
 
 def test_wheels_that_differ_now_and_then_have_no_name(resting: Robot) -> None:
