@@ -29,6 +29,7 @@ from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nam
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
+from gyrocal.fusion.robot import BIAS_STD_DPS
 from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
@@ -361,12 +362,18 @@ def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[s
 
 
 def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
-    """What the robot file knows of bias, track and asymmetry: mean and standard deviation of each."""
-    std = series.robot.initial_std
+    """What the robot file knows of bias, track and asymmetry: mean and standard deviation of each.
+
+    Where it promises a rest, its figure of the bias is of what is left after that.
+    """
+    std, rests = series.robot.initial_std, series.robot.static_s > 0
     return {
         "track": (0.0, max(std["wheel_separation_m"] / series.robot.wheel_separation_m, 1e-6)),
         "asymmetry": (0.0, max(float(np.hypot(std["left_scale"], std["right_scale"])), 1e-6)),
-        "bias": (series.robot.parameters.gyro.bias_dps, max(std["gyro_bias_dps"], 1e-9)),
+        "bias": (
+            series.robot.parameters.gyro.bias_dps,
+            max(std["gyro_bias_dps"], BIAS_STD_DPS if rests else 1e-9),
+        ),
     }
 
 
