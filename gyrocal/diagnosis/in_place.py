@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal.diagnosis.blocks import REPLACED
-from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law, best_pair, best_together
+from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law, best_pair, best_together, mechanism
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of
 from gyrocal.diagnosis.layers import Fitted, Law
@@ -144,8 +144,7 @@ def _alone(
     """
     found = Alone(without, [], {})
     while len(found.named) < _MOST_LAWS:
-        taken = {e for e in found.kinds if not CATALOGUE[e].search.adds_up}
-        best = best_law(fitted, found.fitted, block, [t for t in trials if t.effect.id not in taken], laws)
+        best = best_law(fitted, found.fitted, block, [t for t in trials if _may_follow(t, found)], laws)
         if best is None:
             break
         gain = found.fitted.nll - best.fitted.nll
@@ -170,6 +169,14 @@ def _alone(
         law = Named(best.law, block, gain, 0.0, best.rivals, best.shapes)
         found = Alone(best.fitted, [*found.named, law], found.near)
     return _paired(fitted, without, block, trials, laws, found)
+
+
+def _may_follow(trial: Trial, found: Alone) -> bool:
+    """Whether a law may stand beside those that were found: one of another mechanism, or one that adds up to one effect."""
+    effect = trial.effect
+    if effect.id in found.kinds:
+        return effect.search.adds_up
+    return mechanism(effect) not in {mechanism(CATALOGUE[e]) for e in found.kinds}
 
 
 def _beyond_misfit(found: Alone, best: Fitted, laws: Laws) -> float:
