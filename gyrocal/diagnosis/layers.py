@@ -234,8 +234,13 @@ class Model:
         """The same less what has died."""
         # The surface's own terms may come back when what took their place is gone.
         kept = {"white", *(p.name for p in self.parts if p.block == "surface")}
-        dead = [n for n in self.components if n not in kept and fit.log_variance.get(n, 0.0) < _DEAD]
+        dead = [n for n in self.components if n not in kept and _has_died(fit, n)]
         return self.without(dead)
+
+
+def _has_died(fit: Fit, name: str) -> bool:
+    """Whether a component adds nothing; one that was not fitted may."""
+    return fit.log_variance.get(name, 0.0) < _DEAD
 
 
 @dataclass(frozen=True)
@@ -262,7 +267,7 @@ class Fitted:
 
     def has_died(self, name: str) -> bool:
         """Whether a component adds nothing."""
-        return self.fit.log_variance.get(name, 0.0) < _DEAD
+        return _has_died(self.fit, name)
 
     def refit(self, model: Model, start: Mapping[str, float] | None = None) -> Fitted:
         """Another model of the same record, from these variances or from others (logarithms)."""

@@ -332,13 +332,16 @@ def logloss_gain(i: Improvement) -> tuple[str, str]:
     return fixed(i.logloss_before - i.logloss_after, decimals(0.5 * (high - low))), range_text(low, high)
 
 
+def _sureness(low: float, high: float) -> str:
+    """What is to be said of a gain by its interval; nothing of a sure one."""
+    return "" if low > 0 else ", no sure gain" if high >= 0 else ", surely no gain"
+
+
 def likelier(i: Improvement) -> str:
     """How many times as probable the model makes what was left out, with its 95 % interval: the drop of the log-loss."""
     low, high = (times_text(nats) for nats in i.logloss_interval_95)
     times = times_text(i.logloss_before - i.logloss_after)
-    lowest, highest = i.logloss_interval_95
-    sure = "" if lowest > 0 else ", no sure gain" if highest >= 0 else ", surely no gain"
-    interval = f" (95 %: {low} to {high}{sure})" if times != low else ""
+    interval = f" (95 %: {low} to {high}{_sureness(*i.logloss_interval_95)})" if times != low else ""
     return f"{times} times as probable{interval}"
 
 
@@ -373,7 +376,7 @@ def _rms(i: Improvement, c: Counted) -> str:
             f"({floor} {unit}): see the pictures"
         )
     drop = range_text(low, high, scale)
-    sure = "" if low > 0 else ", no sure gain" if high >= 0 else ", surely no gain"
+    sure = _sureness(low, high)
     reached = i.heldout_rms_after_dps <= i.noise_floor_dps
     moves = "falls" if i.heldout_rms_after_dps < i.heldout_rms_before_dps else "rises"
     noise = f"which is the noise ({floor})" if reached else f"where noise alone would leave {floor}"

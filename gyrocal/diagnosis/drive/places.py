@@ -11,7 +11,7 @@ from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecide
 from gyrocal.diagnosis.drive.laws import Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.search import YawAnswer, known_before
-from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located, NamedEffect
@@ -77,17 +77,13 @@ class LeftOut:
 def left_out(yaw: YawAnswer) -> list[LeftOut]:
     """Slips of a wheel and spikes of the gyro, in order of time; turns of the encoders less those of the gyro."""
     model, off_rad = yaw.model, yaw.left_rad
-    rows = model.outliers
-    if not rows.size:
-        return []
     nodes = model.frame.nodes
     # Times of nodes are those at which their intervals end.
     ends_s = nodes.t_s - model.frame.series.t_s[0]
     begins_s = ends_s - nodes.dt_s
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return [
         LeftOut(float(begins_s[k[0]]), float(ends_s[k[-1]]), float(RAD_TO_DEG * np.sum(off_rad[k])))
-        for k in runs
+        for k in runs_of(model.outliers)
     ]
 
 

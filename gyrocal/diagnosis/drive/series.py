@@ -295,6 +295,11 @@ class Nodes:
         return np.asarray(np.diff(cumulated[self.rows], axis=0))
 
 
+def runs_of(rows: Ints) -> list[Ints]:
+    """Numbers in rising order, split where one is left out."""
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
+
+
 def nodes_of(series: DriveSeries, spacing_s: float = NODE_S) -> Nodes:
     """Nodes at most every `spacing_s` in motion and `REST_NODE_S` at rest, always on a row."""
     since = series.t_s - series.t_s[0]

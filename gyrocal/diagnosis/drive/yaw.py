@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import interpolate
 
 from gyrocal.diagnosis.drive.laws import Frame, difference
-from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
 from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
 from gyrocal.inference.spread import mean_square
 from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
@@ -123,10 +123,8 @@ def _white_is_open(series: DriveSeries) -> bool:
 def _white_at_rest(series: DriveSeries) -> float | None:
     """White noise of the gyro, deg/s per sqrt(Hz), from neighbouring means at rest; None without rest."""
     every = max(1, round(_REST_MEAN_S / max(float(np.median(series.dt_s[1:])), 1e-6)))
-    rest = np.flatnonzero(series.resting)
-    runs = np.split(rest, np.flatnonzero(np.diff(rest) > 1) + 1)
     squares = []
-    for run in runs:
+    for run in runs_of(np.flatnonzero(series.resting)):
         count = run.size // every
         if count < 3:
             continue
