@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,11 @@ class Candidate:
     def warms_up(self) -> bool:
         """Whether a warm-up is among its laws of time."""
         return WARM_UP.id in self.effects
+
+    @property
+    def is_open_loop(self) -> bool:
+        """Whether the sine of an open loop is in its output."""
+        return self.fitted.model.open_loop is not None
 
 
 @dataclass
@@ -413,10 +419,13 @@ def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
     """The models worth averaging over, with their weights.
 
     With a warm-up or without, as most of the weight is: a robot that need not know when it was switched on shall not
-    have to.
+    have to. With the sine of an open loop or without: a phase has no mean with none.
     """
     near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
+    for has in (attrgetter("warms_up"), attrgetter("is_open_loop")):
+        weight = np.exp([candidates[0].score - c.score for c in near])
+        with_it = np.array([has(c) for c in near], dtype=np.bool_)
+        most = bool(weight @ with_it > 0.5 * weight.sum())
+        near = [c for c in near if has(c) == most]
     weight = np.exp([candidates[0].score - c.score for c in near])
-    warm = np.array([c.warms_up for c in near], dtype=np.bool_)
-    kept = np.flatnonzero(warm == (weight @ warm > 0.5 * weight.sum()))
-    return [(float(weight[k] / weight[kept].sum()), near[k]) for k in kept]
+    return [*zip((weight / weight.sum()).tolist(), near, strict=True)]

@@ -14,7 +14,8 @@ from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
+from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, Fitted, Law, Model
+from gyrocal.diagnosis.open_loop import given_back
 from gyrocal.diagnosis.parts import (
     BLOCKS,
     EACH_RATE,
@@ -32,7 +33,7 @@ from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import MDPS
-from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
@@ -43,8 +44,6 @@ from gyrocal.units import NORMAL_95
 Floats = NDArray[np.float64]
 
 _TERMS = SHAPE[0] * SHAPE[1]
-#: A part that adds less than this share of the noise of a row anywhere is left out of the file.
-_NEGLIGIBLE = 0.03
 #: Evidence from which on a part without a name is written, nats. Of 20 weaker ones in made-up runs 8 would have made another
 #: run better and 9 worse, whether or not they surely predicted what was left out.
 _BEYOND_DOUBT = 10.0
@@ -128,6 +127,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     # What the variances add is much the same in models so near to each other.
     widened = _estimate(first.model, first.solve(widened=True), items, total, again)
     covariance += widened.covariance - each[0][1].covariance
+    mean, covariance = _with_sine(first.model, items, mean, covariance)
     place, hidden_dps = _hidden(items, mean)
     covariance[np.ix_(place, place)] = np.outer(hidden_dps, hidden_dps)
     frame = first.model.basis.frame
@@ -147,6 +147,21 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
         covariance_dps2=covariance[:_TERMS, :_TERMS],
         terms=(*terms, *_coil_terms(found.candidates)),
     )
+
+
+def _with_sine(
+    model: Model, items: Sequence[_Item], mean: Floats, covariance: Floats
+) -> tuple[Floats, Floats]:
+    """The parameters with a sine of the phase that they have, of which the model is a straight line."""
+    whole = [i for i in items if i.law is not None and _is_whole(i.law)]
+    if model.open_loop is None or not whole:
+        return mean, covariance
+    at = whole[0].start + 1
+    back, slope = given_back(model.open_loop, float(mean[at]), model.basis.frame.rate_scale_dps)
+    moved, turn = mean.copy(), np.eye(mean.size)
+    moved[: _TERMS : SHAPE[1]] -= back
+    turn[: _TERMS : SHAPE[1], at] -= slope
+    return moved, turn @ covariance @ turn.T
 
 
 def mixed(each: Sequence[tuple[float, Floats, Floats]]) -> tuple[Floats, Floats]:
@@ -222,7 +237,7 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
     place = _TERMS
     known: set[str] = set()
     for model, solution in models:
-        least = _NEGLIGIBLE * float(np.std(solution.left))
+        least = NEGLIGIBLE * float(np.std(solution.left))
         laws = _lasting(model)
         parts = {p.name: p for p in model.parts if p.block != "surface"}
         over = set(_since_power_on(model)) if again < _OVER else set()
@@ -237,6 +252,9 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
                 if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
                     continue
                 new = [(name, parts.get(name), None, len(solution.amplitudes[name]))]
+            elif name == PHASE and model.open_loop is not None:
+                whole = Law(SAGNAC_SINE.id, {}, model.open_loop.by_phase)
+                new = [(whole.name, None, whole, len(_linear(whole)))]
             else:
                 continue
             for term, part, law, size in new:
@@ -293,11 +311,16 @@ def _estimate(
                 if "width_dps" in (linear := _linear(member)):
                     # A dead zone is as wide as what it takes of the larger rates.
                     to_file[place[member.name] + linear.index("width_dps"), starts[name]] += share * MDPS
+    values = np.zeros(total)
+    for item in items:
+        if model.open_loop is not None and item.law is not None and _is_whole(item.law):
+            values[item.start : item.start + 2] = 1.0, (phase := model.open_loop.phase_rad_per_dps)
+            to_file[item.start + 1, starts[PHASE]] = phase * model.open_loop.spread
     for name, columns in _since_power_on(model).items():
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] *= again
         to_file[0, mine] += (1.0 - again) * columns[-1]
-    values = to_file @ amplitudes
+    values += to_file @ amplitudes
     values[:_TERMS] += _end_state(model, solution)
     return _Estimate(values, to_file @ solution.covariance @ to_file.T)
 
@@ -339,7 +362,14 @@ def _end_state(model: Model, solution: Solution) -> Floats:
 
 def _linear(law: Law) -> tuple[str, ...]:
     """Parameters of a law whose covariance the file has, by name: in a dead zone nobody knows where the rate is, too."""
+    if _is_whole(law):
+        return ("amplitude", "phase_rad_per_dps")
     return ("amplitude", "place_dps", "width_dps") if law.effect == DEAD_ZONE.id else ("amplitude",)
+
+
+def _is_whole(law: Law) -> bool:
+    """Whether it is the sine of an open loop at an amplitude of one."""
+    return law.effect == SAGNAC_SINE.id and not law.shape
 
 
 def _hidden(items: Sequence[_Item], values: Floats) -> tuple[list[int], Floats]:

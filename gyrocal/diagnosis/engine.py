@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,8 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, TRUNCATION
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
+from gyrocal.physics.terms import Term
 from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
@@ -139,7 +141,7 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
-    told = [*_of_file(found, withheld, parts, why_not), *_missing(layered, written)]
+    told = [*_of_file(found, withheld, parts, why_not), *_laws_written(layered, written)]
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -216,8 +218,8 @@ def _of_file(
     return remarks
 
 
-def _missing(layered: Sequence[NamedEffect], written: Coefficients | None) -> list[Remark]:
-    """Named laws of the rate that a robot could evaluate, and that the correction does not have."""
+def _laws_written(layered: Sequence[NamedEffect], written: Coefficients | None) -> list[Remark]:
+    """Named laws of the rate that a robot could evaluate and the correction lacks; the sine that it has and that has no name."""
     if written is None:
         return []
     held = {term.name for term in written.terms}
@@ -226,7 +228,20 @@ def _missing(layered: Sequence[NamedEffect], written: Coefficients | None) -> li
     if DEAD_ZONE.id in held:
         held.add(TRUNCATION.id)
     mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
-    return [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
+    lacking = [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
+    return lacking if SAGNAC_SINE.id in mine else [*lacking, *map(_of_sine, _sines(written))]
+
+
+def _sines(written: Coefficients) -> list[tuple[float, Mapping[str, Any]]]:
+    """The largest rate, and the phase by it, of each sine of an open loop."""
+    laws = [term for term in written.terms if isinstance(term, Term) and term.effect == SAGNAC_SINE.id]
+    return [(written.surface.rate_scale_dps, law.parameters["phase_rad_per_dps"]) for law in laws]
+
+
+def _of_sine(sine: tuple[float, Mapping[str, Any]]) -> Remark:
+    rate_dps, phase = sine
+    facts = {"rate_dps": rate_dps, "phase_rad": rate_dps * phase["value"], "std_rad": rate_dps * phase["std"]}
+    return Remark(Said.SINE_WRITTEN, facts)
 
 
 def _sampling(series: Series, names: Sequence[NamedEffect]) -> list[Finding]:

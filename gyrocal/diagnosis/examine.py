@@ -31,6 +31,7 @@ from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, 
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, name
+from gyrocal.diagnosis.open_loop import with_open_loop
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.series import Series
@@ -188,7 +189,9 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     near = averaged(both) if joint or naming.named or naming.unnamed else []
     if near:
         of_each_rate = search.with_errors_of_each_rate([c for _, c in near])
-        near = averaged(sorted([*both, *of_each_rate], key=lambda c: c.score))
+        every = sorted([*both, *of_each_rate], key=lambda c: c.score)
+        by_sine = with_open_loop([c for _, c in averaged(every)])
+        near = averaged(sorted([*every, *by_sine], key=lambda c: c.score))
     first = ranked[0].fitted
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}

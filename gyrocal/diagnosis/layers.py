@@ -34,6 +34,8 @@ Floats = NDArray[np.float64]
 
 #: Components below this (logarithm of the share of the record's variance) have died and cost time only.
 _DEAD = -16.0
+#: What adds less than this share of the noise of a row anywhere is left out of the file.
+NEGLIGIBLE = 0.03
 #: Components of a scale factor that wanders.
 WANDERING_SCALE = ("scale line", "scale walk")
 #: Instants at which a long record is looked at for steps of the bias and the scale factor.
@@ -52,6 +54,35 @@ _HARMONICS = 5
 _PHASES = 4
 #: Prior variance of a law for the scan of shapes, in that of what the surface leaves: strong laws hide in it.
 _WIDE = 25.0
+#: Name of the component of what is not known of an open loop's phase.
+PHASE = "phase"
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoop:
+    """The sine that an open loop puts out, whole: the model is of what there is beside it.
+
+    Attributes
+    ----------
+    phase_rad_per_dps : float
+        As far as it is known.
+    sine_dps : ndarray, shape (n,)
+        What it adds to the rate, at the rows of the means.
+    by_phase : ndarray, shape (n, 1)
+        Its derivative by the logarithm of the phase.
+    spread : float
+        How well the logarithm of the phase is known before the higher orders of the rate say more.
+    """
+
+    phase_rad_per_dps: float
+    sine_dps: Floats = field(repr=False)
+    by_phase: Floats = field(repr=False)
+    spread: float
+
+    @property
+    def component(self) -> Component:
+        """What is not known of it, in units of `spread`."""
+        return Component(PHASE, self.spread * self.by_phase, held=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +145,8 @@ class Model:
         the output of a gyro with the surface alone is known.
     law_variance : float
         Prior variance of what a law adds beyond the surface's free terms, for a scan of shapes.
+    open_loop : OpenLoop, optional
+        A sine that is in the output for certain.
     """
 
     means: Means
@@ -126,11 +159,12 @@ class Model:
     direction: str = "input"
     bend: Floats | None = field(default=None, repr=False)
     flat: tuple[int, ...] = FLAT
+    open_loop: OpenLoop | None = None
 
     @property
     def error_dps(self) -> Floats:
-        """What the model is of: gyro minus reference."""
-        return self.means.error_dps
+        """What the model is of: gyro minus reference, beside the sine of an open loop."""
+        return self.means.error_dps - (0.0 if self.open_loop is None else self.open_loop.sine_dps)
 
     @property
     def shrunk(self) -> Part | None:
@@ -271,7 +305,7 @@ class Fitted:
 
     def refit(self, model: Model, start: Mapping[str, float] | None = None) -> Fitted:
         """Another model of the same record, from these variances or from others (logarithms)."""
-        same = model.design is self.model.design
+        same = model.design is self.model.design and model.open_loop is self.model.open_loop
         contrasts = self.contrasts if same else contrasts_of(model, self.contrasts)
         return Fitted(model, contrasts.fit(model.all, start or self.fit.log_variance), contrasts)
 

@@ -29,6 +29,7 @@ class Said(Enum):
     NOT_TEMPERATURE_ALONE = auto()
     NOT_WRITTEN = auto()
     LAW_NOT_WRITTEN = auto()
+    SINE_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
     NO_SURE_GAIN = auto()
     NO_INVERSE = auto()

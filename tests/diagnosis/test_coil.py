@@ -28,9 +28,13 @@ from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
 
 
+def _blank(sine: object = None) -> Any:
+    return SimpleNamespace(model=SimpleNamespace(open_loop=sine))
+
+
 def test_models_weigh_by_their_evidence_and_far_ones_not_at_all() -> None:
     scores = [10.0, 10.5, 13.0, 10.0 + AVERAGED_NATS + 0.1]
-    found = averaged([Candidate(None, (), cast(Any, None), score) for score in scores])
+    found = averaged([Candidate(None, (), _blank(), score) for score in scores])
     assert [c.score for _, c in found] == scores[:3]
     expected = np.exp([0.0, -0.5, -3.0])
     assert [w for w, _ in found] == pytest.approx((expected / expected.sum()).tolist())
@@ -41,12 +45,21 @@ def test_a_warm_up_is_in_the_file_if_most_of_the_weight_has_one() -> None:
 
     def kept(score: float) -> list[float]:
         scores = {10.0: (), score: (Change("warm_up", 300.0),), score + 0.1: (Change("warm_up", 600.0),)}
-        found = averaged([Candidate(None, changes, cast(Any, None), s) for s, changes in scores.items()])
+        found = averaged([Candidate(None, changes, _blank(), s) for s, changes in scores.items()])
         assert sum(w for w, _ in found) == pytest.approx(1.0)
         return [c.score for _, c in found]
 
     assert kept(10.2) == [10.2, 10.2 + 0.1]
     assert kept(11.0) == [10.0]
+
+
+def test_a_sine_is_in_the_file_if_most_of_the_weight_has_one() -> None:
+    near = [
+        Candidate(None, (), _blank(sine), score)
+        for sine, score in ((None, 10.0), ("sine", 10.5), ("sine", 10.6))
+    ]
+    assert [c.score for _, c in averaged(near)] == [10.5, 10.6]
+    assert [c.score for _, c in averaged(near[:2])] == [10.0]
 
 
 def _soaks(what: str) -> DataSetTable:

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import Options, _missing, diagnose
+from gyrocal.diagnosis.engine import Options, _laws_written, diagnose
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Verdict
 from gyrocal.errors import DataError
@@ -265,6 +265,6 @@ def test_a_law_of_the_rate_that_is_named_and_not_written_is_told() -> None:
     surface = Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0)
     terms = (Term("mechanical_resonance", {}, True), Term("dead_zone", {}, True))
     file = Coefficients({}, surface, np.zeros((12, 12)), Valid((-1.0, 1.0), (0.0, 1.0)), terms=terms)
-    told = _missing(named, file)
+    told = _laws_written(named, file)
     assert [(r.said, r.facts["effect"]) for r in told] == [(Said.LAW_NOT_WRITTEN, "saturation")]
-    assert _missing(named, None) == []
+    assert _laws_written(named, None) == []

@@ -1,0 +1,114 @@
+"""Tables whose cubic in the rate may be a sine's: higher odd orders are then expected where the sine has them.
+
+An open loop puts out the sine of its phase. The cubic tells the phase, and the phase the fifth order and all beyond. Errors of
+single rates of a table hide these, so that without the sine a file guesses at the largest rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.blocks import ODD
+from gyrocal.diagnosis.coil import Candidate
+from gyrocal.diagnosis.laws import effects_of
+from gyrocal.diagnosis.layers import NEGLIGIBLE, OpenLoop
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.rate import SAGNAC_SINE
+from gyrocal.physics.surface import SHAPE
+
+Floats = NDArray[np.float64]
+
+#: Phases at the largest rate that are open loops', rad: below, the cubic is less than 1 % of the range, which gyros have that are
+#: none; above, the output hardly rises with the rate. Without the sine the cubic is of either sign and of any size from a tenth of
+#: that to ten times it.
+_PHASES_RAD, _SIZES = (0.25, 1.45), (0.1, 10.0)
+#: A gyro's own cubic beside that of its sine, as a share of it: one standard deviation. The answer is the same from 0.05 to 0.2.
+_OWN_CUBIC = 0.1
+#: Ratio of a phase to the next one that is tried.
+_NEXT = 1.01
+#: Scaled rates at which shapes are compared.
+_EVENLY = np.linspace(-1.0, 1.0, 401)
+
+
+def with_open_loop(near: Sequence[Candidate]) -> list[Candidate]:
+    """Models of a table with a sine in place of their shapes that are odd in the rate; none where the cubic is no sine's.
+
+    They pay nothing for it: neither do the shapes. That the cubic is one that a sine has is in their favour.
+
+    Parameters
+    ----------
+    near : models to average over, the best first
+    """
+    of_rate = {effect.id for effect in effects_of(ODD)}
+    plain = [c for c in near if not of_rate & {law.effect for law in c.fitted.model.laws}]
+    sine = _of_cubic(plain[0]) if plain else None
+    return [] if sine is None else [_beside(c, sine) for c in plain]
+
+
+def _beside(c: Candidate, sine: OpenLoop) -> Candidate:
+    model = c.fitted.model
+    shapes = [n for n, block in model.blocks.items() if block == ODD]
+    rest = model.without(shapes)
+    phase = sine.component
+    whole = replace(rest, open_loop=sine, components={**rest.components, phase.name: phase})
+    fitted = c.fitted.refit(whole)
+    return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - _in_favour())
+
+
+def _in_favour() -> float:
+    """How much more probable a cubic of this sign and size is by a sine than by anything, nats: the cubic goes with the phase's square."""
+    anything = 2.0 * (2.0 * np.log(_PHASES_RAD[1] / _PHASES_RAD[0]) + np.log(_SIZES[1] / _SIZES[0]))
+    by_sine = 2.0 * np.log(_PHASES_RAD[1] / _PHASES_RAD[0])
+    return float(np.log(anything / by_sine))
+
+
+def _of_cubic(c: Candidate) -> OpenLoop | None:
+    """The sine that has the cubic of a model; None where none has, or its higher orders are lost in the noise."""
+    model, means = c.fitted.model, c.fitted.model.means
+    scale, solution = model.basis.frame.rate_scale_dps, c.fitted.solve()
+    cubic_dps = model.legendre(solution)[SHAPE[1] * (SHAPE[0] - 1)]
+    phases = np.geomspace(*_PHASES_RAD, 400) / scale
+    sines = np.column_stack([_sine(_EVENLY * scale, phase) for phase in phases])
+    # As smooth parts are freed of the surface: on a uniform grid.
+    cubics = legendre.legfit(_EVENLY, sines, SHAPE[0] - 1)[-1]
+    if not cubics.min() < cubic_dps < cubics.max():
+        return None
+    phase = float(np.interp(-cubic_dps, -cubics, phases))
+    sine_dps = _sine(means.rate_dps, phase)
+    orders = np.vander(means.rate_dps / scale, SHAPE[0])
+    beyond_dps = sine_dps - orders @ np.linalg.lstsq(orders, sine_dps, rcond=None)[0]
+    if np.max(np.abs(beyond_dps)) < NEGLIGIBLE * np.std(solution.left):
+        return None
+    # The cubic goes with the square of the phase.
+    return OpenLoop(phase, sine_dps, _by_phase(means.rate_dps, phase)[:, None], 0.5 * _OWN_CUBIC)
+
+
+def given_back(sine: OpenLoop, phase: float, scale_dps: float) -> tuple[Floats, Floats]:
+    """What the surface gives back in a file with another phase than the model's, and its derivative by the phase, shape (4,) each.
+
+    The model is a straight line in the phase, the file has the sine itself: the cubic would be off by the square of the difference.
+    Powers of the scaled rate from 0 on.
+    """
+    rate_dps, known = _EVENLY * scale_dps, sine.phase_rad_per_dps
+    line = _by_phase(rate_dps, known) / known
+    off = _sine(rate_dps, phase) - _sine(rate_dps, known) - (phase - known) * line
+    slope = _by_phase(rate_dps, phase) / phase - line
+    powers = np.polynomial.polynomial.polyfit(_EVENLY, np.column_stack([off, slope]), SHAPE[0] - 1)
+    return np.asarray(powers[:, 0]), np.asarray(powers[:, 1])
+
+
+def _sine(rate_dps: Floats, phase: float) -> Floats:
+    here = Conditions(np.zeros_like(rate_dps), rate_dps, np.zeros_like(rate_dps))
+    return SAGNAC_SINE.unit_dps(here, {"phase_rad_per_dps": phase}, None)
+
+
+def _by_phase(rate_dps: Floats, phase: float) -> Floats:
+    """Derivative by the logarithm of the phase."""
+    return np.asarray(
+        (_sine(rate_dps, phase * _NEXT) - _sine(rate_dps, phase / _NEXT)) / (2.0 * np.log(_NEXT))
+    )

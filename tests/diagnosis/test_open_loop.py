@@ -1,0 +1,161 @@
+"""The sine of an open loop behind errors of single rates: its cubic is seen, its higher orders follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis import open_loop
+from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.engine import diagnose
+from gyrocal.diagnosis.examine import Examination, examine
+from gyrocal.diagnosis.layers import OpenLoop
+from gyrocal.diagnosis.remarks import Said
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.records.datasets import DataSetTable
+
+_PHASE = 0.008
+
+
+def _sweeps(seed: int, front: str = "sine", errors_ppm: float = 400.0, own: float = 0.04) -> DataSetTable:
+    """Six sweeps up and down 14 sizes of rate while the temperature drifts; the gyro's own cubic is a share of the sine's."""
+    rng = np.random.default_rng(seed)
+    sizes = 7.2 * np.arange(1.0, 15.0)
+    sweep = np.concatenate([[0.0], sizes, [0.0], -sizes])
+    rate = np.tile(sweep, 6)
+    t_s = 20.0 * np.arange(float(rate.size))
+    temp = 38.0 + 5.0 * np.sin(2.0 * np.pi * t_s / 2500.0) + t_s / 1500.0
+    warm = (temp - 40.0) / 8.0
+    table = rng.normal(0.0, 1e-6 * errors_ppm, sizes.size)
+    off = np.interp(np.abs(rate), np.concatenate([[0.0], sizes]), np.concatenate([[0.0], table]))
+    cubic_dps = -((_PHASE * 100.8) ** 2) * 100.8 / 6.0
+    surface = 0.05 + 0.05 * warm + rate / 100.8 * (0.3 * warm + 0.1 * warm**2)
+    surface = surface + own * cubic_dps * (rate / 100.8) ** 3
+    true = rate * (1.0 + off)
+    bent = {
+        "sine": np.sin(_PHASE * true) / _PHASE,
+        "cubic": true + cubic_dps * (true / 100.8) ** 3,
+        "expanding": true - cubic_dps * (true / 100.8) ** 3,
+    }[front]
+    gyro = bent + surface + 4e-3 * rng.standard_normal(rate.size)
+    return DataSetTable(Path("sweeps.csv"), rate, gyro, temp, t_s=t_s)
+
+
+def _left(found: Examination) -> float:
+    """Error of the file on a run without noise or errors of the table, deg/s rms."""
+    again = _sweeps(1, errors_ppm=0.0)
+    assert again.t_s is not None
+    rate = Compensator(correction(found)).correct(again.t_s, again.gyro_dps, again.temp_c)
+    return float(np.sqrt(np.mean((rate - again.rate_dps) ** 2)))
+
+
+def _weight_of_sine(found: Examination) -> float:
+    return sum(w for w, c in found.candidates if c.is_open_loop)
+
+
+@pytest.fixture(scope="module")
+def tables() -> list[Examination]:
+    return [examine(series_of_table(_sweeps(seed)), 1e-3) for seed in range(10, 14)]
+
+
+def test_the_phase_is_in_its_interval_and_the_file_is_better_than_one_with_shapes(
+    tables: list[Examination],
+) -> None:
+    assert all(_weight_of_sine(found) == pytest.approx(1.0) for found in tables)
+    ratios, far = [], []
+    for found in tables:
+        shapes = replace(found, candidates=((1.0, found.ranked[0]),))
+        ratios.append(_left(found) / _left(shapes))
+        (sine,) = (t for t in correction(found).terms if getattr(t, "effect", "") == "sagnac_sine")
+        phase = sine.parameters["phase_rad_per_dps"]  # type: ignore[union-attr]
+        assert sine.parameters["amplitude"]["value"] == pytest.approx(1.0)  # type: ignore[union-attr]
+        far.append((phase["value"] - _PHASE) / phase["std"])
+    assert np.exp(np.mean(np.log(ratios))) < 0.9
+    assert np.max(np.abs(far)) < 2.5
+
+
+def test_what_is_not_known_of_the_phase_is_in_the_sigma_of_the_corrected_rate(
+    tables: list[Examination],
+) -> None:
+    again = _sweeps(1, errors_ppm=0.0)
+    assert again.t_s is not None
+    squares = []
+    for found in tables:
+        file = Compensator(correction(found))
+        answer = file.evaluate(again.t_s, again.gyro_dps, again.temp_c, again.t_s)
+        squares.append(
+            ((answer.rate_dps - again.rate_dps) / answer.sigma_dps)[np.abs(again.rate_dps) > 80.0] ** 2
+        )
+    assert 0.1 < float(np.mean(squares)) < 2.5
+
+
+def test_a_cubic_that_no_sine_has_is_none() -> None:
+    found = examine(series_of_table(_sweeps(20, "expanding")), 1e-3)
+    assert found.candidates
+    assert _weight_of_sine(found) == 0.0
+
+
+def test_a_cubic_of_less_than_a_percent_is_not_taken_for_a_sines() -> None:
+    found = examine(series_of_table(_sweeps(22, "cubic", own=-0.95)), 1e-3)
+    assert found.candidates
+    assert _weight_of_sine(found) == 0.0
+
+
+def test_a_cubic_without_higher_orders_is_no_sine_where_the_table_is_exact() -> None:
+    found = examine(series_of_table(_sweeps(21, "cubic", errors_ppm=10.0, own=0.0)), 1e-3)
+    assert _weight_of_sine(found) == 0.0
+
+
+def test_a_sine_without_a_name_is_said() -> None:
+    answer = diagnose(_sweeps(10))
+    assert answer.improved is not None
+    said = [note for note in answer.notes if not isinstance(note, str) and note.said is Said.SINE_WRITTEN]
+    assert len(said) == ("sagnac_sine" not in {e.effect for e in answer.effects})
+
+
+def test_prior_odds_of_a_sine() -> None:
+    """Log-uniform in the phase, the cubic has half the width that log-uniform cubics of two signs have on a scale two decades longer."""
+    low, high = 0.25, 1.45
+    cubics = np.log((high / low) ** 2)
+    assert open_loop._in_favour() == pytest.approx(np.log(2.0 * (cubics + np.log(100.0)) / cubics))
+
+
+def test_the_sine_stands_whole_in_the_model(tables: list[Examination]) -> None:
+    (_, best), *_ = tables[0].candidates
+    sine = best.fitted.model.open_loop
+    assert isinstance(sine, OpenLoop)
+    rate = best.fitted.model.means.rate_dps
+    k = sine.phase_rad_per_dps
+    np.testing.assert_allclose(sine.sine_dps, np.sin(k * rate) / k - rate, atol=1e-12)
+    np.testing.assert_allclose(sine.by_phase[:, 0], rate * np.cos(k * rate) - np.sin(k * rate) / k, atol=2e-3)
+
+
+def test_a_file_with_the_sine_itself_errs_as_the_straight_line_in_its_phase_did(
+    tables: list[Examination],
+) -> None:
+    """The cubic goes with the square of the phase, so that of another phase it would be off by far more than is open."""
+    (_, best), *_ = tables[0].candidates
+    model, solution = best.fitted.model, best.fitted.solve()
+    sine = model.open_loop
+    assert isinstance(sine, OpenLoop)
+    scale = model.basis.frame.rate_scale_dps
+    phase = sine.phase_rad_per_dps * 1.06
+    back, slope = open_loop.given_back(sine, phase, scale)
+    u = np.linspace(-1.0, 1.0, 41)
+
+    def put_out(k: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.asarray(np.sin(k * scale * u) / k - scale * u)
+
+    step = 1e-7
+    line = (put_out(sine.phase_rad_per_dps + step) - put_out(sine.phase_rad_per_dps)) / step
+    straight = put_out(sine.phase_rad_per_dps) + (phase - sine.phase_rad_per_dps) * line
+    powers = np.vander(u, 4, increasing=True)
+    assert np.max(np.abs(put_out(phase) - straight)) > 0.03
+    assert np.max(np.abs(put_out(phase) - powers @ back - straight)) < 0.003
+    here = (put_out(phase + step) - put_out(phase)) / step
+    assert np.max(np.abs(here - powers @ slope - line)) < 0.05 * np.max(np.abs(here - line))
+    assert "phase" in solution.amplitudes
