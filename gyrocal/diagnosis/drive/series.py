@@ -280,6 +280,8 @@ class Nodes:
     ----------
     rows : ndarray, shape (m + 1,)
         Row of each node; interval k lies between nodes k and k + 1.
+    t_s : when the interval ends
+    dt_s : how long it is
     resting : whether the robot stands in the whole interval
     broken : whether a gap lies in the interval
     """

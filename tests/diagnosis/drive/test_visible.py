@@ -62,3 +62,11 @@ def test_a_difference_that_the_truth_shows_is_told_as_such(by_satellite: DriveDi
     better: Shown = replace(shown, before_m=5.0, after_m=0.8)
     said = " ".join(drive_sentences(replace(by_satellite, shown=(better,))))
     assert "falls from 5 to 0.8 m rms; a perfect path would be off by" in said
+
+
+def test_figures_that_do_not_change_are_not_said_to_have_been_tested(by_satellite: DriveDiagnosis) -> None:
+    (shown,) = by_satellite.shown
+    same = replace(shown, after=shown.before, after_m=shown.before_m, apart_m=0.0)
+    said = " ".join(drive_sentences(replace(by_satellite, shown=(same,))))
+    assert "nothing is put to the test" in said
+    assert "stays at" not in said
