@@ -218,16 +218,13 @@ def still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) 
 
 
 def _mechanisms(named: list[Named]) -> list[Named]:
-    """Less what is the misfit of another law: orders of the rate beside any, and the lesser of what swallows small rates."""
+    """Less what is the misfit of another law: orders of the rate worth less than any, and the lesser of what swallows small rates."""
     gains = {e.id: sum(n.gain for n in named if n.law.effect == e.id) for e in (DEAD_ZONE, TRUNCATION)}
     if all(gains.values()):
         named = [n for n in named if n.law.effect != min(gains, key=lambda e: gains[e])]
-    others = [
-        n
-        for n in named
-        if CATALOGUE[n.law.effect].family == RATE_ORDER.family and n.law.effect != RATE_ORDER.id
-    ]
-    return [n for n in named if not others or n.law.effect != RATE_ORDER.id]
+    of_rate = [n for n in named if CATALOGUE[n.law.effect].family == RATE_ORDER.family]
+    strongest = max((n.gain for n in of_rate if n.law.effect != RATE_ORDER.id), default=0.0)
+    return [n for n in named if n.law.effect != RATE_ORDER.id or n.gain > strongest]
 
 
 def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named]]:

@@ -272,6 +272,19 @@ def test_what_swallows_small_rates_has_one_name() -> None:
     assert _mechanisms([dead]) == [dead]
 
 
+def test_orders_of_the_rate_have_a_name_beside_a_law_that_is_worth_less() -> None:
+    """They are the misfit of a stronger law; of a weaker one they cannot be."""
+
+    def named(effect: str, gain: float) -> Named:
+        return Named(Law(effect, {}, np.zeros((1, 1))), "odd rate", gain, 1.0, {}, 1)
+
+    peak = named("mechanical_resonance", 90.0)
+    assert _mechanisms([named("rate_order", 40.0), peak]) == [peak]
+    orders = named("rate_order", 200.0)
+    assert _mechanisms([orders, peak]) == [orders, peak]
+    assert _mechanisms([orders]) == [orders]
+
+
 def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:
     """Beyond a cubic its phase and its share are traded: 5e-4 of the sine at three radians would do as well."""
     rng = np.random.default_rng(2)
