@@ -159,10 +159,11 @@ def _inseparable(found: DriveDiagnosis) -> list[str]:
     std = np.sqrt(np.maximum(np.diag(yaw.covariance), 1e-300))
     correlation = yaw.covariance / np.outer(std, std)
     lines = []
-    for i, one in enumerate(yaw.chosen):
+    names = [KINDS[n].shown.replace("_", " ") for n in yaw.chosen]
+    for i, one in enumerate(names):
         for j in range(i):
-            if abs(correlation[i, j]) > 0.95:
-                pair = f"{yaw.chosen[j].replace('_', ' ')} and {one.replace('_', ' ')}"
+            if abs(correlation[i, j]) > 0.95 and names[j] != one:
+                pair = f"{names[j]} and {one}"
                 lines.append(f"This drive hardly tells {pair} apart (correlation {correlation[i, j]:.2f})")
     return lines
 

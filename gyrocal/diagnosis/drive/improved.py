@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.findings import Scale, joint_estimate, told_estimate
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
+from gyrocal.diagnosis.drive.motions import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -25,8 +26,8 @@ from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, NORMAL_95, 
 #: What a bias changes by at the next switch-on: a share of it, and standard deviations of the 1/f noise. The drive model
 #: has the latter as states of its own; only the paper's filter must be told.
 _CHANGES, _FLICKERS = 0.06, 1.5
-#: What track and asymmetry change by from one drive to the next, relative.
-_TRACK_CHANGES, _ASYMMETRY_CHANGES = 2e-3, 3e-4
+#: What the track changes by from one drive to the next, relative.
+_TRACK_CHANGES = 2e-3
 #: What no key of a robot file holds.
 _NO_KEYS = {ROBOT_TILT.id, START_STOP_SLIP.id}
 #: Coordinates over which it is the robot's turns that differ, and those over which its way does.
@@ -349,7 +350,7 @@ def _geometry_keys(
     if "track" not in parts and not {*SCALES, ROBOT_TILT.id}.isdisjoint(parts):
         track = 0.0
     separation = series.robot.wheel_separation_m * (1 + track)
-    changes = float(np.hypot(_ASYMMETRY_CHANGES, _unheld(yaw, _OF_THE_WAY, "asymmetry")))
+    changes = float(np.hypot(ASYMMETRY_CHANGES, _unheld(yaw, _OF_THE_WAY, "asymmetry")))
     one = float(np.hypot(std, changes)) / np.sqrt(2.0)
     keys = {
         "wheel_separation_m": separation,

@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 
 #: Gain by which a law is 20 times as likely as another: with less, either may have made the log.
 AS_LIKELY = 2.0 * float(np.log(20.0))
+#: What the difference of the wheels changes by from one drive to the next, relative: standard deviation.
+ASYMMETRY_CHANGES = 3e-4
 
 
 def of_motion(laws: Iterable[str]) -> list[str]:
@@ -58,6 +60,22 @@ def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], le
     gain, warmed, at_once = (told.added(beside, [n]) for n in (taken, "slope", AT_ONCE))
     denied, as_likely = at_once < gain - AS_LIKELY, warmed >= max(least, gain - AS_LIKELY)
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
+
+
+def rather_moves(told: Evidence, chosen: Sequence[str], motions: Sequence[str], least: float) -> bool:
+    """Whether a bias that comes with the motion is there, and explains surely more than wheels that differ, each without the other.
+
+    Either makes the two headings part on a straight, and beside wheels that may differ by anything no bias is seen.
+
+    Parameters
+    ----------
+    least : gain from which on it is there
+    """
+    if "asymmetry" not in chosen or not motions or any(n in motions for n in chosen):
+        return False
+    beside = [n for n in chosen if n != "asymmetry"]
+    moves = max(told.added(beside, [n]) for n in motions)
+    return moves > max(least, told.added(beside, ["asymmetry"]) + AS_LIKELY)
 
 
 def rather_settles(told: Evidence, beside: Sequence[str], name: str, least: float = 0.0) -> bool:

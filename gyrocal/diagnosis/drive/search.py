@@ -24,13 +24,20 @@ from gyrocal.diagnosis.drive.laws import (
     settling_laws,
     strangers,
 )
-from gyrocal.diagnosis.drive.motions import likely_motions, may_be_another, middling, of_motion, rather_warmed
+from gyrocal.diagnosis.drive.motions import (
+    ASYMMETRY_CHANGES,
+    likely_motions,
+    may_be_another,
+    middling,
+    of_motion,
+    rather_moves,
+    rather_warmed,
+)
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
-from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of
+from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of, rough_bias_dps
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
 from gyrocal.fusion.robot import BIAS_STD_DPS
-from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
@@ -252,7 +259,13 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
     # What has no name would swell the noise, the gyro's as well as the wheels', as a law would that is not in the mean; but
     # for wheels that change at an instant, which are no columns of a coordinate.
     again = answer.nameless and not answer.changed
-    return _examine(series, ahead_s, window_s, answer) if again else answer
+    before = answer if again else None
+    answer = answer if before is None else _examine(series, ahead_s, window_s, before)
+    moves = rather_moves(answer.told, answer.fitted, of_motion(answer.laws), GAIN)
+    if "asymmetry" not in answer.named or not moves:
+        return answer
+    moving = _examine(series, ahead_s, window_s, before, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
+    return moving if of_motion(moving.named) else answer
 
 
 def align(series: DriveSeries) -> tuple[float, float]:
@@ -282,10 +295,14 @@ def align(series: DriveSeries) -> tuple[float, float]:
 
 
 def _examine(
-    series: DriveSeries, ahead_s: float, window_s: float, before: YawAnswer | None = None
+    series: DriveSeries,
+    ahead_s: float,
+    window_s: float,
+    before: YawAnswer | None = None,
+    held: Mapping[str, tuple[float, float]] | None = None,
 ) -> YawAnswer:
     nodes = nodes_of(series, max(NODE_S, window_s))
-    frame = frame_of(series, nodes, ahead_s, window_s, _rough_bias_dps(series))
+    frame = frame_of(series, nodes, ahead_s, window_s, rough_bias_dps(series))
     constant, laws = constant_laws(frame), candidate_laws(frame)
     blocks = strangers(frame)
     odd_before = [] if before is None else [x for c in before.odd if c in blocks for x in blocks[c].T]
@@ -294,7 +311,7 @@ def _examine(
     candidates = _of_groups(laws, laws if before is None else before.named)
     everything = constant | laws | settling_laws(frame)
     columns = _columns_of(everything, blocks)
-    known, free = known_before(series), evidence(model, columns)
+    known, free = known_before(series) | dict(held or {}), evidence(model, columns)
     told = free.knowing(known)
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     chosen = _selected(told, least, candidates)
@@ -395,14 +412,6 @@ def _widened(
         likeliest = (values[at] - mean) ** 2 - covariance[at, at]
         found[name] = (mean, float(np.sqrt(max(likeliest, std**2))))
     return found
-
-
-def _rough_bias_dps(series: DriveSeries) -> float:
-    if series.resting.any():
-        return float(np.mean(series.gyro_dps[series.resting]))
-    if not series.differential:
-        return 0.0
-    return float(RAD_TO_DEG * (series.gyro_rad[-1] - series.encoder_rad[-1]) / series.duration_s)
 
 
 def _group(name: str) -> str:

@@ -16,7 +16,7 @@ from gyrocal.navigation.survey import check_cells, check_speed, one_speed
 from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
-from gyrocal.units import DEG_TO_RAD, STDS_PER_MAD
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -334,3 +334,12 @@ def averaged(t_s: Floats, cumulated: Floats, ahead_s: float, window_s: float) ->
     ends = np.clip(np.stack([at - half, at + half]), grid[0], grid[-1])
     upper, lower = np.interp(ends[1], grid, whole), np.interp(ends[0], grid, whole)
     return np.asarray((upper - lower) / window_s)
+
+
+def rough_bias_dps(series: DriveSeries) -> float:
+    """Bias of the gyro at its rests; of a drive without, by where the encoders' heading ends."""
+    if series.resting.any():
+        return float(np.mean(series.gyro_dps[series.resting]))
+    if not series.differential:
+        return 0.0
+    return float(RAD_TO_DEG * (series.gyro_rad[-1] - series.encoder_rad[-1]) / series.duration_s)
