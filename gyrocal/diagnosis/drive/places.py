@@ -10,7 +10,8 @@ from scipy import stats
 from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecided
 from gyrocal.diagnosis.drive.laws import Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
-from gyrocal.diagnosis.drive.search import YawAnswer, known_before
+from gyrocal.diagnosis.drive.prior import known_before
+from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said

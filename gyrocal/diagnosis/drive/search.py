@@ -34,10 +34,10 @@ from gyrocal.diagnosis.drive.motions import (
     rather_warmed,
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
+from gyrocal.diagnosis.drive.prior import known_before, widened
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of, rough_bias_dps
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
-from gyrocal.fusion.robot import BIAS_STD_DPS
 
 Floats = NDArray[np.float64]
 
@@ -311,13 +311,9 @@ def _examine(
     candidates = _of_groups(laws, laws if before is None else before.named)
     everything = constant | laws | settling_laws(frame)
     columns = _columns_of(everything, blocks)
-    known, free = known_before(series) | dict(held or {}), evidence(model, columns)
-    told = free.knowing(known)
+    free = evidence(model, columns)
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
-    chosen = _selected(told, least, candidates)
-    if (wider := _widened(series, known, free.own, chosen)) != known:
-        known, told = wider, free.knowing(wider)
-        chosen = _selected(told, least, candidates)
+    known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
     jumping = jump_of(model, everything, chosen, known, STRANGER_P)
     beyond = wheel_out_of_true(frame, model, everything, chosen, known)
     beyond |= {n: x for n, x in jumping.items() if n in KINDS}
@@ -360,6 +356,20 @@ def _examine(
     )
 
 
+def _first(
+    series: DriveSeries,
+    free: Evidence,
+    known: Mapping[str, tuple[float, float]],
+    least: Sequence[str],
+    candidates: Sequence[str],
+) -> tuple[Mapping[str, tuple[float, float]], Evidence, list[str]]:
+    """What is known beforehand as the drive makes it likeliest, the evidence with that, and the laws that are chosen."""
+    chosen = _selected(free.knowing(known), least, candidates)
+    wider = widened(series, known, free.own, chosen)
+    told = free.knowing(wider)
+    return wider, told, chosen if wider == known else _selected(told, least, candidates)
+
+
 def _with_sure_jump(
     told: Evidence, chosen: Sequence[str], beside: Sequence[str], odd: Mapping[str, Test]
 ) -> tuple[list[str], dict[str, Test]]:
@@ -376,42 +386,6 @@ def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[s
     """Columns of laws by their names, and of those without one by coordinate and number."""
     unnamed = {f"{c}:{k}": block[:, k] for c, block in blocks.items() for k in range(block.shape[1])}
     return {n: x.column for n, x in laws.items()} | unnamed
-
-
-def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
-    """What the robot file knows of bias, track and asymmetry: mean and standard deviation of each.
-
-    Where it promises a rest, its figure of the bias is of what is left after that.
-    """
-    std, rests = series.robot.initial_std, series.robot.static_s > 0
-    return {
-        "track": (0.0, max(std["wheel_separation_m"] / series.robot.wheel_separation_m, 1e-6)),
-        "asymmetry": (0.0, max(float(np.hypot(std["left_scale"], std["right_scale"])), 1e-6)),
-        "bias": (
-            series.robot.parameters.gyro.bias_dps,
-            max(std["gyro_bias_dps"], BIAS_STD_DPS if rests else 1e-9),
-        ),
-    }
-
-
-def _widened(
-    series: DriveSeries, known: Mapping[str, tuple[float, float]], free: Gram, chosen: Sequence[str]
-) -> dict[str, tuple[float, float]]:
-    """What is known beforehand, each as far off as the drive makes likeliest where that is more than was granted.
-
-    Held to what is granted, a bias that is larger would become wheels that differ, and wheels that differ more a bias. What a
-    robot file itself says of the bias holds, but for a rest that it promises, which takes the bias off whatever that is.
-    """
-    found = dict(known)
-    says = "initial_std.gyro_bias_dps" in series.robot.given and series.robot.static_s == 0
-    for name, (mean, std) in known.items():
-        if name not in chosen or (name == "bias" and says):
-            continue
-        values, covariance = free.knowing({n: k for n, k in known.items() if n != name}).solve(chosen)
-        at = list(chosen).index(name)
-        likeliest = (values[at] - mean) ** 2 - covariance[at, at]
-        found[name] = (mean, float(np.sqrt(max(likeliest, std**2))))
-    return found
 
 
 def _group(name: str) -> str:

@@ -26,8 +26,8 @@ from gyrocal.diagnosis.drive.findings import named_effects, verdict
 from gyrocal.diagnosis.drive.improved import DriveEstimate, estimates_of, improved_robot
 from gyrocal.diagnosis.drive.laws import candidate_laws, constant_laws, frame_of, wheel_laws
 from gyrocal.diagnosis.drive.places import places
+from gyrocal.diagnosis.drive.prior import known_before
 from gyrocal.diagnosis.drive.reckoning import laid_on
-from gyrocal.diagnosis.drive.search import known_before
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.yaw import YawModel, YawNoise, gram_of, usual_noise
 from gyrocal.diagnosis.result import NamedEffect
