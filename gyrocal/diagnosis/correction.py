@@ -161,6 +161,8 @@ def _with_sine(
     moved, turn = mean.copy(), np.eye(mean.size)
     moved[: _TERMS : SHAPE[1]] -= back
     turn[: _TERMS : SHAPE[1], at] -= slope
+    # A mean of ones is one to the last digit but one.
+    moved[at - 1], turn[at - 1, at - 1] = 1.0, 0.0
     return moved, turn @ covariance @ turn.T
 
 

@@ -128,7 +128,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.LAW_NOT_WRITTEN: "The improved coefficients have no {effect}, though it is named: they are the mean of models that are about as "
     "likely, and those have other laws, curves or errors of single rates in its place.",
     Said.SINE_WRITTEN: "The improved coefficients have the sine of an open loop, whose phase at {rate_dps:.4g} deg/s is {phase_rad:.3f} "
-    "± {std_rad:.1g} rad: its cubic is the one that the rates show, and its higher orders, which errors of single rates hide, are no "
+    "± {std_rad:.2g} rad: its cubic is the one that the rates show, and its higher orders, which errors of single rates hide, are no "
     "less likely than others.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
