@@ -422,10 +422,9 @@ def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
     have to. With the sine of an open loop or without: a phase has no mean with none.
     """
     near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
-    for has in (attrgetter("warms_up"), attrgetter("is_open_loop")):
-        weight = np.exp([candidates[0].score - c.score for c in near])
-        with_it = np.array([has(c) for c in near], dtype=np.bool_)
-        most = bool(weight @ with_it > 0.5 * weight.sum())
-        near = [c for c in near if has(c) == most]
     weight = np.exp([candidates[0].score - c.score for c in near])
+    for has in (attrgetter("warms_up"), attrgetter("is_open_loop")):
+        with_it = np.array([has(c) for c in near], dtype=np.bool_)
+        kept = np.flatnonzero(with_it == (weight @ with_it > 0.5 * weight.sum()))
+        near, weight = [near[k] for k in kept], weight[kept]
     return [*zip((weight / weight.sum()).tolist(), near, strict=True)]

@@ -153,10 +153,9 @@ def _with_sine(
     model: Model, items: Sequence[_Item], mean: Floats, covariance: Floats
 ) -> tuple[Floats, Floats]:
     """The parameters with a sine of the phase that they have, of which the model is a straight line."""
-    whole = [i for i in items if i.law is not None and _is_whole(i.law)]
-    if model.open_loop is None or not whole:
+    if model.open_loop is None:
         return mean, covariance
-    at = whole[0].start + 1
+    at = _sine_of(items).start + 1
     back, slope = given_back(model.open_loop, float(mean[at]), model.basis.frame.rate_scale_dps)
     moved, turn = mean.copy(), np.eye(mean.size)
     moved[: _TERMS : SHAPE[1]] -= back
@@ -314,10 +313,10 @@ def _estimate(
                     # A dead zone is as wide as what it takes of the larger rates.
                     to_file[place[member.name] + linear.index("width_dps"), starts[name]] += share * MDPS
     values = np.zeros(total)
-    for item in items:
-        if model.open_loop is not None and item.law is not None and _is_whole(item.law):
-            values[item.start : item.start + 2] = 1.0, (phase := model.open_loop.phase_rad_per_dps)
-            to_file[item.start + 1, starts[PHASE]] = phase * model.open_loop.spread
+    if (sine := model.open_loop) is not None:
+        at = _sine_of(items).start
+        values[at : at + 2] = 1.0, sine.phase_rad_per_dps
+        to_file[at + 1, starts[PHASE]] = sine.phase_rad_per_dps * sine.spread
     for name, columns in _since_power_on(model).items():
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] *= again
@@ -372,6 +371,11 @@ def _linear(law: Law) -> tuple[str, ...]:
 def _is_whole(law: Law) -> bool:
     """Whether it is the sine of an open loop at an amplitude of one."""
     return law.effect == SAGNAC_SINE.id and not law.shape
+
+
+def _sine_of(items: Sequence[_Item]) -> _Item:
+    """That of the sine of an open loop, which a file has once."""
+    return next(item for item in items if item.law is not None and _is_whole(item.law))
 
 
 def _hidden(items: Sequence[_Item], values: Floats) -> tuple[list[int], Floats]:

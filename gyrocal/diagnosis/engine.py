@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,19 +228,16 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients | None) 
         held.add(TRUNCATION.id)
     mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
     lacking = [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
-    return lacking if SAGNAC_SINE.id in mine else [*lacking, *map(_of_sine, _sines(written))]
+    return lacking if SAGNAC_SINE.id in mine else [*lacking, *_sines(written)]
 
 
-def _sines(written: Coefficients) -> list[tuple[float, Mapping[str, Any]]]:
-    """The largest rate, and the phase by it, of each sine of an open loop."""
+def _sines(written: Coefficients) -> list[Remark]:
+    """What is to be said of the sine of an open loop, whose phase is told by its largest rate."""
+    scale_dps = written.surface.rate_scale_dps
     laws = [term for term in written.terms if isinstance(term, Term) and term.effect == SAGNAC_SINE.id]
-    return [(written.surface.rate_scale_dps, law.parameters["phase_rad_per_dps"]) for law in laws]
-
-
-def _of_sine(sine: tuple[float, Mapping[str, Any]]) -> Remark:
-    rate_dps, phase = sine
-    facts = {"rate_dps": rate_dps, "phase_rad": rate_dps * phase["value"], "std_rad": rate_dps * phase["std"]}
-    return Remark(Said.SINE_WRITTEN, facts)
+    phases = [law.parameters["phase_rad_per_dps"] for law in laws]
+    facts = [{"phase_rad": scale_dps * p["value"], "std_rad": scale_dps * p["std"]} for p in phases]
+    return [Remark(Said.SINE_WRITTEN, {"rate_dps": scale_dps, **told}) for told in facts]
 
 
 def _sampling(series: Series, names: Sequence[NamedEffect]) -> list[Finding]:

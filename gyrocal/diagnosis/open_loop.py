@@ -17,6 +17,7 @@ from gyrocal.diagnosis.blocks import ODD
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.laws import effects_of
 from gyrocal.diagnosis.layers import NEGLIGIBLE, OpenLoop
+from gyrocal.diagnosis.parts import EVENLY
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.rate import SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE
@@ -31,8 +32,6 @@ _PHASES_RAD, _SIZES = (0.25, 1.45), (0.1, 10.0)
 _OWN_CUBIC = 0.1
 #: Ratio of a phase to the next one that is tried.
 _NEXT = 1.01
-#: Scaled rates at which shapes are compared.
-_EVENLY = np.linspace(-1.0, 1.0, 401)
 
 
 def with_open_loop(near: Sequence[Candidate]) -> list[Candidate]:
@@ -73,9 +72,9 @@ def _of_cubic(c: Candidate) -> OpenLoop | None:
     scale, solution = model.basis.frame.rate_scale_dps, c.fitted.solve()
     cubic_dps = model.legendre(solution)[SHAPE[1] * (SHAPE[0] - 1)]
     phases = np.geomspace(*_PHASES_RAD, 400) / scale
-    sines = np.column_stack([_sine(_EVENLY * scale, phase) for phase in phases])
-    # As smooth parts are freed of the surface: on a uniform grid.
-    cubics = legendre.legfit(_EVENLY, sines, SHAPE[0] - 1)[-1]
+    sines = np.column_stack([_sine(EVENLY * scale, phase) for phase in phases])
+    # As smooth parts are freed of the surface.
+    cubics = legendre.legfit(EVENLY, sines, SHAPE[0] - 1)[-1]
     if not cubics.min() < cubic_dps < cubics.max():
         return None
     phase = float(np.interp(-cubic_dps, -cubics, phases))
@@ -94,11 +93,11 @@ def given_back(sine: OpenLoop, phase: float, scale_dps: float) -> tuple[Floats, 
     The model is a straight line in the phase, the file has the sine itself: the cubic would be off by the square of the difference.
     Powers of the scaled rate from 0 on.
     """
-    rate_dps, known = _EVENLY * scale_dps, sine.phase_rad_per_dps
+    rate_dps, known = EVENLY * scale_dps, sine.phase_rad_per_dps
     line = _by_phase(rate_dps, known) / known
     off = _sine(rate_dps, phase) - _sine(rate_dps, known) - (phase - known) * line
     slope = _by_phase(rate_dps, phase) / phase - line
-    powers = np.polynomial.polynomial.polyfit(_EVENLY, np.column_stack([off, slope]), SHAPE[0] - 1)
+    powers = np.polynomial.polynomial.polyfit(EVENLY, np.column_stack([off, slope]), SHAPE[0] - 1)
     return np.asarray(powers[:, 0]), np.asarray(powers[:, 1])
 
 

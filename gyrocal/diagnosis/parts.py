@@ -31,6 +31,8 @@ EACH_RATE = "each rate"
 #: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
 Coil = tuple[float, float] | None
 
+#: Scaled rates at which shapes in rate are compared with the surface.
+EVENLY = np.linspace(-1.0, 1.0, 401)
 _LINEAR = Factor("linear")
 #: Driver of the time since power-on.
 _SINCE_ON = next(kind for kind, d in DRIVERS.items() if d.channel == "since_power_on_s")
@@ -230,7 +232,7 @@ def since_on(means: Means) -> Floats:
 
 def polynomials(columns: tuple[Column, ...], frame: Frame) -> Floats:
     """What the surface's polynomials take of memoryless columns, on a uniform grid: shape (12, p)."""
-    u, v = np.linspace(-1.0, 1.0, 401), np.linspace(-1.0, 1.0, 201)
+    u, v = EVENLY, np.linspace(-1.0, 1.0, 201)
     temps = frame.temp_center_c + frame.temp_scale_c * v
     rates = rate_factors(u * frame.rate_scale_dps, frame, (c.rate for c in (*columns, *SURFACE)))
     temperatures = temperature_factors(temps, frame, (c.temperature for c in (*columns, *SURFACE)))

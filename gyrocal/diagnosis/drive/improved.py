@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.findings import Scale, joint_estimate, told_estimate
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
-from gyrocal.diagnosis.drive.motions import ASYMMETRY_CHANGES
+from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries

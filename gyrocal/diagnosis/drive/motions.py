@@ -15,8 +15,6 @@ Floats = NDArray[np.float64]
 
 #: Gain by which a law is 20 times as likely as another: with less, either may have made the log.
 AS_LIKELY = 2.0 * float(np.log(20.0))
-#: What the difference of the wheels changes by from one drive to the next, relative: standard deviation.
-ASYMMETRY_CHANGES = 3e-4
 
 
 def of_motion(laws: Iterable[str]) -> list[str]:

@@ -10,6 +10,9 @@ from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import Gram
 from gyrocal.fusion.robot import BIAS_STD_DPS
 
+#: What the difference of the wheels changes by from one drive to the next, relative: standard deviation.
+ASYMMETRY_CHANGES = 3e-4
+
 
 def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
     """What the robot file knows of bias, track and asymmetry: mean and standard deviation of each.

@@ -25,7 +25,6 @@ from gyrocal.diagnosis.drive.laws import (
     strangers,
 )
 from gyrocal.diagnosis.drive.motions import (
-    ASYMMETRY_CHANGES,
     likely_motions,
     may_be_another,
     middling,
@@ -34,7 +33,7 @@ from gyrocal.diagnosis.drive.motions import (
     rather_warmed,
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
-from gyrocal.diagnosis.drive.prior import known_before, widened
+from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of, rough_bias_dps
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
@@ -261,8 +260,9 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
     again = answer.nameless and not answer.changed
     before = answer if again else None
     answer = answer if before is None else _examine(series, ahead_s, window_s, before)
-    moves = rather_moves(answer.told, answer.fitted, of_motion(answer.laws), GAIN)
-    if "asymmetry" not in answer.named or not moves:
+    if "asymmetry" not in answer.named:
+        return answer
+    if not rather_moves(answer.told, answer.fitted, of_motion(answer.laws), GAIN):
         return answer
     moving = _examine(series, ahead_s, window_s, before, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
     return moving if of_motion(moving.named) else answer
@@ -364,10 +364,12 @@ def _first(
     candidates: Sequence[str],
 ) -> tuple[Mapping[str, tuple[float, float]], Evidence, list[str]]:
     """What is known beforehand as the drive makes it likeliest, the evidence with that, and the laws that are chosen."""
-    chosen = _selected(free.knowing(known), least, candidates)
-    wider = widened(series, known, free.own, chosen)
+    told = free.knowing(known)
+    chosen = _selected(told, least, candidates)
+    if (wider := widened(series, known, free.own, chosen)) == known:
+        return known, told, chosen
     told = free.knowing(wider)
-    return wider, told, chosen if wider == known else _selected(told, least, candidates)
+    return wider, told, _selected(told, least, candidates)
 
 
 def _with_sure_jump(
