@@ -236,6 +236,8 @@ def _sines(written: Coefficients) -> list[Remark]:
     scale_dps = written.surface.rate_scale_dps
     laws = [term for term in written.terms if isinstance(term, Term) and term.effect == SAGNAC_SINE.id]
     phases = [law.parameters["phase_rad_per_dps"] for law in laws]
+    # Of a law at a share of its own the phase was not fitted with the cubic.
+    phases = [phase for phase in phases if phase["std"] > 0.0]
     facts = [{"phase_rad": scale_dps * p["value"], "std_rad": scale_dps * p["std"]} for p in phases]
     return [Remark(Said.SINE_WRITTEN, {"rate_dps": scale_dps, **told}) for told in facts]
 

@@ -268,3 +268,17 @@ def test_a_law_of_the_rate_that_is_named_and_not_written_is_told() -> None:
     told = _laws_written(named, file)
     assert [(r.said, r.facts["effect"]) for r in told] == [(Said.LAW_NOT_WRITTEN, "saturation")]
     assert _laws_written(named, None) == []
+
+
+@pytest.mark.parametrize(("std", "said"), [(2e-4, 1), (0.0, 0)])
+def test_only_a_whole_sine_is_said_to_be_in_the_file(std: float, said: int) -> None:
+    """A sine at a share of its own has no phase that follows from the cubic."""
+    phase = {"value": 0.005, "std": std, "unit": "rad per deg/s"}
+    amplitude = {"value": 1.0, "std": 0.0, "unit": "1"}
+    law = Term("sagnac_sine", {"amplitude": amplitude, "phase_rad_per_dps": phase}, True)
+    surface = Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0)
+    file = Coefficients({}, surface, np.zeros((12, 12)), Valid((-1.0, 1.0), (0.0, 1.0)), terms=(law,))
+    told = [r for r in _laws_written([], file) if r.said is Said.SINE_WRITTEN]
+    assert len(told) == said
+    for remark in told:
+        assert remark.facts == pytest.approx({"rate_dps": 100.0, "phase_rad": 0.5, "std_rad": 0.02})
