@@ -468,7 +468,7 @@ def test_a_truth_that_stands_still_says_nothing(resting: Robot) -> None:
 
 
 def test_truth_in_other_units_is_taken_as_such(resting: Robot) -> None:
-    plan = Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05)
+    plan = Plan("random", 2.0, 10.0, truth_m=0.02, truth_heading_deg=0.05)
     log = drive(plan, 3)
     plain = diagnose_drive("a.csv", log, resting)
     odd = replace(

@@ -159,9 +159,9 @@ def test_a_bias_that_jumps_and_stays_is_located_and_no_robot_file_holds_it(resti
 
 
 def test_a_jump_that_encoders_cannot_show_is_seen_by_the_truth(resting: Robot) -> None:
-    plan = replace(RESTS, shape="random", wheel_noise=0.01, turn_noise=0.05, truth_m=0.01, minutes=10.0)
+    plan = replace(RESTS, shape="random", wheel_noise=0.01, turn_noise=0.05, truth_m=0.01)
     log = drive(plan, 8)
-    jumped = replace(log, gyro_dps=log.gyro_dps + 0.02 * (log.t_s > 300.0))
+    jumped = replace(log, gyro_dps=log.gyro_dps + 0.02 * (log.t_s > 180.0))
     nothing = np.full(len(log), np.nan)
     unseen = examine("log", replace(jumped, truth_x_m=nothing, truth_y_m=nothing), resting, None)
     assert "jump" not in unseen.yaw.chosen
@@ -169,7 +169,7 @@ def test_a_jump_that_encoders_cannot_show_is_seen_by_the_truth(resting: Robot) -
     assert "time" in [p.coordinate for p in found.diagnosis.located if p.remains]
     assert found.diagnosis.effects == ()
     shape = found.yaw.laws["jump"].shape
-    assert shape["earliest_s"] <= 300.0 <= shape["latest_s"]
+    assert shape["earliest_s"] <= 180.0 <= shape["latest_s"]
     before, std = joint_estimate(found.yaw, found.truth, "jump")
     assert before == pytest.approx(-0.02, abs=3 * std)
     assert std < 0.004
@@ -212,7 +212,7 @@ def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(resting: Rob
 
 @pytest.mark.parametrize(
     ("slope", "seeds"),
-    [(0.0, range(1)), pytest.param(0.0, range(1, 8), marks=pytest.mark.slow), (1.5, range(1))],
+    [pytest.param(0.0, range(8), marks=pytest.mark.slow), (1.5, range(1))],
 )
 def test_encoders_and_truth_together_show_a_bias_that_neither_shows(
     slope: float, seeds: range, tmp_path: Path
@@ -272,7 +272,7 @@ def test_an_instant_outside_of_a_log_is_no_jump(resting: Robot) -> None:
 
 def test_a_gyro_that_lacks_turns_in_one_place_has_no_scale(resting: Robot) -> None:
     """As on a slope: seen by the truth, and by the encoders where the truth is too coarse to tell where."""
-    plan = replace(RESTS, shape="eights", minutes=10.0, truth_m=0.02, truth_heading_deg=0.2)
+    plan = replace(RESTS, shape="eights", minutes=5.0, truth_m=0.02, truth_heading_deg=0.2)
     log = drive(plan, 8)
     found = examine("log", log, resting, None)
     assert found.truth is not None
@@ -307,7 +307,10 @@ def test_a_jump_is_tried_beside_a_bias_in_motion(resting: Robot) -> None:
     assert "time" in found.yaw.odd
 
 
-@pytest.mark.parametrize(("shape", "truth_m"), [("square", 0.0), ("lawn", 0.0), ("square", 0.02)])
+@pytest.mark.parametrize(
+    ("shape", "truth_m"),
+    [("square", 0.0), ("lawn", 0.0), pytest.param("square", 0.02, marks=pytest.mark.slow)],
+)
 def test_a_wheel_that_changes_is_no_bias(shape: str, truth_m: float) -> None:
     """Told since when and by how much; at a steady speed a bias that comes and goes looks much like it."""
     plan = Plan(
