@@ -32,7 +32,7 @@ from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.scatter import PARTS
 from gyrocal.physics.surface import Direction
-from gyrocal.records.csvio import read_header
+from gyrocal.records.datasets import nominal_scales
 from gyrocal.units import DPS_TO_DPH, plural
 
 Floats = NDArray[np.float64]
@@ -132,18 +132,7 @@ def configs(paths: Sequence[Path], counts_per_dps: float | None) -> list[FitConf
     InputError
         A scale is given, and no table is in counts.
     """
-    counted = [_in_counts(path) for path in paths]
-    if counts_per_dps is not None and not any(counted):
-        raise InputError("None of the recordings is in counts; leave --counts-per-dps out.")
-    return [FitConfig(counts_per_dps if counts else None) for counts in counted]
-
-
-def _in_counts(path: Path) -> bool:
-    # What is wrong with a recording is said where it is read.
-    try:
-        return not path.is_dir() and "gyro_counts" in read_header(path)
-    except InputError:
-        return False
+    return [FitConfig(scale) for scale in nominal_scales(paths, counts_per_dps)]
 
 
 def calibrate(path: Path, config: FitConfig) -> Calibration:

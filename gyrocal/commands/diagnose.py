@@ -23,7 +23,7 @@ from gyrocal.diagnosis.versus.drive import drive_versus
 from gyrocal.errors import InputError, LimitError, ProfileError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.planning.next_experiment import propose, to_toml
-from gyrocal.records.datasets import DataSetTable, read_data_sets
+from gyrocal.records.datasets import DataSetTable, nominal_scales, read_data_sets
 from gyrocal.records.drive_source import Reading, read_drive
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.robot import format_robot, read_robot
@@ -37,6 +37,7 @@ from gyrocal.report.page import Picture, Table
 from gyrocal.report.sentences import document
 from gyrocal.report.versus import LAW_JSON, law_files, told
 from gyrocal.report.versus_drive import drive_law_file, drive_told
+from gyrocal.report.versus_figure import versus_picture
 
 #: Share done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]
@@ -95,9 +96,9 @@ def write_diagnosis(config: DiagnoseConfig, progress: Progress) -> DiagnoseResul
         raise InputError(
             f"{config.recording}: --columns, --topic and --axis are for drive logs. State the robot file with --robot."
         )
-    source = _read(config.recording, config.counts_per_dps)
     if config.simulation is not None:
-        return _write_versus(config, source, config.simulation, progress)
+        return _write_versus(config, config.simulation, progress)
+    source = _read(config.recording, config.counts_per_dps)
     coefficients, notes = _model(config, source)
     progress(0.1, "examine")
     found = diagnose(source, coefficients, Options(seed=config.seed))
@@ -175,17 +176,18 @@ def _write_drive(config: DiagnoseConfig, robot_file: Path, progress: Progress) -
     return DiagnoseResult(diagnosis, config.out, tuple(files), said)
 
 
-def _write_versus(
-    config: DiagnoseConfig, source: Run | DataSetTable, simulation: Path, progress: Progress
-) -> DiagnoseResult:
+def _write_versus(config: DiagnoseConfig, simulation: Path, progress: Progress) -> DiagnoseResult:
     if config.coefficients is not None:
         raise InputError(
             f"{config.coefficients}: --simulation says what the recording is compared with. Leave --coefficients out."
         )
-    simulated = series_of(simulation)
-    others = [series_of(_read(path, config.counts_per_dps)) for path in config.others]
+    paths = [config.recording, simulation, *config.others]
+    recording, simulated, *others = (
+        series_of(_read(path, scale))
+        for path, scale in zip(paths, nominal_scales(paths, config.counts_per_dps), strict=True)
+    )
     progress(0.1, "match and examine")
-    answer = versus(series_of(source), simulated, Options(seed=config.seed))
+    answer = versus(recording, simulated, Options(seed=config.seed))
     said, files, more = told(answer), law_files(answer), []
     if others:
         answers = [answer]
@@ -198,7 +200,9 @@ def _write_versus(
         more = [between_table(answers, compared)]
     # Coefficients of the difference are none of a gyro, and no robot must take them for such.
     found = replace(answer.diagnosis, surface=None, improved=None, notes=(*said, *answer.diagnosis.notes))
-    drawn = figures(found)
+    # The simulation is the user's, and not the surface alone.
+    _, *rest_drawn = figures(found)
+    drawn = [versus_picture(answer), *rest_drawn]
     provenance = _provenance(config) | {"coefficients": "none", "simulation": simulation.name}
     files |= diagnosis_files(found, drawn, provenance, progress, more, said[0], said)
     write_directory(config.out, files)

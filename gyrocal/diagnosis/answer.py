@@ -31,8 +31,8 @@ from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
 
-#: A law that the search of a table put in has a name where every model without it is worse by this, nats, beyond what laws
-#: pay there: odds of 12 to 1. Of seven laws with less on 48 recordings five were there.
+#: A law that the search of a table chose has a name only where the best model without it is worse by this, nats, with what laws
+#: pay there counted in: odds of 12 to 1. Of seven laws with less on 48 recordings five were there.
 _NAMED_BEYOND_TOLL = 2.5
 
 
@@ -118,7 +118,7 @@ def _effect(
 def _law(found: Examination, named: Named) -> NamedEffect:
     blocks = found.model.blocks
     own = [n for n, b in blocks.items() if b == named.block]
-    known = estimates.of_law(found.naming.fitted, named.law, found.laws, own)
+    known = estimates.of_law(found.naming.fitted.granting_noise(), named.law, found.laws, own)
     p = min(1.0, named.trials * float(chi2.sf(2.0 * max(named.gain, 0.0), named.law.columns.shape[1])))
     share = min(named.share, 1.0) if own else 1.0
     return _effect(found, named.law.effect, known.parameters, p, named.rivals, share, known.adds)
@@ -194,7 +194,7 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     fitted = found.ranked[0].fitted
     shaped = estimates.reshaped(fitted, found.laws)
     law = shaped.model.laws[fitted.model.laws.index(searched.law)]
-    known = estimates.of_law(shaped, law, found.laws, [])
+    known = estimates.of_law(shaped.granting_noise(), law, found.laws, [])
     return _effect(found, searched.effect, known.parameters, p, searched.rivals, adds=known.adds)
 
 
@@ -210,7 +210,7 @@ def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
         nats = fitted.refit(fitted.model.without_laws([s.law.name])).nll - fitted.nll
         if block_p_value(nats, len(BLOCKS)) > level:
             continue
-        adds = estimates.of_law(fitted, s.law, found.laws, []).adds
+        adds = estimates.of_law(fitted.granting_noise(), s.law, found.laws, []).adds
         effect = CATALOGUE[s.effect]
         taken = effect.runtime and (s.effect != WARM_UP.id or found.comes_again > 0.5)
         near = {s.effect: 0.0, **{e: max(left, 0.0) for e, left in s.rivals.items()}}

@@ -126,8 +126,7 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
     if draws is None or not odd:
         return fitted
     without = fitted.model.without(odd)
-    other = replace(without, components={**without.components, draws.name: draws})
-    found = fitted.refit(other)
+    found = fitted.refit(without.with_components(draws))
     return found if found.nll <= fitted.nll + REPLACED else fitted
 
 

@@ -58,9 +58,10 @@ _BEAM, _ROUNDS = 3, 6
 TOLL_NATS = 3.0
 #: One that is not of one time constant, sudden or straight pays this beside: of two that explain as much the plain one.
 _ODD_NATS = 1.5
-#: What laws pay by which each other and the surface cancel, for each time that they add up to what the record shows.
+#: Where laws cancel each other or the surface they pay this, nats, for each multiple of what the record shows by which their
+#: sizes together exceed it.
 _CANCELLED_NATS = 2.0
-#: And the first one this: beside none, what else has a name goes into the file by its law and not as smooth parts.
+#: The first law pays this beside: without any, what has a name is written as its law and not as smooth parts.
 _FIRST_NATS = 1.0
 #: Models of so many sets of laws are fitted beside smooth parts, and without the laws that those can stand for.
 _BESIDE_SMOOTH = 3
@@ -189,7 +190,8 @@ class TableSearch:
         nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true.
         """
         best = ranked[0].fitted
-        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e)]
+        # A file holds a law of one amplitude.
+        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e) if t.columns.shape[1] == 1]
         won = best_law(best, best, _OF_RATE, trials, laws)
         if won is None:
             return []
@@ -226,8 +228,10 @@ class TableSearch:
     def _with_draws(self, c: Candidate, block: str, draws: Sequence[Component], saved: float) -> Candidate:
         """A model with errors of each rate in place of a block of shapes in rate, for which it paid."""
         plain = c.fitted.model.without(self._shapes(c.fitted.model, block))
-        plain = replace(plain, components={**plain.components, **{d.name: d for d in draws}})
-        fitted = c.fitted.refit(plain, start={**c.fitted.fit.log_variance, **{d.name: START for d in draws}})
+        fitted = c.fitted.refit(
+            plain.with_components(*draws),
+            start={**c.fitted.fit.log_variance, **{d.name: START for d in draws}},
+        )
         return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - saved)
 
     def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
@@ -236,7 +240,7 @@ class TableSearch:
         means, frame = self.base.means, self.base.basis.frame
         more = [*drifts(means, frame), *(c for c in passing(means, frame) if c.name == "scale walk")]
         model = near.model.with_parts(parts)
-        fitted = near.refit(replace(model, components={**model.components, **{c.name: c for c in more}}))
+        fitted = near.refit(model.with_components(*more))
         paid = self._toll(coil, changes) + TOLL_NATS + (0.0 if coil or changes else _FIRST_NATS)
         smooth = [p.name for p in parts] + [c.name for c in more if c.columns is not None]
         paid += _CANCELLED_NATS * self._cancelled(fitted, smooth)

@@ -121,17 +121,26 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
     again = found.comes_again
     items, total = _items([(f.model, s) for _, f, s in solved], again)
-    each = [(w, _estimate(f.model, s, items, total, again)) for w, f, s in solved]
+    # What may come again or not is known no better than the two states differ.
+    states = [(again, True), (1.0 - again, False)] if again >= _OVER else [(1.0, False)]
+    each = [
+        (w * chance, _estimate(f.model, s, items, total, comes))
+        for w, f, s in solved
+        for chance, comes in states
+        if chance > 0.0
+    ]
     mean, covariance = mixed([(w, e.values, e.covariance) for w, e in each])
-    first = models[0][1]
-    # What the variances add is much the same in models so near to each other.
-    widened = _estimate(first.model, first.solve(widened=True), items, total, again)
-    covariance += widened.covariance - each[0][1].covariance
+    first, comes = models[0][1], again > 0.5
+    # What the variances add is much the same in models so near to each other, and in either state.
+    plain, widened = (
+        _estimate(first.model, s, items, total, comes) for s in (solved[0][2], first.solve(widened=True))
+    )
+    covariance += widened.covariance - plain.covariance
     mean, covariance = _with_sine(first.model, items, mean, covariance)
     place, hidden_dps = _hidden(items, mean)
     covariance[np.ix_(place, place)] = np.outer(hidden_dps, hidden_dps)
     frame = first.model.basis.frame
-    direction: Direction = "output" if first.model.direction == "output" else "input"
+    direction: Direction = "output" if all(f.model.direction == "output" for _, f in models) else "input"
     surface = Surface(
         mean[:_TERMS].reshape(SHAPE),
         0.0,
@@ -237,6 +246,11 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
     found: list[_Item] = []
     place = _TERMS
     known: set[str] = set()
+    if len({model.direction == "output" for model, _ in models}) > 1:
+        # Surfaces of the output have a mean with those of the input only as what the latter lack of the former.
+        known.add(DIRECTION)
+        found.append(_Item(DIRECTION, None, None, place, 1))
+        place += 1
     for model, solution in models:
         least = NEGLIGIBLE * float(np.std(solution.left))
         laws = _lasting(model)
@@ -275,14 +289,12 @@ def _lasting(model: Model) -> dict[str, list[tuple[Law, float]]]:
     }
 
 
-def _estimate(
-    model: Model, solution: Solution, items: Sequence[_Item], total: int, again: float
-) -> _Estimate:
+def _estimate(model: Model, solution: Solution, items: Sequence[_Item], total: int, again: bool) -> _Estimate:
     """Parameters of the file from the amplitudes of one model: linear, so that the covariance follows.
 
     Parameters
     ----------
-    again : probability that what follows the time since power-on comes again; else it is held where it was last
+    again : whether what follows the time since power-on comes again; else it is held where it was last
     """
     amplitudes = np.concatenate([solution.flat, *(solution.amplitudes[n] for n in solution.order)])
     starts = solution.starts
@@ -317,12 +329,17 @@ def _estimate(
         at = _sine_of(items).start
         values[at : at + 2] = 1.0, sine.phase_rad_per_dps
         to_file[at + 1, starts[PHASE]] = sine.phase_rad_per_dps * sine.spread
-    for name, columns in _since_power_on(model).items():
+    for name, columns in {} if again else _since_power_on(model).items():
         mine = slice(starts[name], starts[name] + columns.shape[1])
-        to_file[_TERMS:, mine] *= again
-        to_file[0, mine] += (1.0 - again) * columns[-1]
+        to_file[_TERMS:, mine] = 0.0
+        to_file[0, mine] += columns[-1]
+    for name, (constant, share) in _held(model).items():
+        to_file[0, starts[name]] += constant
+        to_file[SHAPE[1], starts[name]] += share
+    if model.direction == "output" and DIRECTION in place:
+        values[place[DIRECTION]] = 1.0
     values += to_file @ amplitudes
-    values[:_TERMS] += _end_state(model, solution)
+    values[:_TERMS] += _end_of_walks(model, solution)
     return _Estimate(values, to_file @ solution.covariance @ to_file.T)
 
 
@@ -337,8 +354,24 @@ def _since_power_on(model: Model) -> dict[str, Floats]:
     return laws | {n: columns for n, columns in parts.items() if columns is not None}
 
 
-def _end_state(model: Model, solution: Solution) -> Floats:
-    """What passes as it stands at the end of the record: a constant and a share of the rate, shape (12,)."""
+def _held(model: Model) -> dict[str, tuple[float, float]]:
+    """Laws of time as they stand at the end of the record, at an amplitude of one: a constant and a share of the rate."""
+    means, scale = model.means, model.basis.frame.rate_scale_dps
+    t = np.full(2, means.to_s[-1])
+    temp = np.full(2, means.temp_c[-1])
+    c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.series.t_s[0])
+    found = {}
+    for law in model.laws:
+        effect = CATALOGUE[law.effect]
+        if law.from_end or effect.runtime or BLOCKS["bias in time"].family != effect.family:
+            continue
+        standing, turning = effect.unit_dps(c, law.shape, None).tolist()
+        found[law.name] = standing, turning - standing
+    return found
+
+
+def _end_of_walks(model: Model, solution: Solution) -> Floats:
+    """Where bias and scale factor have walked to at the end of the record: a constant and a share of the rate, shape (12,)."""
     means, scale = model.means, model.basis.frame.rate_scale_dps
     constant = float(solution.random["bias walk"][-1]) if "bias walk" in solution.random else 0.0
     share = 0.0
@@ -346,16 +379,6 @@ def _end_state(model: Model, solution: Solution) -> Floats:
     if walk is not None:
         turning = np.flatnonzero(means.rate_dps != 0.0)
         share += float(walk[turning[-1]] / means.rate_dps[turning[-1]] * scale)
-    t = np.full(2, means.to_s[-1])
-    temp = np.full(2, means.temp_c[-1])
-    for law in model.laws:
-        effect = CATALOGUE[law.effect]
-        if law.from_end or effect.runtime or BLOCKS["bias in time"].family != effect.family:
-            continue
-        c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.t_s[0])
-        at_end = effect.unit_dps(c, law.shape, None) * solution.amplitudes[law.name][0]
-        constant += float(at_end[0])
-        share += float(at_end[1] - at_end[0])
     found = np.zeros(_TERMS)
     found[0], found[SHAPE[1]] = constant, share
     return found

@@ -77,7 +77,8 @@ class Options:
     Attributes
     ----------
     false_alarm_rate : float
-        Family-wise rate at which an effect may be named where there is none.
+        Family-wise rate of patterns within a data set, places and parts without a name where there is nothing; a law has a
+        name by its evidence, `gyrocal.diagnosis.laws.GAIN`, whatever this is.
     seed : int
         Of the bootstrap.
     heldout : bool
@@ -259,7 +260,7 @@ def _explained_scatter(scatter: list[Located], names: list[NamedEffect]) -> list
     """Scatter that a named effect brings with it is no excess of its own."""
     if not any(CATALOGUE[e.effect].search.scatters for e in names):
         return scatter
-    return [s for s in scatter if s.coordinate in ("rate", "data_set_index", "time")]
+    return [s for s in scatter if s.coordinate not in ("rate", "data_set_index", "time")]
 
 
 def _found(finding: Finding) -> NamedEffect:

@@ -90,12 +90,14 @@ class _Beside:
         return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)]
 
     def of(self, columns: Floats) -> Point:
-        """The point of a law's columns; of two amplitudes, a cosine's and a sine's, the root of the sum of squares counts."""
+        """The point of a law's columns; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""
         information = columns.T @ self.precision @ columns
         covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
         b = covariance @ (columns.T @ self.score)
-        size = float(np.hypot(*b)) if b.size == 2 else float(b[0])
-        along = b / size if b.size == 2 else np.ones(1)
+        size, along = float(b[0]), np.eye(b.size)[0]
+        if b.size == 2 and any(p.name == "phase_rad" for p in self.effect.parameters):
+            size = float(np.hypot(*b))
+            along = b / size
         std = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
         loss = -float(columns.T @ self.score @ b)
         if not std:

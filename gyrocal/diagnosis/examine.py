@@ -208,14 +208,14 @@ def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] =
     """
     base, first = search.base, ranked[0].fitted
     # Sweeps of one sign follow each other: what is to be named must stand beside a scale factor that wanders.
-    drifting = {c.name: c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE}
-    best = alive(first.refit(replace(first.model, components={**first.model.components, **drifting})))
+    drifting = [c for c in passing(base.means, base.basis.frame) if c.name in WANDERING_SCALE]
+    best = alive(first.refit(first.model.with_components(*drifting)))
     laws = laws_of(base.means, surface_of(best.model, best.solve()))
     settled, worth = present(errors_of_each_rate(settle_direction(best), draws_of(base)))
-    beside = replace(settled.model, components={**settled.model.components, **drifting})
+    beside = settled.model.with_components(*drifting)
     plain = _plain(worth, search, ranked, laws)
     naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws, held)
-    idle = [n for n in drifting if n not in settled.model.components]
+    idle = [c.name for c in drifting if c.name not in settled.model.components]
     return _Round(search, ranked, best, worth, plain, naming, laws, idle)
 
 

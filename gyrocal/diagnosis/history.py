@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from gyrocal.inference.course import Course, smooth_course
+from gyrocal.units import S_PER_MIN
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +52,9 @@ class TemperatureHistory:
 
     def as_read(self, t_s: Floats, temp_c: Floats) -> TemperatureHistory:
         """The same with readings that are the temperature, scatter and all, straight between them."""
-        return replace(self, temp_c=np.interp(self.t_s, t_s, temp_c), course=None)
+        here_c = np.interp(self.t_s, t_s, temp_c)
+        slope = S_PER_MIN * np.gradient(here_c, self.t_s)
+        return replace(self, temp_c=here_c, rate_c_per_min=slope, course=None)
 
     def lagged_at(self, tau_s: float, t_s: Floats) -> Floats:
         """Temperature behind a first-order lag, ``tau dT_in/dt = T - T_in``, at times, deg C.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gyrocal.diagnosis.layers import free_terms
+from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
@@ -19,6 +21,7 @@ from gyrocal.records.scale import (
     stray_rows,
     unclipped,
 )
+from gyrocal.units import plural
 
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1
@@ -44,6 +47,13 @@ def check_inputs(
     if len(series) < FEWEST_ROWS:
         raise DataError(
             f"{series.name}: has {len(series)} rows; a diagnosis needs at least {FEWEST_ROWS}. Record longer."
+        )
+    means, terms = len(means_of(series)), len(free_terms(series))
+    if means <= terms:
+        raise DataError(
+            f"{series.name}: has {means} {plural(means, '[data set|data sets]')}, and the surface of its rates and "
+            f"temperatures has {terms} {plural(terms, '[term|terms]')} that nothing holds; a diagnosis needs at least "
+            f"{terms + 1} data sets. Record more."
         )
     columns = series.rate_dps, series.gyro_dps, series.temp_c
     odds = odd_columns(*columns, series.copies, series.set_index + 1, lines=series.is_table, ideal=ideal)

@@ -123,7 +123,7 @@ def shapes_within(interval: Interval) -> Floats:
 
 
 def amplitude_interval(points: Sequence[Point]) -> Interval:
-    """Interval of an amplitude that is traded against shapes: each shape allows for what it loses less.
+    """Interval of an amplitude that is traded against shapes: each shape may add as much as its own loss leaves of 3.84.
 
     The first point is the one whose amplitude is stated, and lies inside.
     """
@@ -141,11 +141,11 @@ def amplitude_interval(points: Sequence[Point]) -> Interval:
 def _crossing(loss: Callable[[float], float], floor: float, best: float, ratio: float, limit: float) -> float:
     inside, outside = best, best
     for _ in range(8):
-        outside = inside * ratio
-        if (ratio < 1.0) == (outside < limit):
-            return limit
+        outside = max(inside * ratio, limit) if ratio < 1.0 else min(inside * ratio, limit)
         if loss(outside) - floor > RISE_95:
             break
+        if outside == limit:
+            return limit
         inside = outside
     else:
         return outside

@@ -49,8 +49,7 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     passes : what passes, that may have died in `fitted` and is to stand beside each jump
     """
     found: list[Jump] = []
-    beside = {c.name: c for c in passes}
-    wide = fitted.refit(replace(fitted.model, components={**fitted.model.components, **beside}))
+    wide = fitted.refit(fitted.model.with_components(*passes))
     while True:
         tried = [_best(wide, laws, effect) for effect in (BIAS_STEP.id, SCALE_STEP.id)]
         gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
@@ -62,7 +61,8 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
         wide = new
     if not found:
         return fitted, []
-    kept = {n: c for n, c in wide.model.components.items() if n in fitted.model.components or n in beside}
+    stays = {*fitted.model.components, *(c.name for c in passes)}
+    kept = {n: c for n, c in wide.model.components.items() if n in stays}
     model = replace(wide.model, components=kept)
     return Fitted(model.alive(wide.fit), wide.fit, wide.contrasts), found
 

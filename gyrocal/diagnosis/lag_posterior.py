@@ -16,6 +16,7 @@ from gyrocal.diagnosis.coil import LAG_BOUNDS_S, Candidate
 from gyrocal.diagnosis.intervals import holding
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate
+from gyrocal.physics.thermal import THERMAL_LAG
 
 Floats = NDArray[np.float64]
 
@@ -67,13 +68,14 @@ def _posterior(candidate: Candidate) -> Floats:
     here = _whitened(lower, replace(model.basis, coil=None).surface(), columns, weight)
     log = np.empty((_LAGS_S.size, _SHARES.size))
     for i, tau_s in enumerate(_LAGS_S.tolist()):
+        before = THERMAL_LAG.search.nats_before({"tau_s": tau_s})
         there = _whitened(lower, replace(model.basis, coil=(1.0, tau_s)).surface(), columns, weight)
         for j, share in enumerate(_SHARES.tolist()):
             x = (1.0 - share) * here + share * there
             information, b = x.T @ x + np.diag(prior), x.T @ y
             root = linalg.cholesky(information, lower=True)
             log[i, j] = 0.5 * float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
-            log[i, j] -= float(np.sum(np.log(np.diag(root))))
+            log[i, j] += before - float(np.sum(np.log(np.diag(root))))
     found = np.exp(log - log.max())
     return np.asarray(found / found.sum())
 

@@ -111,11 +111,8 @@ def likeliest(effect: Effect, size: float, std: float) -> tuple[float, float]:
 
 
 def laws_of(means: Means, surface: Surface) -> Laws:
-    """Laws at the rows of a record; of samples, with the temperature rate that a robot derives from them."""
-    c = conditions_of(means.series)
-    if not means.series.is_table:
-        c = replace(c, temp_rate_c_per_s=None)
-    return Laws(means, c, offer_of(means.series), surface)
+    """Laws at the rows of a record."""
+    return Laws(means, conditions_of(means.series), offer_of(means.series), surface)
 
 
 def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:

@@ -23,6 +23,7 @@ from gyrocal.diagnosis.parts import (
     slope_by_temperature,
     staying,
 )
+from gyrocal.diagnosis.series import Series
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
 from gyrocal.inference.rounding import harmonic
@@ -131,10 +132,10 @@ class Model:
     design : ndarray, shape (n, 12)
         Surface at the rows (of the coil's temperature, where that is in the model), over the output where it is one
         of the output.
-    parts : mapping
-        Name to component, of what stays, by `blocks`; surface included.
-    passing : mapping
-        The same of what passes.
+    parts : tuple of Part
+        What stays, the surface's own terms included.
+    components : mapping
+        Name to component: those of the parts, noise, and what passes.
     laws : tuple of Law
     flat : tuple of int
         Terms of the surface that are free: those of `FLAT` that the record carries.
@@ -245,8 +246,12 @@ class Model:
 
     def with_parts(self, parts: Sequence[Part]) -> Model:
         """The same with further parts that stay."""
-        more = {p.name: self.basis.component(p) for p in parts}
-        return replace(self, parts=(*self.parts, *parts), components={**self.components, **more})
+        more = [self.basis.component(p) for p in parts]
+        return replace(self.with_components(*more), parts=(*self.parts, *parts))
+
+    def with_components(self, *more: Component) -> Model:
+        """The same with further components, or with others in the place of those of their names."""
+        return replace(self, components={**self.components, **{c.name: c for c in more}})
 
     def without(self, names: Sequence[str]) -> Model:
         """The same less some components."""
@@ -299,6 +304,16 @@ class Fitted:
         wide = additive.widened(m.error_dps, m.design[:, m.flat], m.all, variance, found)
         return replace(found, covariance=wide)
 
+    def granting_noise(self) -> Fitted:
+        """The same with noise that seems to be none as large as it may be expected: what intervals have to allow for."""
+        m = self.model
+        parts = {*(p.name for p in m.parts), *(law.name for law in m.laws), DIRECTION}
+        names = [c.name for c in m.all if c.name not in parts and c.held is None and self.has_died(c.name)]
+        logs = self.contrasts.expected(m.all, self.fit.log_variance, names)
+        return replace(
+            self, fit=replace(self.fit, log_variance=logs, variance=self.contrasts.variances(m.all, logs))
+        )
+
     def has_died(self, name: str) -> bool:
         """Whether a component adds nothing."""
         return _has_died(self.fit, name)
@@ -330,6 +345,12 @@ def contrasts_of(model: Model, like: Contrasts | None = None, designs: Sequence[
     return Contrasts(model.error_dps, flat, span, whole)
 
 
+def free_terms(series: Series) -> tuple[int, ...]:
+    """Coefficients of the surface that nothing shrinks, of those that a record can tell apart."""
+    carried = carried_terms(series)
+    return tuple(k for k in FLAT if k in carried)
+
+
 def full_model(means: Means, *, memory: bool = True) -> Model:
     """Everything that a calibration may contain."""
     basis = Basis(means, frame_of(means))
@@ -346,9 +367,8 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     left = means.error_dps - design @ rough
     components |= {c.name: c for c in of_thermometer(means, basis.frame, rough)}
     components |= {c.name: c for c in of_steps(means, design, rough)} if memory else {}
-    flat = tuple(k for k in FLAT if k in carried)
     wide = _WIDE * float(np.mean(left**2))
-    return Model(means, basis, design, parts, components, law_variance=wide, flat=flat)
+    return Model(means, basis, design, parts, components, law_variance=wide, flat=free_terms(means.series))
 
 
 def of_thermometer(means: Means, frame: Frame, surface: Floats) -> list[Component]:

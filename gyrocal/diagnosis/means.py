@@ -33,7 +33,7 @@ class Means:
     from_s, to_s : when the row begins and ends; the same for a row of a table
     error_dps : gyro minus reference
     white_dps : relative size of the row's white noise
-    source : row of the series that stands for it (channels that hardly change within a row)
+    group : row of these that each row of the series goes into, shape (rows of the series,)
     """
 
     series: Series

@@ -83,8 +83,8 @@ def _of_rate(law: Law) -> bool:
 def _beside(fitted: Fitted, misfits: Mapping[str, Floats]) -> Fitted:
     if not misfits:
         return fitted
-    more = {f"misfit of {n}": Component(f"misfit of {n}", columns) for n, columns in misfits.items()}
-    return fitted.refit(replace(fitted.model, components={**fitted.model.components, **more}))
+    more = [Component(f"misfit of {n}", columns) for n, columns in misfits.items()]
+    return fitted.refit(fitted.model.with_components(*more))
 
 
 def _misfit(law: Law, fitted: Fitted, laws: Laws) -> Floats:

@@ -178,7 +178,8 @@ def _unseen(
         if any(CATALOGUE[n.law.effect].family == BLOCKS[block].family for n in named):
             continue
         beside = _beside(fitted, passes) if passes and not BLOCKS[block].stays else fitted
-        trials = [t for e in effects_of(block) for t in laws.trials(e)]
+        # No smooth part would stand in the file for a law of two amplitudes, which a file cannot hold.
+        trials = [t for e in effects_of(block) for t in laws.trials(e) if t.columns.shape[1] == 1]
         best = best_law(beside, beside, block, trials, laws)
         gain = 0.0 if best is None else beside.nll - best.fitted.nll
         if best is not None and gain >= best.least_nats:
@@ -200,8 +201,7 @@ def _with_laws(fitted: Fitted, more: Sequence[Law]) -> Fitted:
 
 def _beside(fitted: Fitted, passes: Sequence[Component]) -> Fitted:
     """The model with what passes, that may have died where something else took its place."""
-    components = {**fitted.model.components, **{c.name: c for c in passes}}
-    return fitted.refit(replace(fitted.model, components=components))
+    return fitted.refit(fitted.model.with_components(*passes))
 
 
 def _as_fitted(named: list[Named], before: Fitted, fitted: Fitted) -> list[Named]:

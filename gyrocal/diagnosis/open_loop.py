@@ -53,9 +53,7 @@ def _beside(c: Candidate, sine: OpenLoop) -> Candidate:
     model = c.fitted.model
     shapes = [n for n, block in model.blocks.items() if block == ODD]
     rest = model.without(shapes)
-    phase = sine.component
-    whole = replace(rest, open_loop=sine, components={**rest.components, phase.name: phase})
-    fitted = c.fitted.refit(whole)
+    fitted = c.fitted.refit(replace(rest.with_components(sine.component), open_loop=sine))
     return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - _in_favour())
 
 

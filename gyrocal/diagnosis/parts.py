@@ -227,7 +227,7 @@ def slope_by_temperature(rate_dps: Floats, temp_c: Floats, frame: Frame, surface
 def since_on(means: Means) -> Floats:
     """Time since power-on; since the record began where nobody says."""
     known = means.since_power_on_s
-    return means.t_s - means.t_s[0] if known is None else known
+    return means.t_s - means.series.t_s[0] if known is None else known
 
 
 def polynomials(columns: tuple[Column, ...], frame: Frame) -> Floats:

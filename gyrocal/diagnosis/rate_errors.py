@@ -12,8 +12,6 @@ Jaakkola and Jordan, Stat. Comput. 10 (2000): a bound of the evidence from the d
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, gammaln
@@ -50,13 +48,12 @@ def with_tails(full: Model, fitted: Fitted) -> tuple[Model, Fitted]:
         share = (_FREEDOM + excess) / (_FREEDOM + 1.0)
         share /= np.mean(share)
         tailed = Component(EACH_RATE, plain.columns * np.sqrt(share), toll=float(np.sum(toll(excess))))
-        here = here.refit(replace(here.model, components={**here.model.components, EACH_RATE: tailed}))
+        here = here.refit(here.model.with_components(tailed))
         best = min(best, here, key=lambda f: f.nll)
         if here.nll > before - _GAINS:
             break
         before = here.nll
-    tailed = best.model.components[EACH_RATE]
-    return replace(full, components={**full.components, EACH_RATE: tailed}), best
+    return full.with_components(best.model.components[EACH_RATE]), best
 
 
 def largest(fitted: Fitted) -> list[tuple[float, float, float]]:

@@ -87,3 +87,16 @@ class Remark:
 
 #: A remark, or what the reader of a file has said of it in its own words.
 Note = Remark | str
+
+#: What is said of the improved coefficients; a difference of two recordings has a law in their place.
+OF_COEFFICIENTS = frozenset(
+    {
+        Said.NOT_WRITTEN,
+        Said.LAW_NOT_WRITTEN,
+        Said.SINE_WRITTEN,
+        Said.OPEN_SINCE_POWER_ON,
+        Said.NO_SURE_GAIN,
+        Said.NO_INVERSE,
+        Said.TOO_FEW_TO_WRITE,
+    }
+)

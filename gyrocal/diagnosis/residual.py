@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import DIRECTION, beyond_input
+from gyrocal.diagnosis.layers import beyond_input
 from gyrocal.diagnosis.means import rows_of
 from gyrocal.diagnosis.parts import BLOCKS, Basis
 from gyrocal.diagnosis.series import Series
@@ -49,12 +49,8 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
     model, solution = fitted.model, fitted.solve()
     rows = Basis(rows_of(found.series), model.basis.frame, model.basis.coil)
     total = rows.surface() @ model.legendre(solution)
-    if model.bend is not None:
-        beyond = beyond_input(rows, model.bend)
-        if model.direction == "output":
-            total += beyond @ model.legendre(solution)
-        elif DIRECTION in solution.amplitudes:
-            total += beyond @ model.bend * float(solution.amplitudes[DIRECTION][0])
+    if model.bend is not None and model.direction == "output":
+        total += beyond_input(rows, model.bend) @ model.legendre(solution)
     curves = {b: block_curve(fitted, solution, b, rows) for b in BLOCKS}
     total += sum(curves.values(), np.zeros(len(series)))
     effects = {p.effect: p.values for p in found.patterns}

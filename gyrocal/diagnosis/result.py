@@ -228,7 +228,7 @@ class UnnamedPart:
     nearest : mapping
         Laws to how much evidence they leave of it, nats.
     corrected : bool
-        Whether the improved coefficients take it away.
+        Whether the improved coefficients, or of a difference the law, have it.
     """
 
     coordinate: str

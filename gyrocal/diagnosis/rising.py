@@ -80,11 +80,10 @@ def _by_law(fitted: Fitted, zone: Law | None) -> Fitted:
         found = fitted.refit(each)
         if found.nll <= fitted.nll + REPLACED:
             return found
-    held = {law.name: model.law_component(law) for law in model.laws if law.effect == DEAD_ZONE.id}
+    held = [model.law_component(law) for law in model.laws if law.effect == DEAD_ZONE.id]
     if not held:
         return fitted
-    kept = model.without_laws(list(held))
-    return replace(fitted, model=replace(kept, components={**kept.components, **held}))
+    return replace(fitted, model=model.without_laws([c.name for c in held]).with_components(*held))
 
 
 def _less_zones(fitted: Fitted) -> list[Model]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.stats import chi2, norm, poisson
 
 from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -110,7 +110,8 @@ def outlier_findings(series: Series) -> list[Finding]:
     if count < FEWEST_OUTLIERS:
         return []
     expected = series.raw.samples * 2.0 * float(norm.sf(_COUNTED_FROM_SIGMAS))
-    p = float(chi2.sf(2.0 * count, 2)) if expected < 1 else 0.5
+    # Tails far out are not those of a Gaussian to the last digit: where none is expected, each counts as one in e.
+    p = float(np.exp(-count) if expected < 1 else poisson.sf(count - 1, expected))
     size = 1e3 * float(np.sqrt(np.mean(series.raw.outliers_dps**2)))
     share = count / series.raw.samples
     times = series.raw.outliers_t_s
@@ -250,10 +251,10 @@ def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[Mapping[str, An
     if 2 < sizes.size <= 60:
         at = [{"low": float(s), "high": float(s), "unit": "deg/s"} for s in sizes]
         found.append(("rate", by_size.astype(np.int64), at))
-    hours = np.linspace(series.t_s[0], series.t_s[-1], _STRETCHES + 1)
-    by_time = np.clip(np.searchsorted(hours, series.t_s, side="right") - 1, 0, _STRETCHES - 1)
+    edges_s = np.linspace(series.t_s[0], series.t_s[-1], _STRETCHES + 1)
+    by_time = np.clip(np.searchsorted(edges_s, series.t_s, side="right") - 1, 0, _STRETCHES - 1)
     found.append(
-        (series.time_coordinate, by_time, [_when(series, float(a), float(b)) for a, b in pairwise(hours)])
+        (series.time_coordinate, by_time, [_when(series, float(a), float(b)) for a, b in pairwise(edges_s)])
     )
     if series.angle_deg is not None and np.ptp(series.rate_dps) > 0:
         sectors = round(360.0 / _SECTOR_DEG)

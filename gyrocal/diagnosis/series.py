@@ -134,7 +134,7 @@ class Series:
 
     def data_set_at(self, t_s: float) -> float:
         """Number of the data set, from 1, at a stand-in time."""
-        return float(round((t_s - self.t_s[0]) / SURROGATE_PERIOD_S) + 1)
+        return float(round(t_s / SURROGATE_PERIOD_S) + 1)
 
     @property
     def time_coordinate(self) -> str:
@@ -236,7 +236,8 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
     good = segment.good
     t, gyro = segment.t_s[good], segment.gyro_dps[good]
     rate, _, odd = reference_rate(segment.record, reduce_segment([segment]))
-    step_s = float(np.median(np.diff(t)))
+    # Of samples that come in clumps most share a time stamp.
+    step_s = float(np.median(np.diff(t)) or np.ptp(t) / (t.size - 1))
     averaging_s = segment.record.averaging_s or step_s
     outlier = outliers(gyro)
     # Right after a step, ringing that samples are too few to follow stands out like a burst and is none.
@@ -468,7 +469,10 @@ def _raw_facts(run: Run, taken: list[_Samples]) -> Raw:
         if native.sum() >= 3:
             each = spans[native] * run.sensor.sample_rate_hz - 1.0
             ratio = float(np.median(each))
-            ratio_std = float(STDS_PER_MAD * np.median(np.abs(each - ratio)) / np.sqrt(native.sum()))
+            # Of a median: sqrt(pi / 2) times that of a mean.
+            ratio_std = float(
+                STDS_PER_MAD * np.median(np.abs(each - ratio)) * np.sqrt(0.5 * np.pi / native.sum())
+            )
     return Raw(
         outliers_t_s=np.concatenate([s.outliers_t_s for s in taken]),
         outliers_dps=np.concatenate([s.outliers_dps for s in taken]),

@@ -29,6 +29,8 @@ _STRETCHES = 40
 _FEWEST = 3
 #: Neighbouring data sets farther apart are at another temperature, degC: more than a sweep drifts by, less than plans step.
 _LEAST_JUMP_C = 3.0
+#: Stretches of the record that are drawn whole, a row with all of its repeats.
+_BLOCKS = 24
 #: Draws of the intervals of held-out errors: it puts their ends off by 2 % of the width.
 _BOOTSTRAP = 1000
 #: Noise of a prediction, in units of the usual one, from which on it is an extrapolation.
@@ -39,11 +41,18 @@ _LEAST_EXCESS = 0.02
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Each row left out: squared error, log-loss of its share of a block, variance of the prediction; shape (m,)."""
+    """Each row left out, shape (m,).
+
+    Attributes
+    ----------
+    squares, logloss, variance : squared error, log-loss of its share of what is left out with it, variance of the prediction
+    block : number of the stretch of the record that it lies in, in which errors may have much in common
+    """
 
     squares: Floats
     logloss: Floats
     variance: Floats
+    block: Ints
 
 
 def folds_of(means: Means) -> list[Ints]:
@@ -73,6 +82,12 @@ def _sweeps(means: Means) -> list[Ints]:
     return groups if len(groups) >= _FEWEST else []
 
 
+def _stretches(means: Means) -> Ints:
+    """Number of the stretch of the record that each row lies in: neighbouring units."""
+    unit = np.unique(_units(means), return_inverse=True)[1]
+    return np.asarray(unit * _BLOCKS // max(_BLOCKS, int(unit.max()) + 1))
+
+
 def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints]) -> LeftOut:
     """Predict what is left out under some of the components of a fitted model, at its variances."""
     flat = model.design[:, model.flat]
@@ -85,9 +100,14 @@ def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints]) -> LeftOut:
         error = covariance @ score[rows]
         squares.append(error**2)
         variance.append(np.diag(covariance))
-        each = 0.5 * error * score[rows] - 0.5 * np.linalg.slogdet(block)[1] / len(rows)
+        each = 0.5 * (error * score[rows] - np.linalg.slogdet(block)[1] / len(rows) + np.log(2.0 * np.pi))
         logloss.append(each)
-    return LeftOut(np.concatenate(squares), np.concatenate(logloss), np.concatenate(variance))
+    return LeftOut(
+        np.concatenate(squares),
+        np.concatenate(logloss),
+        np.concatenate(variance),
+        _stretches(model.means)[np.concatenate(folds)],
+    )
 
 
 def improvement(
@@ -98,9 +118,13 @@ def improvement(
     loss = np.column_stack([before.logloss, after.logloss])[sure]
     rms = np.sqrt(squares.mean(axis=0))
     floor = float(np.sqrt(after.variance[sure].mean()))
-    draws = rng.integers(0, len(squares), (_BOOTSTRAP, len(squares)))
-    drop = np.sqrt(squares[draws, 0].mean(axis=1)) - np.sqrt(squares[draws, 1].mean(axis=1))
-    nats = (loss[draws, 0] - loss[draws, 1]).mean(axis=1)
+    block = np.unique(after.block[sure], return_inverse=True)[1]
+    sums = np.stack([np.bincount(block, x) for x in (np.ones(block.size), *squares.T, *loss.T)])
+    draws = rng.integers(0, sums.shape[1], (_BOOTSTRAP, sums.shape[1]))
+    size, *drawn = sums[:, draws].sum(axis=2)
+    before_2, after_2, before_nats, after_nats = (x / size for x in drawn)
+    drop = np.sqrt(before_2) - np.sqrt(after_2)
+    nats = before_nats - after_nats
     excess = float(rms[0] ** 2 - floor**2)
     told = excess > _LEAST_EXCESS * floor**2
     removed = min(float((rms[0] ** 2 - rms[1] ** 2) / excess), 1.0) if told else float("nan")

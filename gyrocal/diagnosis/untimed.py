@@ -31,7 +31,7 @@ def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str,
         elif name == "tau_s":
             found["tau_data_sets"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 0.0, "data sets")
         else:
-            found[name] = _per_set(e)
+            found[name] = _per_set(e, _power(parameters))
     return found
 
 
@@ -45,7 +45,7 @@ def by_time(parameters: Mapping[str, Estimate]) -> dict[str, float]:
             found["tau_s"] = e.value * SURROGATE_PERIOD_S
         else:
             factors = [factor for _, per_set, factor in _PER_TIME if e.unit.endswith(per_set)]
-            found[name] = e.value / next(iter(factors), 1.0)
+            found[name] = e.value / next(iter(factors), 1.0) ** _power(parameters)
     return found
 
 
@@ -59,11 +59,17 @@ def between_sets(parameters: Mapping[str, Estimate]) -> Remark | None:
     return Remark(Said.BETWEEN_SETS, {"first": first, "last": last})
 
 
-def _per_set(e: Estimate) -> Estimate:
+def _per_set(e: Estimate, power: float) -> Estimate:
     for per_time, per_set, factor in _PER_TIME:
         if e.unit.endswith(per_time):
-            return _scaled(e, factor, 0.0, e.unit.removesuffix(per_time) + per_set)
+            return _scaled(e, factor**power, 0.0, e.unit.removesuffix(per_time) + per_set)
     return e
+
+
+def _power(parameters: Mapping[str, Estimate]) -> float:
+    """Of time, by which a drift grows: its size is that after one unit of time."""
+    power = parameters.get("power")
+    return 1.0 if power is None else power.value
 
 
 def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:

@@ -11,7 +11,7 @@ Harville, J. Am. Stat. Assoc. 72 (1977): derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,6 +31,8 @@ _LOW, _HIGH = -34.0, 1.0
 START = -4.0
 #: A part that has died in an earlier fit starts this far below at the most, or it could not come back.
 _REVIVED = -7.0
+#: Logarithms at which a component is tried that may be there or not.
+_TRIED = np.linspace(-16.0, 4.0, 26)
 #: Directions of a record that a fit looks at.
 MOST_DIRECTIONS = 300
 #: Of these, directions beside the span, which tell of the level of the noise.
@@ -222,6 +224,27 @@ class Contrasts:
         likelihood = Likelihood([self.part(c) for c in components], self._left)
         value = likelihood.at(np.array([logs[c.name] for c in components])).value
         return value + self._beside(components)
+
+    def expected(
+        self, components: Sequence[Component], logs: Mapping[str, float], names: Collection[str]
+    ) -> dict[str, float]:
+        """Relative logarithms of variances, those of some components as they are to be expected, the others at their best.
+
+        The likeliest variance of a component is often none at all, where a good deal would do nearly as well: it says nothing
+        of what the component may add. Beforehand any standard deviation is as likely, but for the prior of `restricted`
+        (Gelman, Bayesian Anal. 1, 2006).
+        """
+        likelihood = Likelihood([self.part(c) for c in components], self._left)
+        best = np.array([logs[c.name] for c in components])
+        found = dict(logs)
+        for k, c in enumerate(components):
+            if c.name in names:
+                values = np.array(
+                    [likelihood.at(np.where(np.arange(best.size) == k, x, best)).value for x in _TRIED]
+                )
+                weight = np.exp(values.min() - values + 0.5 * _TRIED)
+                found[c.name] = max(float(np.log(weight @ np.exp(_TRIED) / weight.sum())), logs[c.name])
+        return found
 
     def _beside(self, components: Sequence[Component]) -> float:
         """What a negative log-likelihood in the own unit lacks, nats."""

@@ -129,7 +129,7 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     known = np.isfinite(truth[:, 0] + truth[:, 1])
     own, told = path[known, :2], truth[known, :2]
     if own.shape[0] < 10:
-        return None
+        return _heading_fault(path, truth)
     fault = gyro_fault(path[known], truth[known])
     if fault is not None:
         return fault
@@ -137,8 +137,24 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     if unit_m != 1.0:
         return f"the truth's positions are {1.0 / unit_m:g} times the path's: they are in {UNITS[unit_m]}. State their unit in a mapping with --columns."
     if in_radians(path[:, 2], truth[:, 2]):
-        return "the truth's heading is in radians. Write it in degrees, or state its unit in a mapping with --columns."
+        return RADIANS
     return way_fault(own, told) or mirror_fault(own, told) or (CLOCKWISE if clockwise(path, truth) else None)
+
+
+RADIANS = (
+    "the truth's heading is in radians. Write it in degrees, or state its unit in a mapping with --columns."
+)
+AGAINST_GYRO = "the truth's heading and the gyro turn against each other: the heading is a compass's, clockwise, or the gyro's sign is inverted. State the sign of the one that is wrong in a mapping with --columns."
+
+
+def _heading_fault(path: Floats, truth: Floats) -> str | None:
+    """What is wrong with a truth of headings alone; arrays as in `truth_fault`."""
+    own_deg, told = path[:, 2], truth[:, 2]
+    if not np.isfinite(told).any():
+        return None
+    if in_radians(own_deg, told):
+        return RADIANS
+    return gyro_fault(path, truth) or (AGAINST_GYRO if turns_against(own_deg, told) else None)
 
 
 def way_fault(own: Floats, told: Floats) -> str | None:
@@ -277,11 +293,21 @@ def _bends_as_in_radians(path: Floats, told: Floats) -> bool:
 def in_radians(own_deg: Floats, told: Floats) -> bool:
     """Whether a truth's headings, NaN where there is none, are in radians, by the turns of dead reckoning."""
     known = np.isfinite(told)
-    if np.count_nonzero(known) < 10:
+    if np.count_nonzero(known) and float(np.ptp(told[known])) > 0.1 * float(np.ptp(own_deg[known])):
+        return False
+    return _turns_rather(own_deg, told, RAD_TO_DEG)
+
+
+def turns_against(own_deg: Floats, told: Floats) -> bool:
+    """Whether a truth's headings, NaN where there is none, turn the other way than dead reckoning."""
+    return _turns_rather(own_deg, told, -1.0)
+
+
+def _turns_rather(own_deg: Floats, told: Floats, times: float) -> bool:
+    """Whether headings turn as dead reckoning does once they turn so many times as far, and not as they are."""
+    known = np.isfinite(told)
+    if np.count_nonzero(known) < 10 or float(np.ptp(own_deg[known])) < _TURNED_DEG:
         return False
     turned, said = np.diff(own_deg[known]), np.diff(told[known])
-    range_deg = float(np.ptp(own_deg[known]))
-    if range_deg < _TURNED_DEG or float(np.ptp(told[known])) > 0.1 * range_deg:
-        return False
-    apart = [float(np.mean(np.abs(wrapped_deg(unit * said - turned)))) for unit in (1.0, RAD_TO_DEG)]
+    apart = [float(np.mean(np.abs(wrapped_deg(unit * said - turned)))) for unit in (1.0, times)]
     return apart[1] < 0.5 * apart[0]

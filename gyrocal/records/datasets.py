@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,6 +104,28 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
         columns.get("temp_rate_c_per_min"),
         counts_per_dps,
     )
+
+
+def nominal_scales(paths: Sequence[Path], counts_per_dps: float | None) -> list[float | None]:
+    """The nominal scale for each of several recordings: it belongs to the tables that are in counts.
+
+    Raises
+    ------
+    InputError
+        A scale is given, and no table is in counts.
+    """
+    counted = [_in_counts(path) for path in paths]
+    if counts_per_dps is not None and not any(counted):
+        raise InputError("None of the recordings is in counts; leave --counts-per-dps out.")
+    return [counts_per_dps if counts else None for counts in counted]
+
+
+def _in_counts(path: Path) -> bool:
+    # What is wrong with a recording is said where it is read.
+    try:
+        return not path.is_dir() and "gyro_counts" in read_header(path)
+    except InputError:
+        return False
 
 
 def _check_values(path: Path, columns: dict[str, Floats]) -> None:

@@ -412,7 +412,8 @@ def _incomplete(
     said = events[starts[-1] :] if starts else []
     ends = [e for e in said if e.get("event") == "end"]
     planned = max((e["steps"] for e in events if _is_number(e.get("steps"))), default=None)
-    if said and not (ends and ends[-1].get("complete")):
+    # Others may not say that an end is one; what was planned and is lacking tells.
+    if said and not (ends and ends[-1].get("complete", True)):
         aborted = next((str(e.get("reason")) for e in said if e.get("event") == "aborted"), None)
         how = (
             f"it was ended: {aborted}" if aborted else "some segments were skipped or failed" if ends else ""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.report import style
-from gyrocal.report.diagnosis_marks import bars, legend_above, limit_around_zero, zero_line
+from gyrocal.report.diagnosis_marks import PALE, bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import Floats, Fold, bin_rows, fold_of
 from gyrocal.report.levels import cell_edges, levels
 from gyrocal.report.sentences import counted, has_times
@@ -22,7 +22,6 @@ _MOST_RATES = 64
 _MOST_TEMPERATURES = 12
 #: Before and after are drawn beside each other, so that neither hides the other; share of a bin.
 _APART = 0.14
-_PALE = "#BDBDBD"
 #: Length of the linear part of a logarithmic axis to either side of zero, in decades.
 _LINEAR_DECADES = 1.0
 
@@ -41,16 +40,14 @@ def recorded_and_simulated(diagnosis: Diagnosis, rows: Rows) -> Figure:
     if diagnosis.surface is not None:
         surface = diagnosis.surface.surface
         simulated = surface.output_dps(rows.rate_dps, rows.temp_c) - rows.rate_dps
-    upper.plot(x, simulated + rows.before_dps, ".", markersize=5, color=_PALE, label="recorded")
+    upper.plot(x, simulated + rows.before_dps, ".", markersize=5, color=PALE, label="recorded")
     upper.plot(x, simulated, ".", markersize=1.2, color=style.BLUE, label="simulated: surface alone")
     upper.set_ylabel("Output - rate, deg/s")
     legend_above(upper, 2)
     set_x, set_y = _per_set(x, rows.before_dps, rows)
     zero_line(middle)
     if set_x.size < x.size:
-        middle.plot(
-            x, rows.before_dps * _MDPS, ".", markersize=0.8, color=_PALE, label="row", rasterized=True
-        )
+        middle.plot(x, rows.before_dps * _MDPS, ".", markersize=0.8, color=PALE, label="row", rasterized=True)
     middle.plot(set_x, set_y * _MDPS, ".", markersize=2.5, color=style.ORANGE, label=counted(diagnosis).means)
     # Ramps are segments too; within them the minute means show what lives there.
     limit_around_zero(middle, np.concatenate([set_y, _smoothed(rows.before_dps, rows)]) * _MDPS)
@@ -227,7 +224,7 @@ def before_and_after(folded: Fold, effect: NamedEffect) -> Figure:
         left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         left.xaxis.set_minor_locator(NullLocator())
         for panel in (left, right):
-            panel.axvspan(-within, within, color=_PALE, alpha=0.3, linewidth=0, zorder=0)
+            panel.axvspan(-within, within, color=PALE, alpha=0.3, linewidth=0, zorder=0)
         right.patches[-1].set_label(f"± {within:.2g}, on a linear scale")
         legend_above(right)
     order = np.argsort(folded.x)

@@ -75,7 +75,7 @@ def _unnamed(part: UnnamedPart) -> str:
     if near:
         took = [f"{effect} (takes {_taken(1.0 - nats / part.evidence_nats)})" for effect, nats in near]
         said += f"; nearest {'is' if len(near) == 1 else 'are'} {listed(took)}"
-    return f"{said}. {'The improved coefficients take it away' if part.corrected else 'It is not corrected'}."
+    return f"{said}. It is {'' if part.corrected else 'not '}corrected."
 
 
 def _taken(share: float) -> str:

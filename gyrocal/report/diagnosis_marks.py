@@ -12,6 +12,8 @@ from gyrocal.report import style
 
 Floats = NDArray[np.float64]
 
+#: What stands behind.
+PALE = "#BDBDBD"
 _BARS: dict[str, Any] = {"fmt": "o", "markersize": 3.0, "elinewidth": 0.8, "capsize": 0.0}
 #: A scale may be so many times wider than what most points need before the rest is cut off.
 _STRETCH = 2.5

@@ -23,8 +23,8 @@ def _stray_sets(sets: Sequence[int]) -> str:
 def _far_sets(sets: Sequence[int], of: int, times: float) -> str:
     return plural(
         len(sets),
-        f"{len(sets)} of {of} data sets [is|are] more than {times:.2g} standard deviations of the others off all that was found "
-        f"([number|numbers] {', '.join(map(str, sets))}): too many, or too close together, to be left out as disturbed, and "
+        f"{len(sets)} of {of} data sets [is|are] more than {times:.2g} standard deviations of the others away from everything that the model "
+        f"explains ([number|numbers] {', '.join(map(str, sets))}): too many, or too close together, to be left out as disturbed, and "
         "beside [it|them] weak effects are not seen. See whether [its rate was|their rates were] mixed up; repair or remove [it|them], "
         "and diagnose again.",
     )
@@ -128,8 +128,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.LAW_NOT_WRITTEN: "The improved coefficients have no {effect}, though it is named: they are the mean of models that are about as "
     "likely, and those have other laws, curves or errors of single rates in its place.",
     Said.SINE_WRITTEN: "The improved coefficients have the sine of an open loop, whose phase at {rate_dps:.4g} deg/s is {phase_rad:.3f} "
-    "± {std_rad:.2g} rad: its cubic is the one that the rates show, and its higher orders, which errors of single rates hide, are no "
-    "less likely than others.",
+    "± {std_rad:.2g} rad: its cubic is the one that the rates show, and its higher orders, which errors of single rates hide, cannot be "
+    "checked on this table.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
     Said.NO_SURE_GAIN: _no_sure_gain,
@@ -172,14 +172,14 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "the mean rate since the row before, or more rows.",
     Said.TURNS_INWARD: "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer "
     "together than the robot file says.",
-    Said.BIAS_IN_MOTION: "In motion the gyro's bias is another than at the rest at the start.",
-    Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias is another than while it stands, as that of a gyro that is shaken.",
+    Said.BIAS_IN_MOTION: "In motion the gyro's bias differs from that of the rest at the start.",
+    Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias differs from its bias at rest, as when vibration reaches it.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
     Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",
-    Said.WHEELS_CHANGE: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the way that the right wheel counts, against "
-    "the left's, is another by {change:.3g} % (95 %: {least:.3g} to {most:.3g}): a wheel that counts more has become smaller (air, wear, "
+    Said.WHEELS_CHANGE: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the distance counted by the right wheel, relative "
+    "to the left, changes by {change:.3g} % (95 %: {least:.3g} to {most:.3g}): a wheel that counts more has become smaller (air, wear, "
     "load); no robot file holds that",
     Said.TRACK_CHANGES: "From {until_s:.0f} s on (95 %: {earliest_s:.0f} to {latest_s:.0f}) the encoders' turns are others by {change:.3g} % "
     "(95 %: {least:.3g} to {most:.3g}), as on another ground; no robot file holds that",

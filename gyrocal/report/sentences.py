@@ -231,6 +231,7 @@ def _left(d: Diagnosis) -> list[str]:
         return []
     left = [p for p in d.located if p.remains and not p.curve and not p.finding]
     curved = dict.fromkeys(_coordinate(d, p) for p in d.located if p.curve)
+    curved |= dict.fromkeys(coordinate_words(part.coordinate) for part in d.unnamed)
     curves = [f"a curve without a name over {listed(list(curved))}"] if curved else []
     model = listed([e.effect for e in d.effects] + curves) or "the surface fitted here"
     if not left:

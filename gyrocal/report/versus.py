@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.fit import rms
+from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.versus.answer import Comparison, Versus
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.diagnosis.versus.match import Clock, Match
@@ -65,12 +66,17 @@ def _partners(m: Match) -> list[str]:
         f"{m.matched_sets} of {m.sets} data sets have a partner in the simulation, matched by {by}; its temperature "
         f"differs by {m.temp_apart_c:.2g} °C rms."
     ]
+    if m.bridged_sets:
+        sentences.append(
+            f"{m.bridged_sets} more have none, but nothing is seen in the simulation beside its error surface: they are compared "
+            "with that."
+        )
     if m.lonely_temp_c:
         rates = [f"{rate:g}" for rate in m.lonely_rates_dps[:_MOST_RATES]]
         more = len(m.lonely_rates_dps) - len(rates)
         names = f"{', '.join(rates)} and {more} more" if more else listed(rates)
         sentences.append(
-            f"{m.sets - m.matched_sets} have none, at {names} deg/s and {range_text(*m.lonely_temp_c)} °C: there the "
+            f"{m.sets - m.matched_sets - m.bridged_sets} have none, at {names} deg/s and {range_text(*m.lonely_temp_c)} °C: there the "
             "simulation does not overlap, and nothing is said."
         )
     return sentences
@@ -125,6 +131,7 @@ def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:
     """A line for each law or smooth part, with all its terms."""
     estimates = {effect.effect: effect.parameters for effect in found.diagnosis.effects}
     lines: dict[str, str] = {}
+    held: dict[str, float] = {}
     sums: dict[str, Floats] = {}
     for term, adds in zip(found.law.terms, adds_dps, strict=True):
         if isinstance(term, SmoothTerm):
@@ -134,11 +141,20 @@ def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:
             effect = find_effect(term.effect)
             key, known = effect.id, estimates.get(effect.id, {})
             values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
-            lines[key] = f"- {effect.id}: {effect.equation}; {listed(values) or 'not named'}"
+            held[key] = held.get(key, 0.0) + float(term.parameters["amplitude"]["value"])
+            rest = _held_elsewhere(held[key], known.get("amplitude"))
+            lines[key] = f"- {effect.id}: {effect.equation}; {listed(values) or 'not named'}{rest}"
         sums[key] = sums.get(key, 0.0) + adds
     largest = sorted(lines, key=lambda key: -rms(sums[key]))
     said = [f"{lines[key]}; {_MDPS * rms(sums[key]):.2g} mdeg/s rms" for key in largest]
     return said or ["- none: the surfaces differ, and nothing else"]
+
+
+def _held_elsewhere(held: float, amplitude: Estimate | None) -> str:
+    """That parts without a name have most of what a law is estimated at, where they do."""
+    if amplitude is None or amplitude.interval_95[0] <= held <= amplitude.interval_95[1]:
+        return ""
+    return f", of which {held:.3g} {amplitude.unit} stand here and the rest in parts without a name"
 
 
 def _little(rms_dps: Sequence[float]) -> list[str]:

@@ -117,6 +117,20 @@ def test_one_row_is_refused_without_a_murmur_of_numpy() -> None:
             series_of_table(one)
 
 
+@pytest.mark.parametrize("sets", [1, 2, 4, 6])
+def test_a_run_of_a_few_data_sets_is_refused_with_how_many_it_takes(sets: int) -> None:
+    """Thirty rows each: enough of them, but the layers have one for each set."""
+    rows = sets * 30
+    rng = np.random.default_rng(3)
+    rate = np.repeat(np.linspace(-100.0, 100.0, sets), 30)
+    t_s, temp = 4.0 * np.arange(rows, dtype=np.float64), 20.0 + np.linspace(0.0, 15.0, rows)
+    table = DataSetTable(Path("r"), rate, rate + 1e-3 * rng.standard_normal(rows), temp, t_s=t_s)
+    whole = series_of_table(table)
+    run = replace(whole, is_table=False, set_index=np.repeat(np.arange(sets), 30))
+    with pytest.raises(DataError, match=f"has {sets} data sets?, and .* needs at least [0-9]+ data sets"):
+        check_inputs(run, None)
+
+
 def test_no_scatter_and_shared_times_are_said() -> None:
     table = make_table()
     n = table.rate_dps.size

@@ -67,6 +67,13 @@ def test_a_shape_reaches_to_where_its_likelihood_has_fallen() -> None:
     assert Estimate.spanning(5.0, interval, "1").std == pytest.approx(0.2, rel=0.01)
 
 
+@pytest.mark.parametrize("limits", [(4.0, 6.0), (0.1, 6.0), (4.0, 100.0)])
+def test_a_bound_beyond_the_interval_is_no_end_of_it(limits: tuple[float, float]) -> None:
+    interval = profile_interval(lambda x: ((x - 5.0) / 0.2) ** 2, 5.0, limits)
+    assert interval == pytest.approx((5.0 - 0.392, 5.0 + 0.392), abs=2e-3)
+    assert profile_interval(lambda x: ((x - 5.0) / 0.2) ** 2, 5.0, (4.9, 5.1)) == (4.9, 5.1)
+
+
 def test_the_instant_of_a_jump_has_an_interval_of_its_own_law() -> None:
     """The likelihood has a corner there: 95 % is a rise of -2 log(1 - sqrt(0.95)), not of a chi-square."""
     instants = np.arange(21.0)

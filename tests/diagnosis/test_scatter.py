@@ -169,6 +169,11 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
         assert by_time(by_data_set(untimed, parameters)) == pytest.approx(
             {name: e.value for name, e in parameters.items()}
         )
+    growing = {**drift, "power": Estimate(2.0, 0.1, "1", (1.8, 2.2))}
+    stated = by_data_set(untimed, growing)
+    # After an hour, of 180 data sets, it is 180 mdeg/s by either.
+    assert stated["amplitude"].value * 180.0**2 == pytest.approx(180.0)
+    assert by_time(stated) == pytest.approx({name: e.value for name, e in growing.items()})
     assert [untimed.data_set_at(t) for t in (0.0, 5 * SURROGATE_PERIOD_S)] == [1.0, 6.0]
 
 

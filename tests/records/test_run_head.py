@@ -109,6 +109,7 @@ OTHER = SEGMENT | {"id": 2, "file": "data/b.csv", "t_start_s": 1.0}
     [
         ((START, SEGMENT, OTHER, END), None),
         ((SEGMENT, OTHER), None),  # another logger, which says nothing of starts and ends
+        ((START, SEGMENT, {"event": "end", "t_s": 9.0}), "has 1 of 2 segments"),
         ((START, SEGMENT), "incomplete: 1 of 2 planned segments are sealed; its journal has no end"),
         ((START, SEGMENT, END), "says that it was completed, and has 1 of 2 segments"),
         ((START, SEGMENT, END | {"complete": False}), "some segments were skipped or failed"),

@@ -12,6 +12,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.errors import DataError
 from gyrocal.navigation.sanity import (
+    AGAINST_GYRO,
     UNITS,
     clockwise,
     gyro_fault,
@@ -20,6 +21,7 @@ from gyrocal.navigation.sanity import (
     truth_part_fault,
     truth_unit_m,
     turn_part_fault,
+    turns_against,
     way_fault,
 )
 from gyrocal.physics.drive import DROPPED_SAMPLES, UNIT_OR_SIGN
@@ -49,7 +51,7 @@ class Found:
 def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     """The log with the gyro in deg/s, counter-clockwise, and what was wrong; None where nothing is.
 
-    The ratio of gyro to encoder turns over windows, by the total least-squares line, which no side's noise bends.
+    The ratio of gyro to encoder turns over windows, by the reduced major axis, which no side's noise bends.
 
     Raises
     ------
@@ -125,11 +127,20 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
     told = np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
     fault = truth_part_fault(series.t_s, path_deg, told)
-    if fault is None and series.has_truth:
+    if fault is None:
         fault = gyro_fault(path_deg, told)
     if fault is not None:
         raise DataError(f"{series.source}: {fault}")
+    if in_radians(path_deg[:, 2], series.truth_heading_deg):
+        notes.append(Remark(Said.TRUTH_RADIANS))
+        series = replace(series, truth_heading_deg=RAD_TO_DEG * series.truth_heading_deg)
     if not series.has_truth:
+        if turns_against(path_deg[:, 2], series.truth_heading_deg):
+            if not series.differential:
+                raise DataError(f"{series.source}: {AGAINST_GYRO}")
+            # By the wheels the gyro's sign is right.
+            notes.append(Remark(Said.TRUTH_CLOCKWISE))
+            series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)
         return series, notes
     known = np.isfinite(series.truth_x_m + series.truth_y_m)
     own = np.column_stack([path.at_m.real, path.at_m.imag])[known]
@@ -137,9 +148,6 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     if unit_m != 1.0:
         notes.append(Remark(Said.TRUTH_UNIT, {"times": 1 / unit_m, "unit": UNITS[unit_m]}))
         series = replace(series, truth_x_m=unit_m * series.truth_x_m, truth_y_m=unit_m * series.truth_y_m)
-    if in_radians(RAD_TO_DEG * path.heading_rad, series.truth_heading_deg):
-        notes.append(Remark(Said.TRUTH_RADIANS))
-        series = replace(series, truth_heading_deg=RAD_TO_DEG * series.truth_heading_deg)
     told = np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
     fault = way_fault(own, told[known, :2])
     if fault is not None:

@@ -238,7 +238,9 @@ def _scales_beside_the_course(series: DriveSeries, yaw: YawAnswer, truth: TruthA
 
 def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:
     """With laws of the bias that encoders and truth show together; beside one speed the truth is asked for them anyway."""
-    while series.differential:
+    if not series.differential:
+        return yaw, truth
+    while True:
         tried = [
             (_with_truth(series, yaw, truth, n), n)
             for n in _BY_TRUTH
@@ -254,7 +256,6 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
             if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
                 return _wheels_beside(less, alone), alone
         yaw, truth = _wheels_beside(yaw.with_law(name, gain), found), found
-    return yaw, truth
 
 
 def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:

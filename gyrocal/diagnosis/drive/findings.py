@@ -393,7 +393,7 @@ def _of_scale(
         against = _against(*yaw.estimate("track"), truth)
         for other, chi2 in against.items():
             ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
-            if other != name and ratio < OUT and name in against:
+            if other != name and ratio < OUT:
                 others[SKID_SLIP.id if other == "track" else other] = ratio
     tilted = -_TILT_STDS * series.robot.initial_std["gyro_scale"]
     if name == "gyro_scale" and scale.value < tilted:

@@ -95,4 +95,7 @@ def _by_second(yaw: YawAnswer, error: Floats) -> tuple[LeftOut, Bools]:
     ends = 2.0 * (model.noise.tick_m / model.frame.series.robot.wheel_separation_m) ** 2
     variance = RAD_TO_DEG**2 * (total(model.white) + ends) / over_s**2
     logloss = 0.5 * (squares / variance + np.log(2.0 * np.pi * variance))
-    return LeftOut(squares, logloss, variance), total(model.left_out) == 0.0
+    seconds = np.arange(squares.size) * _MEAN_S
+    return LeftOut(squares, logloss, variance, (seconds / _BLOCK_S).astype(np.int64)), total(
+        model.left_out
+    ) == 0.0

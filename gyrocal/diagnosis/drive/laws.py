@@ -171,7 +171,7 @@ class Frame:
 
 
 def temperature_c(series: DriveSeries) -> Floats | None:
-    """Gyro temperature row by row, averaged over 10 s; None where it is not known or hardly changes."""
+    """Gyro temperature row by row, averaged over 10 s, or a tenth of a short log; None where it is not known or hardly changes."""
     known = np.isfinite(series.temp_c)
     if not known.any() or np.ptp(series.temp_c[known]) < _LEAST_TEMP_SPAN_C:
         return None

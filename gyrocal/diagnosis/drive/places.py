@@ -63,7 +63,7 @@ def places(
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class OffInterval:
     """Intervals on end in which the turns are off by more than noise, and that no fit has: when, and by how much, deg."""
 
     from_s: float
@@ -75,7 +75,7 @@ class LeftOut:
         return {"from_s": self.from_s, "to_s": self.to_s, "turn_deg": self.turn_deg}
 
 
-def left_out(yaw: YawAnswer) -> list[LeftOut]:
+def left_out(yaw: YawAnswer) -> list[OffInterval]:
     """Slips of a wheel and spikes of the gyro, in order of time; turns of the encoders less those of the gyro."""
     model, off_rad = yaw.model, yaw.left_rad
     nodes = model.frame.nodes
@@ -83,7 +83,7 @@ def left_out(yaw: YawAnswer) -> list[LeftOut]:
     ends_s = nodes.t_s - model.frame.series.t_s[0]
     begins_s = ends_s - nodes.dt_s
     return [
-        LeftOut(float(begins_s[k[0]]), float(ends_s[k[-1]]), float(RAD_TO_DEG * np.sum(off_rad[k])))
+        OffInterval(float(begins_s[k[0]]), float(ends_s[k[-1]]), float(RAD_TO_DEG * np.sum(off_rad[k])))
         for k in runs_of(model.outliers)
     ]
 

@@ -91,7 +91,7 @@ class TruthAnswer:
     levels : _Levels, optional
         Noise of truth and way.
     bias_moves_dps : float
-        How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``gyro_bias`` is the mean then.
+        How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``bias`` is the mean then.
     one_way : mapping
         Twice the log of how much likelier a scale of the turns one way is than one of all, and than that and a law of the motion.
     """

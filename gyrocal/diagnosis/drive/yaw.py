@@ -339,7 +339,7 @@ def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:
         return np.zeros(0, dtype=np.int64)
     score = weighed[:, -1] - weighed[:, :-1] @ values
     score = score * np.sqrt(model.white)
-    # Twice the limit in the tails of a mixture of speeds; the scale is that of the moving intervals.
+    # Intervals of several speeds have heavier tails than a normal law; the scale is that of the moving ones.
     scale = STDS_PER_MAD * float(np.median(np.abs(score[moving])))
     return np.flatnonzero(moving & (np.abs(score) > _FAR * scale))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,17 +14,19 @@ from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.inputs import check_inputs
+from gyrocal.diagnosis.remarks import OF_COEFFICIENTS
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
-from gyrocal.diagnosis.versus.match import Match, match
+from gyrocal.diagnosis.versus.match import Match, match, surface_of
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
-from gyrocal.physics.surface import SHAPE
+from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.records.files import finite
-from gyrocal.units import NORMAL_95
+from gyrocal.units import NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -39,6 +42,8 @@ _NEAR = 0.02
 _FEWEST = 5
 #: Rate at which any of the figures that are compared is said to differ where none does.
 LEVEL = 0.01
+#: A simulation without noise is a surface where none of its rows is off by more, deg/s.
+_EXACT_DPS = 1e-5
 #: Draws of the blocks for the interval of the gain.
 _DRAWS = 2000
 #: Coefficients of the surface, row-major over the orders of rate and temperature.
@@ -82,6 +87,20 @@ class Comparison:
 
 
 @dataclass(frozen=True)
+class Compared:
+    """Means of the data sets that were compared, shape (n,).
+
+    `apart_dps`: recording less simulation; `left_dps`: less the law, too. `when`: hours, or the number of the set without times.
+    """
+
+    rate_dps: Floats
+    when: Floats
+    apart_dps: Floats
+    left_dps: Floats
+    has_time: bool
+
+
+@dataclass(frozen=True)
 class Versus:
     """A recording against a simulation: partners, what is in the difference, the law to add, and what it brings.
 
@@ -101,6 +120,17 @@ class Versus:
     def helps(self) -> bool:
         """Whether the law is worth adding."""
         return self.comparison is not None and self.comparison.helps
+
+    @property
+    def compared(self) -> Compared:
+        """What is between the two, set by set, without and with the law."""
+        d = self.match.difference
+        apart = d.gyro_dps - self.match.surface.output_dps(d.rate_dps, d.temp_c)
+        (numbers, rate), (_, t_s), (_, apart), (_, left) = (
+            set_means(d, x) for x in (d.rate_dps, d.t_s, apart, left_by(self.law, d))
+        )
+        when = t_s / S_PER_H if d.has_time else numbers.astype(np.float64) + 1.0
+        return Compared(rate, when, apart, left, d.has_time)
 
     @property
     def terms_dps(self) -> list[Floats]:
@@ -144,10 +174,29 @@ def versus(real: Series, simulated: Series, options: Options) -> Versus:
         raise DataError(
             f"{simulated.name}: says what {real.name} says in every row. Give the simulation, not the recording again."
         )
-    matched = match(real, simulated)
+    matched = match(real, simulated, partial(only_surface, options=options))
     found = diagnose(matched.difference, None, options)
+    said = tuple(n for n in found.notes if isinstance(n, str) or n.said not in OF_COEFFICIENTS)
+    found = replace(found, notes=said)
     comparison = compare(matched, options) if options.heldout else None
     return Versus(real.name, simulated.name, matched, found, law_of(found, matched.difference), comparison)
+
+
+def only_surface(simulated: Series, options: Options) -> Surface | None:
+    """The error surface of a simulation in which nothing else is seen; None where something is, or too little to see it."""
+    try:
+        for surface in (surface_of(simulated), surface_of(simulated, "input")):
+            left = surface.output_dps(simulated.rate_dps, simulated.temp_c) - simulated.gyro_dps
+            if np.abs(left).max() < _EXACT_DPS:
+                return surface
+        found = diagnose(simulated, None, replace(options, heldout=False))
+    except DataError:
+        return None
+    of_input = [e.effect for e in found.effects] == [FIT_DIRECTION.id] and found.verdict == "explained"
+    if found.surface is None or not (of_input or found.verdict == "consistent"):
+        return None
+    chosen = found.surface.surface
+    return surface_of(simulated, "input") if of_input and chosen.direction == "output" else chosen
 
 
 def law_of(found: Diagnosis, difference: Series) -> Coefficients:

@@ -45,6 +45,8 @@ import numpy as np
 class Conditions:
     """Channels of the samples."""
 
+    sample_std_dps = 0.0
+
     def __init__(self, rate_dps, temp_c, **channels):
         self.rate_dps, self.temp_c = rate_dps, temp_c
         self.channels = channels

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
-from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.units import RAD_TO_DEG, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
@@ -32,6 +34,8 @@ _MOST_CELLS = 2e7
 _DURATION_SHARE, _DURATION_S = 0.05, 5.0
 #: Largest rates that differ by the factor of a unit, to this share, are in that unit.
 _SAME_UNIT = 0.15
+#: What is this far beyond the simulation's rates or temperatures, as a share of all they span, is still among them.
+_BEYOND = 0.02
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,9 @@ class Match:
     temp_apart_c : float
         Temperature of the simulation less the recording's, rms over partners.
     lonely_rates_dps, lonely_temp_c : tuple of float
-        Rates, and lowest and highest temperature, of the sets without a partner.
+        Rates, and lowest and highest temperature, of the sets that nothing of the simulation was compared with.
+    bridged_sets : int
+        Sets without a partner that were compared with the simulation's surface, which is all that it holds.
     """
 
     difference: Series
@@ -86,6 +92,7 @@ class Match:
     temp_apart_c: float
     lonely_rates_dps: tuple[float, ...]
     lonely_temp_c: tuple[float, ...]
+    bridged_sets: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """Entry ``matching``."""
@@ -93,6 +100,7 @@ class Match:
             "sets": self.sets,
             "simulated_sets": self.simulated_sets,
             "matched_sets": self.matched_sets,
+            "bridged_sets": self.bridged_sets,
             "in_order": self.in_order,
             "clock": None if self.clock is None else self.clock.to_json(),
             "temperature_apart_rms_c": self.temp_apart_c,
@@ -119,12 +127,20 @@ class _Sets:
         return int(self.first.size)
 
 
-def match(real: Series, simulated: Series) -> Match:
+def match(
+    real: Series, simulated: Series, only_surface: Callable[[Series], Surface | None] = lambda _: None
+) -> Match:
     """Find the partner of each set of a recording in a simulation of it.
 
     By rate, temperature and order, and where both have times by these too, once offset and drift of the clocks are
     known; where the orders differ (another plan, no order at all) by rate and temperature alone. Small differences of
-    rate and temperature between partners are bridged by the error surface of the simulation.
+    rate and temperature between partners are bridged by the error surface of the simulation. A simulation that is nothing
+    but a surface is known between its sets, too: there it is the partner of sets that have none.
+
+    Parameters
+    ----------
+    only_surface : callable
+        The surface of the simulation where it holds nothing else; None where it does. Asked where it matters.
 
     Raises
     ------
@@ -132,40 +148,47 @@ def match(real: Series, simulated: Series) -> Match:
         They hardly overlap.
     """
     a, b = _sets_of(real), _sets_of(simulated)
-    left, right, in_order = _partners(a, b, likeness := _likeness(a, b))
+    left, right, in_order = _partners(likeness := _likeness(a, b))
     clock = None
     if in_order and real.has_time and simulated.has_time and left.size > 2:
         clock = _clock(a.start_s[left], b.start_s[right])
         scale = max(_TIME_SCALE * clock.left_s, _LEAST_TIME_SCALE_S)
         expected = a.start_s + clock.offset_s + 1e-6 * clock.drift_ppm * a.start_s
         apart = (b.start_s[None, :] - expected[:, None]) / scale
-        left, right, in_order = _partners(a, b, likeness / (1.0 + apart**2))
+        left, right, in_order = _partners(likeness / (1.0 + apart**2))
         clock = _clock(a.start_s[left], b.start_s[right])
     surface = surface_of(simulated)
-    difference, kept, apart_c = _difference(real, simulated, surface, a, b, left, right)
-    lonely = np.setdiff1d(np.arange(len(a)), kept)
+    pairs = _alike(a, b, dict(zip(left.tolist(), right.tolist(), strict=True)))
+    between = _between(real, simulated, a, pairs)
+    whole = only_surface(simulated) if between else None
+    bridged = between if whole is not None else {}
+    difference, apart_c = _difference(real, simulated, surface, (a, b), pairs, whole, bridged)
+    lonely = np.setdiff1d(np.arange(len(a)), [*pairs, *bridged])
     if len(difference) < FEWEST_ROWS:
-        raise DataError(
-            f"{real.name} and {simulated.name}: {kept.size} of {len(a)} data sets of the recording have a partner in the "
-            f"simulation (the same rate, and a temperature within {_TEMP_C:g} °C), which is too little to compare. "
-            + (
-                "The rates of the simulation look like rad/s: write rates and outputs in deg/s."
-                if _in_radians(a.rate_dps, b.rate_dps)
-                else "Simulate the rates and temperatures of the recording."
-            )
-        )
+        raise DataError(_too_little(real, simulated, a, b, len(pairs)))
     temp = a.temp_c[lonely]
     return Match(
         difference,
         surface,
         len(a),
         len(b),
-        int(kept.size),
+        len(pairs),
         in_order,
         clock,
         apart_c,
         tuple(np.unique(np.round(a.rate_dps[lonely], 3)).tolist()),
         (float(temp.min()), float(temp.max())) if lonely.size else (),
+        len(bridged),
+    )
+
+
+def _too_little(real: Series, simulated: Series, a: _Sets, b: _Sets, paired: int) -> str:
+    remedy = "Simulate the rates and temperatures of the recording."
+    if _in_radians(a.rate_dps, b.rate_dps):
+        remedy = "The rates of the simulation look like rad/s: write rates and outputs in deg/s."
+    return (
+        f"{real.name} and {simulated.name}: {paired} of {len(a)} data sets of the recording have a partner in the simulation "
+        f"(the same rate, and a temperature within {_TEMP_C:g} °C), which is too little to compare. {remedy}"
     )
 
 
@@ -205,14 +228,14 @@ def _likeness(a: _Sets, b: _Sets) -> Floats:
     return np.where(same & (np.abs(apart_c) <= _TEMP_C), 1.0 / (1.0 + (apart_c / _TEMP_SCALE_C) ** 2), 0.0)
 
 
-def _partners(a: _Sets, b: _Sets, likeness: Floats) -> tuple[Ints, Ints, bool]:
+def _partners(likeness: Floats) -> tuple[Ints, Ints, bool]:
     if likeness.size <= _MOST_CELLS:
         left, right = _in_order(likeness)
         possible = min(np.count_nonzero(likeness.any(axis=axis)) for axis in (0, 1))
         if left.size >= _IN_ORDER * possible:
             return left, right, True
     best = np.argmax(likeness, axis=1)
-    left = np.flatnonzero(likeness[np.arange(len(a)), best] > 0)
+    left = np.flatnonzero(likeness[np.arange(best.size), best] > 0)
     return left, best[left], False
 
 
@@ -260,41 +283,66 @@ def _clock(real_s: Floats, simulated_s: Floats) -> Clock:
     )
 
 
+def _alike(a: _Sets, b: _Sets, partner: dict[int, int]) -> dict[int, int]:
+    """Partners less ramps and soaks that take another time."""
+    return {i: j for i, j in partner.items() if a.is_set[i] or _as_long(a, b, i, j)}
+
+
+def _as_long(a: _Sets, b: _Sets, i: int, j: int) -> bool:
+    lasts, lasts_there = a.end_s[i] - a.start_s[i], b.end_s[j] - b.start_s[j]
+    return bool(abs(lasts - lasts_there) <= _DURATION_SHARE * lasts + _DURATION_S)
+
+
+def _between(real: Series, simulated: Series, a: _Sets, pairs: Mapping[int, int]) -> dict[int, Ints]:
+    """Rows of sets without a partner whose rate and temperature lie within those of the simulation."""
+    inside = np.ones(len(real), dtype=bool)
+    for own, there in ((real.rate_dps, simulated.rate_dps), (real.temp_c, simulated.temp_c)):
+        low, high = float(there.min()), float(there.max())
+        inside &= (own >= low - _BEYOND * (high - low)) & (own <= high + _BEYOND * (high - low))
+    rows = {i: np.arange(a.first[i], a.last[i] + 1) for i in range(len(a)) if i not in pairs}
+    return {i: r for i, r in rows.items() if inside[r].all()}
+
+
 def _difference(
-    real: Series, simulated: Series, surface: Surface, a: _Sets, b: _Sets, left: Ints, right: Ints
-) -> tuple[Series, Ints, float]:
-    """The difference row by row, the sets that have one, and how far the temperatures are apart, rms."""
+    real: Series, simulated: Series, surface: Surface, sets: tuple[_Sets, _Sets], pairs: Mapping[int, int],
+    whole: Surface | None, bridged: Mapping[int, Ints],
+) -> tuple[Series, float]:  # fmt: skip
+    """The difference row by row, and how far the temperatures are apart, rms over partners."""
+    a, b = sets
     error = simulated.gyro_dps - simulated.rate_dps
-    rows, values, noise, kept, apart = [], [], [], [], []
-    for i, j in zip(left.tolist(), right.tolist(), strict=True):
-        r, q = np.arange(a.first[i], a.last[i] + 1), np.arange(b.first[j], b.last[j] + 1)
-        lasts, lasts_there = a.end_s[i] - a.start_s[i], b.end_s[j] - b.start_s[j]
-        alike = abs(lasts - lasts_there) <= _DURATION_SHARE * lasts + _DURATION_S
-        if not (a.is_set[i] or alike):
-            continue
-        white = simulated.white_std_dps[q]
-        if alike and min(r.size, q.size) > 1:
-            since, there = real.t_s[r] - a.start_s[i], simulated.t_s[q] - b.start_s[j]
-            known = [np.interp(since, there, x[q]) for x in (error, simulated.rate_dps, simulated.temp_c)]
-            noise.append(np.interp(since, there, white))
-        else:
-            known = [np.full(r.size, np.mean(x[q])) for x in (error, simulated.rate_dps, simulated.temp_c)]
-            noise.append(np.full(r.size, np.sqrt(np.sum(white**2)) / q.size))
-        e, rate, temp = known
+    rows, values, noise, apart = [], [], [], []
+    for i in sorted((*pairs, *bridged)):
+        r = np.arange(a.first[i], a.last[i] + 1)
         rows.append(r)
+        if i in bridged and whole is not None:
+            rate, temp = real.rate_dps[r], real.temp_c[r]
+            e = whole.output_dps(rate, temp) - rate
+            noise.append(np.zeros(r.size))
+        else:
+            j = pairs[i]
+            q = np.arange(b.first[j], b.last[j] + 1)
+            white = simulated.white_std_dps[q]
+            if _as_long(a, b, i, j) and min(r.size, q.size) > 1:
+                since, there = real.t_s[r] - a.start_s[i], simulated.t_s[q] - b.start_s[j]
+                known = [np.interp(since, there, x[q]) for x in (error, simulated.rate_dps, simulated.temp_c)]
+                noise.append(np.interp(since, there, white))
+            else:
+                known = [
+                    np.full(r.size, np.mean(x[q])) for x in (error, simulated.rate_dps, simulated.temp_c)
+                ]
+                noise.append(np.full(r.size, np.sqrt(np.sum(white**2)) / q.size))
+            e, rate, temp = known
+            apart.append(float(np.mean(temp - real.temp_c[r])))
         # What the simulation says at its own rate and temperature, less what its surface says there.
         values.append(e - (surface.output_dps(rate, temp) - rate))
-        kept.append(i)
-        apart.append(float(np.mean(temp - real.temp_c[r])))
     if not rows:
-        return real.take(np.zeros(0, dtype=np.int64)), np.zeros(0, dtype=np.int64), 0.0
-    chosen = np.concatenate(rows)
-    taken = real.take(chosen)
+        return real.take(np.zeros(0, dtype=np.int64)), 0.0
+    taken = real.take(np.concatenate(rows))
     difference = taken.gyro_dps - np.concatenate(values)
     white = _white(real, simulated, taken.white_std_dps, np.concatenate(noise))
     name = f"{real.name} less {simulated.name}"
     series = replace(taken, name=name, gyro_dps=difference, white_std_dps=white)
-    return series, np.array(kept, dtype=np.int64), float(np.sqrt(np.mean(np.square(apart))))
+    return series, float(np.sqrt(np.mean(np.square(apart)))) if apart else 0.0
 
 
 def _white(real: Series, simulated: Series, own: Floats, other: Floats) -> Floats:
@@ -303,10 +351,12 @@ def _white(real: Series, simulated: Series, own: Floats, other: Floats) -> Float
     return np.asarray(np.hypot(own, other)) if all(stated) else own
 
 
-def surface_of(simulated: Series) -> Surface:
+def surface_of(simulated: Series, direction: Direction = "output") -> Surface:
     """The simulation's own error surface by least squares (paper eq. 5); what it does not determine is small."""
     g, temp = simulated.gyro_dps, simulated.temp_c
+    x = g if direction == "output" else simulated.rate_dps
     center, scale = float(np.mean(temp)), max(float(np.ptp(temp)) / 2, 1.0)
-    empty = Surface(np.zeros(SHAPE), 0.0, max(float(np.max(np.abs(g))), 1.0), center, scale)
-    c = np.linalg.lstsq(empty.design(g, temp), g - simulated.rate_dps, rcond=1e-6)[0]
-    return replace(empty, coefficients_dps=np.asarray(c.reshape(SHAPE), dtype=np.float64))
+    empty = Surface(np.zeros(SHAPE), 0.0, max(float(np.max(np.abs(g))), 1.0), center, scale, direction)
+    terms, c = carried_terms(simulated), np.zeros(SHAPE[0] * SHAPE[1])
+    c[terms] = np.linalg.lstsq(empty.design(x, temp)[:, terms], g - simulated.rate_dps, rcond=1e-6)[0]
+    return replace(empty, coefficients_dps=c.reshape(SHAPE))

@@ -330,7 +330,7 @@ def test_a_wheel_that_changes_is_no_bias(shape: str, truth_m: float) -> None:
     told = next(n for n in found.diagnosis.notes if not isinstance(n, str) and n.said is Said.WHEELS_CHANGE)
     assert told.facts["least"] < -1.0 < told.facts["most"]
     assert found.robot is None
-    assert "the way that the right wheel counts" in remark_words(told)
+    assert "the distance counted by the right wheel" in remark_words(told)
 
 
 def test_a_gyro_that_errs_by_heading_is_told_as_such(resting: Robot) -> None:

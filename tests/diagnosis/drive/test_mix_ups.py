@@ -89,3 +89,28 @@ def test_a_truth_tells_swapped_wheels_from_an_inverted_gyro(swapped: bool) -> No
     assert [e.effect for e in found.effects] == ["unit_or_sign"]
     assert (found.effects[0].seen == Remark(Said.WHEELS_SWAPPED)) == swapped
     assert not found.notes
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [(np.radians, Said.TRUTH_RADIANS), (np.negative, Said.TRUTH_CLOCKWISE), (lambda deg: deg, None)],
+)
+def test_a_truth_of_headings_alone_is_taken_in_its_unit_and_sign(
+    told: Callable[[Floats], Floats], said: Said | None
+) -> None:
+    """Before: a gyro scale of +147 %, or of +300 %."""
+    log = drive(Plan("random", 2.5, 10.0, truth_m=0.02, truth_heading_deg=0.05), 3)
+    standing = robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))
+    nothing = np.full(len(log), np.nan)
+    headings = replace(
+        log, truth_x_m=nothing, truth_y_m=nothing, truth_heading_deg=told(log.truth_heading_deg)
+    )
+    found = diagnose_drive("headings", headings, standing)
+    assert (said is None) or Remark(said) in found.diagnosis.notes
+    assert found.truth is not None
+    assert abs(found.truth.values["gyro_scale"]) < 0.01
+    way_m = 0.5 * (log.left_m + log.right_m)
+    vehicle = replace(headings, left_m=way_m, right_m=way_m, speed_only=True)
+    if said is Said.TRUTH_CLOCKWISE:
+        with pytest.raises(DataError, match="turn against each other"):
+            diagnose_drive("headings", vehicle, standing)

@@ -76,6 +76,20 @@ def test_every_law_of_the_catalogue_gives_its_numbers(names: tuple[str, ...], di
     np.testing.assert_allclose(added, wanted, atol=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("truncation", {"of_output": 1.0}), *(("dead_zone", {"form": form}) for form in (0.0, 1.0, 2.0))],
+)
+def test_a_law_of_few_forms_gives_its_numbers_in_each(name: str, kind: dict[str, float]) -> None:
+    c, usual = conditions(), CATALOGUE[name].typical()
+    law = Term(name, {k: {"value": v} for k, v in {**usual, **kind}.items()}, True)
+    valid = Valid((-100.0, 100.0), (-10.0, 50.0))
+    written = Coefficients({"model": "t"}, SURFACE, np.eye(12), valid, terms=(law,))
+    function = function_of(python_file(written, SURFACE, "Title.", "- formula"))
+    added = function(c.rate_dps, c.temp_c, **channels(c))
+    np.testing.assert_allclose(added, law.error_dps(c, SURFACE), atol=1e-10)
+
+
 def test_it_needs_numpy_alone_and_asks_for_its_channels(tmp_path: Path) -> None:
     law = Coefficients(
         {"model": "t"}, SURFACE, np.eye(12), Valid((-100.0, 100.0), (-10.0, 50.0)), terms=(term("warm_up"),)

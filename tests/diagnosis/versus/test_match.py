@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import series_of
+from gyrocal.diagnosis.engine import Options, series_of
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.versus.answer import only_surface
 from gyrocal.diagnosis.versus.match import match
 from gyrocal.errors import DataError
 from tests.diagnosis.versus.tables import RATES, SURFACE, plan, table
@@ -86,7 +88,7 @@ def test_rates_that_are_drawn_anew_at_each_temperature_are_matched_by_what_they_
         temp = np.repeat(levels, RATES.size)
         t = 60.0 * np.arange(rate.size) + 1000.0 * np.repeat(np.arange(levels.size), RATES.size)
         sets.append(series_of_table(table(name, t, rate, SURFACE.output_dps(rate, temp), temp)))
-    m = match(*sets)
+    m = match(sets[0], sets[1])
     assert not m.in_order
     assert m.matched_sets == m.sets
 
@@ -102,7 +104,7 @@ def test_noise_of_both_counts() -> None:
         )
         for name, std in (("real.csv", 3e-3), ("sim.csv", 4e-3))
     ]
-    np.testing.assert_allclose(match(*two).difference.white_std_dps, 5e-4)
+    np.testing.assert_allclose(match(two[0], two[1]).difference.white_std_dps, 5e-4)
 
 
 def test_what_does_not_overlap_is_refused() -> None:
@@ -129,3 +131,36 @@ def test_a_run_is_matched_row_by_row() -> None:
     lacking = m.difference.gyro_dps - m.surface.output_dps(run.rate_dps, run.temp_c)
     np.testing.assert_allclose(lacking, 0.5, atol=1e-9)
     np.testing.assert_allclose(m.difference.white_std_dps, np.sqrt(2) * run.white_std_dps)
+
+
+def test_a_simulation_that_is_nothing_but_a_surface_is_known_between_its_sets() -> None:
+    t, rate, temp = plan()
+    mine = series_of_table(table("real.csv", t, rate, SURFACE.output_dps(rate, temp) + 0.01, temp))
+    # Every other rate, and as far.
+    kept = np.isin(np.abs(rate), np.abs(RATES)[::4]) | (np.abs(rate) == np.abs(RATES).max())
+    gyro = SURFACE.output_dps(rate, temp)
+    coarse = series_of_table(table("sim.csv", t[kept], rate[kept], gyro[kept], temp[kept]))
+    some = match(mine, coarse)
+    assert some.bridged_sets == 0
+    assert some.matched_sets < some.sets
+    every = match(mine, coarse, partial(only_surface, options=Options()))
+    assert every.matched_sets == some.matched_sets
+    assert every.matched_sets + every.bridged_sets == every.sets
+    assert every.lonely_rates_dps == ()
+    off = every.difference.gyro_dps - every.surface.output_dps(rate, temp)
+    np.testing.assert_allclose(off, 0.01, atol=1e-6)
+    # What lies beyond its rates has nothing to be compared with.
+    slow = match(mine, coarse.take(np.abs(coarse.rate_dps) < 70.0), partial(only_surface, options=Options()))
+    assert set(np.abs(slow.lonely_rates_dps)) == {80.0, 100.0}
+
+
+@pytest.mark.parametrize("more", [False, True])
+def test_a_simulation_with_noise_is_a_surface_where_nothing_else_is_seen_in_it(more: bool) -> None:
+    t, rate, temp = plan()
+    gyro = SURFACE.output_dps(rate, temp) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
+    seen = only_surface(
+        series_of_table(table("sim.csv", t, rate, gyro + more * 2e-4 * np.abs(rate), temp)), Options()
+    )
+    assert (seen is None) == more
+    if seen is not None:
+        np.testing.assert_allclose(seen.output_dps(rate, temp), SURFACE.output_dps(rate, temp), atol=2e-3)
