@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,7 @@ def match(
     difference, apart_c = _difference(real, simulated, surface, (a, b), pairs, whole, bridged)
     lonely = np.setdiff1d(np.arange(len(a)), [*pairs, *bridged])
     if len(difference) < FEWEST_ROWS:
-        raise DataError(_too_little(real, simulated, a, b, len(pairs)))
+        _refuse_little(real, simulated, (a, b), len(pairs))
     temp = a.temp_c[lonely]
     return Match(
         difference,
@@ -182,13 +182,16 @@ def match(
     )
 
 
-def _too_little(real: Series, simulated: Series, a: _Sets, b: _Sets, paired: int) -> str:
-    remedy = "Simulate the rates and temperatures of the recording."
-    if _in_radians(a.rate_dps, b.rate_dps):
-        remedy = "The rates of the simulation look like rad/s: write rates and outputs in deg/s."
-    return (
+def _refuse_little(real: Series, simulated: Series, sets: tuple[_Sets, _Sets], paired: int) -> NoReturn:
+    a, b = sets
+    raise DataError(
         f"{real.name} and {simulated.name}: {paired} of {len(a)} data sets of the recording have a partner in the simulation "
-        f"(the same rate, and a temperature within {_TEMP_C:g} °C), which is too little to compare. {remedy}"
+        f"(the same rate, and a temperature within {_TEMP_C:g} °C), which is too little to compare. "
+        + (
+            "The rates of the simulation look like rad/s: write rates and outputs in deg/s."
+            if _in_radians(a.rate_dps, b.rate_dps)
+            else "Simulate the rates and temperatures of the recording."
+        )
     )
 
 
