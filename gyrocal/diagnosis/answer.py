@@ -17,7 +17,7 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import Named
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
-from gyrocal.diagnosis.layers import DIRECTION, Law, Model
+from gyrocal.diagnosis.layers import Law, Model, beyond_input
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.rate_errors import largest
@@ -129,15 +129,14 @@ def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:
 
 
 def _input_share(found: Examination) -> Estimate:
-    """Where the surface lies between one of the output (0) and one of the input (1)."""
+    """Where the surface lies between one of the output (0) and one of the input (1), by least squares beside everything else."""
     fitted = found.naming.fitted
-    if DIRECTION not in fitted.model.components:
-        free = fitted.model.directed("free", fitted.model.bend_of(fitted.solve()))
-        fitted = fitted.refit(free)
-    solution = fitted.solve()
-    place = solution.starts[DIRECTION]
-    std = float(np.sqrt(solution.covariance[place, place]))
-    return Estimate.normal(1.0 - float(solution.amplitudes[DIRECTION][0]), std, "1")
+    bend = fitted.model.bend_of(fitted.solve())
+    column = beyond_input(fitted.model.basis, bend) @ bend
+    of_input = fitted.refit(fitted.model.directed("input", bend)).granting_noise()
+    score, p = of_input.contrasts.precision(of_input.model.all, of_input.fit.log_variance)
+    information = float(column @ p @ column)
+    return Estimate.normal(1.0 - float(column @ score) / information, float(information**-0.5), "1")
 
 
 def _of_the_input(found: Examination) -> bool:

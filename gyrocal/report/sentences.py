@@ -132,7 +132,8 @@ def _once(said: Iterable[str]) -> list[str]:
 
 def _begun(note: Note) -> str:
     words = remark_words(note)
-    return words[0].upper() + words[1:]
+    # A file has the name that it has.
+    return words if "." in words.split()[0].rstrip(".") else words[0].upper() + words[1:]
 
 
 def document(d: Diagnosis) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import pytest
 from gyrocal.diagnosis import blocks
 from gyrocal.diagnosis.blocks import evidence, present
 from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.engine import diagnose
 from gyrocal.diagnosis.laws import Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
@@ -98,3 +99,18 @@ def test_a_direction_that_was_found_is_not_given_up_for_one_that_fits_worse() ->
     found = blocks.around_itself(beside.refit(beside.model.directed("output", bend)))
     assert found.model.direction == "output"
     assert blocks.settle_direction(found).nll <= found.nll
+
+
+def test_how_much_of_the_input_a_surface_is_has_an_interval_that_is_none_of_a_variance_of_zero() -> None:
+    """It was 1 to six digits where the record tells it to a tenth."""
+    c = np.zeros(SHAPE)
+    c[0, 0], c[1, 0], c[1, 2], c[3, 0] = 0.05, 0.1, -0.27, -0.44
+    of_input = Surface(c, 0.0, 100.0, 20.0, 30.0, "input")
+    rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 13), np.linspace(-10.0, 50.0, 7)))
+    noise = 3e-4 * np.random.default_rng(4).standard_normal(rate.size)
+    gyro = rate + of_input.error_dps(rate, temp) + noise
+    (named,) = diagnose(DataSetTable(Path("of_input.csv"), rate, gyro, temp)).effects
+    assert named.effect == "fit_direction"
+    share = named.parameters["amplitude"]
+    assert 0.05 < share.std < 0.2
+    assert share.interval_95[0] < 1.0 < share.interval_95[1]

@@ -309,7 +309,7 @@ def test_what_the_data_lack_stands_behind_all_that_was_found(found: Diagnosis) -
     )
     last = [
         "Measure at rest.",
-        "Run.json does not say profile.",
+        "run.json does not say profile.",
         "2 gyro samples are empty or of bad status and left out.",
         "Not testable with this record: supply, because it did not change.",
     ]
