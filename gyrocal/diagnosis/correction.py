@@ -48,7 +48,7 @@ _TERMS = SHAPE[0] * SHAPE[1]
 #: run better and 9 worse, whether or not they surely predicted what was left out.
 _BEYOND_DOUBT = 10.0
 #: What comes again with less probability than this has no term in the file.
-_OVER = 0.01
+_SURELY_NOT = 0.01
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     again = found.comes_again
     items, total = _items([(f.model, s) for _, f, s in solved], again)
     # What may come again or not is known no better than the two states differ.
-    states = [(again, True), (1.0 - again, False)] if again >= _OVER else [(1.0, False)]
+    states = [(again, True), (1.0 - again, False)] if again >= _SURELY_NOT else [(1.0, False)]
     each = [
         (w * chance, _estimate(f.model, s, items, total, comes))
         for w, f, s in solved
@@ -255,9 +255,9 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
         least = NEGLIGIBLE * float(np.std(solution.left))
         laws = _lasting(model)
         parts = {p.name: p for p in model.parts if p.block != "surface"}
-        over = set(_since_power_on(model)) if again < _OVER else set()
+        passed = set(_since_power_on(model)) if again < _SURELY_NOT else set()
         for name in solution.order:
-            if name in over:
+            if name in passed:
                 continue
             new: list[tuple[str, Part | None, Law | None, int]]
             if name in laws:

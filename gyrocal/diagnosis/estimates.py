@@ -55,7 +55,7 @@ _ROWS_NEAR = 2
 
 
 @dataclass(frozen=True)
-class _Beside:
+class _Scan:
     """A law beside everything else in a model: how well it does at any shape.
 
     The amplitude stays within the bounds that the catalogue gives; a shape that fits best beyond them loses by that.
@@ -241,7 +241,7 @@ def _free(law: Law) -> list[str]:
     return [n for n in refined if law.shape.get(n, 0.0) > 0.0 and law.columns.shape[1] == 1]
 
 
-def _beside(fitted: Fitted, law: Law, laws: Laws, without: Sequence[str]) -> _Beside:
+def _beside(fitted: Fitted, law: Law, laws: Laws, without: Sequence[str]) -> _Scan:
     effect, model = CATALOGUE[law.effect], fitted.model.without(without)
     # One law that was found in two blocks is one; plays and jumps may be several.
     several = effect.search.adds_up or "at_s" in law.shape
@@ -249,7 +249,7 @@ def _beside(fitted: Fitted, law: Law, laws: Laws, without: Sequence[str]) -> _Be
     others = [c for c in model.all if c.name not in same]
     surface, _ = np.linalg.qr(model.design[:, model.flat])
     score, p = fitted.contrasts.precision(others, fitted.fit.log_variance)
-    return _Beside(effect, laws, surface, score, p)
+    return _Scan(effect, laws, surface, score, p)
 
 
 def _sized(point: Point) -> Point:
@@ -270,7 +270,7 @@ def _shapes(
 
 
 def _intervals(
-    beside: _Beside, shape: Mapping[str, float], free: Sequence[str]
+    beside: _Scan, shape: Mapping[str, float], free: Sequence[str]
 ) -> tuple[dict[str, Interval], list[Point]]:
     """Intervals of the parameters of a shape, the others at their best, and points all over them."""
     if "at_s" in free:
@@ -285,7 +285,7 @@ def _intervals(
 
 
 def _around(
-    beside: _Beside, best_shape: Mapping[str, float], free: Sequence[str], stated: Mapping[str, float]
+    beside: _Scan, best_shape: Mapping[str, float], free: Sequence[str], stated: Mapping[str, float]
 ) -> tuple[dict[str, Interval], list[Point]]:
     """The same around one of the shapes that are best in their neighbourhood.
 
@@ -304,7 +304,7 @@ def _around(
     return alone, [beside.at({**stated, n: float(x)}) for n, tried in values.items() for x in tried]
 
 
-def _modes(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
+def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
     """Shapes that are best in their neighbourhood, the likeliest first, and hardly less likely: that in the model was found beside less.
 
     Of two parameters that are traded for one another there may be several, far apart: a peak that is narrow and high, and
@@ -323,7 +323,7 @@ def _modes(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> 
     return found
 
 
-def _starts(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
+def _starts(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
     """The best shapes of the grid, one for each value of the first parameter."""
     best: dict[float, tuple[float, dict[str, float]]] = {}
     for at in beside.effect.search.grid(beside.laws.offer):
@@ -334,7 +334,7 @@ def _starts(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) ->
     return [tried for _, tried in sorted(best.values(), key=lambda x: x[0])[:_STARTS]]
 
 
-def _best_shape(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
+def _best_shape(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
     """The best shape near one."""
     if len(free) < 2:
         best = {n: descend(partial(_loss, beside, shape, n), shape[n], _NEAR) for n in free}
@@ -356,17 +356,17 @@ def _best_shape(beside: _Beside, shape: Mapping[str, float], free: Sequence[str]
     return at(np.asarray(best_logs))
 
 
-def _loss(beside: _Beside, shape: Mapping[str, float], name: str, value: float) -> float:
+def _loss(beside: _Scan, shape: Mapping[str, float], name: str, value: float) -> float:
     return beside.at({**shape, name: value}).loss
 
 
-def _limits(beside: _Beside, name: str) -> tuple[float, float]:
+def _limits(beside: _Scan, name: str) -> tuple[float, float]:
     known = beside.effect.parameter(name)
     return known.low, known.high
 
 
 def _jointly(
-    beside: _Beside,
+    beside: _Scan,
     shape: Mapping[str, float],
     best_shape: Mapping[str, float],
     alone: Mapping[str, Interval],

@@ -12,11 +12,11 @@ from scipy import stats
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
 from gyrocal.diagnosis.drive.findings import (
     OUT,
-    Scale,
+    OfTruth,
     joint_estimate,
     named_effects,
     not_testable,
-    scales,
+    of_truth,
     spinning,
     verdict,
 )
@@ -31,7 +31,7 @@ from gyrocal.diagnosis.drive.improved import (
 )
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
-from gyrocal.diagnosis.drive.motions import AS_LIKELY, rather_settles
+from gyrocal.diagnosis.drive.motions import AS_LIKELY, settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
@@ -117,7 +117,7 @@ class Examined:
     series: DriveSeries
     yaw: YawAnswer
     truth: TruthAnswer | None
-    parts: dict[str, Scale]
+    parts: dict[str, OfTruth]
     figures: Figures
     checks: list[Found]
     notes: list[Remark]
@@ -188,7 +188,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     yaw, truth = _beside_truth(series, examine_yaw(series))
     if truth is not None and truth.mirrored:
         notes.append(Remark(Said.TRUTH_MIRRORED))
-    parts = scales(yaw, truth)
+    parts = of_truth(yaw, truth)
     notes += instants(yaw, truth)
     clock = uneven_clock(log.t_s)
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
@@ -370,7 +370,7 @@ def _with_truth(
     """
     if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
         return 0.0, None
-    if KINDS[name].group == "motion" and rather_settles(yaw.told, yaw.fitted, name, GAIN):
+    if KINDS[name].group == "motion" and settling_beats(yaw.told, yaw.fitted, name, GAIN):
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
     found = _asked(series, wider, truth)

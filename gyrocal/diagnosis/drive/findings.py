@@ -67,8 +67,8 @@ _ALIKE = (_RATIO, frozenset({GYRO_BIAS.id, BIAS_TEMPERATURE.id}))
 
 
 @dataclass(frozen=True)
-class Scale:
-    """A relative error with its standard deviation."""
+class OfTruth:
+    """A figure with its standard deviation, in the unit of its law; scales are relative."""
 
     value: float
     std: float
@@ -106,32 +106,32 @@ def told_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple
     )
 
 
-def scales(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
+def of_truth(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTruth]:
     """What the truth shows or has a part in: scales, laws of the bias, the track that is left, wheels that spin."""
     slip = spinning(yaw, truth)
     return _turns_and_way(yaw, truth) | ({} if slip is None else {START_STOP_SLIP.id: slip})
 
 
-def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale]:
+def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTruth]:
     """What the truth shows, scales of gyro and wheels and laws of the bias (`ALONE`), and the track that is left.
 
     Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro), so that only the truth tells the three apart.
     What it does not show goes to whichever of the three it speaks least against.
     """
-    found: dict[str, Scale] = {}
+    found: dict[str, OfTruth] = {}
     tilt = _tilt(yaw, truth)
     if truth is not None:
         for name in SCALES:
             if truth.believed(name) and not _changes(name, yaw, truth):
-                found[name] = Scale(truth.values[name], truth.stds[name])
+                found[name] = OfTruth(truth.values[name], truth.stds[name])
         if "gyro_scale" in found and tilt.value > 0.0:
             beside = found.pop("gyro_scale")
-            beside = Scale(beside.value + tilt.value, float(np.hypot(beside.std, tilt.std)))
+            beside = OfTruth(beside.value + tilt.value, float(np.hypot(beside.std, tilt.std)))
             if abs(beside.value) > BELIEVED * beside.std:
                 found["gyro_scale"] = beside
         for name in ALONE:
             if name not in yaw.named and truth.told(name) ** 2 >= GAIN:
-                found[name] = Scale(truth.values[name], truth.stds[name])
+                found[name] = OfTruth(truth.values[name], truth.stds[name])
     if tilt.value > 0.0:
         found[ROBOT_TILT.id] = tilt
     if "track" not in yaw.chosen:
@@ -142,10 +142,13 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale
     if found:
         c = (1 + c) * (1 - tilt.value) - 1
         g, w = (found[n].value if n in found else 0.0 for n in SCALES)
-        spread = float(np.sqrt(std**2 + sum(s.std**2 for s in found.values())))
+        # Laws of the bias are no part of a ratio.
+        spread = float(
+            np.sqrt(std**2 + sum(found[n].std ** 2 for n in (*SCALES, ROBOT_TILT.id) if n in found))
+        )
         left = (1 + c) * (1 + g) / (1 + w) - 1
         if left**2 >= GAIN * spread**2 and "track" not in yaw.uneven:
-            found["track"] = Scale(left, spread)
+            found["track"] = OfTruth(left, spread)
     elif "track" in yaw.named:
         against = _against(c, std, truth)
         best = min(against, key=lambda n: against[n])
@@ -157,11 +160,11 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Scale
         if rivals and not slipping and abs(c) < _ANY_SCALE:
             return found
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
-        found[best] = Scale(value, std)
+        found[best] = OfTruth(value, std)
     return found
 
 
-def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale | None:
+def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> OfTruth | None:
     """Share of the way by which wheels spin for each m/s^2 that the speed grows, where turns and way together show it.
 
     In turns the encoders' heading tells it, on all of the way the truth: two measurements of one figure.
@@ -179,10 +182,10 @@ def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale | None:
     if not told or not np.isfinite(weights).all():
         return None
     value, std = float(np.average([v for v, _ in told], weights=weights)), float(weights.sum() ** -0.5)
-    return Scale(value, std) if value > 0.0 and (value / std) ** 2 >= GAIN else None
+    return OfTruth(value, std) if value > 0.0 and (value / std) ** 2 >= GAIN else None
 
 
-def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
+def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> OfTruth:
     """Share of the turns that a gyro on a slope lacks in the mean; 0 where nothing speaks for one.
 
     Of a turn over a slope of angle a, w cos(a cos(heading)) is seen: a^2/4 less, and as much by twice the heading. It must
@@ -190,7 +193,7 @@ def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
     of places, at each of which a robot may always have the same heading.
     """
     if _TILT[0] not in yaw.gram.names:
-        return Scale(0.0, 0.0)
+        return OfTruth(0.0, 0.0)
     everything = [
         *yaw.chosen,
         *(n for n in yaw.gram.names if ":" in n and not n.startswith((*_TILT, "place"))),
@@ -199,9 +202,9 @@ def _tilt(yaw: YawAnswer, truth: TruthAnswer | None) -> Scale:
     covariance = covariance[:, -2:]
     seen = stats.chi2.sf(values @ np.linalg.solve(covariance, values), 2) <= STRANGER_P
     if not seen and not _lacks_by_heading(values, covariance, truth):
-        return Scale(0.0, 0.0)
+        return OfTruth(0.0, 0.0)
     size = float(np.hypot(*values))
-    return Scale(size, float(np.sqrt(values @ covariance @ values)) / size)
+    return OfTruth(size, float(np.sqrt(values @ covariance @ values)) / size)
 
 
 def _lacks_by_heading(values: Floats, covariance: Floats, truth: TruthAnswer | None) -> bool:
@@ -266,7 +269,7 @@ def named_effects(
     series: DriveSeries,
     yaw: YawAnswer,
     truth: TruthAnswer | None,
-    parts: Mapping[str, Scale],
+    parts: Mapping[str, OfTruth],
     checks: list[Found],
 ) -> list[NamedEffect]:
     """Everything that earns its name, the strongest first."""
@@ -373,7 +376,7 @@ def _rivals(name: str, yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[Alter
 
 
 def _of_scale(
-    name: str, scale: Scale, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+    name: str, scale: OfTruth, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> NamedEffect:
     effect = {"track": SKID_SLIP.id, "slope": BIAS_TEMPERATURE.id, AT_ONCE: GYRO_BIAS.id}.get(name, name)
     seen, beside = _said(name, scale.value), None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal.diagnosis.drive.findings import Scale, joint_estimate, told_estimate
+from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
@@ -73,7 +73,7 @@ class DriveEstimate:
 
 
 def figures_of(
-    series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale], truth: TruthAnswer | None
+    series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, OfTruth], truth: TruthAnswer | None
 ) -> Figures:
     """What the log says should be taken out of it: the bias, and all that is named."""
     told = _told(yaw, truth, parts, tuple(yaw.named))
@@ -100,7 +100,7 @@ def figures_of(
 
 
 def _told(
-    yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale], named: Sequence[str]
+    yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, OfTruth], named: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of laws that the heading difference names, and of what the truth shows."""
     return {n: told_estimate(yaw, truth, n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
@@ -157,7 +157,7 @@ def estimates_of(
     series: DriveSeries,
     yaw: YawAnswer,
     truth: TruthAnswer | None,
-    parts: Mapping[str, Scale],
+    parts: Mapping[str, OfTruth],
     figures: Figures,
 ) -> tuple[DriveEstimate, ...]:
     """Every figure of a drive by the metres that it costs, the dearest first."""
@@ -179,7 +179,7 @@ def _of_gyro(
     series: DriveSeries,
     yaw: YawAnswer,
     truth: TruthAnswer | None,
-    parts: Mapping[str, Scale],
+    parts: Mapping[str, OfTruth],
     figures: Figures,
 ) -> list[DriveEstimate]:
     """Figures that move the path along the gyro's heading."""
@@ -206,7 +206,7 @@ def _of_gyro(
     for name in SCALES:
         scale = parts.get(name)
         if scale is None and truth is not None and truth.shows(name):
-            scale = Scale(truth.values[name], truth.stds[name])
+            scale = OfTruth(truth.values[name], truth.stds[name])
         if scale is not None:
             metres = cost_m(series, figures, name, scale.value)
             percent = (100 * scale.value, 100 * scale.std, "%")
@@ -220,7 +220,7 @@ def _spokesman(yaw: YawAnswer, group: str) -> str:
     return next((n for n in found if n in yaw.named), found[0])
 
 
-def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, Scale]) -> list[DriveEstimate]:
+def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, OfTruth]) -> list[DriveEstimate]:
     """Figures that move the path along the encoders' heading."""
     found = []
     path = reckon(series, Figures())
@@ -249,7 +249,7 @@ def improved_robot(
     series: DriveSeries,
     yaw: YawAnswer,
     truth: TruthAnswer | None,
-    parts: Mapping[str, Scale],
+    parts: Mapping[str, OfTruth],
     figures: Figures,
 ) -> Robot | None:
     """The robot file with everything that earned it; None where the drive tells nothing that a robot could use.
@@ -326,17 +326,17 @@ def _slip_keys(yaw: YawAnswer) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _untold_wheels(series: DriveSeries, truth: TruthAnswer | None) -> Scale:
+def _untold_wheels(series: DriveSeries, truth: TruthAnswer | None) -> OfTruth:
     """What both wheels may be off by alike where the truth is not sure enough to take it out, or there is none."""
     granted = series.robot.initial_std
     std = 0.5 * float(np.hypot(granted["left_scale"], granted["right_scale"]))
     if truth is not None and not truth.mirrored:
         std = min(std, float(np.hypot(truth.values["wheel_scale"], truth.stds["wheel_scale"])))
-    return Scale(0.0, std)
+    return OfTruth(0.0, std)
 
 
 def _geometry_keys(
-    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, Scale]
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, OfTruth]
 ) -> dict[str, float]:
     """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
     bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else joint_estimate(yaw, truth, "bias")[0]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import KINDS, Law
-from gyrocal.diagnosis.drive.motions import rather_settles
+from gyrocal.diagnosis.drive.motions import settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
 from gyrocal.diagnosis.drive.yaw import Evidence, YawModel, evidence
 
@@ -74,7 +74,7 @@ def undenied(
     if "delay" in named and odd["delay"][2] < STRANGER_P:
         denied["delay"] = ("delay", odd["delay"])
     for name in (n for n in named if KINDS[n].group == "motion" or n == "slope"):
-        if rather_settles(told, [n for n in fitted if n != name], name):
+        if settling_beats(told, [n for n in fitted if n != name], name):
             denied[name] = ("time", _test(named[name]))
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]
     if any(n in named for n in of_turns):

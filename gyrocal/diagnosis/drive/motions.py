@@ -31,7 +31,7 @@ def likely_motions(told: Evidence, chosen: Sequence[str], motions: Sequence[str]
     return likely / likely.sum(), values
 
 
-def middling(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> list[str]:
+def with_central_lag(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> list[str]:
     """With that law of the motion, of those that are as likely as not, whose bias is nearest to the mean of all.
 
     A later rest that is short tells little of the lag, and of the bias only together with that.
@@ -44,7 +44,9 @@ def middling(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> l
     return [motions[int(np.argmin(away))] if n == taken else n for n in chosen]
 
 
-def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], least: float) -> list[str]:
+def temperature_for_motion(
+    told: Evidence, chosen: Sequence[str], laws: Iterable[str], least: float
+) -> list[str]:
     """With a bias that goes by the temperature in place of one that came with the motion and did not go with it.
 
     Later rests at which a bias stays as it is in motion deny that the motion made it; what then changed between the rest at
@@ -60,7 +62,7 @@ def rather_warmed(told: Evidence, chosen: Sequence[str], laws: Iterable[str], le
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
 
 
-def rather_moves(told: Evidence, chosen: Sequence[str], motions: Sequence[str], least: float) -> bool:
+def motion_beats_wheels(told: Evidence, chosen: Sequence[str], motions: Sequence[str], least: float) -> bool:
     """Whether a bias that comes with the motion is there, and explains surely more than wheels that differ, each without the other.
 
     Either makes the two headings part on a straight, and beside wheels that may differ by anything no bias is seen.
@@ -76,7 +78,7 @@ def rather_moves(told: Evidence, chosen: Sequence[str], motions: Sequence[str], 
     return moves > max(least, told.added(beside, ["asymmetry"]) + AS_LIKELY)
 
 
-def rather_settles(told: Evidence, beside: Sequence[str], name: str, least: float = 0.0) -> bool:
+def settling_beats(told: Evidence, beside: Sequence[str], name: str, least: float = 0.0) -> bool:
     """Whether a bias that settles by itself is there, and explains surely more than a law of the motion does in its place.
 
     Its time constant is anything: the likelihood is a mean over all that are tried.

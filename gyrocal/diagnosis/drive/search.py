@@ -27,10 +27,10 @@ from gyrocal.diagnosis.drive.laws import (
 from gyrocal.diagnosis.drive.motions import (
     likely_motions,
     may_be_another,
-    middling,
+    motion_beats_wheels,
     of_motion,
-    rather_moves,
-    rather_warmed,
+    temperature_for_motion,
+    with_central_lag,
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
@@ -262,7 +262,7 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
     answer = answer if before is None else _examine(series, ahead_s, window_s, before)
     if "asymmetry" not in answer.named:
         return answer
-    if not rather_moves(answer.told, answer.fitted, of_motion(answer.laws), GAIN):
+    if not motion_beats_wheels(answer.told, answer.fitted, of_motion(answer.laws), GAIN):
         return answer
     moving = _examine(series, ahead_s, window_s, before, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
     return moving if of_motion(moving.named) else answer
@@ -323,7 +323,7 @@ def _examine(
         free = evidence(model, columns)
         told = free.knowing(known)
         chosen = _selected(told, [*least, *beyond], candidates)
-    chosen = rather_warmed(told, middling(told, chosen, of_motion(laws)), candidates, GAIN)
+    chosen = temperature_for_motion(told, with_central_lag(told, chosen, of_motion(laws)), candidates, GAIN)
     odd, changed = nameless(free, chosen, jumping, blocks)
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     chosen, odd = _with_sure_jump(told, chosen, beside, odd)

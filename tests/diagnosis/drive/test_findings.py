@@ -106,7 +106,7 @@ def test_a_truth_that_knows_a_scale_poorly_is_said_to_be_poor(std: float, known:
 def test_a_gyro_that_reads_far_too_little_may_be_tilted(scale: float, tilted: bool) -> None:
     found = findings._of_scale(
         "gyro_scale",
-        findings.Scale(scale, 1e-3),
+        findings.OfTruth(scale, 1e-3),
         series(initial_std={"gyro_scale": 4e-3}),
         yaw(estimate=lambda name: (0.0, 1e-3)),
         cast(TruthAnswer, SimpleNamespace(**vars(truth(scale, 0.0, 1e-3)), believed=lambda name: True)),

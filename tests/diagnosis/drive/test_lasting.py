@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from gyrocal.diagnosis.drive.engine import _wheels_beside_structure, diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
-from gyrocal.diagnosis.drive.motions import rather_moves, rather_settles
+from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, usual_flicker_dps
@@ -152,7 +152,7 @@ def test_a_bias_that_settles_has_to_be_there_and_to_be_likelier_at_any_time_cons
     names = ("slope", *SETTLING)
     gram = Gram(names, np.eye(len(names)), np.sqrt([gain, *settling]))
     told = Evidence(gram, (gram,) * 9, np.zeros(9))
-    assert rather_settles(told, [], "slope", least) is rather
+    assert settling_beats(told, [], "slope", least) is rather
 
 
 @pytest.mark.parametrize(
@@ -169,11 +169,11 @@ def test_a_bias_in_motion_stands_for_wheels_that_differ_where_it_is_20_times_as_
     gram = Gram(names, precision, np.array([0.0, np.sqrt(wheels), 1.0, np.sqrt(moving)]))
     told = Evidence(gram, (gram,) * 9, np.zeros(9))
     motions = ["step", "moving_0"]
-    assert rather_moves(told, ["bias", "asymmetry"], motions, 15.0) is rather
-    assert not rather_moves(told, ["bias"], motions, 15.0)
-    assert not rather_moves(told, ["bias", "asymmetry", "step"], motions, 15.0)
-    assert not rather_moves(told, ["bias", "asymmetry"], [], 15.0)
-    assert not rather_moves(told, ["bias", "asymmetry"], motions, 300.0)
+    assert motion_beats_wheels(told, ["bias", "asymmetry"], motions, 15.0) is rather
+    assert not motion_beats_wheels(told, ["bias"], motions, 15.0)
+    assert not motion_beats_wheels(told, ["bias", "asymmetry", "step"], motions, 15.0)
+    assert not motion_beats_wheels(told, ["bias", "asymmetry"], [], 15.0)
+    assert not motion_beats_wheels(told, ["bias", "asymmetry"], motions, 300.0)
 
 
 def slipping(log: DriveBlock, at_s: list[float], more_m: list[float]) -> DriveBlock:
