@@ -36,7 +36,8 @@ _FEWEST_SETS, _ROUNDS = 30, 30
 #: What a data set by itself must explain, nats: five standard deviations, which of 171 rows of white noise one does in 10,000
 #: tables. Of 29 made-up tables without an outlier none had a row beyond 3.9, of six with outliers every one, beyond 5.
 _STRAY_NATS = 12.5
-#: Data sets at either end that may be off by physics: a transient, or a step that has hardly been seen.
+#: Data sets at either end that may be off by physics: a transient, or a step that has hardly been seen. Either has the sets beyond
+#: off as well, and does not go further off towards the middle.
 _ENDS = 4
 #: A row that the record knows less of than this share of what it knows of the others is one that some term is known from
 #: alone: what is left of it is rounding.
@@ -244,8 +245,9 @@ def _alone(candidate: Candidate) -> tuple[Strays, float]:
         own, here = score - p[:, chosen] @ inner @ score[chosen], p - p[:, chosen] @ inner @ p[chosen]
         off, std = inner @ score[chosen], np.sqrt(np.diag(inner))
         known = np.diag(here) > _TOLD * np.median(np.diag(p))
-        known[:_ENDS] = known[-_ENDS:] = False
-        squares = np.where(known, own**2 / np.where(known, np.diag(here), 1.0), 0.0)
+        away = np.where(known, own / np.where(known, np.diag(here), 1.0), 0.0)
+        squares = away * own
+        squares[_as_of_an_end(away)] = 0.0
         freedom = float(model.error_dps @ score) - float(score[chosen] @ off)
         gains = 0.5 * (rows - flat.shape[1]) * -np.log1p(-np.minimum(squares / freedom, 1.0 - 1e-9))
         k = int(np.argmax(gains))
@@ -254,6 +256,23 @@ def _alone(candidate: Candidate) -> tuple[Strays, float]:
         gained += float(gains[k])
         chosen.append(k)
     return Strays(means.set_index[chosen], off, std), gained
+
+
+def _as_of_an_end(off: Floats) -> Ints:
+    """Rows near either end that a transient or a step may have made: a row beyond them is off by half as much or more.
+
+    Parameters
+    ----------
+    off : by how much each row is off, shape (rows,), in whatever unit
+    """
+    rows = np.arange(_ENDS)
+    ends = [(rows, off[:_ENDS]), (off.size - 1 - rows, off[::-1][:_ENDS])]
+    return np.concatenate([at[[_follows(y[:k], y[k]) for k in rows]] for at, y in ends])
+
+
+def _follows(beyond: Floats, off: float) -> bool:
+    """Whether any of the rows beyond is off as well; of the last row nobody knows."""
+    return not beyond.size or bool(np.any(np.abs(beyond) > 0.5 * abs(off)))
 
 
 def _most(sets: int) -> int:

@@ -66,6 +66,24 @@ def test_what_is_off_at_either_end_may_be_a_transient() -> None:
     assert len(found_in(make_sweeps(3, {0: 0.02}))) == 0
 
 
+@pytest.mark.parametrize(
+    ("off_dps", "numbers"),
+    [
+        ({3: 0.02}, [3]),
+        ({59: -0.02}, [59]),
+        ({1: 0.02}, [1]),
+        ({k: 0.04 * 0.7**k for k in range(6)}, []),
+        (dict.fromkeys(range(4), 0.02), []),
+        (dict.fromkeys(range(60, 63), 0.02), []),
+    ],
+)
+def test_near_an_end_a_set_is_a_stray_where_those_beyond_it_are_not_off(
+    off_dps: dict[int, float], numbers: list[int]
+) -> None:
+    """One of the first four had been taken for two steps and a drift."""
+    assert found_in(make_sweeps(3, off_dps)).numbers.tolist() == numbers
+
+
 def test_a_set_at_a_large_rate_among_many_small_ones_is_no_stray_by_the_thermometer() -> None:
     """Half a degree that a thermometer of whole degrees does not tell is nothing at 1 deg/s and 20 mdeg/s at 100."""
     rng = np.random.default_rng(4)
