@@ -186,7 +186,9 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     """The coil's lag or a law of time of a table."""
     if searched.law is None:
         p = float(chi2.sf(2.0 * searched.nats, 2))
-        coils = [(weight, c) for weight, c in averaged(found.ranked) if c.coil is not None]
+        # Of models as near one side of a warm-up may have none.
+        near = [(weight, c) for weight, c in averaged(found.ranked) if c.coil is not None]
+        coils = near or [(1.0, found.ranked[0])]
         return _effect(found, searched.effect, lag_estimates(coils), p, {})
     p = float(chi2.sf(2.0 * searched.nats, 1))
     # The search goes from one shape of its grid to the next.

@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.columns import EDGE
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
@@ -37,7 +38,7 @@ HISTORY = {SHUPE.id: "", SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "wid
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 #: A warm-up that the record does not outlast by half is a drift: its end is not seen.
 _OUTLASTED = 1.5
-#: A step has data sets on either side.
+#: A step has data sets on either side, in a long table more than these.
 _FEWEST_SETS = 4
 #: How long a step takes, in distances of data sets: the time constant of a logistic curve.
 _RISES = (0.0, 0.5, 1.0, 2.0, 4.0)
@@ -72,7 +73,8 @@ class Changes:
         m = self.means
         if effect in STEPS:
             rise_s = float(np.median(np.diff(m.t_s))) * np.array(_RISES)
-            return range(_FEWEST_SETS, len(m) - _FEWEST_SETS), rise_s.tolist()
+            edge = max(_FEWEST_SETS, round(EDGE * len(m)))
+            return range(edge, len(m) - edge), rise_s.tolist()
         if effect in DRIFTS:
             return POWERS[::-1], (0.0,)
         if effect == WARM_UP.id:

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Share of the data sets on either side of a jump at the least: fewer are as well off by themselves.
-_EDGE = 0.03
+EDGE = 0.03
 
 
 def conditions_of(series: Series) -> Conditions:
@@ -71,7 +71,7 @@ def _between_turns(series: Series) -> Floats:
         return np.empty(0)
     starts = series.t_s[np.flatnonzero(np.diff(series.set_index, prepend=-1))][1:] - 0.5
     sets = np.unique(series.set_index[turning])
-    edge = min(max(2, round(_EDGE * sets.size)), sets.size // 4)
+    edge = min(max(2, round(EDGE * sets.size)), sets.size // 4)
     first = series.t_s[np.flatnonzero(series.set_index == sets[edge])[0]]
     last = series.t_s[np.flatnonzero(series.set_index == sets[-1 - edge])[-1]]
     return np.asarray(starts[(starts > first - 1.0) & (starts < last)])

@@ -95,7 +95,7 @@ class Examination:
         if not self.ranked:
             return self.naming.comes_again
         every = [*self.ranked, *self.smooth]
-        weight = np.exp([self.ranked[0].score - c.score for c in every])
+        weight = np.exp(min(c.score for c in every) - np.array([c.score for c in every]))
         return float(weight @ [c.warms_up for c in every] / weight.sum())
 
     @property

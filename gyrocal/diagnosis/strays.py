@@ -265,14 +265,11 @@ def _as_of_an_end(off: Floats) -> Ints:
     ----------
     off : by how much each row is off, shape (rows,), in whatever unit
     """
-    rows = np.arange(_ENDS)
-    ends = [(rows, off[:_ENDS]), (off.size - 1 - rows, off[::-1][:_ENDS])]
-    return np.concatenate([at[[_follows(y[:k], y[k]) for k in rows]] for at, y in ends])
-
-
-def _follows(beyond: Floats, off: float) -> bool:
-    """Whether any of the rows beyond is off as well; of the last row nobody knows."""
-    return not beyond.size or bool(np.any(np.abs(beyond) > 0.5 * abs(off)))
+    rows, size = np.arange(_ENDS), np.abs(off)
+    ends = [(rows, size[:_ENDS]), (off.size - 1 - rows, size[::-1][:_ENDS])]
+    followed = [at[[bool(np.any(y[:k] > 0.5 * y[k])) for k in rows]] for at, y in ends]
+    # The first row by itself may be a transient; nothing that stays is known from the last.
+    return np.concatenate([[0], *followed])
 
 
 def _most(sets: int) -> int:

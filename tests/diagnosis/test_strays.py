@@ -72,6 +72,7 @@ def test_what_is_off_at_either_end_may_be_a_transient() -> None:
         ({3: 0.02}, [3]),
         ({59: -0.02}, [59]),
         ({1: 0.02}, [1]),
+        ({62: 0.02}, [62]),
         ({k: 0.04 * 0.7**k for k in range(6)}, []),
         (dict.fromkeys(range(4), 0.02), []),
         (dict.fromkeys(range(60, 63), 0.02), []),
