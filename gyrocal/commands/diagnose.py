@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from gyrocal.calibration.provenance import check_sensor, fitted_to, refuse_compe
 from gyrocal.diagnosis.drive.engine import diagnose_drive
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.result import Diagnosis
-from gyrocal.diagnosis.versus.answer import versus
+from gyrocal.diagnosis.versus.answer import only_surface, versus
 from gyrocal.diagnosis.versus.between import between
 from gyrocal.diagnosis.versus.drive import drive_versus
 from gyrocal.errors import InputError, LimitError, ProfileError
@@ -187,22 +188,22 @@ def _write_versus(config: DiagnoseConfig, simulation: Path, progress: Progress) 
         for path, scale in zip(paths, nominal_scales(paths, config.counts_per_dps), strict=True)
     )
     progress(0.1, "match and examine")
-    answer = versus(recording, simulated, Options(seed=config.seed))
+    options = Options(seed=config.seed)
+    whole = cache(partial(only_surface, simulated, options))
+    answer = versus(recording, simulated, options, whole)
     said, files, more = told(answer), law_files(answer), []
     if others:
         answers = [answer]
         for number, other in enumerate(others, 1):
             progress(0.1 + 0.6 * number / (len(others) + 1), other.name)
-            answers.append(versus(other, simulated, Options(seed=config.seed, heldout=False)))
+            answers.append(versus(other, simulated, replace(options, heldout=False), whole))
         compared = between(answers)
         said = (*said, *between_told(answers, compared))
         files[BETWEEN_JSON] = between_file(answers, compared)
         more = [between_table(answers, compared)]
     # Coefficients of the difference are none of a gyro, and no robot must take them for such.
     found = replace(answer.diagnosis, surface=None, improved=None, notes=(*said, *answer.diagnosis.notes))
-    # The simulation is the user's, and not the surface alone.
-    _, *rest_drawn = figures(found)
-    drawn = [versus_picture(answer), *rest_drawn]
+    drawn = figures(found, versus_picture(answer))
     provenance = _provenance(config) | {"coefficients": "none", "simulation": simulation.name}
     files |= diagnosis_files(found, drawn, provenance, progress, more, said[0], said)
     write_directory(config.out, files)

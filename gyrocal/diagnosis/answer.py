@@ -118,7 +118,7 @@ def _effect(
 def _law(found: Examination, named: Named) -> NamedEffect:
     blocks = found.model.blocks
     own = [n for n, b in blocks.items() if b == named.block]
-    known = estimates.of_law(found.naming.fitted.granting_noise(), named.law, found.laws, own)
+    known = estimates.of_law(found.naming.fitted.granting_noise, named.law, found.laws, own)
     p = min(1.0, named.trials * float(chi2.sf(2.0 * max(named.gain, 0.0), named.law.columns.shape[1])))
     share = min(named.share, 1.0) if own else 1.0
     return _effect(found, named.law.effect, known.parameters, p, named.rivals, share, known.adds)
@@ -133,7 +133,7 @@ def _input_share(found: Examination) -> Estimate:
     fitted = found.naming.fitted
     bend = fitted.model.bend_of(fitted.solve())
     column = beyond_input(fitted.model.basis, bend) @ bend
-    of_input = fitted.refit(fitted.model.directed("input", bend)).granting_noise()
+    of_input = fitted.refit(fitted.model.directed("input", bend)).granting_noise
     score, p = of_input.contrasts.precision(of_input.model.all, of_input.fit.log_variance)
     information = float(column @ p @ column)
     return Estimate.normal(1.0 - float(column @ score) / information, float(information**-0.5), "1")
@@ -195,7 +195,7 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     fitted = found.ranked[0].fitted
     shaped = estimates.reshaped(fitted, found.laws)
     law = shaped.model.laws[fitted.model.laws.index(searched.law)]
-    known = estimates.of_law(shaped.granting_noise(), law, found.laws, [])
+    known = estimates.of_law(shaped.granting_noise, law, found.laws, [])
     return _effect(found, searched.effect, known.parameters, p, searched.rivals, adds=known.adds)
 
 
@@ -211,7 +211,7 @@ def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
         nats = fitted.refit(fitted.model.without_laws([s.law.name])).nll - fitted.nll
         if block_p_value(nats, len(BLOCKS)) > level:
             continue
-        adds = estimates.of_law(fitted.granting_noise(), s.law, found.laws, []).adds
+        adds = estimates.of_law(fitted.granting_noise, s.law, found.laws, []).adds
         effect = CATALOGUE[s.effect]
         taken = effect.runtime and (s.effect != WARM_UP.id or found.comes_again > 0.5)
         near = {s.effect: 0.0, **{e: max(left, 0.0) for e, left in s.rivals.items()}}

@@ -18,7 +18,7 @@ from gyrocal.diagnosis.blocks import ODD
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
-from gyrocal.diagnosis.laws import Laws, effects_of
+from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
     EACH_RATE,
@@ -190,9 +190,7 @@ class TableSearch:
         nothing. That of seven rates a knee explains all is seldom enough for a name, but mostly true.
         """
         best = ranked[0].fitted
-        # A file holds a law of one amplitude.
-        trials = [t for e in effects_of(_OF_RATE) for t in laws.trials(e) if t.columns.shape[1] == 1]
-        won = best_law(best, best, _OF_RATE, trials, laws)
+        won = best_law(best, best, _OF_RATE, laws.of_one_amplitude(_OF_RATE), laws)
         if won is None:
             return []
         # A grid coarse enough for a name leaves a robot's rates what the true shape would take.

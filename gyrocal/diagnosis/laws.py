@@ -80,6 +80,10 @@ class Laws:
                 found.append(Trial(effect, shape, columns))
         return found
 
+    def of_one_amplitude(self, block: str) -> list[Trial]:
+        """All shapes of what a block may stand for that a file can hold."""
+        return [t for e in effects_of(block) for t in self.trials(e) if t.columns.shape[1] == 1]
+
 
 def wanted(effect: Effect) -> bool:
     """Whether an effect is looked for by columns over means of data sets."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -304,6 +305,7 @@ class Fitted:
         wide = additive.widened(m.error_dps, m.design[:, m.flat], m.all, variance, found)
         return replace(found, covariance=wide)
 
+    @cached_property
     def granting_noise(self) -> Fitted:
         """The same with noise that seems to be none as large as it may be expected: what intervals have to allow for."""
         m = self.model

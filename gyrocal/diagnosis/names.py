@@ -179,8 +179,7 @@ def _unseen(
             continue
         beside = _beside(fitted, passes) if passes and not BLOCKS[block].stays else fitted
         # No smooth part would stand in the file for a law of two amplitudes, which a file cannot hold.
-        trials = [t for e in effects_of(block) for t in laws.trials(e) if t.columns.shape[1] == 1]
-        best = best_law(beside, beside, block, trials, laws)
+        best = best_law(beside, beside, block, laws.of_one_amplitude(block), laws)
         gain = 0.0 if best is None else beside.nll - best.fitted.nll
         if best is not None and gain >= best.least_nats:
             fitted = best.fitted

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement, Layer
 from gyrocal.inference.additive import precision
+from gyrocal.inference.resampling import block_means
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -118,13 +119,9 @@ def improvement(
     loss = np.column_stack([before.logloss, after.logloss])[sure]
     rms = np.sqrt(squares.mean(axis=0))
     floor = float(np.sqrt(after.variance[sure].mean()))
-    block = np.unique(after.block[sure], return_inverse=True)[1]
-    sums = np.stack([np.bincount(block, x) for x in (np.ones(block.size), *squares.T, *loss.T)])
-    draws = rng.integers(0, sums.shape[1], (_BOOTSTRAP, sums.shape[1]))
-    size, *drawn = sums[:, draws].sum(axis=2)
-    before_2, after_2, before_nats, after_nats = (x / size for x in drawn)
-    drop = np.sqrt(before_2) - np.sqrt(after_2)
-    nats = before_nats - after_nats
+    drawn = block_means([*squares.T, *loss.T], after.block[sure], _BOOTSTRAP, rng)
+    drop = np.sqrt(drawn[0]) - np.sqrt(drawn[1])
+    nats = drawn[2] - drawn[3]
     excess = float(rms[0] ** 2 - floor**2)
     told = excess > _LEAST_EXCESS * floor**2
     removed = min(float((rms[0] ** 2 - rms[1] ** 2) / excess), 1.0) if told else float("nan")

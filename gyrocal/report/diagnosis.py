@@ -55,13 +55,20 @@ _LEAST_LEVEL = 1e-4
 _NATS = "A nat is a unit of evidence, the natural logarithm of odds: 2.3 nats are 10 to 1, 4.6 nats 100 to 1."
 
 
-def figures(diagnosis: Diagnosis) -> list[tuple[Picture, Figure | None]]:
-    """Every picture of the page with its caption; a picture that the record cannot carry says why."""
+def figures(
+    diagnosis: Diagnosis, first: tuple[Picture, Figure] | None = None
+) -> list[tuple[Picture, Figure | None]]:
+    """Every picture of the page with its caption; a picture that the record cannot carry says why.
+
+    Parameters
+    ----------
+    first : in place of the recording against its surface, where it was compared with another simulation
+    """
     rows = diagnosis.rows
     if rows is None:
         return []
     found: list[tuple[Picture, Figure | None]] = [
-        _drawn("recorded_simulated", recorded_and_simulated(diagnosis, rows))
+        first or _drawn("recorded_simulated", recorded_and_simulated(diagnosis, rows))
     ]
     if has_surface(rows):
         found.append(_drawn("map", residual_maps(diagnosis, rows)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -17,9 +17,10 @@ from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.remarks import OF_COEFFICIENTS
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
-from gyrocal.diagnosis.versus.match import Match, match, surface_of
+from gyrocal.diagnosis.versus.match import Match, enclosed, match, surface_of
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.inference.resampling import block_means
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
@@ -36,8 +37,6 @@ SCHEMA = "gyrocal-law/1"
 #: Neighbouring data sets are left out together, in so many blocks, a fifth of which is held out at a time: without
 #: half of them few plans have a temperature on either side of those left out.
 _BLOCKS, _FOLDS = 10, 5
-#: Others enclose a rate or a temperature where they come as near, as a share of all they span: plans are met no better.
-_NEAR = 0.02
 #: So many sets at least tell something of a law.
 _FEWEST = 5
 #: Rate at which any of the figures that are compared is said to differ where none does.
@@ -158,8 +157,14 @@ class Versus:
         }
 
 
-def versus(real: Series, simulated: Series, options: Options) -> Versus:
+def versus(
+    real: Series, simulated: Series, options: Options, whole: Callable[[], Surface | None] | None = None
+) -> Versus:
     """Match, examine the difference, and compare on sets left out.
+
+    Parameters
+    ----------
+    whole : `only_surface` of the simulation, where several recordings are compared with it
 
     Raises
     ------
@@ -174,7 +179,7 @@ def versus(real: Series, simulated: Series, options: Options) -> Versus:
         raise DataError(
             f"{simulated.name}: says what {real.name} says in every row. Give the simulation, not the recording again."
         )
-    matched = match(real, simulated, partial(only_surface, options=options))
+    matched = match(real, simulated, whole or partial(only_surface, simulated, options))
     found = diagnose(matched.difference, None, options)
     said = tuple(n for n in found.notes if isinstance(n, str) or n.said not in OF_COEFFICIENTS)
     found = replace(found, notes=said)
@@ -283,31 +288,17 @@ def compare(matched: Match, options: Options) -> Comparison | None:
             law = law_of(diagnose(part, None, replace(options, heldout=False)), part)
         except DataError:
             return None
-        judged = held & np.isin(numbers, difference.set_index[_enclosed(difference, known)])
+        within = enclosed(difference, difference.take(known & difference.is_set))
+        judged = held & np.isin(numbers, difference.set_index[within])
         after[judged] = set_means(difference, left_by(law, difference, part))[1][judged]
     judged = np.isfinite(after)
     if np.sum(judged) < _FEWEST:
         return None
-    sizes, *squares = (
-        np.bincount(block[judged], x, minlength=_BLOCKS)
-        for x in (np.ones(judged.sum()), plain[judged] ** 2, after[judged] ** 2)
-    )
-    drawn = np.random.default_rng(options.seed).choice(
-        np.flatnonzero(sizes), (_DRAWS, np.count_nonzero(sizes))
-    )
-    rms = np.sqrt(np.stack(squares)[:, drawn].sum(axis=2) / sizes[drawn].sum(axis=1))
+    squares = [plain[judged] ** 2, after[judged] ** 2]
+    rms = np.sqrt(block_means(squares, block[judged], _DRAWS, np.random.default_rng(options.seed)))
     low, high = np.quantile(rms[0] - rms[1], [0.025, 0.975])
     before, left = (float(np.sqrt(np.mean(x[judged] ** 2))) for x in (plain, after))
     return Comparison(before, left, (float(low), float(high)), int(np.sum(judged)), int(np.sum(~judged)))
-
-
-def _enclosed(difference: Series, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows between the lowest and the highest rate and temperature of the data sets that are known, shape (n,)."""
-    inside = np.ones(len(difference), dtype=bool)
-    for x in (difference.rate_dps, difference.temp_c):
-        low, high = np.min(x[known & difference.is_set]), np.max(x[known & difference.is_set])
-        inside &= (x >= low - _NEAR * (high - low)) & (x <= high + _NEAR * (high - low))
-    return inside
 
 
 def _valid_json(difference: Series) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
@@ -34,8 +34,8 @@ _MOST_CELLS = 2e7
 _DURATION_SHARE, _DURATION_S = 0.05, 5.0
 #: Largest rates that differ by the factor of a unit, to this share, are in that unit.
 _SAME_UNIT = 0.15
-#: What is this far beyond the simulation's rates or temperatures, as a share of all they span, is still among them.
-_BEYOND = 0.02
+#: Data sets enclose a rate or a temperature where they come as near, as a share of all they span: plans are met no better.
+_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class _Sets:
 
 
 def match(
-    real: Series, simulated: Series, only_surface: Callable[[Series], Surface | None] = lambda _: None
+    real: Series, simulated: Series, only_surface: Callable[[], Surface | None] = lambda: None
 ) -> Match:
     """Find the partner of each set of a recording in a simulation of it.
 
@@ -160,9 +160,10 @@ def match(
     surface = surface_of(simulated)
     pairs = _alike(a, b, dict(zip(left.tolist(), right.tolist(), strict=True)))
     between = _between(real, simulated, a, pairs)
-    whole = only_surface(simulated) if between else None
-    bridged = between if whole is not None else {}
-    difference, apart_c = _difference(real, simulated, surface, (a, b), pairs, whole, bridged)
+    whole = only_surface() if between else None
+    bridged = [] if whole is None else between
+    surfaces = surface, whole or surface
+    difference, apart_c = _difference(real, simulated, surfaces, (a, b), pairs, bridged)
     lonely = np.setdiff1d(np.arange(len(a)), [*pairs, *bridged])
     if len(difference) < FEWEST_ROWS:
         _refuse_little(real, simulated, (a, b), len(pairs))
@@ -296,28 +297,38 @@ def _as_long(a: _Sets, b: _Sets, i: int, j: int) -> bool:
     return bool(abs(lasts - lasts_there) <= _DURATION_SHARE * lasts + _DURATION_S)
 
 
-def _between(real: Series, simulated: Series, a: _Sets, pairs: Mapping[int, int]) -> dict[int, Ints]:
-    """Rows of sets without a partner whose rate and temperature lie within those of the simulation."""
-    inside = np.ones(len(real), dtype=bool)
-    for own, there in ((real.rate_dps, simulated.rate_dps), (real.temp_c, simulated.temp_c)):
-        low, high = float(there.min()), float(there.max())
-        inside &= (own >= low - _BEYOND * (high - low)) & (own <= high + _BEYOND * (high - low))
-    rows = {i: np.arange(a.first[i], a.last[i] + 1) for i in range(len(a)) if i not in pairs}
-    return {i: r for i, r in rows.items() if inside[r].all()}
+def enclosed(series: Series, by: Series) -> NDArray[np.bool_]:
+    """Rows between the lowest and the highest rate and temperature of other rows, shape (n,)."""
+    inside = np.ones(len(series), dtype=bool)
+    for own, there in ((series.rate_dps, by.rate_dps), (series.temp_c, by.temp_c)):
+        low, high = np.min(there), np.max(there)
+        inside &= (own >= low - _NEAR * (high - low)) & (own <= high + _NEAR * (high - low))
+    return inside
+
+
+def _between(real: Series, simulated: Series, a: _Sets, pairs: Mapping[int, int]) -> list[int]:
+    """Sets without a partner whose rates and temperatures the simulation encloses."""
+    inside = enclosed(real, simulated)
+    return [i for i in range(len(a)) if i not in pairs and inside[a.first[i] : a.last[i] + 1].all()]
 
 
 def _difference(
-    real: Series, simulated: Series, surface: Surface, sets: tuple[_Sets, _Sets], pairs: Mapping[int, int],
-    whole: Surface | None, bridged: Mapping[int, Ints],
+    real: Series, simulated: Series, surfaces: tuple[Surface, Surface], sets: tuple[_Sets, _Sets],
+    pairs: Mapping[int, int], bridged: Sequence[int],
 ) -> tuple[Series, float]:  # fmt: skip
-    """The difference row by row, and how far the temperatures are apart, rms over partners."""
-    a, b = sets
+    """The difference row by row, and how far the temperatures are apart, rms over partners.
+
+    Parameters
+    ----------
+    surfaces : that which the difference has, and that which the simulation has between its sets
+    """
+    (surface, whole), (a, b) = surfaces, sets
     error = simulated.gyro_dps - simulated.rate_dps
     rows, values, noise, apart = [], [], [], []
     for i in sorted((*pairs, *bridged)):
         r = np.arange(a.first[i], a.last[i] + 1)
         rows.append(r)
-        if i in bridged and whole is not None:
+        if i not in pairs:
             rate, temp = real.rate_dps[r], real.temp_c[r]
             e = whole.output_dps(rate, temp) - rate
             noise.append(np.zeros(r.size))

@@ -143,14 +143,15 @@ def test_a_simulation_that_is_nothing_but_a_surface_is_known_between_its_sets() 
     some = match(mine, coarse)
     assert some.bridged_sets == 0
     assert some.matched_sets < some.sets
-    every = match(mine, coarse, partial(only_surface, options=Options()))
+    every = match(mine, coarse, partial(only_surface, coarse, Options()))
     assert every.matched_sets == some.matched_sets
     assert every.matched_sets + every.bridged_sets == every.sets
     assert every.lonely_rates_dps == ()
     off = every.difference.gyro_dps - every.surface.output_dps(rate, temp)
     np.testing.assert_allclose(off, 0.01, atol=1e-6)
     # What lies beyond its rates has nothing to be compared with.
-    slow = match(mine, coarse.take(np.abs(coarse.rate_dps) < 70.0), partial(only_surface, options=Options()))
+    slower = coarse.take(np.abs(coarse.rate_dps) < 70.0)
+    slow = match(mine, slower, partial(only_surface, slower, Options()))
     assert set(np.abs(slow.lonely_rates_dps)) == {80.0, 100.0}
 
 
