@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gyrocal.diagnosis.blocks import REPLACED
+from gyrocal.diagnosis.blocks import BENT, ODD, REPLACED
 from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law, best_pair, best_together, mechanism
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import with_misfit
-from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.thermal import SHUPE
 from gyrocal.physics.timewise import BIAS_DRIFT
@@ -156,6 +156,9 @@ def _alone(
         if gain < least:
             break
         another = found.named and best.effect.id not in found.kinds
+        if another and beyond_chance(1.0, [*(n.law for n in found.named), best.law], block, laws) < 1.0:
+            # With as many parameters as the rates leave over they would explain anything.
+            break
         bends = BLOCKS[block].family == BIAS_DRIFT.family
         if another and not bends and _beyond_misfit(found, best.fitted, laws) < least:
             # In time the first would bend into it.
@@ -169,6 +172,20 @@ def _alone(
         law = Named(best.law, block, gain, 0.0, best.rivals, best.shapes)
         found = Alone(best.fitted, [*found.named, law], found.near)
     return _paired(fitted, without, block, trials, laws, found)
+
+
+def beyond_chance(share: float, several: Sequence[Law], block: str, laws: Laws) -> float:
+    """The share of a block that laws take, less what as many parameters would take of any curve; 0 where that is all of it.
+
+    Of what goes by the rate the sizes of the rate leave over but a few numbers: an adjusted coefficient of determination.
+    """
+    if block not in BENT:
+        return share
+    odd, even = laws.offer.left_by_cubic
+    left = odd if block in (ODD, EACH_RATE) else even
+    shapes = sum(n in law.shape for law in several for n in CATALOGUE[law.effect].search.refined)
+    free = left - shapes - sum(law.columns.shape[1] for law in several)
+    return 1.0 - (1.0 - share) * left / free if free > 0 else 0.0
 
 
 def _may_follow(trial: Trial, found: Alone) -> bool:

@@ -26,7 +26,7 @@ from gyrocal.diagnosis.blocks import (
 )
 from gyrocal.diagnosis.contest import Winner, best_law
 from gyrocal.diagnosis.estimates import reshaped
-from gyrocal.diagnosis.in_place import Named, simplest
+from gyrocal.diagnosis.in_place import Named, beyond_chance, simplest
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
@@ -295,8 +295,9 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     beside = beside_laws(fitted, alone.fitted.model.laws, block) if replaces else fitted
     if BLOCKS[block].lasts:
         # What a law leaves is its misfit; the only law of a family stands for all that is like it.
-        at_most = (without.nll - changing(alone.fitted, [n.law for n in named], laws).nll) / worth
-        earned = at_most >= _NAMED_SHARE or len(effects_of(block)) == 1
+        own = [n.law for n in named]
+        at_most = (without.nll - changing(alone.fitted, own, laws).nll) / worth
+        earned = beyond_chance(at_most, own, block, laws) >= _NAMED_SHARE or len(effects_of(block)) == 1
         return _Answer(beside, named, alone.near, alone.fitted.nll) if earned else unnamed
     # A walk follows a line without being one: each law must say more than the walk does.
     says_more = fitted.nll - beside.nll > GAIN * len(named)

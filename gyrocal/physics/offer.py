@@ -21,6 +21,8 @@ _FEWEST_SIZES = 4
 _FEWEST_FOR_PEAK = 6
 #: Rates below this are rest, deg/s.
 _REST_DPS = 0.01
+#: Dead zones are looked for among rates up to this, deg/s.
+SMALL_DPS = 10.0
 #: Half of a gyro's warm-up is over by then, and the rest of it is a drift, s.
 _WARM_S = 5400.0
 
@@ -65,6 +67,13 @@ class Offer:
     def sizes_dps(self) -> Floats:
         """The different sizes of its rates, ascending, deg/s."""
         return np.unique(np.abs(self.rates_dps))
+
+    @property
+    def left_by_cubic(self) -> tuple[int, int]:
+        """How many differences between sizes of the rate a cubic leaves over, odd and even in the rate."""
+        turning = int(np.count_nonzero(self.sizes_dps > _REST_DPS))
+        resting = int(turning < self.sizes_dps.size)
+        return max(turning - 2, 0), max(turning + resting - 2, 0)
 
     @property
     def turns(self) -> bool:
@@ -126,9 +135,10 @@ def data_at_rest(offer: Offer) -> Reason | None:
     return None if np.any(np.abs(offer.rates_dps) < _REST_DPS) else Lack(Why.NO_REST)
 
 
-def on_a_lattice(offer: Offer) -> Reason | None:
-    """Samples on a lattice, or none that would show it."""
-    return Lack(Why.CONTINUOUS) if offer.continuous else None
+def cut_or_dead(offer: Offer) -> Reason | None:
+    """Samples on a lattice, or none that would show it; or no small rates, which would tell what is lost from a dead band."""
+    small = (offer.sizes_dps > _REST_DPS) & (offer.sizes_dps <= SMALL_DPS)
+    return Lack(Why.CONTINUOUS) if offer.continuous and np.any(small) else None
 
 
 def steps_of_rate(offer: Offer) -> Reason | None:

@@ -25,12 +25,13 @@ from gyrocal.physics.fold import near_zero_rate
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
 from gyrocal.physics.offer import (
+    SMALL_DPS,
     Offer,
     both_ways,
+    cut_or_dead,
     data_at_rest,
     many_rates,
     many_sizes,
-    on_a_lattice,
     sizes_for_peak,
 )
 from gyrocal.physics.search import Search, Shape, Unit
@@ -71,17 +72,19 @@ def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    half_dps = MDPS * p["amplitude"]
+    half_dps, toward = MDPS * abs(p["amplitude"]), np.sign(p["amplitude"])
     if c.gyro_dps is None and surface is not None and p["of_output"]:
-        return np.asarray(-half_dps * _output_sign(c, surface))
+        return np.asarray(-toward * half_dps * _output_sign(c, surface))
     if c.gyro_dps is None:
         # What is less than a step is cut away whole: there means lose half of themselves on the average, and not
         # half a step, which a gyro at rest never had.
-        return np.clip(-0.5 * c.rate_dps, -half_dps, half_dps)
+        return np.asarray(-toward * np.clip(0.5 * c.rate_dps, -half_dps, half_dps))
     step_dps = 2.0 * half_dps
     if step_dps == 0.0:
         return np.zeros(len(c))
-    return np.asarray(np.trunc(c.gyro_dps / step_dps) * step_dps - c.gyro_dps)
+    steps = np.abs(c.gyro_dps) / step_dps
+    whole = np.floor(steps) if toward > 0.0 else np.ceil(steps)
+    return np.asarray(np.sign(c.gyro_dps) * whole * step_dps - c.gyro_dps)
 
 
 def _output_sign(c: Conditions, surface: Surface) -> Floats:
@@ -144,16 +147,18 @@ def _reference(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 
 def _dead_widths(offer: Offer) -> list[dict[str, float]]:
-    small = offer.sizes_dps[offer.sizes_dps <= 10.0]
+    small = offer.sizes_dps[offer.sizes_dps <= SMALL_DPS]
     if small.size == 0 or small[0] > 0.01:
         return []
     widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
     last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
     # Of inputs within the zone two at least, or one and the rest are all the same to any form; without any, a dead band is
-    # a truncation.
+    # like a truncation, but of an output on no lattice.
     forms = [_AT_REST]
     if np.any(small > 0):
         forms += [_BAND] if np.count_nonzero(small > 0) <= 2 else [_SMALL, _LOCKED, _BAND]
+    elif offer.continuous:
+        forms += [_BAND]
     return [{"width_dps": float(x), "form": form} for form in forms for x in (*widths, last)]
 
 
@@ -170,7 +175,7 @@ def _knees(offer: Offer) -> list[dict[str, float]]:
     full = offer.largest_rate_dps
     return [
         {"knee_dps": float(x) * full, "softness_dps": soft * full}
-        for soft in (0.0, 0.04)
+        for soft in (0.0, 0.02, 0.05)
         for x in np.linspace(0.45, 0.95, 11)
     ]
 
@@ -233,7 +238,7 @@ def _truncation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     if p["of_output"]:
         output = "w + PREFIX_surface@f@(w, temp_c)"
         return f"{n(half)} * (@real@)(({output} < 0) - ({output} > 0))"
-    return f"fmax@f@({n(-half)}, fmin@f@({n(half)}, {n(-0.5)} * w))"
+    return f"fmax@f@({n(-abs(half))}, fmin@f@({n(abs(half))}, {n(-0.5 if half > 0.0 else 0.5)} * w))"
 
 
 def _sagnac_sine_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
@@ -329,10 +334,11 @@ DEAD_ZONE = Effect(
 TRUNCATION = Effect(
     id="truncation",
     family="rate shape",
-    equation="e = -k sign(w), k = q/2; e = -w/2 below a step, on the average; or e = -k sign(g), g the output",
-    statement="The output is cut toward zero instead of rounded, which leaves half a step of either sign.",
+    equation="e = -k sign(w), |k| = q/2; e = -+w/2 below a step, on the average; or e = -k sign(g), g the output",
+    statement="The output is cut toward zero (away from it, if the amplitude is negative) instead of rounded, which leaves "
+    "half a step of either sign.",
     parameters=(
-        amplitude("mdeg/s", 1000.0, 1.5, "half the output's step", positive=True),
+        amplitude("mdeg/s", 1000.0, 1.5, "half the output's step"),
         choice("of_output", "1", 0.0, 1.0, 0.0, "1: the sign is that of the output, the bias in it"),
     ),
     needs=("rate_dps",),
@@ -344,7 +350,7 @@ TRUNCATION = Effect(
     acts_on="converter",
     search=Search(
         grid=_rate_or_output,
-        requires=(many_rates, both_ways, on_a_lattice),
+        requires=(many_rates, both_ways, cut_or_dead),
         scatters=True,
         accounts_for=("quantisation",),
     ),
@@ -380,9 +386,9 @@ SATURATION = Effect(
     id="saturation",
     family="rate shape",
     equation="e = -a s log(1 + exp((|w| - w_k)/s)) sign(w); s = 0: -a (|w| - w_k) sign(w) for |w| > w_k",
-    statement="The gain falls above a knee, near the end of the range.",
+    statement="The gain falls above a knee, near the end of the range (it rises there, if the amplitude is negative).",
     parameters=(
-        amplitude("1", 1.0, 0.01, "share of the gain that is lost above the knee", positive=True),
+        amplitude("1", 1.0, 0.01, "share of the gain that is lost above the knee"),
         shape("knee_dps", "deg/s", 1.0, 1000.0, 80.0, "knee w_k"),
         shape("softness_dps", "deg/s", 0.0, 1000.0, 0.0, "width s over which it begins; 0: at once"),
     ),
@@ -392,7 +398,7 @@ SATURATION = Effect(
     reference="limits of electronics and digitiser",
     runtime=True,
     error_dps=memoryless(_saturation),
-    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates, many_sizes)),
+    search=Search(grid=_knees, refined=("knee_dps", "softness_dps"), requires=(many_rates, many_sizes)),
     c_text=CText(_saturation_c),
 )
 

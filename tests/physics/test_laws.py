@@ -159,6 +159,7 @@ def test_laws_by_hand() -> None:
     np.testing.assert_allclose(taken[2.0], [1e-3, np.sqrt(0.44) * 1e-2 - 1.2e-2, np.sqrt(15.0) * 1e-2 - 4e-2])
     np.testing.assert_allclose(taken[3.0], [1e-3, -7e-3, -1e-2])
     np.testing.assert_allclose(error("truncation", at(rates), amplitude=1.5), [1.5e-3, 0, -1.5e-3, -1.5e-3])
+    np.testing.assert_allclose(error("truncation", at(rates), amplitude=-1.5), [-1.5e-3, 0, 1.5e-3, 1.5e-3])
     np.testing.assert_allclose(
         error("saturation", at(rates), amplitude=0.01, knee_dps=80.0), [0.2, 0, 0, -0.2]
     )
@@ -228,6 +229,9 @@ def test_output_steps() -> None:
     )
     np.testing.assert_allclose(
         output + error("truncation", c, amplitude=2.0), [-0.012, 0.004, 0.004], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        output + error("truncation", c, amplitude=-2.0), [-0.016, 0.004, 0.008], atol=1e-15
     )
 
 

@@ -154,10 +154,28 @@ def test_an_unusual_shape_starts_with_less_evidence() -> None:
 
 def test_an_output_that_is_cut_shows_its_steps_in_the_samples() -> None:
     assert find_effect("truncation").why_not(WHOLE) is None
-    lack = find_effect("truncation").why_not(replace(WHOLE, continuous=True))
+    slow = replace(WHOLE, rates_dps=np.union1d(WHOLE.rates_dps, [-2.0, 2.0]), continuous=True)
+    lack = find_effect("truncation").why_not(slow)
     assert isinstance(lack, Lack)
     assert lack.why is Why.CONTINUOUS
-    assert find_effect("dead_zone").why_not(replace(WHOLE, continuous=True)) is None
+    assert find_effect("dead_zone").why_not(slow) is None
+
+
+def test_without_slow_rates_a_dead_band_and_an_output_that_is_cut_are_the_same() -> None:
+    fast = replace(WHOLE, continuous=True)
+    assert find_effect("truncation").why_not(fast) is None
+    band = [s for s in find_effect("dead_zone").search.grid(fast) if s["form"] == 3.0]
+    rows = Conditions(t_s=np.arange(3.0), rate_dps=np.array([-20.0, 0.0, 100.0]), temp_c=np.full(3, 20.0))
+    steps = [
+        find_effect(e).unit_dps(rows, s, None)
+        for e, s in [("dead_zone", band[0]), ("truncation", {"of_output": 0.0})]
+    ]
+    np.testing.assert_allclose(steps[0], steps[1])
+
+
+def test_a_cubic_leaves_over_what_no_slope_bias_square_or_cubic_can_take() -> None:
+    assert WHOLE.left_by_cubic == (3, 4)
+    assert replace(WHOLE, rates_dps=np.array([-50.0, 50.0])).left_by_cubic == (0, 0)
 
 
 @pytest.mark.parametrize("name", ["saturation", "rate_order"])
