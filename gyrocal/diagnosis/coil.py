@@ -19,8 +19,9 @@ from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, n
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import Fitted, Law, Model, contrasts_of
+from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
+    DRIFTING_SCALE,
     EACH_RATE,
     Coil,
     Part,
@@ -30,6 +31,7 @@ from gyrocal.diagnosis.parts import (
     remembering,
 )
 from gyrocal.inference.additive import START, Component, Contrasts
+from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -241,8 +243,7 @@ class TableSearch:
         fitted = near.refit(model.with_components(*more))
         paid = self._toll(coil, changes) + TOLL_NATS + (0.0 if coil or changes else _FIRST_NATS)
         smooth = [p.name for p in parts] + [c.name for c in more if c.columns is not None]
-        paid += _CANCELLED_NATS * self._cancelled(fitted, smooth)
-        return Candidate(coil, changes, fitted, fitted.nll + paid)
+        return Candidate(coil, changes, fitted, fitted.nll + paid + self.cancelled_nats(fitted, smooth))
 
     def _spread(self) -> None:
         """Every shape near those of the best models, so that an average over them is one over all that they may be."""
@@ -288,21 +289,45 @@ class TableSearch:
         """Root mean square of what is not the same at all times and temperatures."""
         return float(np.sqrt(np.mean((columns - self._by_rate @ (self._by_rate.T @ columns)) ** 2)))
 
+    def cancelled_nats(self, fitted: Fitted, smooth: Sequence[str]) -> float:
+        """What a model pays where its laws and some smooth parts cancel each other, in all or in the bias alone, nats."""
+        return _CANCELLED_NATS * max(self._cancelled(fitted, smooth), self._cancelled_in_bias(fitted, smooth))
+
     def _cancelled(self, fitted: Fitted, smooth: Sequence[str] = ()) -> float:
         """How far the laws of a model, and smooth parts, go together beyond what the record shows, as a share of that.
 
         Each hides the others. The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
         """
+        curves = self._added(fitted, smooth).values()
+        shown = self._beyond_rate(self.base.error_dps)
+        return max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0) if shown else 0.0
+
+    def _cancelled_in_bias(self, fitted: Fitted, smooth: Sequence[str]) -> float:
+        """How far what changes the bias goes beyond what they and the surface make of it together, as a share of that.
+
+        The record mostly shows a scale factor, beside which a drift of the bias and a slope over temperature may be of any size.
+        """
+        added = self._added(fitted, smooth)
+        curves = [curve for name, curve in added.items() if name not in self._with_rate(fitted.model)]
+        if not curves:
+            return 0.0
+        still = fitted.model.design[:, : SHAPE[1]] @ fitted.model.legendre(fitted.solve())[: SHAPE[1]]
+        shown = self._beyond_rate(still + np.sum(curves, axis=0))
+        return max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0) if shown else 0.0
+
+    def _added(self, fitted: Fitted, smooth: Sequence[str]) -> dict[str, Floats]:
+        """What the laws that the base lacks and some smooth parts add, each by its name, shape (n,)."""
         columns = {law.name: law.columns for law in fitted.model.laws if not self.base.holds(law)}
         columns |= {
             n: c.columns for n, c in fitted.model.components.items() if n in smooth and c.columns is not None
         }
-        if not columns:
-            return 0.0
-        amplitudes = fitted.solve().amplitudes
-        sizes = [self._beyond_rate(own @ amplitudes[name]) for name, own in columns.items()]
-        shown = self._beyond_rate(self.base.error_dps)
-        return max(0.0, sum(sizes) / shown - 1.0) if shown else 0.0
+        amplitudes = fitted.solve().amplitudes if columns else {}
+        return {name: own @ amplitudes[name] for name, own in columns.items()}
+
+    def _with_rate(self, model: Model) -> set[str]:
+        """Laws that go by the rate, and what of the components stands for the scale factor in time."""
+        laws = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
+        return laws | {*WANDERING_SCALE, DRIFTING_SCALE}
 
     def model(self, coil: Coil, changes: tuple[Change, ...]) -> Model:
         """The base with the surface at the coil, and laws of time."""

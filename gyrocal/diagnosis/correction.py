@@ -359,7 +359,7 @@ def _held(model: Model) -> dict[str, tuple[float, float]]:
     means, scale = model.means, model.basis.frame.rate_scale_dps
     t = np.full(2, means.to_s[-1])
     temp = np.full(2, means.temp_c[-1])
-    c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.series.t_s[0])
+    c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.series.history.t_s[0])
     found = {}
     for law in model.laws:
         effect = CATALOGUE[law.effect]
@@ -457,7 +457,8 @@ def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:
             {
                 "amplitude": {
                     "value": share,
-                    "std": float(np.sqrt(spread) * share / whole),
+                    # Taken for independent of each other, so that their variances add up to that of the whole.
+                    "std": float(np.sqrt(spread * share / whole)),
                     "unit": unit["amplitude"],
                 },
                 "tau_s": {"value": tau, "std": 0.0, "unit": unit["tau_s"]},

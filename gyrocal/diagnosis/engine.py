@@ -15,7 +15,13 @@ from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
 from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.fresh_run import chance_of_gain, need_rates, no_file
-from gyrocal.diagnosis.given import simulated_residual, surface_change, temperature_alone, without_terms
+from gyrocal.diagnosis.given import (
+    simulated_residual,
+    surface_change,
+    temperature_alone,
+    with_terms,
+    without_terms,
+)
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
@@ -153,7 +159,7 @@ def diagnose(
         noise=_noise_figures(series, noise, levels),
         improvement=stairs.total,
         surface=coefficients or surface,
-        improved=written,
+        improved=None if written is None else with_terms(written, coefficients),
         rows=_rows(series, left, coefficients, levels),
         notes=(*notes, *series.notes, *lost, *far, *told),
         layers=stairs.layers,

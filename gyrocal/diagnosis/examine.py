@@ -162,6 +162,7 @@ class _Round:
         best, fitted = self.ranked[0], self.naming.fitted
         fitted = fitted.refit(fitted.model.without(self.idle))
         paid = sum(_paid(n) for n in self.naming.named if not self.search.base.holds(n.law))
+        paid += self.search.cancelled_nats(fitted, WANDERING_SCALE)
         return [replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)]
 
 

@@ -23,23 +23,26 @@ from gyrocal.physics.terms import joint_covariance, sensitivity, solve_rate
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Orders of the rates that the probability is a mean over: they change it by a few hundredths.
+#: Runs that the probability is a mean over: their rates change it by a few hundredths.
 _RUNS = 4
-#: Of these orders: the same record gives the same file.
+#: Of their rates: the same record gives the same file.
 _SEED = 30
 
 
 def chance_of_gain(improved: Coefficients, surface: Coefficients, means: Means) -> float:
-    """Probability that `improved` errs less than `surface` on a run through the same temperatures, its rates in any order.
+    """Probability that `improved` errs less than `surface` on a run through the same temperatures, at rates from all of the range.
+
+    At those that were visited alone a file may be sure, and guess between them.
 
     Where the two differ by `d` and the improved rate errs by `e`, of the covariance that its file states, the square of
     the error falls by ``d (d - 2 e)``, which is normal.
     """
     rng = np.random.default_rng(_SEED)
     t_s, since_s = means.t_s, means.t_s - means.t_s[0]
+    outputs = float(means.gyro_dps.min()), float(means.gyro_dps.max())
     chances = []
     for _ in range(_RUNS):
-        channels = t_s, rng.permutation(means.gyro_dps), means.temp_c, since_s, means.supply_v
+        channels = t_s, rng.uniform(*outputs, len(means)), means.temp_c, since_s, means.supply_v
         d = Compensator(surface).correct(*channels) - Compensator(improved).correct(*channels)
         d = np.where(np.isfinite(d), d, 0.0)
         spread = 2.0 * _sigma_of_sum(

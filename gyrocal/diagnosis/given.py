@@ -18,6 +18,7 @@ from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.smooth import SmoothTerm, columns_of
+from gyrocal.physics.terms import Term, joint_covariance
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +46,26 @@ def without_terms(series: Series, coefficients: Coefficients | None) -> Series:
         elif term.runtime:
             added = added + term.error_dps(c, coefficients.surface)
     return replace(series, gyro_dps=series.gyro_dps - added)
+
+
+def with_terms(found: Coefficients, coefficients: Coefficients | None) -> Coefficients:
+    """A file of what was found beside the terms of another, with these: how they go with the surface is known of the other's alone."""
+    if coefficients is None:
+        return found
+    joint = joint_covariance(coefficients.covariance_dps2, coefficients.runtime_terms())
+    first = coefficients.covariance_dps2.shape[0]
+    kept: list[Term | SmoothTerm] = []
+    for term in coefficients.terms:
+        if isinstance(term, Term):
+            bare = {n: {k: x for k, x in p.items() if k != "covariance"} for n, p in term.parameters.items()}
+            kept.append(replace(term, parameters=bare))
+        elif term.runtime:
+            own = slice(first, first + len(term.columns))
+            kept.append(replace(term, covariance_dps2=joint[own, own]))
+        else:
+            kept.append(term)
+        first += len(term.part().rows) if term.runtime else 0
+    return replace(found, terms=(*found.terms, *kept))
 
 
 def simulated_residual(series: Series, coefficients: Coefficients) -> Floats:

@@ -26,12 +26,15 @@ class TemperatureHistory:
     t_s, temp_c, rate_c_per_min : ndarray
     course : Course, optional
         What it was read from the thermometer as; None: it is known.
+    known : tuple of ndarray, optional
+        Times, and the temperatures then, where those that were read are the temperature.
     """
 
     t_s: Floats
     temp_c: Floats
     rate_c_per_min: Floats
     course: Course | None = None
+    known: tuple[Floats, Floats] | None = None
 
     @property
     def step_s(self) -> float:
@@ -39,8 +42,10 @@ class TemperatureHistory:
         return float(self.t_s[1] - self.t_s[0])
 
     def temp_at(self, t_s: Floats) -> Floats:
-        """Temperature at times, deg C."""
-        return np.asarray(np.interp(t_s, self.t_s, self.temp_c))
+        """Temperature at times, deg C: not by the grid, which is coarse where a record has a long pause."""
+        if self.course is not None:
+            return self.course.at(t_s)[0]
+        return np.asarray(np.interp(t_s, *(self.known or (self.t_s, self.temp_c))))
 
     def rate_at(self, t_s: Floats) -> Floats:
         """Rate of change of temperature at times, deg C/min."""
@@ -54,7 +59,7 @@ class TemperatureHistory:
         """The same with readings that are the temperature, scatter and all, straight between them."""
         here_c = np.interp(self.t_s, t_s, temp_c)
         slope = S_PER_MIN * np.gradient(here_c, self.t_s)
-        return replace(self, temp_c=here_c, rate_c_per_min=slope, course=None)
+        return replace(self, temp_c=here_c, rate_c_per_min=slope, course=None, known=(t_s, temp_c))
 
     def lagged_at(self, tau_s: float, t_s: Floats) -> Floats:
         """Temperature behind a first-order lag, ``tau dT_in/dt = T - T_in``, at times, deg C.

@@ -28,6 +28,8 @@ Ints = NDArray[np.int64]
 #: A data set this many times farther off than nearly all others is not of this recording; no more than this share is:
 #: half as much again as is to be borne, since a few that are less far off count among the others.
 _GROSS, _MOST_SHARE = 8.0, 0.15
+#: Of the sets that are off, those by this share of the largest and more are told at a time.
+_BENDS = 0.5
 #: Data sets that lie by chance as they do in rate, temperature or time, or at one rate, with less probability are off together,
 #: by physics.
 _TOGETHER_P = 0.01
@@ -110,17 +112,27 @@ def gross_strays(series: Series) -> Strays:
 
     At most a few, here and there: many, and those that are off together, are physics, and left to the search.
     """
-    numbers, left, spread = _off_robustly(series, fit_surface(series).residual_dps)
-    if not numbers.size:
-        return NO_STRAYS
-    size = np.abs(left) / spread
-    bad = size > _GROSS * float(np.quantile(size, 1.0 - _MOST_SHARE))
-    rate = set_means(series, series.rate_dps)[1]
+    bent = fit_surface(series).residual_dps
+    numbers, rate = set_means(series, series.rate_dps)
+    off: dict[int, tuple[float, float]] = {}
+    while len(off) <= _most(numbers.size):
+        kept = ~np.isin(series.set_index, [*off])
+        others, left, spread = _off_robustly(series.take(kept), bent[kept])
+        if not others.size:
+            return NO_STRAYS
+        size = np.abs(left) / spread
+        # A set that is off by far bends what its neighbours are measured from.
+        far = size > max(_GROSS * float(np.quantile(size, 1.0 - _MOST_SHARE)), _BENDS * float(size.max()))
+        if not far.any():
+            break
+        off |= {int(n): (d, s) for n, d, s in zip(others[far], left[far], spread[far], strict=True)}
+    bad = np.isin(numbers, [*off])
     bad &= ~_of_one_rate(bad, rate)
     places = (np.abs(rate), set_means(series, series.temp_c)[1], numbers)
-    if not bad.any() or bad.sum() > _most(numbers.size) or _together(bad, places):
+    if not bad.any() or len(off) > _most(numbers.size) or _together(bad, places):
         return NO_STRAYS
-    return Strays(numbers[bad], left[bad], spread[bad])
+    by, std = np.array([off[n] for n in numbers[bad].tolist()]).T
+    return Strays(numbers[bad], by, std)
 
 
 def _off_robustly(series: Series, left_dps: Floats) -> tuple[Ints, Floats, Floats]:
@@ -268,8 +280,7 @@ def _as_of_an_end(off: Floats) -> Ints:
     rows, size = np.arange(_ENDS), np.abs(off)
     ends = [(rows, size[:_ENDS]), (off.size - 1 - rows, size[::-1][:_ENDS])]
     followed = [at[[bool(np.any(y[:k] > 0.5 * y[k])) for k in rows]] for at, y in ends]
-    # The first row by itself may be a transient; nothing that stays is known from the last.
-    return np.concatenate([[0], *followed])
+    return np.concatenate(followed)
 
 
 def _most(sets: int) -> int:

@@ -36,7 +36,8 @@ FEWEST_ROWS = 12
 _LONG_LOG = 1000
 #: A mean is not known better, deg/s: files round to that.
 _LEAST_STD_DPS = 1e-7
-#: No thermometer has coarser steps, degC: values farther apart are the set points of a plan, which hold as they are written.
+#: No thermometer has coarser steps, nor scatters more, degC: values farther apart are the set points of a plan, which hold as
+#: they are written.
 _COARSEST_C = 2.0
 #: Directions of a surface weaker than this are not carried.
 _CARRIED = 1e-9
@@ -108,7 +109,8 @@ def _history(
     """The course of the temperature through readings, or the readings where no smooth course is behind them."""
     history = temperature_history(t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
-    as_read = step_c > _COARSEST_C or _missed(read_c, course_c, step_c)
+    noise_c = 0.0 if history.course is None else history.course.noise
+    as_read = max(step_c, noise_c) > _COARSEST_C or _missed(read_c, course_c, step_c)
     as_read = as_read or _scatter_is_real(rate_dps, gyro_dps, read_c, course_c)
     return history.as_read(t_s, read_c) if as_read else history
 

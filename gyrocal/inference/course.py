@@ -300,7 +300,9 @@ def _room(t_s: Floats, slope: Floats, mean: Floats, run: NDArray[np.int64], step
 
 def _nodes(t_s: Floats, count: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Times of the nodes, and the node of each reading."""
-    span = float(np.ptp(t_s))
+    steps = np.diff(t_s)
+    # A pause needs no nodes.
+    span = float(np.sum(np.minimum(steps, max(_GAP_S, _GAP_STEPS * float(np.median(steps))))))
     width = max(min(_NODE_S, span / _FEWEST_NODES), span / _MOST_NODES)
     node = np.unique((t_s - t_s[0]) // width, return_inverse=True)[1]
     return np.bincount(node, count * t_s) / np.bincount(node, count), node.astype(np.int64)
