@@ -19,6 +19,8 @@ Ints = NDArray[np.int64]
 #: one temperature alone nothing tells of it, and a wild guess would bend the surface at which the model is linearised. Only
 #: that first surface is held by it; the model of the layers has all coefficients free.
 _CHANGE_WITH_TEMPERATURE = 0.05
+#: A coefficient that is told from the others only by temperatures that are this near to each other is not, degC.
+_TOLD_APART_C = 0.1
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,27 @@ def carried_terms(series: Series) -> Ints:
     while temp_order > 1 and 3 * rate_order * temp_order > 2 * len(series):
         temp_order -= 1
     i, j = np.divmod(np.arange(SHAPE[0] * SHAPE[1]), SHAPE[1])
-    return np.flatnonzero((i < rate_order) & (j < temp_order))
+    return _apart(series, np.flatnonzero((i < rate_order) & (j < temp_order)))
+
+
+def _apart(series: Series, terms: Ints) -> Ints:
+    """Those of some coefficients, the lower orders first, whose columns are more than a mixture of the others'.
+
+    Rates and temperatures may be many, and every other rate visited at one temperature alone.
+    """
+    surface = blank_surface(series)
+    design = surface.design(series.rate_dps, series.temp_c)
+    apart = _TOLD_APART_C / surface.temp_scale_c
+    i, j = np.divmod(terms, SHAPE[1])
+    basis = np.empty((len(series), 0))
+    kept: list[int] = []
+    for k in terms[np.lexsort((j, i + j))].tolist():
+        column = design[:, k] / np.linalg.norm(design[:, k - k % SHAPE[1]])
+        left = column - basis @ (basis.T @ column)
+        size = float(np.linalg.norm(left))
+        if size > (apart ** (k % SHAPE[1]) if k % SHAPE[1] else np.sqrt(np.finfo(float).eps)):
+            basis, kept = np.column_stack([basis, left / size]), [*kept, k]
+    return np.array(sorted(kept), dtype=np.int64)
 
 
 def blank_surface(series: Series) -> Surface:

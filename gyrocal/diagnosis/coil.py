@@ -303,9 +303,10 @@ class TableSearch:
         return max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0) if shown else 0.0
 
     def _cancelled_in_bias(self, fitted: Fitted, smooth: Sequence[str]) -> float:
-        """How far what changes the bias goes beyond what they and the surface make of it together, as a share of that.
+        """How far what changes the bias goes beyond what they and the surface make of it together, as a share of that, 1 at most.
 
         The record mostly shows a scale factor, beside which a drift of the bias and a slope over temperature may be of any size.
+        But what drifts while it warms up may well hide most of the slope.
         """
         added = self._added(fitted, smooth)
         curves = [curve for name, curve in added.items() if name not in self._with_rate(fitted.model)]
@@ -313,7 +314,7 @@ class TableSearch:
             return 0.0
         still = fitted.model.design[:, : SHAPE[1]] @ fitted.model.legendre(fitted.solve())[: SHAPE[1]]
         shown = self._beyond_rate(still + np.sum(curves, axis=0))
-        return max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0) if shown else 0.0
+        return min(max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0), 1.0) if shown else 0.0
 
     def _added(self, fitted: Fitted, smooth: Sequence[str]) -> dict[str, Floats]:
         """What the laws that the base lacks and some smooth parts add, each by its name, shape (n,)."""

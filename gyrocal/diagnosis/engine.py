@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.calibration.groups import distinct
 from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
@@ -55,6 +56,7 @@ from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
+from gyrocal.physics.surface import RATE_ORDER
 from gyrocal.physics.terms import Term
 from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
@@ -198,6 +200,8 @@ def _written(
         return None, [Remark(Said.TOO_FEW_TO_WRITE, {"rows": rows, "enough": _ENOUGH_ROWS})]
     if not (layered or any(p.corrected for p in parts) or found.candidates):
         return None, []
+    if 1 < (rates := distinct(means.rate_dps)) <= RATE_ORDER:
+        return None, [Remark(Said.TOO_FEW_RATES, {"rates": rates, "enough": RATE_ORDER + 1})]
     better = chance_of_gain(improved, surface, means) if found.ranked else 1.0
     return (improved, []) if better > _SURELY_BETTER else (None, [no_file(improved, means, better, left_out)])
 

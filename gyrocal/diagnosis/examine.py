@@ -100,9 +100,13 @@ class Examination:
 
     @property
     def rate_errors_nats(self) -> float:
-        """Evidence for an error of each rate by itself, where it is enough for a name; else 0."""
+        """Evidence for an error of each rate by itself, where it is enough for a name; else 0.
+
+        What a law leaves of them that takes most is its misfit.
+        """
         nats = self.naming.unnamed.get(EACH_RATE, 0.0)
-        return nats if nats > GAIN else 0.0
+        taken = any(n.block == EACH_RATE for n in self.naming.named)
+        return nats if nats > GAIN and not taken else 0.0
 
     @property
     def model(self) -> Model:

@@ -42,11 +42,13 @@ def with_tails(full: Model, fitted: Fitted) -> tuple[Model, Fitted]:
     if plain is None or plain.columns is None:
         return full, fitted
     best, here = fitted, fitted
-    share, before = np.ones(plain.columns.shape[1]), np.inf
+    share, level, before = np.ones(plain.columns.shape[1]), 1.0, np.inf
     for _ in range(_ROUNDS):
-        excess = share * _excess(here)
+        # The fitted variance is that of all errors on the average, `level` times the one that is common to them.
+        excess = level * share * _excess(here)
         share = (_FREEDOM + excess) / (_FREEDOM + 1.0)
-        share /= np.mean(share)
+        level = float(np.mean(share))
+        share /= level
         tailed = Component(EACH_RATE, plain.columns * np.sqrt(share), toll=float(np.sum(toll(excess))))
         here = here.refit(here.model.with_components(tailed))
         best = min(best, here, key=lambda f: f.nll)

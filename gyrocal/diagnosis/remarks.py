@@ -34,6 +34,7 @@ class Said(Enum):
     NO_SURE_GAIN = auto()
     NO_INVERSE = auto()
     TOO_FEW_TO_WRITE = auto()
+    TOO_FEW_RATES = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
     FAR_SETS = auto()
@@ -98,5 +99,6 @@ OF_COEFFICIENTS = frozenset(
         Said.NO_SURE_GAIN,
         Said.NO_INVERSE,
         Said.TOO_FEW_TO_WRITE,
+        Said.TOO_FEW_RATES,
     }
 )

@@ -147,12 +147,15 @@ def _off_robustly(series: Series, left_dps: Floats) -> tuple[Ints, Floats, Float
         return NO_STRAYS.numbers, NO_STRAYS.off_dps, NO_STRAYS.std_dps
     design = np.column_stack([set_means(series, column)[1] for column in fit_surface(series).design.T])
     rate = np.abs(set_means(series, series.rate_dps)[1])
+    white = set_means(series, series.white_std_dps)[1]
+    # What is known better than most may err by more than its own noise all the same.
+    noisier = np.maximum(white / np.median(white), 1.0)
     left, spread = y, np.ones(numbers.size)
     for _ in range(_ROUNDS):
         weight = 1.0 / np.sqrt(spread**2 + (0.5 * left) ** 2)
         solution = np.linalg.lstsq(design * weight[:, None], y * weight, rcond=None)[0]
         left = y - design @ solution
-        spread = _spread(left, rate)
+        spread = _spread(left, rate, noisier)
     return numbers, left, spread
 
 
@@ -192,12 +195,17 @@ def far_off(series: Series, left_dps: Floats) -> list[Remark]:
     return [Remark(Said.FAR_SETS, facts)]
 
 
-def _spread(left: Floats, rate: Floats) -> Floats:
-    """By how much sets are off, of which a part grows with the rate: the table's and the thermometer's error does."""
-    fast = rate >= max(float(np.median(rate)), 1e-9)
-    off = STDS_PER_MAD * float(np.median(np.abs(left))) + 1e-12
-    share = STDS_PER_MAD * float(np.median(np.abs(left[fast]) / rate[fast])) if fast.any() else 0.0
-    return np.asarray(np.hypot(off, share * rate))
+def _spread(left: Floats, rate: Floats, noisier: Floats) -> Floats:
+    """By how much sets are off, of which a part grows with the rate: the table's and the thermometer's error does.
+
+    Parameters
+    ----------
+    noisier : noise of each set over that of most
+    """
+    fast, size = rate >= max(float(np.median(rate)), 1e-9), np.abs(left) / noisier
+    off = STDS_PER_MAD * float(np.median(size)) + 1e-12
+    share = STDS_PER_MAD * float(np.median(size[fast] / rate[fast])) if fast.any() else 0.0
+    return np.asarray(noisier * np.hypot(off, share * rate))
 
 
 def strays_beside(ranked: Sequence[Candidate], known: Strays) -> Strays:

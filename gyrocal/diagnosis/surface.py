@@ -21,7 +21,7 @@ from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import EACH_RATE, SURFACE, design_at, legendre_to_powers, passing
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.inference.additive import solve
+from gyrocal.inference.additive import Component, solve
 from gyrocal.physics.surface import SHAPE, Surface
 
 Floats = NDArray[np.float64]
@@ -48,8 +48,8 @@ def _data_sets(means: Means) -> DataSets:
     """Rows of the means as `gyrocal fit` takes them; what it would not use of them is unknown."""
     n, series = len(means), means.series
     unknown = np.full(n, np.nan)
-    # Where the noise of a sample is known, that of the mean is; a table's rows have relative sizes only.
-    white = unknown if series.is_table else means.white_dps
+    # Where the noise of a sample is known, that of the mean is; a table that says nothing of it has rows that are all alike.
+    white = unknown if series.is_table and np.ptp(means.white_dps) == 0.0 else means.white_dps
     return DataSets(
         rate_dps=means.rate_dps,
         gyro_dps=means.gyro_dps,
@@ -81,6 +81,17 @@ def _under_noise_found(fitted: Fitted) -> Coefficients:
     c = gain @ solution.flat
     # Where the bias wanders its level is known for an instant only: the surface takes the mean of the recording.
     c[0] += float(np.mean(solution.left))
-    free = solution.covariance[: carried.size, : carried.size]
+    covariance = gain @ solution.covariance[: carried.size, : carried.size] @ gain.T
+    # What the surface leaves beyond the noise the file errs by, too.
+    left = means.error_dps - columns @ solution.flat
+    noise_dps2 = sum(fitted.fit.variance[n.name] * _spread_of(n) for n in noise)
+    covariance[0, 0] += max(float(np.mean(left**2 - noise_dps2)), 0.0)
     surface = Surface(c.reshape(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
-    return replace(file_without_surface(fitted), surface=surface, covariance_dps2=gain @ free @ gain.T)
+    return replace(file_without_surface(fitted), surface=surface, covariance_dps2=covariance)
+
+
+def _spread_of(component: Component) -> Floats:
+    """Variance of each row by a component of variance one, shape (n,)."""
+    if component.columns is not None:
+        return np.asarray(np.sum(component.columns**2, axis=1))
+    return np.diag(np.asarray(component.covariance))

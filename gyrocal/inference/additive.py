@@ -159,6 +159,9 @@ class Contrasts:
         first = self.flat.shape[1]
         matrix = self._turned(self._turned(self._seen(component), "T").T, "T")[first:, first:]
         scale = float(np.trace(matrix)) / matrix.shape[0]
+        whole = float(np.trace(np.asarray(component.covariance))) / matrix.shape[0]
+        if scale < _BEYOND_FLAT**2 * whole:
+            matrix, scale = np.zeros_like(matrix), whole
         return Part(component.name, None, matrix / (scale or 1.0), scale or 1.0, component.expected)
 
     def _seen(self, component: Component) -> Floats:

@@ -175,7 +175,7 @@ def _knees(offer: Offer) -> list[dict[str, float]]:
     full = offer.largest_rate_dps
     return [
         {"knee_dps": float(x) * full, "softness_dps": soft * full}
-        for soft in (0.0, 0.02, 0.05)
+        for soft in (0.0, 0.02, 0.04)
         for x in np.linspace(0.45, 0.95, 11)
     ]
 
@@ -398,7 +398,7 @@ SATURATION = Effect(
     reference="limits of electronics and digitiser",
     runtime=True,
     error_dps=memoryless(_saturation),
-    search=Search(grid=_knees, refined=("knee_dps", "softness_dps"), requires=(many_rates, many_sizes)),
+    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates, many_sizes)),
     c_text=CText(_saturation_c),
 )
 

@@ -136,6 +136,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.NO_INVERSE: _no_inverse,
     Said.TOO_FEW_TO_WRITE: "It has {rows} data sets, in which one law may pass for another: what is found is told, but improved "
     "coefficients are written from {enough} on.",
+    Said.TOO_FEW_RATES: "It has {rates} rates, between which a cubic may do anything: what is found is told, but improved "
+    "coefficients are written from {enough} on.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
     "mdeg/s: small outputs are lost (dead zone, lock-in). [That data set is|Those data sets are] left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,

@@ -27,9 +27,16 @@ def laws(tmp_path_factory: pytest.TempPathFactory) -> Laws:
 
 @pytest.mark.parametrize("effect_id", ON_ROBOTS)
 def test_a_law_that_has_a_name_is_the_one_that_a_robot_evaluates(laws: Laws, effect_id: str) -> None:
-    """A robot has no rate of its temperature but the one that it derives."""
+    """A robot has no rate of its temperature but the one that it derives; its samples are as noisy as those of the bench."""
     effect, c = CATALOGUE[effect_id], laws.conditions
-    robot = Conditions(c.t_s, c.rate_dps, c.temp_c, since_power_on_s=c.since_power_on_s, supply_v=c.supply_v)
+    robot = Conditions(
+        c.t_s,
+        c.rate_dps,
+        c.temp_c,
+        since_power_on_s=c.since_power_on_s,
+        supply_v=c.supply_v,
+        sample_std_dps=c.sample_std_dps,
+    )
     for trial in laws.trials(effect)[:3]:
         there = laws.means.spread(effect.unit_dps(robot, trial.shape, laws.surface))
         np.testing.assert_allclose(trial.columns[:, 0], there, atol=1e-9 * np.abs(there).max())
