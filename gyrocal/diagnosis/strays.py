@@ -128,6 +128,7 @@ def gross_strays(series: Series) -> Strays:
         off |= {int(n): (d, s) for n, d, s in zip(others[far], left[far], spread[far], strict=True)}
     bad = np.isin(numbers, [*off])
     bad &= ~_of_one_rate(bad, rate)
+    bad &= ~_of_a_transient(np.array([off.get(int(n), (0.0, 0.0))[0] for n in numbers]))
     places = (np.abs(rate), set_means(series, series.temp_c)[1], numbers)
     if not bad.any() or len(off) > _most(numbers.size) or _together(bad, places):
         return NO_STRAYS
@@ -165,6 +166,14 @@ def _together(bad: NDArray[np.bool_], coordinates: Sequence[NDArray[np.generic]]
         return False
     places = [(rankdata(x)[bad] - 0.5) / bad.size for x in coordinates]
     return len(places) * min(float(kstest(p, "uniform").pvalue) for p in places) < _TOGETHER_P
+
+
+def _of_a_transient(off_dps: Floats) -> NDArray[np.bool_]:
+    """Which of the first sets, of shape (sets,) all, are off to the side that the one before or after is off to."""
+    same = off_dps[1:] * off_dps[:-1] > 0.0
+    found = np.append(same, False) | np.append(False, same)
+    found[_ENDS:] = False
+    return np.asarray(found, dtype=np.bool_)
 
 
 def _of_one_rate(bad: NDArray[np.bool_], rate_dps: Floats) -> NDArray[np.bool_]:
