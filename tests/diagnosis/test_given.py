@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.given import surface_change, temperature_alone
+from gyrocal.diagnosis.given import surface_change, temperature_alone, with_terms
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.terms import Term
 from gyrocal.records.datasets import DataSetTable
 
 _WHITE_DPS = 1e-4
@@ -89,3 +92,17 @@ def test_whether_a_bias_is_one_of_the_temperature_alone(
         # The lag's part at a quarter of a cycle, up less down; towards either end the branches meet.
         widest = 2e3 * 5e-3 * float(np.sin(late_s / 900.0))
         assert 0.5 * widest < remarks[0].facts["branches_mdps"] < widest
+
+
+def test_the_terms_of_a_given_file_stay_in_the_new_one() -> None:
+    """They are taken off before anything is looked for, and had been lost with it."""
+    parameters = {
+        "amplitude": {"value": 200.0, "std": 10.0, "unit": "ppm", "covariance": [0.0] * 12 + [1e-8]}
+    }
+    given = replace(file(1e-3, 1e-6), terms=(Term("scale_asymmetry", parameters, True),))
+    both = with_terms(with_terms(file(0.0, 1e-6), given), given)
+    assert [t.name for t in both.terms] == ["scale_asymmetry"] * 2
+    once = with_terms(file(0.0, 1e-6), given)
+    assert once.correct(50.0, 25.0) == pytest.approx(given.correct(50.0, 25.0) + 1e-3, abs=1e-6)
+    sigma_dps = Compensator(once).evaluate(np.zeros(1), np.array([50.0]), np.array([25.0])).sigma_dps
+    assert sigma_dps[0] == pytest.approx(10e-6 * 50.0, rel=0.02)
