@@ -26,6 +26,7 @@ from gyrocal.fusion.filter import (
 )  # fmt: skip
 
 # isort: on
+from gyrocal.fusion.static_bias import TURNED_DPS
 from gyrocal.physics.drive import FLICKER_TAUS_S, TICK_WAITS_S, WANDER_TAU_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -184,12 +185,22 @@ def _variance(p: Any) -> Any:
 
 
 @part
-def _measure(nav: Any, p: Any, figures: Any, counts: Any) -> Any:
+def _measure(nav: Any, p: Any, figures: Any, counts: Any, rest: bool) -> Any:
     """Measurement z = psi - phi (eq. 13), its gate, and the feedback; returns innovation and its variance."""
-    nu = nav[PSI] - nav[PHI] - nav[SMOOTHED] - nav[E]
+    nu, dt = nav[PSI] - nav[PHI] - nav[SMOOTHED] - nav[E], nav[SINCE]
     expected = variance = _variance(p)
     counts[UPDATES] += 1
-    if nu * nu > figures[GATE] * variance:
+    beyond = nu * nu > figures[GATE] * variance
+    if beyond and rest and abs(nu) < TURNED_DPS * DEG_TO_RAD * dt:
+        # Wheels at rest do not slip: the bias has changed since the rest before. When is not known, so that the way
+        # between stays as it is.
+        changed = (nu * nu - variance) / (dt * dt)
+        p[_V, BIAS], p[_V, PSI], p[_V, PHI] = 1.0, -dt, dt
+        for i in (BIAS, PSI, PHI):
+            for j in (BIAS, PSI, PHI):
+                p[i, j] += changed * p[_V, i] * p[_V, j]
+        variance = _variance(p)
+    elif beyond:
         # Wheels slip, gyros do not: psi takes the jump.
         counts[GATED] += 1
         p[PSI, PSI] += nu * nu - variance
@@ -248,7 +259,7 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bo
     if nav[LOST] > 0.0 or not (filtering or rest):
         _forget(nav, p)
     else:
-        nu, expected = _measure(nav, p, figures, counts)
+        nu, expected = _measure(nav, p, figures, counts, rest)
     for i in range(SINCE, STILL):
         nav[i] = 0.0
     return nu, expected
