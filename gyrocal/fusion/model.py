@@ -187,20 +187,15 @@ def _variance(p: Any) -> Any:
 @part
 def _measure(nav: Any, p: Any, figures: Any, counts: Any, rest: bool) -> Any:
     """Measurement z = psi - phi (eq. 13), its gate, and the feedback; returns innovation and its variance."""
-    nu, dt = nav[PSI] - nav[PHI] - nav[SMOOTHED] - nav[E], nav[SINCE]
+    nu = nav[PSI] - nav[PHI] - nav[SMOOTHED] - nav[E]
     expected = variance = _variance(p)
     counts[UPDATES] += 1
-    beyond = nu * nu > figures[GATE] * variance
-    if beyond and rest and abs(nu) < TURNED_DPS * DEG_TO_RAD * dt:
-        # Wheels at rest do not slip: the bias has changed since the rest before. When is not known, so that the way
-        # between stays as it is.
-        changed = (nu * nu - variance) / (dt * dt)
-        p[_V, BIAS], p[_V, PSI], p[_V, PHI] = 1.0, -dt, dt
-        for i in (BIAS, PSI, PHI):
-            for j in (BIAS, PSI, PHI):
-                p[i, j] += changed * p[_V, i] * p[_V, j]
-        variance = _variance(p)
-    elif beyond:
+    if nu * nu > figures[GATE] * variance:
+        if rest and abs(nu) < TURNED_DPS * DEG_TO_RAD * nav[SINCE]:
+            # Wheels at rest do not slip: the bias is another, the next nodes tell which, and the way before stays as it is.
+            p[BIAS, BIAS] += (nu * nu - variance) / nav[SINCE] ** 2
+            _forget(nav, p)
+            return nu, expected
         # Wheels slip, gyros do not: psi takes the jump.
         counts[GATED] += 1
         p[PSI, PSI] += nu * nu - variance

@@ -34,15 +34,8 @@ def fault(name: str, value: Any, low: float, high: float) -> str | None:
     # Comparisons hold for integers of any length, which `float` does not take.
     if number and low <= value <= high:
         return None
-    allowed = f"allowed: a number, {low:g} to {high:g}"
-    if isinstance(value, str):
-        return f"{name} is {value[:40]!r}, which is text; {allowed}, without quotes."
-    return f"{name} is {str(value)[:40]!s}; {allowed}."
-
-
-def settled(value: float) -> float:
-    """A figure, zero where it is nothing but rounding."""
-    return 0.0 if abs(value) < _SMALLEST else float(value)
+    text, quotes = ("the text ", ", without quotes") if isinstance(value, str) else ("", "")
+    return f"{name} is {text}{repr(value)[:40]}; allowed: a number, {low:g} to {high:g}{quotes}."
 
 
 @dataclass(frozen=True)
@@ -56,7 +49,7 @@ class _Figures:
                 wrong = fault(f.name, value, *f.metadata["range"])
                 if wrong:
                     raise ProfileError(f"robot: {wrong}")
-                object.__setattr__(self, f.name, settled(value))
+                object.__setattr__(self, f.name, 0.0 if abs(value) < _SMALLEST else value)
 
 
 @dataclass(frozen=True)

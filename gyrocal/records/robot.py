@@ -20,7 +20,6 @@ from gyrocal.fusion.robot import (
     RobotParameters,
     SlipFigures,
     fault,
-    settled,
 )
 from gyrocal.records.files import parse_toml, read_text
 
@@ -240,4 +239,4 @@ def _number(path: Path, key: str, value: Any, bounds: tuple[float, float]) -> fl
     wrong = fault(key, value, *bounds)
     if wrong:
         raise ProfileError(f"{path}: {wrong}")
-    return settled(value)
+    return float(value)

@@ -92,7 +92,7 @@ def test_one_tick_size_serves_both_sides(tmp_path: Path) -> None:
         ("wheel_separation_m = 1\nstatic_s = -1\n", "static_s is -1; allowed: a number, 0 to 86400."),
         (
             'wheel_separation_m = "0.6"\n',
-            "wheel_separation_m is '0.6', which is text; allowed: a number, 0.001 to 10, without quotes.",
+            "wheel_separation_m is the text '0.6'; allowed: a number, 0.001 to 10, without quotes.",
         ),
         ("wheel_separation_m = 1\ntrack = 2\n", "unknown key track; allowed: schema, wheel_separation_m"),
         (
@@ -102,7 +102,7 @@ def test_one_tick_size_serves_both_sides(tmp_path: Path) -> None:
         ("wheel_separation_m = 1\nnoise = 2\n", "noise is not a table; allowed: [noise] with"),
         (
             "wheel_separation_m = 1\n[initial_std]\nx_m = 'a'\n",
-            "initial_std.x_m is 'a', which is text; allowed: a number, 0 to 10000, without quotes.",
+            "initial_std.x_m is the text 'a'; allowed: a number, 0 to 10000, without quotes.",
         ),
         ("wheel_separation_m = 1\n[slip]\nlaw = 'none'\n", "law is 'none'; allowed: turn_rate, curvature"),
         ("wheel_separation_m = 1\n[slip]\nlaw = 2\n", "slip.law is 2; allowed: a name in quotes."),
