@@ -26,6 +26,7 @@ from gyrocal.fusion.filter import (
 )  # fmt: skip
 
 # isort: on
+from gyrocal.fusion.static_bias import TURNED_DPS
 from gyrocal.physics.drive import FLICKER_TAUS_S, TICK_WAITS_S, WANDER_TAU_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -184,12 +185,17 @@ def _variance(p: Any) -> Any:
 
 
 @part
-def _measure(nav: Any, p: Any, figures: Any, counts: Any) -> Any:
+def _measure(nav: Any, p: Any, figures: Any, counts: Any, rest: bool) -> Any:
     """Measurement z = psi - phi (eq. 13), its gate, and the feedback; returns innovation and its variance."""
     nu = nav[PSI] - nav[PHI] - nav[SMOOTHED] - nav[E]
     expected = variance = _variance(p)
     counts[UPDATES] += 1
     if nu * nu > figures[GATE] * variance:
+        if rest and abs(nu) < TURNED_DPS * DEG_TO_RAD * nav[SINCE]:
+            # Wheels at rest do not slip: the bias is another, the next nodes tell which, and the way before stays as it is.
+            p[BIAS, BIAS] += (nu * nu - variance) / nav[SINCE] ** 2
+            _forget(nav, p)
+            return nu, expected
         # Wheels slip, gyros do not: psi takes the jump.
         counts[GATED] += 1
         p[PSI, PSI] += nu * nu - variance
@@ -248,7 +254,7 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bo
     if nav[LOST] > 0.0 or not (filtering or rest):
         _forget(nav, p)
     else:
-        nu, expected = _measure(nav, p, figures, counts)
+        nu, expected = _measure(nav, p, figures, counts, rest)
     for i in range(SINCE, STILL):
         nav[i] = 0.0
     return nu, expected

@@ -19,7 +19,7 @@ SEPARATION_RELATIVE_STD = 0.10
 #: Default uncertainty of the gyro bias: what a mean at rest leaves, and what there is without one, deg/s. A gyro of
 #: little noise has little bias too: deg/s for each deg/sqrt(h) of angle random walk, and at least the Earth's rate.
 BIAS_STD_AFTER_REST_DPS, BIAS_STD_DPS, BIAS_STD_BY_WALK, EARTH_DPS = 0.01, 0.2, 1.0, 0.0042
-#: Nothing on a robot is known this closely; a smaller figure is a slip of the pen.
+#: Nothing on a robot is known this closely: what is smaller is nothing, whether it is given or found.
 _SMALLEST = 1e-12
 
 
@@ -32,15 +32,15 @@ def fault(name: str, value: Any, low: float, high: float) -> str | None:
     """What is wrong with a figure, and what is allowed; None where nothing is."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     # Comparisons hold for integers of any length, which `float` does not take.
-    if number and low <= value <= high and (value == 0 or abs(value) >= _SMALLEST):
+    if number and low <= value <= high:
         return None
-    bound = f"{low:g}" if abs(low) != _SMALLEST else "above 0"
-    return f"{name} is {str(value)[:40]!s}; allowed: a number, {bound} to {high:g}."
+    text, quotes = ("the text ", ", without quotes") if isinstance(value, str) else ("", "")
+    return f"{name} is {text}{repr(value)[:40]}; allowed: a number, {low:g} to {high:g}{quotes}."
 
 
 @dataclass(frozen=True)
 class _Figures:
-    """Checks each field against its range."""
+    """Checks each field against its range; what is nothing but rounding is zero."""
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -49,6 +49,7 @@ class _Figures:
                 wrong = fault(f.name, value, *f.metadata["range"])
                 if wrong:
                     raise ProfileError(f"robot: {wrong}")
+                object.__setattr__(self, f.name, 0.0 if abs(value) < _SMALLEST else value)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""Whether estimates of one quantity from several sources differ by more than their errors, and by how much; mean squares.
+"""Whether estimates of one quantity from several sources differ by more than their errors, and by how much; mean squares
+and the white noise of a rest.
 
 References
 ----------
@@ -23,6 +24,9 @@ _FARTHEST = 1e3
 #: Share of squares of which any may be outliers. The median, of which half may be, is known half as well, and a gyro's own
 #: steps bend it: on 67 drives with rests 0.13 of scatter of the white noise in its logarithm, 0.06 of this.
 _OUTLIERS = 0.1
+#: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
+#: How many steps between them tell a level.
+_REST_MEAN_S, _LEAST_STEPS = 0.1, 20
 
 
 @dataclass(frozen=True)
@@ -74,3 +78,34 @@ def mean_square(squares: Floats) -> float:
     # Below its quantile a squared normal value has the mean of a chi-square with two more degrees of freedom there.
     below = float(chi2.cdf(chi2.ppf(1.0 - _OUTLIERS, 1), 3)) / (1.0 - _OUTLIERS)
     return float(np.mean(kept)) / below
+
+
+def white_at_rest(rate: Floats, resting: NDArray[np.bool_], dt_s: Floats) -> float | None:
+    """White noise of a rate, its unit per sqrt(Hz), by neighbouring means at rest.
+
+    None where too little rests, or where the steps of the output hide all noise.
+
+    Parameters
+    ----------
+    rate, resting, dt_s : shape (n,)
+        The rate, finite where the robot stands; whether it does; time since the row before, the first of which is
+        not looked at. A row at the time of the one before counts for nothing.
+    """
+    later = np.append(True, dt_s[1:] > 0)
+    rate, resting, dt_s = rate[later], resting[later], dt_s[later]
+    if dt_s.size < 2:
+        return None
+    step_s = float(np.median(dt_s[1:]))
+    every = max(1, round(_REST_MEAN_S / max(step_s, 1e-6)))
+    rows, squares = np.flatnonzero(resting), []
+    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+        count = run.size // every
+        if count >= 3:
+            means = rate[run[: count * every]].reshape(count, every).mean(axis=1)
+            squares.append(np.diff(means) ** 2)
+    found = np.concatenate(squares) if squares else np.zeros(0)
+    if found.size < _LEAST_STEPS:
+        return None
+    # A difference has twice the variance.
+    square = mean_square(found)
+    return float(np.sqrt(0.5 * square * every * step_s)) if square > 0 else None

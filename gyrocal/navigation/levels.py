@@ -17,12 +17,12 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from gyrocal.errors import DataError
-from gyrocal.fusion import Navigator, RobotParameters, Rows
+from gyrocal.fusion import FilterNoise, Navigator, RobotParameters, Rows
 from gyrocal.fusion.robot import SEPARATION_RELATIVE_STD
-from gyrocal.inference.spread import mean_square
+from gyrocal.inference.spread import white_at_rest
 from gyrocal.physics.drive import TICK_WAITS_S
 from gyrocal.records.robot import Robot
-from gyrocal.units import DPH_TO_DPS
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPH_TO_DPS
 
 Floats = NDArray[np.float64]
 
@@ -46,8 +46,6 @@ NIS_RANGE, LAG1_LIMIT = (0.75, 1.33), 0.1
 #: Innovations that are summed, some 10 s of driving: an error that comes back (a wheel that is loaded on a slope, by heading)
 #: hides in each beneath the ticks, and not in their sum. How seldom those of a filter that describes the log are as large.
 _SUMMED, _SELDOM = 100, 1e-3
-#: Seconds over which the gyro's samples at rest are averaged to tell its angle random walk, and how many are needed.
-_REST_BIN_S, _LEAST_BINS = 0.1, 20
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Shares of the bias that is thought possible beforehand, from which the rests of a log choose.
 _BIAS_SHARES = tuple(2.0**-k for k in range(6))
@@ -58,25 +56,14 @@ _RUNAWAY = 1e12
 
 
 def rest_walk(rows: Rows) -> float | None:
-    """Angle random walk in deg/sqrt(h) from the rows at rest; None where there are too few."""
+    """Angle random walk in deg/sqrt(h) from the rows at rest; None where they tell none."""
     moving = np.flatnonzero(np.abs(rows.left_m) + np.abs(rows.right_m) > 0.0)
     after = np.searchsorted(moving, np.arange(rows.t_s.size))
     ends = np.concatenate([[-math.inf], rows.t_s[moving], [math.inf]])
     rest = (rows.t_s - ends[after] > TICK_WAITS_S[1]) & (ends[after + 1] - rows.t_s > TICK_WAITS_S[1])
     rest &= np.isfinite(rows.gyro_dps)
-    if np.count_nonzero(rest) < _LEAST_BINS:
-        return None
-    dt_s = float(np.median(np.diff(rows.t_s)))
-    size = max(1, round(_REST_BIN_S / dt_s)) if dt_s > 0.0 else 1
-    index = np.flatnonzero(rest)
-    cut = index[: index.size // size * size].reshape(-1, size)
-    whole = cut[:, -1] - cut[:, 0] == size - 1
-    means = rows.gyro_dps[cut].mean(axis=1)
-    steps = np.diff(means)[whole[1:] & whole[:-1] & (np.diff(cut[:, 0]) == size)]
-    if steps.size < _LEAST_BINS:
-        return None
-    # A difference has twice the variance.
-    return 60.0 * math.sqrt(0.5 * mean_square(steps**2) * size * dt_s)
+    dps_per_rt_hz = white_at_rest(rows.gyro_dps, rest, np.diff(rows.t_s, prepend=rows.t_s[0]))
+    return None if dps_per_rt_hz is None else dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ
 
 
 def fit_noise(
@@ -107,7 +94,7 @@ def fit_noise(
     names, usual, spread = _priors(
         robot, parameters, open_walk=walk is None and f"noise.{_WALK}" not in robot.given
     )
-    wide, usual_walk = _wide(parameters), parameters.noise.angle_random_walk_deg_per_rt_h
+    wide, usual_walk = _wide(parameters), _usual_walk(parameters)
 
     def told(logs: Floats, base: RobotParameters) -> RobotParameters:
         noise = dict(zip(names, np.exp(logs).tolist(), strict=True))
@@ -153,11 +140,16 @@ def _likely_bias(
     )
 
 
+def _usual_walk(parameters: RobotParameters) -> float:
+    """The angle random walk that goes with the flicker; a file that gives none at all does not tell it."""
+    return parameters.noise.angle_random_walk_deg_per_rt_h or FilterNoise().angle_random_walk_deg_per_rt_h
+
+
 def _priors(
     robot: Robot, parameters: RobotParameters, *, open_walk: bool
 ) -> tuple[list[str], Floats, Floats]:
     """Names of the figures, their logarithms before the log is seen, and how firmly they hold."""
-    flicker = _FLICKER_BY_WALK * parameters.noise.angle_random_walk_deg_per_rt_h * DPH_TO_DPS
+    flicker = _FLICKER_BY_WALK * _usual_walk(parameters) * DPH_TO_DPS
     usual, spread = [], []
     for name, (size, width) in USUAL.items():
         told = robot.noise[name]
@@ -245,6 +237,5 @@ def whiteness(normalised: Floats) -> Whiteness:
         return Whiteness(math.nan, math.nan, math.nan, 0)
     square, sums = float(normalised @ normalised), summed(normalised)[0]
     slow = float(np.mean(sums**2)) if sums.size else math.nan
-    return Whiteness(
-        square / normalised.size, float(normalised[1:] @ normalised[:-1]) / square, slow, sums.size
-    )
+    lag1 = float(normalised[1:] @ normalised[:-1]) / square if square > 0 else math.nan
+    return Whiteness(square / normalised.size, lag1, slow, sums.size)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gyrocal.fusion import STATES, RobotParameters
-
 Floats = NDArray[np.float64]
 
-#: Places of the constants among `STATES`, and their plain names.
+#: Places of the constants among `gyrocal.fusion.STATES`, and their plain names.
 CONSTANTS = (3, 4, 5, 7, 8)
 NAMES = ("right wheel scale", "left wheel scale", "wheel separation", "gyro scale", "gyro bias")
 #: A deviation below this share of its prior is learned from the log; above the other it has stayed at its prior.
@@ -111,28 +109,22 @@ class Observability:
         }
 
 
-def observability(
-    robot: RobotParameters, covariance: ArrayLike, heading_deg: ArrayLike, *, estimate_scale: bool = True
-) -> Observability:
+def observability(before: ArrayLike, covariance: ArrayLike, heading_deg: ArrayLike) -> Observability:
     """Compare what the filter knows of the constants after a log with what it knew before.
 
     Parameters
     ----------
-    covariance : array_like, shape (9, 9)
-        `Navigator.covariance` after the log.
+    before, covariance : array_like, shape (9, 9)
+        `Navigator.covariance` at the start and after the log. A constant of no variance at the start is not estimated.
     heading_deg : array_like, shape (n,)
         Heading along the log, not wrapped.
-    estimate_scale : bool
-        As the navigator was told; without a calibration it is true.
 
     Notes
     -----
     The eigenvalues of the posterior covariance in units of the prior are the directions: 1 where the log adds
     nothing. Heading differences alone see three of the five: a track width and a gyro scale are never told apart.
     """
-    prior = np.array(astuple(robot.initial_std))
-    if not estimate_scale:
-        prior[STATES.index("gyro_scale_error")] = 0.0
+    prior = np.sqrt(np.diag(np.asarray(before, dtype=np.float64)))
     kept = [(place, name) for place, name in zip(CONSTANTS, NAMES, strict=True) if prior[place] > 0.0]
     places, names = [place for place, _ in kept], [name for _, name in kept]
     p = np.asarray(covariance, dtype=np.float64)[np.ix_(places, places)]

@@ -114,12 +114,12 @@ def replay_log(
     t_s, truth, recorders = _run(source, robot, navigators, found)
     tracks = {}
     for condition, navigator, recorder in zip(conditions, navigators, recorders, strict=True):
-        tracks[condition] = recorder.track(condition, navigator, equipped[condition.calibrated].rest)
+        tracks[condition] = recorder.track(condition, equipped[condition.calibrated].rest)
         _check_validity(found, navigator, notes)
     judgements = _judge(tracks, kind)
     _check_truth(found, next(iter(tracks.values())), t_s, truth)
     compared = tuple(_compare(track, truth, found, method, returns) for track in tracks.values())
-    said, seen = tuple(dict.fromkeys(notes)), _seen(compared, kind)
+    said, seen = tuple(dict.fromkeys(notes)), _seen(compared)
     direction = _direction(compared[0])
     return LogReplay(source.name, direction, found, t_s, truth, compared, seen, said, judgements, kind)
 
@@ -159,14 +159,9 @@ def _judge(tracks: dict[Condition, Track], kind: str) -> dict[str, Judgement]:
     return found
 
 
-def _seen(tracks: tuple[Track, ...], kind: str) -> dict[str, Observability]:
+def _seen(tracks: tuple[Track, ...]) -> dict[str, Observability]:
     return {
-        t.condition.id: observability(
-            t.robot,
-            t.covariance,
-            t.heading_deg,
-            estimate_scale=kind == "paper" and not t.condition.calibrated,
-        )
+        t.condition.id: observability(t.covariance_before, t.covariance, t.heading_deg)
         for t in tracks
         if t.condition.filtering
     }
@@ -177,7 +172,7 @@ def _run(
 ) -> tuple[Floats, Floats, list[Recorder]]:
     """All conditions over the log, block by block."""
     every, positions, headings = (_Thinned(n) for n in (found.rows, found.truth_rows, found.truth_headings))
-    recorders = [Recorder() for _ in navigators]
+    recorders = [Recorder(navigator) for navigator in navigators]
     kept: list[Floats] = []
     for rows, truth in aligned(source, robot.parameters):
         keep = every.of(np.ones(rows.t_s.size, dtype=np.bool_))

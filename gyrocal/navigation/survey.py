@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.errors import DataError
 from gyrocal.navigation.sanity import turn_part_fault
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
+from gyrocal.records.leaps import FASTEST_ROBOT_MPS, FASTEST_VEHICLE_MPS
 from gyrocal.records.scale import WORST_SCALE, odd_temperature
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG, plural
 
@@ -29,8 +30,6 @@ MIN_TURN_DEG = 20.0
 _CORRELATION_BAD, _CORRELATION_GOOD = 0.3, 0.7
 #: deg/s logged as rad/s (or the reverse) changes the ratio by 57.3; half of that on a log scale is the border.
 _UNIT_BORDER = RAD_TO_DEG**0.5
-#: Faster than any robot that this is for, and than any vehicle with one speed.
-_MAX_SPEED_MPS, _MAX_VEHICLE_MPS = 30.0, 100.0
 _MAX_BAD_SHARE = 0.05
 #: No robot turns so fast for a twentieth of a drive, not even in degrees that were converted twice: 55 turns a second.
 _FASTEST_DPS, _FASTEST_SHARE = 20_000.0, 0.05
@@ -71,6 +70,8 @@ class Survey:
         Sums over the bins.
     bad_gyro, bad_encoder, duplicates, gaps : int
         Rows with an empty cell; rows with the time of the row before; steps above 5 times the usual one.
+    fastest_line : int
+        Line of the largest rate.
     said : tuple of str
         What the reader bridged, closed or left out.
     speed_only : bool
@@ -95,6 +96,7 @@ class Survey:
     temp_rows: int
     temp_c: tuple[float, float]
     gyro_dps: tuple[float, float]
+    fastest_line: int
     max_speed_mps: float
     longest_extreme: int
     longest_same_s: float
@@ -143,6 +145,7 @@ class _Tally:
         self.truth_rows = self.truth_headings = self.temp_rows = 0
         self.t_start_s = self.t_end_s = np.nan
         self.temp_c = self.gyro_dps = (np.inf, -np.inf)
+        self.fastest_line = 0
         self.max_speed_mps = 0.0
         self.run_dps, self.run_rows, self.run_since_s = np.nan, 0, np.nan
         self.longest_same_s = 0.0
@@ -173,6 +176,9 @@ class _Tally:
         self.truth_headings += int(np.count_nonzero(np.isfinite(block.truth_heading_deg)))
         self.temp_rows += int(np.count_nonzero(np.isfinite(block.gyro_temp_c)))
         self.temp_c = _widen(self.temp_c, block.gyro_temp_c)
+        fastest = np.nan_to_num(np.abs(block.gyro_dps))
+        if fastest.max() > max(self.gyro_dps[1], -self.gyro_dps[0]):
+            self.fastest_line = block.first_line + int(np.argmax(fastest))
         self.gyro_dps = _widen(self.gyro_dps, block.gyro_dps)
         moved = encoder & (dt_s > 0)
         speed = 0.5 * np.abs(block.left_m + block.right_m)[moved] / dt_s[moved]
@@ -236,6 +242,7 @@ class _Tally:
             self.temp_rows,
             self.temp_c,
             self.gyro_dps,
+            self.fastest_line,
             self.max_speed_mps,
             max(self.extreme_rows.get(value, 0) for value in self.gyro_dps)
             if self.rows > self.bad_gyro
@@ -294,11 +301,11 @@ def check_speed(name: str, fast_mps: float, *, speed_only: bool) -> None:
     ------
     DataError
     """
-    if fast_mps > (_MAX_VEHICLE_MPS if speed_only else _MAX_SPEED_MPS):
+    if fast_mps > (FASTEST_VEHICLE_MPS if speed_only else FASTEST_ROBOT_MPS):
         if speed_only:
             msg = f"{name}: the vehicle goes {fast_mps:,.0f} m/s by its column of speed or distance, and none is so fast: speed_mps is in m/s, speed_m in metres since the row before. Correct that column, or state its unit in a mapping with --columns."
             raise DataError(msg)
-        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. Check unit and metres_per_tick, or map the columns with --columns."
+        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. left_ticks and right_ticks are counts since the start. Check unit and metres_per_tick, or map the columns with --columns."
         raise DataError(msg)
 
 
@@ -314,6 +321,10 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     name = found.source
     temp_c = np.array(found.temp_c if found.temp_rows else ())
     check_cells(name, found.rows, found.bad_gyro, found.bad_encoder, found.gyro_deg / BIN_S, temp_c)
+    fastest_dps = max(abs(v) for v in found.gyro_dps)
+    if found.rows > found.bad_gyro and fastest_dps > _FASTEST_DPS:
+        msg = f"{name}, line {found.fastest_line}: gyro_dps is {fastest_dps:,.0f} deg/s in size, and no robot turns so fast. Repair the cell or leave it empty: it is bridged."
+        raise DataError(msg)
     if found.duration_s <= 0:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
     check_speed(name, found.max_speed_mps, speed_only=found.speed_only)

@@ -52,8 +52,8 @@ class Track:
     states, std : ndarray, shape (k, 9)
         In the order of `gyrocal.fusion.STATES`; NaN without the filter.
     innovation_deg, innovation_sigma_deg : ndarray, shape (k,)
-    covariance : ndarray, shape (9, 9)
-        Of the state errors at the end.
+    covariance_before, covariance : ndarray, shape (9, 9)
+        Of the state errors at the start and at the end.
     whiteness : Whiteness
         Of the innovations of all rows.
     nis_rows : int
@@ -74,6 +74,7 @@ class Track:
     std: Floats
     innovation_deg: Floats
     innovation_sigma_deg: Floats
+    covariance_before: Floats
     covariance: Floats
     counts: Counts
     whiteness: Whiteness
@@ -87,9 +88,16 @@ class Track:
 
 
 class Recorder:
-    """Kept rows of one condition, and sums over all rows."""
+    """Kept rows of one condition, and sums over all rows.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    navigator : Navigator
+        At the start of the log.
+    """
+
+    def __init__(self, navigator: Navigator) -> None:
+        self._navigator, self._before = navigator, navigator.covariance
         self._parts: list[list[Floats]] = []
         self._nis_sum, self._nis_rows = 0.0, 0
         self._pair_sum, self._last = 0.0, 0.0
@@ -121,8 +129,9 @@ class Recorder:
             self._slow_sum += float(sums @ sums)
             self._sums += sums.size
 
-    def track(self, condition: Condition, navigator: Navigator, rest: Rest | None) -> Track:
+    def track(self, condition: Condition, rest: Rest | None) -> Track:
         """What was recorded."""
+        navigator = self._navigator
         x, y, heading, states, std, z, sigma = (
             np.concatenate(parts) for parts in zip(*self._parts, strict=True)
         )
@@ -141,6 +150,7 @@ class Recorder:
             std,
             z,
             sigma,
+            self._before,
             navigator.covariance,
             navigator.counts,
             seen,

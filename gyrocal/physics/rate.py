@@ -72,19 +72,17 @@ def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 
 def _truncation(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    half_dps, toward = MDPS * abs(p["amplitude"]), np.sign(p["amplitude"])
+    half_dps, step_dps = MDPS * p["amplitude"], 2.0 * MDPS * abs(p["amplitude"])
     if c.gyro_dps is None and surface is not None and p["of_output"]:
-        return np.asarray(-toward * half_dps * _output_sign(c, surface))
+        return np.asarray(-half_dps * _output_sign(c, surface))
     if c.gyro_dps is None:
         # What is less than a step is cut away whole: there means lose half of themselves on the average, and not
         # half a step, which a gyro at rest never had.
-        return np.asarray(-toward * np.clip(0.5 * c.rate_dps, -half_dps, half_dps))
-    step_dps = 2.0 * half_dps
+        return np.asarray(-0.5 * np.sign(half_dps) * np.clip(c.rate_dps, -step_dps, step_dps))
     if step_dps == 0.0:
         return np.zeros(len(c))
-    steps = np.abs(c.gyro_dps) / step_dps
-    whole = np.floor(steps) if toward > 0.0 else np.ceil(steps)
-    return np.asarray(np.sign(c.gyro_dps) * whole * step_dps - c.gyro_dps)
+    cut = np.floor if half_dps > 0.0 else np.ceil
+    return np.asarray(np.sign(c.gyro_dps) * cut(np.abs(c.gyro_dps) / step_dps) * step_dps - c.gyro_dps)
 
 
 def _output_sign(c: Conditions, surface: Surface) -> Floats:
@@ -152,13 +150,10 @@ def _dead_widths(offer: Offer) -> list[dict[str, float]]:
         return []
     widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
     last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
-    # Of inputs within the zone two at least, or one and the rest are all the same to any form; without any, a dead band is
-    # like a truncation, but of an output on no lattice.
-    forms = [_AT_REST]
-    if np.any(small > 0):
-        forms += [_BAND] if np.count_nonzero(small > 0) <= 2 else [_SMALL, _LOCKED, _BAND]
-    elif offer.continuous:
-        forms += [_BAND]
+    # Two inputs within the zone, or one and the rest, are the same to any form; without any, a dead band is a truncation.
+    forms, moving = [_AT_REST], np.count_nonzero(small > 0)
+    if moving or offer.continuous:
+        forms += [_BAND] if moving <= 2 else [_SMALL, _LOCKED, _BAND]
     return [{"width_dps": float(x), "form": form} for form in forms for x in (*widths, last)]
 
 
@@ -182,10 +177,8 @@ def _knees(offer: Offer) -> list[dict[str, float]]:
 
 def _orders(offer: Offer) -> list[dict[str, float]]:
     scale = {"scale_dps": offer.largest_rate_dps or 1.0}
-    return [
-        *({"order": order, **scale} for order in (4.0, 5.0, 6.0)),
-        {"order": 5.0, "order_2": 4.0, **scale},
-    ]
+    single = [{"order": order, **scale} for order in (4.0, 5.0, 6.0)]
+    return [*single, {"order": 5.0, "order_2": 4.0, **scale}]
 
 
 def _order_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:

@@ -57,6 +57,9 @@ def read_header(path: Path) -> list[str]:
     header = [name.strip() for name in line.strip().split(",")]
     if header == [""]:
         raise InputError(f"{path}: is empty. Check that it was written to its end.")
+    if any(header) and all(_NUMBER.fullmatch(name) for name in header):
+        msg = f"{path}, line 1: holds numbers where the names of the columns are wanted: the header is missing. Add it as the first line."
+        raise InputError(msg)
     return header
 
 

@@ -14,6 +14,7 @@ from gyrocal.errors import InputError, ProfileError
 from gyrocal.records.columns import MAP_THEM, UNITS, ColumnMap, ColumnRule, mapped_header, scaled
 from gyrocal.records.csvio import Floats, iterate_columns, read_header, require_columns
 from gyrocal.records.drive import DriveBlock
+from gyrocal.records.leaps import FASTEST_ROBOT_MPS, Leaps
 from gyrocal.records.streams import Merger
 from gyrocal.records.timeline import Timeline, usual_step
 
@@ -112,10 +113,18 @@ def _read_file(
     first_s = np.concatenate([scaled(path, line, rules["t_s"], raw) for line, raw in head])
     timeline = Timeline(path, usual_step(path, first_s))
     ways = {name: _Way(rules[name], scales[name]) for name in scales}
+    leaps = {name: Leaps(path, rules[name], scales[name], timeline.usual_dt_s) for name in scales}
     for first_line, raw in itertools.chain(head, blocks):
         values = {name: scaled(path, first_line, rule, raw) for name, rule in rules.items()}
-        t_s, segment, said = timeline.take(first_line, values["t_s"])
-        steps = {name: way.steps(values[name], t_s) for name, way in ways.items()}
+        logged_s = values["t_s"]
+        steps = {name: way.steps(values[name], logged_s) for name, way in ways.items() if way.counts}
+        went_on = np.zeros(logged_s.size, dtype=np.bool_)
+        for counted_m, _ in steps.values():
+            went_on |= np.abs(counted_m) > FASTEST_ROBOT_MPS * timeline.usual_dt_s
+        t_s, segment, said = timeline.take(first_line, logged_s, went_on)
+        steps |= {name: way.steps(values[name], t_s) for name, way in ways.items() if not way.counts}
+        for name, (steps_m, _) in steps.items():
+            leaps[name].refuse(first_line, raw, steps_m, t_s)
         yield _assemble(first_line, t_s, values, steps, segment, said)
 
 
@@ -306,6 +315,7 @@ class _Way:
         self._scale = scale
         self._counter = np.nan
         self._told_s: float | None = None
+        self.counts = rule.unit.total
 
     def steps(self, values: Floats, t_s: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Distances in m, and which rows tell one, shape (n,)."""

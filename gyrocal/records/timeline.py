@@ -43,8 +43,14 @@ class Timeline:
     _shift_s: float = 0.0
     _said: list[str] = field(default_factory=list)
 
-    def take(self, first_line: int, t_s: Floats) -> tuple[Floats, NDArray[np.int64], tuple[str, ...]]:
+    def take(
+        self, first_line: int, t_s: Floats, went_on: NDArray[np.bool_] | bool = False
+    ) -> tuple[Floats, NDArray[np.int64], tuple[str, ...]]:
         """Times, segment numbers and sentences for a block, arrays of shape (n,).
+
+        Parameters
+        ----------
+        went_on : rows that another column says to be as long after the row before as their times do
 
         Raises
         ------
@@ -62,6 +68,7 @@ class Timeline:
             msg = f"{self.path}, line {first_line + back[0]}: time goes backwards by {-steps[back[0]]:.6g} s. Rows must be in time order; repair the log."
             raise InputError(msg)
         boundary = np.isfinite(steps) & (steps > max(BOUNDARY_STEPS * self.usual_dt_s, BOUNDARY_S))
+        boundary &= ~np.asarray(went_on)
         segments = self.segment + np.cumsum(boundary)
         said = tuple(self._sentence(first_line + int(k), float(steps[k])) for k in np.flatnonzero(boundary))
         closed = t_s

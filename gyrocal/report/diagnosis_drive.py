@@ -156,7 +156,7 @@ def drive_figures(found: DriveDiagnosis) -> list[tuple[Picture, Figure | None]]:
 @style.styled
 def paths(shown: Shown) -> Figure:
     """Reckoned paths before and after, and the truth."""
-    figure = style.new_figure(style.ONE_COLUMN_IN, 3.3)
+    figure = style.new_figure(style.ONE_COLUMN_IN, 3.5)
     panel = figure.subplots()
     known = np.isfinite(shown.truth)
     if known.any():
@@ -177,7 +177,8 @@ def paths(shown: Shown) -> Figure:
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel("x, m")
     panel.set_ylabel("y, m")
-    legend_above(panel)
+    # Above the whole figure: the panel alone is not as wide as the names. Points of truth are too small to be told there.
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=2, markerscale=3.0)
     return figure
 
 

@@ -29,6 +29,7 @@ from gyrocal.report.navigation_figures import (
     draw_innovations,
     draw_states,
     draw_trajectories,
+    estimated,
     in_truth_frame,
 )
 from gyrocal.report.page import Page, Picture, render_page
@@ -263,6 +264,8 @@ def draw_figures(replays: Sequence[LogReplay], table: Table) -> list[tuple[Pictu
         result.append(
             (Picture(f"innovations_{name}", f"Innovations of {name}", caption), draw_innovations(replay))
         )
+        if not estimated(replay):
+            continue
         caption = (
             "Constants that the filter estimates, with two standard deviations. A band as wide at the end as at the "
             "start has learnt nothing: what a log cannot tell stays at its prior."

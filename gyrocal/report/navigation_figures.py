@@ -187,15 +187,22 @@ def draw_innovations(replay: LogReplay) -> Figure:
     return figure
 
 
+def estimated(replay: LogReplay) -> list[tuple[int, str, float]]:
+    """Those of `PARAMETERS` that a filter of the replay estimates: the drive model has no scale of the gyro beside the track."""
+    stds = [t.std[0] for t in replay.tracks if t.condition.filtering]
+    return [p for p in PARAMETERS if any(std[p[0]] > 0.0 for std in stds)]
+
+
 @styled
 def draw_states(replay: LogReplay) -> Figure:
-    """The five constants that the filter estimates, with two sigma, in each condition with the filter."""
+    """The constants that the filter estimates, with two sigma, in each condition with the filter."""
     tracks = [t for t in replay.tracks if t.condition.filtering]
+    drawn = estimated(replay)
     figure = new_figure(TWO_COLUMNS_IN, 3.0)
-    panels = figure.subplots(1, len(PARAMETERS), sharex=True)
+    panels = figure.subplots(1, len(drawn), sharex=True, squeeze=False)[0]
     t_s = replay.t_s - replay.t_s[0]
     rows = _thin(t_s.size)
-    for axes, (index, label, factor) in zip(panels, PARAMETERS, strict=True):
+    for axes, (index, label, factor) in zip(panels, drawn, strict=True):
         for track in tracks:
             if track.std[0, index] == 0.0:
                 continue

@@ -257,6 +257,20 @@ def test_a_rest_in_the_middle_gives_the_bias(filtering: bool) -> None:
     assert abs(out.heading_deg[-1] - drive.heading_deg[-1]) < 4.0 * out.std[-1, 6]
 
 
+@pytest.mark.parametrize("filtering", [True, False])
+def test_a_bias_that_has_changed_by_a_rest_is_believed_and_the_path_stays(filtering: bool) -> None:
+    log = draw(np.random.default_rng(3))
+    gyro = log.gyro_dps + 0.05 * (log.t_s > 80.0)
+    nav = Navigator(ROBOT, kind="model", filtering=filtering)
+    out = nav.run(log.t_s, log.left_m, log.right_m, gyro)
+    left = np.searchsorted(log.t_s, 154.0)
+    assert out.counts.gated == 0
+    assert out.states[left, 8] == pytest.approx(0.05, abs=3.0 * out.std[left, 8])
+    stands = (log.t_s > 146.0) & (log.t_s < 155.0)
+    assert np.ptp(out.heading_deg[stands]) < 0.3
+    assert np.hypot(np.ptp(out.x_m[stands]), np.ptp(out.y_m[stands])) < 0.2
+
+
 def test_blocks_of_any_size_and_single_rows_give_the_same_numbers() -> None:
     drive = draw(np.random.default_rng(9), duration_s=60.0)
     _, whole = run(drive)

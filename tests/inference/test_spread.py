@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal.inference.spread import mean_square, spread_between
+from gyrocal.inference.spread import mean_square, spread_between, white_at_rest
 
 
 @pytest.mark.parametrize("spread", [0.0, 2.0])
@@ -45,3 +45,14 @@ def test_a_mean_square_minds_neither_outliers_nor_steps(step: float) -> None:
     values[::50] *= 30.0
     # Rounding adds a twelfth of its step squared.
     assert mean_square(values**2) == pytest.approx(1.0 + step**2 / 12.0, rel=0.12)
+
+
+def test_white_noise_of_a_rest_is_that_of_its_rows_whether_they_come_once_or_twice() -> None:
+    rng = np.random.default_rng(5)
+    rate, resting, dt_s = 0.2 * rng.standard_normal(4000), np.arange(4000) % 1000 < 500, np.full(4000, 0.02)
+    found = white_at_rest(rate, resting, dt_s)
+    assert found == pytest.approx(0.2 * np.sqrt(0.02), rel=0.1)
+    twice, pairs_s = np.repeat(np.arange(4000), 2), np.tile([0.02, 0.0], 4000)
+    assert white_at_rest(rate[twice], resting[twice], pairs_s) == found
+    assert white_at_rest(np.zeros(4000), resting, dt_s) is None
+    assert white_at_rest(rate, np.zeros(4000, dtype=np.bool_), dt_s) is None

@@ -45,6 +45,19 @@ def test_the_walk_of_the_gyro_is_that_of_its_rests() -> None:
     assert rest_walk(rows_of(replace(moving, left_m=moving.left_m + 1e-3))) is None
 
 
+def test_innovations_that_are_all_nothing_are_not_those_of_a_filter() -> None:
+    assert not whiteness(np.zeros(50)).describes
+
+
+@pytest.mark.parametrize("given", [{}, {"angle_random_walk_deg_per_rt_h": 0.0}])
+def test_a_gyro_without_noise_at_rest_tells_no_walk(given: dict[str, float]) -> None:
+    log = log_of(draw(np.random.default_rng(0), rest_s=20.0, duration_s=120.0))
+    still = replace(log, gyro_dps=np.where(log.left_m == 0.0, 0.0, log.gyro_dps))
+    assert rest_walk(rows_of(still)) is None
+    robot = robot_of({"wheel_separation_m": 0.5, "static_s": 0.0, "noise": given}, Path("robot.toml"))
+    assert equip(source(still), robot, "model", None, None).robot.noise.flicker_dps > 0.0
+
+
 def test_levels_that_the_file_leaves_open_are_found() -> None:
     found = [
         equip(source(log_of(draw(np.random.default_rng(s)))), SILENT, "model", None, None).robot.noise

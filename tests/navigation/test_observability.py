@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from gyrocal.fusion import FilterNoise, InitialStd, RobotParameters
+from gyrocal.fusion import FilterNoise, InitialStd, Navigator, RobotParameters
 from gyrocal.navigation.observability import Observability, observability
 from tests.fusion.drive import paper
 
@@ -20,8 +21,9 @@ def report(speed: Floats, turn_dps: Floats, *, estimate_scale: bool = True) -> O
     """Drive without errors: the information depends on the path alone."""
     half = 0.5 * WIDTH_M * np.radians(turn_dps)
     navigator = paper(ROBOT, estimate_scale=estimate_scale)
+    before = navigator.covariance
     out = navigator.run(T, (speed - half) * DT_S, (speed + half) * DT_S, turn_dps)
-    return observability(ROBOT, navigator.covariance, out.heading_deg, estimate_scale=estimate_scale)
+    return observability(before, navigator.covariance, out.heading_deg)
 
 
 def steady(value: float) -> Floats:
@@ -70,3 +72,14 @@ def test_at_rest_only_the_bias_is_seen() -> None:
     assert found.ratio["gyro bias"] < 0.1
     assert all(r > 0.999 for name, r in found.ratio.items() if name != "gyro bias")
     assert found.to_json()["seen"] == 1
+
+
+def test_a_log_that_says_nothing_of_the_bias_leaves_it_at_what_the_filter_began_with() -> None:
+    robot = RobotParameters(WIDTH_M, noise=FilterNoise(flicker_dps=0.02), static_s=0.0)
+    navigator = Navigator(robot, static_bias_dps=0.1)
+    before = navigator.covariance
+    nothing = np.full(20, np.nan)
+    out = navigator.run(T[:20], nothing, nothing, np.zeros(20))
+    found = observability(before, navigator.covariance, out.heading_deg)
+    assert found.prior_std["gyro bias"] == pytest.approx(np.hypot(0.05, 0.02 * np.sqrt(3.0)))
+    assert found.ratio["gyro bias"] == pytest.approx(1.0, rel=1e-3)

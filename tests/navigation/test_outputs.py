@@ -112,7 +112,7 @@ def test_figures_show_what_they_say(replays: list[LogReplay]) -> None:
     assert len(draw_innovations(replays[0]).axes) == 2
     states = draw_states(replays[0])
     # Turns alone cannot tell the gyro's scale from the track: the model leaves it alone.
-    assert [len(axes.lines) for axes in states.axes] == [2, 2, 2, 0, 2]
+    assert [len(axes.lines) for axes in states.axes] == [2, 2, 2, 2]
 
 
 def test_a_caption_says_that_fitted_errors_are_of_another_frame(replays: list[LogReplay]) -> None:

@@ -200,3 +200,10 @@ def test_a_steering_angle_that_nothing_uses_is_said_once() -> None:
     assert (
         survey("log", [steered, replace(steered, t_s=steered.t_s + 1e3)]).notes().count(UNUSED_STEERING) == 1
     )
+
+
+def test_a_rate_that_no_robot_has_is_refused_by_its_line() -> None:
+    log = drive()
+    spoilt = replace(log, gyro_dps=np.where(np.arange(len(log)) == 1500, -9e5, log.gyro_dps))
+    with pytest.raises(DataError, match=r"log, line 1502: gyro_dps is 900,000 deg/s in size"):
+        replay_log(source(spoilt, chunk_rows=1000), robot())

@@ -13,7 +13,8 @@ from gyrocal.navigation.track import Recorder, Track
 
 def recorded(innovation_deg: np.ndarray[Any, np.dtype[np.float64]], cuts: list[int]) -> Track:
     """A track of innovations of deviation two, with nothing else in it."""
-    recorder = Recorder()
+    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=None)
+    recorder = Recorder(cast(Any, navigator))
     for part in np.split(innovation_deg, cuts):
         nothing, rows = np.zeros(part.size), np.zeros((part.size, 9))
         block = SimpleNamespace(
@@ -21,8 +22,7 @@ def recorded(innovation_deg: np.ndarray[Any, np.dtype[np.float64]], cuts: list[i
             innovation_sigma_deg=np.full(part.size, 2.0), drift_m=nothing,
         )  # fmt: skip
         recorder.add(cast(Any, block), np.ones(part.size, dtype=bool))
-    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=None)
-    return recorder.track(cast(Any, None), cast(Any, navigator), None)
+    return recorder.track(cast(Any, None), None)
 
 
 @pytest.mark.parametrize("cuts", [[], [3], [2, 4, 5]])

@@ -88,6 +88,7 @@ def test_a_log_without_a_thermometer_needs_no_column_for_it(tmp_path: Path) -> N
     ("text", "message"),
     [
         ("", "is empty"),
+        ("0,0,0,0,20\n1,0,0,0,20\n", "line 1: holds numbers where the names of the columns are wanted"),
         (HEADER + "\n", "has a header and no rows. Check that it was written to its end."),
         ("t_s,left_m,right_m,gyro_dps,gyro_temp\n0,0,0,0,20\n", "unknown column 'gyro_temp'"),
         (HEADER.replace("gyro_dps", "gyro_rad_s") + "\n0,0,0,0,0\n", "column gyro_dps is missing"),

@@ -91,8 +91,8 @@ def test_one_tick_size_serves_both_sides(tmp_path: Path) -> None:
         (f"wheel_separation_m = {'9' * 5000}\n", "is not TOML"),
         ("wheel_separation_m = 1\nstatic_s = -1\n", "static_s is -1; allowed: a number, 0 to 86400."),
         (
-            "wheel_separation_m = 1\n[noise]\ntick_m = 1e-300\n",
-            "noise.tick_m is 1e-300; allowed: a number, 0 to 1.",
+            'wheel_separation_m = "0.6"\n',
+            "wheel_separation_m is the text '0.6'; allowed: a number, 0.001 to 10, without quotes.",
         ),
         ("wheel_separation_m = 1\ntrack = 2\n", "unknown key track; allowed: schema, wheel_separation_m"),
         (
@@ -102,7 +102,7 @@ def test_one_tick_size_serves_both_sides(tmp_path: Path) -> None:
         ("wheel_separation_m = 1\nnoise = 2\n", "noise is not a table; allowed: [noise] with"),
         (
             "wheel_separation_m = 1\n[initial_std]\nx_m = 'a'\n",
-            "initial_std.x_m is a; allowed: a number, 0 to 10000.",
+            "initial_std.x_m is the text 'a'; allowed: a number, 0 to 10000, without quotes.",
         ),
         ("wheel_separation_m = 1\n[slip]\nlaw = 'none'\n", "law is 'none'; allowed: turn_rate, curvature"),
         ("wheel_separation_m = 1\n[slip]\nlaw = 2\n", "slip.law is 2; allowed: a name in quotes."),
@@ -123,6 +123,12 @@ def test_bad_files_are_refused_with_what_is_allowed(tmp_path: Path, text: str, m
     with pytest.raises(ProfileError) as error:
         read_robot(write(tmp_path, text))
     assert message in str(error.value)
+
+
+def test_what_is_nothing_but_rounding_is_zero(tmp_path: Path) -> None:
+    text = "wheel_separation_m = 1\n[noise]\ntick_m = 1e-300\n[encoders]\nleft_scale = -6.6e-13\n"
+    robot = read_robot(write(tmp_path, text))
+    assert robot.parameters.noise.tick_m == robot.parameters.encoders.left_scale == 0.0
 
 
 def test_a_missing_file_is_an_input_error(tmp_path: Path) -> None:

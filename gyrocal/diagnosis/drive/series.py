@@ -110,8 +110,10 @@ class DriveSeries:
         moving = awake.astype(np.float64)
         if lag_s == 0.0:
             return moving
-        keep = float(np.exp(-np.median(self.dt_s[1:]) / lag_s))
-        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], moving))
+        keep = float(np.exp(-usual_step_s(self.t_s) / lag_s))
+        later = np.append(True, self.dt_s[1:] > 0)
+        followed = lfilter([1.0 - keep], [1.0, -keep], moving[later])
+        return np.asarray(followed[np.cumsum(later) - 1])
 
     @property
     def first_rest_s(self) -> float:
@@ -147,7 +149,7 @@ def drive_series(
     gyro_dps, temp_c = (v[np.isfinite(v)] for v in (log.gyro_dps, log.gyro_temp_c))
     check_cells(source, t_s.size, no_gyro, no_wheel, gyro_dps, temp_c)
     dt_s = np.diff(t_s, prepend=t_s[0])
-    gap = dt_s > GAP_STEPS * float(np.median(dt_s[1:]))
+    gap = dt_s > GAP_STEPS * usual_step_s(t_s)
     notes: list[Note] = []
     if gap.any():
         notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS}))
@@ -204,7 +206,7 @@ def _gyro(
 def _turns(log: DriveBlock, robot: Robot, off_dps: Floats) -> Bools:
     """Where a short excursion of the gyro may be a turn of the robot."""
     dt_s = np.diff(log.t_s, prepend=log.t_s[0])
-    step_s = float(np.median(dt_s[1:]))
+    step_s = usual_step_s(log.t_s)
     possible = np.abs(off_dps) < _QUICKEST_DPS2 * step_s
     if log.speed_only:
         return np.asarray(possible)
@@ -221,6 +223,12 @@ def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[Remark]]:
         return gyro_dps, []
     bridged = Remark(Said.GYRO_BRIDGED, {"count": int(np.count_nonzero(~known))})
     return np.interp(t_s, t_s[known], gyro_dps[known]), [bridged]
+
+
+def usual_step_s(t_s: Floats) -> float:
+    """Usual time between rows; one at the time of the row before is no step."""
+    dt_s = np.diff(t_s)
+    return float(np.median(dt_s[dt_s > 0]))
 
 
 def tick_size(step_m: Floats) -> float:
@@ -326,7 +334,7 @@ def averaged(t_s: Floats, cumulated: Floats, ahead_s: float, window_s: float) ->
     if window_s <= 0.0:
         return np.asarray(np.interp(at, t_s, cumulated))
     # The integral of a channel that is linear between its rows, on a grid fine enough to be so itself.
-    fine_s = min(window_s / 8.0, float(np.median(np.diff(t_s))))
+    fine_s = min(window_s / 8.0, usual_step_s(t_s))
     grid = np.arange(t_s[0] - window_s, t_s[-1] + window_s + fine_s, fine_s)
     values = np.interp(grid, t_s, cumulated)
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * fine_s)])

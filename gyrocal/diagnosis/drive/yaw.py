@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy import interpolate
 
 from gyrocal.diagnosis.drive.laws import Frame, difference
-from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
+from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
-from gyrocal.inference.spread import mean_square
+from gyrocal.inference.spread import white_at_rest
 from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS, STDS_PER_MAD
 
@@ -48,8 +48,6 @@ _USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
 _SEEN = 1.5
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
 _LEAST_TICK_M, _STILL = 1e-6, 1e-5
-#: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
-_REST_MEAN_S = 0.1
 #: Weight under the noise, of the largest, below which a mixture of columns is nothing but rounding.
 _TOLD = 1e-9
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
@@ -99,7 +97,7 @@ def usual_flicker_dps(arw_dps_per_rt_hz: float) -> float:
 def usual_noise(series: DriveSeries) -> YawNoise:
     """Noise to begin with: the gyro's white noise from its rows at rest, the rest from robot file and ticks."""
     given = series.robot.noise
-    arw = _white_at_rest(series)
+    arw = white_at_rest(series.gyro_dps, series.resting, series.dt_s)
     if arw is None:
         arw = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * given[_WALK]
     tick = float(np.hypot(*series.tick_m)) / np.sqrt(12.0)
@@ -117,26 +115,11 @@ def usual_noise(series: DriveSeries) -> YawNoise:
 def _white_is_open(series: DriveSeries) -> bool:
     """Whether neither a rest nor the robot file tells the gyro's white noise, and the drive itself has to."""
     told = f"noise.{_WALK}" in series.robot.given
-    return series.differential and not told and _white_at_rest(series) is None
-
-
-def _white_at_rest(series: DriveSeries) -> float | None:
-    """White noise of the gyro, deg/s per sqrt(Hz), from neighbouring means at rest; None without rest."""
-    every = max(1, round(_REST_MEAN_S / max(float(np.median(series.dt_s[1:])), 1e-6)))
-    squares = []
-    for run in runs_of(np.flatnonzero(series.resting)):
-        count = run.size // every
-        if count < 3:
-            continue
-        means = series.gyro_dps[run[: count * every]].reshape(count, every).mean(axis=1)
-        squares.append(np.diff(means) ** 2)
-    found = np.concatenate(squares) if squares else np.zeros(0)
-    if found.size < 20:
-        return None
-    width_s = every * float(np.median(series.dt_s[1:]))
-    # A difference has twice the variance.
-    square = mean_square(found)
-    return float(np.sqrt(0.5 * square * width_s)) if square > 0 else None
+    return (
+        series.differential
+        and not told
+        and white_at_rest(series.gyro_dps, series.resting, series.dt_s) is None
+    )
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,21 @@ def found(hidden: Hidden, robot: Robot, seed: int) -> DriveDiagnosis:
     return diagnose_drive("drive.csv", simulate(hidden, seed), robot)
 
 
+def test_a_row_that_comes_twice_at_one_time_says_nothing_new(robot: Robot) -> None:
+    log = simulate(Hidden(), 3, duration_s=120.0)
+    twice = np.repeat(np.arange(len(log)), 2)
+    second = np.arange(twice.size) % 2 == 1
+    columns = {
+        f: getattr(log, f)[twice] for f in ("t_s", "gyro_dps", "gyro_temp_c", "truth_x_m", "truth_y_m")
+    }
+    columns |= {f: np.where(second, 0.0, getattr(log, f)[twice]) for f in ("left_m", "right_m")}
+    pairs = DriveBlock(2, truth_heading_deg=log.truth_heading_deg[twice], **columns)
+    once, both = (drive_series("drive.csv", b, robot, None) for b in (log, pairs))
+    np.testing.assert_array_equal(both.moving(2.0)[~second], once.moving(2.0))
+    assert both.gap.sum() == once.gap.sum()
+    assert align(both) == pytest.approx(align(once), abs=1e-3)
+
+
 def test_what_prudence_takes_off_a_bias_is_in_the_asymmetry_beside_it(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(

@@ -11,14 +11,14 @@ import pytest
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
-from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive
+from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown, diagnose_drive
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.result import Alternative
 from gyrocal.errors import InputError
 from gyrocal.records.drive import DriveBlock, format_drive_log
 from gyrocal.records.robot import read_robot
 from gyrocal.report import style
-from gyrocal.report.diagnosis_drive import drive_figures, seconds_of
+from gyrocal.report.diagnosis_drive import drive_figures, paths, seconds_of
 from gyrocal.report.drive_words import _estimate_sentences, _other, drive_sentences, drive_tables
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
@@ -125,6 +125,17 @@ def test_a_figure_that_may_be_nothing_is_not_said_to_cost_metres() -> None:
 def _write(path: Path, log: DriveBlock) -> Path:
     path.write_text(format_drive_log(log))
     return path
+
+
+def test_the_names_of_paths_stand_inside_their_picture() -> None:
+    steep = np.array([complex(k, 12 * k) for k in range(50)], dtype=np.complex128)
+    figure = paths(Shown("", 0.6, steep, steep, steep, 0.551, 0.0471, 0.5, 0.01, 0.02))
+    style.render(figure, "png")
+    (legend,) = figure.legends
+    span = legend.get_window_extent().transformed(figure.transFigure.inverted())
+    assert span.x0 >= 0.0
+    assert span.x1 <= 1.0
+    assert len(legend.get_texts()) == 3
 
 
 def test_command_writes_a_robot_file_and_paths(tmp_path: Path) -> None:
