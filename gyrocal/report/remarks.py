@@ -153,7 +153,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
     Said.LARGEST_RATES: _largest_rates,
     Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out",
-    Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [counts|count] as no motion of that wheel",
+    Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [is|are] bridged by the speed of that wheel before and after, and left out of the comparison",
     Said.CALIBRATED: "the gyro was calibrated with the coefficients given",
     Said.GYRO_BRIDGED: "{count} [row|rows] without gyro [is|are] bridged by [its|their] neighbours",
     Said.GYRO_SPIKES: "{count} [spike|spikes] of the gyro, up to {largest_dps:.3g} deg/s, [is|are] bridged in the comparison",

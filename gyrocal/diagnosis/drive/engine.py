@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
+from gyrocal.diagnosis.drive.filed import filed
 from gyrocal.diagnosis.drive.findings import (
     OUT,
     OfTruth,
@@ -18,6 +19,7 @@ from gyrocal.diagnosis.drive.findings import (
     not_testable,
     of_truth,
     spinning,
+    told_estimate,
     verdict,
 )
 from gyrocal.diagnosis.drive.heldout import improvements
@@ -26,7 +28,6 @@ from gyrocal.diagnosis.drive.improved import (
     believed_bias,
     estimates_of,
     figures_of,
-    foretold_bias,
     improved_robot,
 )
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
@@ -34,7 +35,7 @@ from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.motions import AS_LIKELY, settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import instants, left_out, places
-from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon, rest_mean_dps
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import ALONE, SCALES, TruthAnswer, ask_truth
@@ -48,6 +49,7 @@ from gyrocal.physics.drive import GYRO_SCALE
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
+from gyrocal.units import NORMAL_95
 
 #: Laws of the bias that a truth may show where the encoders alone do not.
 _BY_TRUTH = ("slope", "step", AT_ONCE)
@@ -151,7 +153,8 @@ def diagnose_drive(
     effects = [replace(e, improvement=each.get(e.effect)) for e in effects]
     located = places(series, yaw, truth, effects)
     estimates = estimates_of(series, yaw, truth, found.parts, found.figures)
-    shown = _shown(found, robot, coefficients, others, log)
+    better = improved_robot(series, yaw, truth, found.parts, found.figures)
+    shown = _shown(found, better or robot, coefficients, others, log)
     diagnosis = Diagnosis(
         recording=source,
         verdict=verdict(effects, located),
@@ -171,7 +174,6 @@ def diagnose_drive(
             "left_out": [x.to_json() for x in left_out(yaw)],
         },
     )
-    better = improved_robot(series, yaw, truth, found.parts, found.figures)
     return DriveDiagnosis(diagnosis, series, yaw, truth, estimates, better, tuple(shown))
 
 
@@ -185,7 +187,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     """
     series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
     series, notes = wrong_truth(series)
-    yaw, truth = _beside_truth(series, examine_yaw(series))
+    yaw, truth = _told_from_nothing(series, *_beside_truth(series, examine_yaw(series)))
     if truth is not None and truth.mirrored:
         notes.append(Remark(Said.TRUTH_MIRRORED))
     parts = of_truth(yaw, truth)
@@ -218,7 +220,21 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
         yaw, truth = _with_laws(series, jumping, told)
     if "jump" in yaw.chosen:
         truth = _scales_beside_the_course(series, yaw, truth)
-    return _wheels_beside_structure(yaw, truth), truth
+    return _wheels_beside_structure(_wheels_beside(yaw, truth), truth), truth
+
+
+def _told_from_nothing(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+) -> tuple[YawAnswer, TruthAnswer | None]:
+    """Without names of laws whose 95 % interval holds zero, the least sure first: encoders and truth together may say less."""
+    while True:
+        sure = {n: told_estimate(yaw, truth, n) for n in yaw.named if n != "wheel_cos"}
+        stds = {n: abs(value) / std for n, (value, std) in sure.items() if std > 0.0}
+        least = min(stds, key=lambda n: stds[n], default="")
+        if not least or stds[least] >= NORMAL_95:
+            return yaw, truth
+        yaw = yaw.gaining({**yaw.named, least: 0.0})
+        truth = truth and (_asked(series, yaw, truth) or truth)
 
 
 def _scales_beside_the_course(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> TruthAnswer:
@@ -254,12 +270,12 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
             less = yaw.less([other]).with_law(name, gain)
             alone = _asked(series, less, truth)
             if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
-                return _wheels_beside(less, alone), alone
-        yaw, truth = _wheels_beside(yaw.with_law(name, gain), found), found
+                return less, alone
+        yaw, truth = yaw.with_law(name, gain), found
 
 
 def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
-    """With what wheels that differ gain beside a law of the bias that the truth shows: they may have stood for it."""
+    """With what wheels that differ gain beside the bias that the truth shows: they may have stood for it."""
     if "asymmetry" not in yaw.named:
         return yaw
     value, std = joint_estimate(yaw, truth, "asymmetry")
@@ -304,7 +320,10 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
         best_s = look([best_s + step_s * k for k in (-2, -1, 1, 2)])
     likely_s = [at_s for at_s, loss in losses.items() if loss < losses[best_s] + RISE_INSTANT_95]
     # The next instant that was looked at is outside.
-    span_s = min(likely_s) - step_s, max(likely_s) + step_s
+    span_s = (
+        max(min(likely_s) - step_s, float(series.t_s[0])),
+        min(max(likely_s) + step_s, float(series.t_s[-1])),
+    )
     wider = yaw.with_jump(instant_of_p(best_s, span_s, truth.odd["time"]))
     found = _asked(series, wider, truth)
     if found is None or found.odd["time"] < truth.odd["time"]:
@@ -392,16 +411,17 @@ def _with_truth(
 
 def _shown(
     found: Examined,
-    robot: Robot,
+    better: Robot,
     coefficients: Coefficients | None,
     others: Sequence[tuple[str, DriveBlock]],
     log: DriveBlock,
 ) -> list[Shown]:
-    """Before and after on what was not fitted: other logs, or the last part of this one."""
-    shown = []
+    """Before and after on what was not fitted: other logs, or the last part of this one; by the robot files as they are."""
+    shown, robot = [], found.series.robot
     for name, other in others:
         series = wrong_truth(wrong_gyro(drive_series(name, other, robot, coefficients))[0])[0]
-        shown.append(_compared(series, Figures(), _foretold(found), name))
+        before, after = (filed(series, one.parameters) for one in (robot, better))
+        shown.append(_compared(series, before, after, name))
     if others or not found.series.has_truth or found.truth is None or found.truth.mirrored:
         return shown
     split = int(np.searchsorted(log.t_s, log.t_s[0] + _FITTED * (log.t_s[-1] - log.t_s[0])))
@@ -409,12 +429,11 @@ def _shown(
         part = examine(found.series.source, cut(log, slice(0, split)), robot, coefficients)
     except DataError:
         return shown
-    rest = rest_mean_dps(found.series)
-    before = Figures(bias_dps=0.0 if rest is None else rest[0], bias_from_rest=False)
-    # One switch-on: the bias is that of the first part, at rest or not.
-    after = replace(
-        _foretold(part), bias_dps=believed_bias(part.yaw, part.truth), bias_from_rest=rest is not None
-    )
+    by_part = improved_robot(part.series, part.yaw, part.truth, part.parts, part.figures) or robot
+    before, after = (filed(found.series, one.parameters) for one in (robot, by_part))
+    if robot.static_s == 0 and not found.series.calibrated:
+        # One switch-on: the bias is that of the first part.
+        after = replace(after, bias_dps=believed_bias(part.yaw, part.truth))
     rest_of_it = _compared(found.series, before, after, from_row=split)
     return [*shown, _beside_its_noise(rest_of_it, found.truth, found.series.t_s[split:])]
 
@@ -427,11 +446,6 @@ def _beside_its_noise(shown: Shown, truth: TruthAnswer, t_s: Floats) -> Shown:
     apart, rms_m = (shown.before - shown.after)[known], (shown.before_m, shown.after_m)
     truth_m, seen_m = truth_floor(truth, t_s[known], shown.truth[known], apart, rms_m)
     return replace(shown, truth_m=truth_m, seen_m=seen_m)
-
-
-def _foretold(found: Examined) -> Figures:
-    """The figures of a log as another drive is to take them."""
-    return replace(found.figures, bias_dps=foretold_bias(found.yaw, found.truth), bias_before_dps=0.0)
 
 
 def _compared(

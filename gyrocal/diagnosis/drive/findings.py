@@ -281,7 +281,7 @@ def named_effects(
     for name, scale in parts.items():
         gain = (scale.value / scale.std) ** 2
         gains.append((gain, _of_scale(name, scale, series, yaw, truth)))
-    bias = _unexpected_bias(series, yaw)
+    bias = unexpected_bias(series, yaw, truth)
     if bias is not None and not any(e.effect == GYRO_BIAS.id for _, e in gains):
         gains.append(bias)
     gains.sort(key=lambda item: -item[0])
@@ -408,11 +408,13 @@ def _of_scale(
     return _effect(effect, parameters, max(p, 1e-300), alternatives, seen, beside)
 
 
-def _unexpected_bias(series: DriveSeries, yaw: YawAnswer) -> tuple[float, NamedEffect] | None:
+def unexpected_bias(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+) -> tuple[float, NamedEffect] | None:
     """A constant bias, where no rest takes it off, that is off from the robot file's by more than it grants."""
     if series.robot.static_s > 0:
         return None
-    value, std = yaw.estimate("bias")
+    value, std = joint_estimate(yaw, truth, "bias")
     expected = series.robot.initial_std["gyro_bias_dps"]
     away = value - series.robot.parameters.gyro.bias_dps
     gain = (away / std) ** 2

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate
+from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given
+from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate, unexpected_bias
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
@@ -83,6 +84,7 @@ def figures_of(
 
     half = 0.5 * value("asymmetry")
     moving = _moving(told)
+    c = yaw.estimate("track")[0] if "track" in yaw.chosen else 0.0
     return Figures(
         bias_dps=joint_estimate(yaw, truth, "bias")[0],
         temp_c=reference_temp_c(series),
@@ -96,6 +98,8 @@ def figures_of(
         left_scale=(1 + value("wheel_scale")) * (1 - half) - 1,
         right_scale=(1 + value("wheel_scale")) * (1 + half) - 1,
         delay_s=value("delay"),
+        track=(1 + c) * (1 + value("gyro_scale")) / (1 + value("wheel_scale")) - 1,
+        slip=_slip(yaw, tuple(yaw.named)) or SlipFigures(),
     )
 
 
@@ -163,7 +167,7 @@ def estimates_of(
     """Every figure of a drive by the metres that it costs, the dearest first."""
     rest = rest_mean_dps(series)
     started = replace(figures, bias_dps=figures.bias_dps if rest is None else rest[0], bias_from_rest=False)
-    found = [*_of_gyro(series, yaw, truth, parts, started), *_of_encoders(series, yaw, parts)]
+    found = [*_of_gyro(series, yaw, truth, parts, started), *_of_encoders(series, yaw, truth, parts)]
     if truth is not None:
         for name, unit in (("lever_ahead", "m"), ("lever_left", "m"), ("clock", "s"), ("mounting", "rad")):
             if name in truth.values:
@@ -187,7 +191,7 @@ def _of_gyro(
     for name, kind in KINDS.items():
         told = None
         if name == "bias":
-            told = (*joint_estimate(yaw, truth, "bias"), False)
+            told = (*joint_estimate(yaw, truth, "bias"), unexpected_bias(series, yaw, truth) is not None)
         elif kind.figure and name in parts:
             told = (parts[name].value, parts[name].std, True)
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
@@ -220,7 +224,9 @@ def _spokesman(yaw: YawAnswer, group: str) -> str:
     return next((n for n in found if n in yaw.named), found[0])
 
 
-def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, OfTruth]) -> list[DriveEstimate]:
+def _of_encoders(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, OfTruth]
+) -> list[DriveEstimate]:
     """Figures that move the path along the encoders' heading."""
     found = []
     path = reckon(series, Figures())
@@ -228,13 +234,14 @@ def _of_encoders(series: DriveSeries, yaw: YawAnswer, parts: Mapping[str, OfTrut
     for name in yaw.chosen:
         if KINDS[name].figure or name == "wheel_sin":
             continue
-        value, std = yaw.estimate(name)
+        value, std = joint_estimate(yaw, truth, name)
         if name == "spinning" and START_STOP_SLIP.id in parts:
             value, std = parts[START_STOP_SLIP.id].value, parts[START_STOP_SLIP.id].std
-        turn = yaw.law_rad(name)
+        turn = value * yaw.laws[name].column
         if name == "wheel_cos":
-            turn = turn + yaw.law_rad("wheel_sin")
-            value = float(np.hypot(value, yaw.estimate("wheel_sin")[0]))
+            other, _ = joint_estimate(yaw, truth, "wheel_sin")
+            turn = turn + other * yaw.laws["wheel_sin"].column
+            value = float(np.hypot(value, other))
         heading = np.interp(np.arange(series.t_s.size), rows, np.concatenate([[0.0], np.cumsum(turn)]))
         metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
         # A ratio of turns that may be another's is no track's.
@@ -276,14 +283,17 @@ def improved_robot(
         keys["encoders.window_s"] = yaw.window_s
     if "gyro_scale" in parts:
         keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
-    keys |= _slip_keys(yaw)
+    if slip := _slip(yaw, lasting):
+        keys |= {f"slip.{key}": getattr(slip, key) for key in ("law", "amplitude", "amplitude_std", "shape")}
     # A slope stays where it is.
     wheels = {"asymmetry"} if ROBOT_TILT.id in parts else {"track", "asymmetry"}
     earned = bool(keys) or bool(set(parts) - _NO_KEYS) or not wheels.isdisjoint(lasting)
     if not earned:
         return None
     if series.differential:
-        keys |= _geometry_keys(series, yaw, truth, parts)
+        # Turns that slip without a law of it are wider in the mean.
+        untold = [n for n in yaw.chosen if KINDS[n].group == "slip" and slip is None]
+        keys |= _geometry_keys(series, yaw.less(untold), truth, parts)
     elif "wheel_scale" in parts:
         for side in ("left", "right"):
             keys[f"encoders.{side}_scale"] = parts["wheel_scale"].value
@@ -293,7 +303,7 @@ def improved_robot(
         left = float(np.hypot(truth.values["gyro_scale"], truth.stds["gyro_scale"]))
         keys["gyro.scale_std"] = min(left, series.robot.initial_std["gyro_scale"])
     keys |= _noise_keys(yaw)
-    return series.robot.with_figures(keys)
+    return asked_anew(series.robot).with_figures(beyond_given(series, keys))
 
 
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
@@ -310,20 +320,22 @@ def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict
     return keys | ({"gyro.temp_c": temp_c} if np.isfinite(temp_c) else {})
 
 
-def _slip_keys(yaw: YawAnswer) -> dict[str, Any]:
-    """The law of slip; none where it would turn the robot backwards, which no robot file holds."""
-    slip = next((n for n in yaw.named if n.startswith("slip_")), None)
-    if slip is None:
-        return {}
-    shape, (amplitude, std) = yaw.laws[slip].shape, yaw.estimate(slip)
-    law = SLIP_LAWS[int(shape["law"])]
+def _slip(yaw: YawAnswer, named: Sequence[str]) -> SlipFigures | None:
+    """The law of slip as a robot file has it; none where it would turn the robot backwards, which no robot file holds.
+
+    A fit adds it to the track, and its curvature is by the track of the given file; a robot widens its own track by it.
+    """
+    name = next((n for n in named if n.startswith("slip_")), None)
+    if name is None:
+        return None
+    law, shape = SLIP_LAWS[int(yaw.laws[name].shape["law"])], yaw.laws[name].shape["shape"]
+    wider = 1.0 + yaw.estimate("track")[0]
+    times = wider**-2.0 if law == "curvature" else 1.0 / wider
+    amplitude, std = (times * x for x in yaw.estimate(name))
     try:
-        SlipFigures(law, amplitude, std, shape["shape"])
+        return SlipFigures(law, amplitude, std, shape * wider if law == "curvature_saturating" else shape)
     except ProfileError:
-        return {}
-    return {
-        "slip.law": law, "slip.amplitude": amplitude, "slip.amplitude_std": std, "slip.shape": shape["shape"],
-    }  # fmt: skip
+        return None
 
 
 def _untold_wheels(series: DriveSeries, truth: TruthAnswer | None) -> OfTruth:

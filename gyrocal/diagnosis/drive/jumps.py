@@ -59,11 +59,12 @@ def _likeliest(
     if chance(float(gained.max())) >= least:
         return None
     closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
+    closer_s = closer_s[(closer_s > begin_s) & (closer_s < end_s)]
     instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
     likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
     # The next instant that was looked at is outside.
     step_s = 2.0 * apart_s / _CLOSER
-    ends_s = float(likely_s.min() - step_s), float(likely_s.max() + step_s)
+    ends_s = max(float(likely_s.min()) - step_s, begin_s), min(float(likely_s.max()) + step_s, end_s)
     return Instant(float(instants_s[np.argmax(gained)]), *ends_s, float(gained.max()))
 
 
@@ -93,7 +94,8 @@ def jump_of(
     def likeliest(name: str) -> Instant | None:
         def gains(instants_s: Floats) -> Floats:
             of = {f"{name}:{k}": until(name, t) for k, t in enumerate(instants_s.tolist())}
-            told = evidence(model, columns | of).knowing(known)
+            # Held to what is known of it, a figure that is off from that would be taken for another one until the end.
+            told = evidence(model, columns | of).knowing(less(known, name))
             return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
 
         return _likeliest(float(model.frame.series.t_s[0]), float(ends_s[-1]), gains, least)
@@ -107,6 +109,11 @@ def jump_of(
         return {"jump": law_at(model.frame, bias)}
     name, instant = max(likelier.items(), key=lambda item: item[1].gain)
     return {f"time:{name}": replace(laws[name], shape=instant.shape, column=until(name, instant.at_s))}
+
+
+def less(known: Mapping[str, tuple[float, float]], name: str) -> dict[str, tuple[float, float]]:
+    """What is known beforehand of all other laws."""
+    return {n: k for n, k in known.items() if n != name}
 
 
 def law_at(frame: Frame, instant: Instant) -> Law:

@@ -59,11 +59,13 @@ def stacked(knots: Knots, positions: Complexes, headings: Floats, told: Floats |
 class PathNoise:
     """Parts of the covariance of positions, headings and the laws that the encoders tell, stacked.
 
-    `turned` is what a turn within each cell between `edges_s` does to them, `kernel` the covariance of these turns.
+    `turned` is what a turn within each cell between `edges_s` does to them, `kernel` the covariance of these turns, and
+    `unseen` the covariance of positions and headings with turns of the cells that the gyro has not seen: no law knows these.
     """
 
     turned: Floats
     kernel: Floats
+    unseen: Floats
 
     gyro: Floats
     way: Floats
@@ -83,8 +85,10 @@ class PathNoise:
         return [np.exp(x) * part for x, part in zip(logs, of_levels, strict=True)]
 
     def strayed(self, left: Floats, logs: Floats) -> Floats:
-        """Turns of the cells that the gyro's noise is likeliest to have made, from what is left of positions and headings."""
-        return np.asarray(self.kernel @ self.turned.T @ np.linalg.solve(self.whole(logs), left))
+        """Turns of the cells that noise is likeliest to have made, from what is left of positions and headings."""
+        return np.asarray(
+            (self.kernel @ self.turned.T + self.unseen.T) @ np.linalg.solve(self.whole(logs), left)
+        )
 
     def cut(self, keep: NDArray[np.bool_]) -> PathNoise:
         """For some of the rows."""
@@ -93,6 +97,7 @@ class PathNoise:
         return PathNoise(
             self.turned[keep],
             self.kernel,
+            self.unseen[keep],
             self.gyro[at],
             self.way[at],
             self.white[at],
@@ -121,7 +126,10 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     after = np.clip((knots.t_s[:, None] - edges[None, :-1]) / width, 0.0, 1.0)
     # The part of a turn within a cell acts from that turn on.
     turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
-    turn = np.vstack([_blocks(knots, turned, after), known.weights_between(edges)])
+    weights = known.weights_between(edges)
+    turn = np.vstack([_blocks(knots, turned, after), weights])
+    by_wheels = np.vstack([_blocks(knots, turned, after), 0.0 * weights])
+    unseen = by_wheels * _unseen(path, edges, noise)
     lag = np.abs(middle[:, None] - middle[None, :])
     since = middle - begin
     rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
@@ -130,7 +138,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
     ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
     along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
-    gyro = turn @ kernel @ turn.T
+    gyro = turn @ kernel @ turn.T + unseen @ by_wheels.T
     # The path follows the same gyro: taken for independent, both would swear to one noise. What else the laws found are off
     # by is the encoders', of which the path has nothing.
     k, told = knots.count.size, knots.told
@@ -148,6 +156,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     return PathNoise(
         turn,
         kernel,
+        unseen,
         gyro + 1e-12 * np.eye(gyro.shape[0]),
         noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, last),
         each(np.diag(one), zero),
@@ -155,6 +164,17 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
         each(zero, np.diag(one)) if knots.heading is not None else None,
         each(zero, fade) if knots.heading is not None else None,
     )
+
+
+def _unseen(path: Reckoned, edges_s: Floats, noise: YawNoise) -> Floats:
+    """Variance of the turns in each cell that the gyro has not seen, rad^2: of wheels, or of nobody."""
+    turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
+    variance = turned**2
+    if path.track_m > 0.0:
+        by_way = noise.slip_m_per_rt_m**2 * 2.0 * np.abs(path.way_m) + noise.tick_m**2
+        variance = noise.turn**2 * np.abs(turned) + noise.wander**2 * variance + by_way / path.track_m**2
+    cell = np.clip(np.searchsorted(edges_s, path.t_s, side="left") - 1, 0, edges_s.size - 2)
+    return np.asarray(np.bincount(cell[path.gap], variance[path.gap], edges_s.size - 1), dtype=np.float64)
 
 
 def _at_least(covariance: Floats, least: Floats) -> Floats:

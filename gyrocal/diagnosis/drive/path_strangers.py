@@ -29,6 +29,8 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, dict[str, Floats]]
     ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (half_s, -half_s))
     gained = np.diff(np.abs(ahead - behind) / SPEED_SMOOTH_S, prepend=0.0)
     growth = np.divide(gained, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
+    # Wheels that stand for the gyro have no bias.
+    seen_s = np.where(path.gap, 0.0, path.dt_s) if path.track_m > 0.0 else path.dt_s
     part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
     within = (part == np.arange(_PARTS)[:, None]).astype(np.float64)
     errors = {
@@ -39,12 +41,12 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, dict[str, Floats]]
             (nothing, sign * path.way_m * np.maximum(-sign * growth, 0.0)) for sign in (-1.0, 1.0)
         ],
         # First a bias that is another one from some time on, or for a while.
-        "time": [(path.dt_s * (within[k] - within[-1]), nothing) for k in range(_PARTS - 1)]
+        "time": [(seen_s * (within[k] - within[-1]), nothing) for k in range(_PARTS - 1)]
         + [(turned * share, nothing), (nothing, path.way_m * share)],
         # A gyro that is late in one part of the drive and not in others.
         "delay": [(np.diff(turning * inside, prepend=0.0), nothing) for inside in within],
         "heading": [(turned * f(2 * path.heading_rad), nothing) for f in (np.cos, np.sin)]
-        + [(path.dt_s * f(path.heading_rad), nothing) for f in (np.cos, np.sin)],
+        + [(seen_s * f(path.heading_rad), nothing) for f in (np.cos, np.sin)],
         # A slope lies where it lies.
         "place": [(turns, nothing) for turns in by_place(path.t_s, path.heading_rad, path.way_m, turned)],
     }

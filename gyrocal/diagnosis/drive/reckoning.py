@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
-from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.units import DEG_TO_RAD
+from gyrocal.diagnosis.drive.series import Bools, DriveSeries
+from gyrocal.fusion.robot import SlipFigures
+from gyrocal.physics.slip import slip_shape
+from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -29,6 +31,7 @@ class Figures:
     bias_slope_dps_per_c : bias by temperature
     gyro_scale, left_scale, right_scale : measured = (1 + scale) times true
     delay_s : the gyro is late; below 0: the encoders are
+    track, slip : effective track over the robot file's, less one, and how it widens, for turns that the gyro has not seen
     bias_from_rest : the mean of the rest at the start stands for `bias_dps` where there is one
     """
 
@@ -44,6 +47,8 @@ class Figures:
     left_scale: float = 0.0
     right_scale: float = 0.0
     delay_s: float = 0.0
+    track: float = 0.0
+    slip: SlipFigures = field(default_factory=SlipFigures)
     bias_from_rest: bool = True
 
     def but(self, name: str, value: float) -> Figures:
@@ -55,13 +60,21 @@ class Figures:
 
 @dataclass(frozen=True)
 class Reckoned:
-    """A reckoned drive, row by row: time, heading at the end of each row, steps and positions x + iy."""
+    """A reckoned drive, row by row: time, heading at the end of each row, steps and positions x + iy.
+
+    Attributes
+    ----------
+    gap : whether the turn of a row is one that the gyro has not seen
+    track_m : distance of the wheels that have seen it in its place; 0 where they do not differ
+    """
 
     t_s: Floats
     dt_s: Floats
     heading_rad: Floats
     way_m: Floats
     steps_m: Complexes
+    gap: Bools
+    track_m: float
 
     @property
     def at_m(self) -> Complexes:
@@ -77,6 +90,12 @@ class Reckoned:
 def middle(heading: Floats) -> Floats:
     """Heading half way through each row, from those at their ends."""
     return np.asarray(0.5 * (heading + np.concatenate([heading[:1], heading[:-1]])))
+
+
+def chords(way_m: Floats, heading_rad: Floats) -> Complexes:
+    """Steps of rows, each an arc of this length: over a gap it may be far from straight."""
+    turned = np.diff(heading_rad, prepend=heading_rad[0])
+    return np.asarray(way_m * np.sinc(turned / (2.0 * np.pi)) * np.exp(1j * middle(heading_rad)))
 
 
 def rest_mean_dps(series: DriveSeries) -> tuple[float, float] | None:
@@ -104,16 +123,31 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
         rate = rate - figures.bias_slope_dps_per_c * (
             temp - (at_c if np.isfinite(at_c) else reference_temp_c(series))
         )
-    heading = np.cumsum(DEG_TO_RAD * rate * series.dt_s) / (1.0 + figures.gyro_scale)
     left, right = series.left_m / (1.0 + figures.left_scale), series.right_m / (1.0 + figures.right_scale)
     way = 0.5 * (left + right)
+    by_gyro = DEG_TO_RAD * rate * series.dt_s / (1.0 + figures.gyro_scale)
+    heading = np.cumsum(series.over_gaps(by_gyro, _by_wheels(series, figures, right - left, way)))
     t = series.t_s
     if figures.delay_s > 0:
         heading = np.interp(t + figures.delay_s, t, heading)
     elif figures.delay_s < 0:
         whole = np.interp(t - figures.delay_s, t, np.cumsum(way))
         way = np.diff(whole, prepend=0.0)
-    return Reckoned(t, series.dt_s, heading, way, way * np.exp(1j * middle(heading)))
+    track_m = series.robot.wheel_separation_m * (1.0 + figures.track) if series.differential else 0.0
+    return Reckoned(t, series.dt_s, heading, way, chords(way, heading), series.gap, track_m)
+
+
+def _by_wheels(series: DriveSeries, figures: Figures, across_m: Floats, way_m: Floats) -> Floats:
+    """Turns of the rows by the wheels, rad."""
+    track_m, slip = series.robot.wheel_separation_m * (1.0 + figures.track), figures.slip
+    over_s = np.maximum(series.dt_s, 1e-9)
+    turned = whole = across_m / track_m
+    # How much they slip goes by the turn itself.
+    for _ in range(4 if slip.amplitude else 0):
+        rate_dps = RAD_TO_DEG * turned / over_s
+        wider = slip_shape(slip.law, rate_dps, way_m / over_s, track_m, slip.shape)
+        turned = whole / (1.0 + slip.amplitude * wider)
+    return np.asarray(turned)
 
 
 def cost_m(series: DriveSeries, figures: Figures, name: str, value: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at
+from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at, less
 from gyrocal.diagnosis.drive.lasting import outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
@@ -189,11 +189,15 @@ class YawAnswer:
         )
 
     def jumping(self, at_s: float) -> YawAnswer:
-        """Coefficients, and what they are known to, if the bias jumped at an instant; all else as it is."""
+        """Coefficients, and what they are known to, if the bias jumped at an instant; all else as it is.
+
+        Nothing is known of a bias beforehand that jumps: held to it, one that is off would be a jump near the end.
+        """
         laws = {**self.laws, "jump": jump(self.model.frame, at_s)}
         chosen = (*self.chosen, "jump")
         columns = {n: laws[n].column for n in chosen} | dict(self.nameless)
-        values, covariance = gram_of(self.model, columns).knowing(self.known).solve(list(columns))
+        known = less(self.known, "bias")
+        values, covariance = gram_of(self.model, columns).knowing(known).solve(list(columns))
         return replace(self, laws=laws, chosen=chosen, values=values, covariance=covariance)
 
     def with_jump(self, instant: Instant) -> YawAnswer:
@@ -201,7 +205,8 @@ class YawAnswer:
         frame = self.model.frame
         laws = {**self.laws, "jump": law_at(frame, instant)}
         columns = _columns_of(laws, strangers(frame)) | dict(self.nameless)
-        told = evidence(self.model, columns).knowing(self.known)
+        known = less(self.known, "bias")
+        told = evidence(self.model, columns).knowing(known)
         chosen = (*self.chosen, "jump")
         # A law that stood for the jump has less to say beside it; delays and wheels out of true look like no jump.
         gains = {
@@ -211,6 +216,7 @@ class YawAnswer:
             self,
             laws=laws,
             told=told,
+            known=known,
             chosen=chosen,
             strangers=odder(self.strangers, "time", (instant.gain, 1, instant.p_value)),
             odd=tuple(dict.fromkeys([*self.odd, "time"])),
@@ -303,15 +309,13 @@ def _examine(
 ) -> YawAnswer:
     nodes = nodes_of(series, max(NODE_S, window_s))
     frame = frame_of(series, nodes, ahead_s, window_s, rough_bias_dps(series))
-    constant, laws = constant_laws(frame), candidate_laws(frame)
-    blocks = strangers(frame)
+    constant, laws, blocks = constant_laws(frame), candidate_laws(frame), strangers(frame)
     odd_before = [] if before is None else [x for c in before.odd if c in blocks for x in blocks[c].T]
     model = yaw_model(frame, [*(law.column for law in (constant | laws).values()), *odd_before])
     # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
     candidates = _of_groups(laws, laws if before is None else before.named)
     everything = constant | laws | settling_laws(frame)
-    columns = _columns_of(everything, blocks)
-    free = evidence(model, columns)
+    free = evidence(model, columns := _columns_of(everything, blocks))
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
     jumping = jump_of(model, everything, chosen, known, STRANGER_P)
@@ -350,10 +354,17 @@ def _examine(
         window_s,
         told,
         known,
-        frozenset(changing) | {n.removeprefix("time:") for n in jumping} | (earned.keys() - named.keys()),
+        _unlike(changing, ahead_s)
+        | {n.removeprefix("time:") for n in jumping}
+        | (earned.keys() - named.keys()),
         changed,
         unnamed,
     )
+
+
+def _unlike(changing: Iterable[str], ahead_s: float) -> frozenset[str]:
+    """Laws that change; of a delay that was taken out beforehand it is what is left of it that does."""
+    return frozenset(n for n in changing if n != "delay" or ahead_s == 0.0)
 
 
 def _first(

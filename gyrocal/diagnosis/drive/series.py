@@ -59,9 +59,12 @@ class DriveSeries:
     gyro_dps : mean rate since the row before, calibrated, spikes bridged
     temp_c, truth_x_m, truth_y_m, truth_heading_deg : NaN where there is none
     resting, gap : whether the robot stands for sure, and whether a gap in time ends here
+    bridged : whether a wheel's distance is not known here, but made up from its speed before and after
     quiet, moved : whether no wheel moves about this row, and whether one has moved by now
     tick_m : size of a tick of the left and right wheel; 0 where it has none
     differential : whether the wheels differ at all, or one speed stands in both columns
+    calibrated, gyro_scale : whether coefficients made the rate, and the scale of the robot file that is taken out of it; those of
+        the wheels are taken out, too
     """
 
     source: str
@@ -78,8 +81,11 @@ class DriveSeries:
     quiet: Bools
     moved: Bools
     gap: Bools
+    bridged: Bools
     tick_m: tuple[float, float]
     differential: bool
+    calibrated: bool
+    gyro_scale: float
     robot: Robot = field(repr=False)
     notes: tuple[Note, ...] = ()
 
@@ -96,12 +102,23 @@ class DriveSeries:
     @property
     def encoder_rad(self) -> Floats:
         """Heading by the encoders at the end of each row, by the robot file's wheel separation."""
-        return np.asarray(np.cumsum(self.right_m - self.left_m) / self.robot.wheel_separation_m)
+        return np.asarray(np.cumsum(self.wheel_turn_rad))
 
     @property
     def gyro_rad(self) -> Floats:
         """Heading by the gyro at the end of each row; its rows are means over the time before."""
-        return np.asarray(np.cumsum(DEG_TO_RAD * self.gyro_dps * self.dt_s))
+        return np.asarray(
+            np.cumsum(self.over_gaps(DEG_TO_RAD * self.gyro_dps * self.dt_s, self.wheel_turn_rad))
+        )
+
+    @property
+    def wheel_turn_rad(self) -> Floats:
+        """Turn of each row by the encoders."""
+        return (self.right_m - self.left_m) / self.robot.wheel_separation_m
+
+    def over_gaps(self, gyro_rad: Floats, wheels_rad: Floats) -> Floats:
+        """Turns of the rows by the gyro, over gaps in time by the wheels, which count there, too; as replay does."""
+        return np.where(self.gap, wheels_rad, gyro_rad) if self.differential else gyro_rad
 
     def moving(self, lag_s: float) -> Floats:
         """How far whatever follows the motion with a lag has come, 0 at rest to 1, row by row."""
@@ -155,29 +172,45 @@ def drive_series(
         notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS}))
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
-    gyro, said = _gyro(source, log, robot, coefficients)
-    for name, values in {"left": log.left_m, "right": log.right_m}.items():
-        empty = int(np.count_nonzero(~np.isfinite(values)))
-        if empty:
-            notes.append(Remark(Said.EMPTY_WHEEL, {"count": empty, "wheel": name}))
-    left, right = np.nan_to_num(log.left_m), np.nan_to_num(log.right_m)
+    scale = robot.parameters.gyro.scale if coefficients is None else 0.0
+    gyro, said = _gyro(source, log, robot, coefficients, scale)
+    (left, right), told = _wheels(log, robot, dt_s)
+    notes += told
+    bridged = ~np.isfinite(log.left_m + log.right_m)
     if max(np.abs(left).sum(), np.abs(right).sum()) < _LEAST_M:
         raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
     speed_mps = 0.5 * np.abs(left + right)[dt_s > 0] / dt_s[dt_s > 0]
     check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
-    ticks = (tick_size(left), tick_size(right))
+    ticks = tick_size(left[~bridged]), tick_size(right[~bridged])
     moving = _moving(dt_s, (left, right), ticks)
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, log.truth_x_m, log.truth_y_m, log.truth_heading_deg,
-        _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, ticks, not (log.speed_only or one_speed(left, right)), robot,
+        _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
 
 
+def _wheels(log: DriveBlock, robot: Robot, dt_s: Floats) -> tuple[list[Floats], list[Remark]]:
+    """Distances of the left and the right wheel without the robot file's scales; of empty rows by the speeds beside them."""
+    found, notes = list[Floats](), list[Remark]()
+    wheels = robot.parameters.encoders
+    read = {"left": (log.left_m, wheels.left_scale), "right": (log.right_m, wheels.right_scale)}
+    for name, (read_m, scale) in read.items():
+        step_m = read_m / (1.0 + scale)
+        known = np.isfinite(step_m)
+        told = known & (dt_s > 0)
+        if not known.all() and told.any():
+            notes.append(Remark(Said.EMPTY_WHEEL, {"count": int(np.count_nonzero(~known)), "wheel": name}))
+            speed_mps = np.interp(log.t_s, log.t_s[told], step_m[told] / dt_s[told])
+            step_m = np.where(known, step_m, speed_mps * dt_s)
+        found.append(np.nan_to_num(step_m))
+    return found, notes
+
+
 def _gyro(
-    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None
+    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None, scale: float
 ) -> tuple[Floats, list[Remark]]:
-    """The gyro, calibrated where there are coefficients, empty rows and spikes bridged by their neighbours."""
+    """The gyro, calibrated where there are coefficients, without the robot file's scale about its bias, empty rows and spikes bridged by their neighbours."""
     gyro_dps, notes = log.gyro_dps, []
     if coefficients is not None:
         if not np.any(np.isfinite(log.gyro_temp_c)):
@@ -186,6 +219,8 @@ def _gyro(
             )
         gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
         notes.append(Remark(Said.CALIBRATED))
+    given_dps = robot.parameters.gyro.bias_dps
+    gyro_dps = given_dps + (gyro_dps - given_dps) / (1.0 + scale) if scale else gyro_dps
     known = np.isfinite(gyro_dps)
     if np.ptp(gyro_dps[known]) == 0:
         raise DataError(
@@ -291,7 +326,7 @@ class Nodes:
     t_s : when the interval ends
     dt_s : how long it is
     resting : whether the robot stands in the whole interval
-    broken : whether a gap lies in the interval
+    broken : whether a gap lies in the interval, or a row of which a wheel says nothing
     """
 
     rows: Ints
@@ -318,7 +353,7 @@ def nodes_of(series: DriveSeries, spacing_s: float = NODE_S) -> Nodes:
     key = 2 * np.floor(since / step_s + 1e-9).astype(np.int64) + series.resting
     ends = np.flatnonzero(np.diff(key, append=-1) != 0)
     rows = np.unique(np.concatenate([[0], ends]))
-    gaps = np.concatenate([[0], np.cumsum(series.gap)])
+    gaps = np.concatenate([[0], np.cumsum(series.gap | series.bridged)])
     return Nodes(
         rows,
         series.t_s[rows[1:]],

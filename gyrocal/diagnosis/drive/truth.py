@@ -31,7 +31,7 @@ from gyrocal.diagnosis.drive.path_noise import (
 )
 from gyrocal.diagnosis.drive.path_problem import PathProblem, oddities, one_sided, spins
 from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
-from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, middle, reckon
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, chords, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -142,7 +142,8 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, Floats], 
 
 def _rates(series: DriveSeries, laws: Iterable[str], jump_s: float) -> dict[str, Floats]:
     """What one unit of some laws of the bias adds to the rate in each row, of those that a log could hold."""
-    temp, found = temperature_c(series), {}
+    temp = temperature_c(series)
+    found: dict[str, Floats] = {}
     for name in laws:
         if name == "bias":
             found[name] = np.ones(series.t_s.size)
@@ -154,7 +155,7 @@ def _rates(series: DriveSeries, laws: Iterable[str], jump_s: float) -> dict[str,
             found[name] = series.moving(MOVING[name])
         elif name == "jump":
             found[name] = (series.t_s < jump_s).astype(np.float64)
-    return found
+    return {name: series.over_gaps(rate, np.zeros(rate.size)) for name, rate in found.items()}
 
 
 @dataclass(frozen=True)
@@ -162,11 +163,13 @@ class _State:
     """Where the linearisation stands: parameters, direction of the frame, and turns that the gyro's noise has made.
 
     Without the latter every path of a noisy gyro would be too long: a heading that strays by 2 deg shortens by 0.06 %.
+    `held` are scales that the truth does not tell from its lever arm: they had run away.
     """
 
     values: Mapping[str, float]
     turn: float
     strayed: Floats | None = None
+    held: frozenset[str] = frozenset()
 
 
 def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
@@ -176,10 +179,13 @@ def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
         turned = turned + v[name] * np.cumsum(rate * base.dt_s)
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
     if state.strayed is not None:
-        whole = np.concatenate([[0.0], np.cumsum(state.strayed)])
-        heading = heading + np.interp(base.t_s, cell_edges_s(knots, base), whole)
-    way = base.way_m / (1.0 + v["wheel_scale"])
-    return Reckoned(base.t_s, base.dt_s, heading, way, way * np.exp(1j * middle(heading)))
+        turns = np.concatenate([[0.0], np.cumsum(state.strayed)])
+        heading = heading + np.interp(base.t_s, cell_edges_s(knots, base), turns)
+    # The truth is of an earlier time.
+    at_s, whole = base.t_s - v["clock"], np.cumsum(base.way_m / (1.0 + v["wheel_scale"]))
+    heading, whole = (np.interp(at_s, base.t_s, x) for x in (heading, whole))
+    way = np.diff(whole, prepend=whole[0])
+    return replace(base, heading_rad=heading, way_m=way, steps_m=chords(way, heading))
 
 
 def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
@@ -228,9 +234,8 @@ def _problem(
         headings = headings - 2 * np.pi * np.round(np.median(headings) / (2 * np.pi))
     v = state.values
     known = {
-        "gyro_scale": (-v["gyro_scale"], _SCALE),
-        "wheel_scale": (-v["wheel_scale"], _SCALE),
-        "clock": (0.0, _CLOCK_S),
+        **{name: (-v[name], _MODEL_STD if name in state.held else _SCALE) for name in SCALES},
+        "clock": (-v["clock"], _CLOCK_S),
         "lever_ahead": (0.0, _LEVER_M),
         "lever_left": (0.0, _LEVER_M),
         **{name: (-v[name], ALONE[name]) for name in knots.laws if name not in laws.names},
@@ -282,13 +287,21 @@ class _Laid:
 
 
 def _laid(
-    knots: Knots, base: Reckoned, laws: BiasLaws, noise: YawNoise, near: _Levels | None = None
+    knots: Knots,
+    base: Reckoned,
+    laws: BiasLaws,
+    noise: YawNoise,
+    near: _Levels | None = None,
+    held: frozenset[str] = frozenset(),
 ) -> _Laid:
-    """Gauss and Newton over growing parts of the drive, then levels and path in turn; levels `near` others once."""
+    """Gauss and Newton over growing parts of the drive, then levels and path in turn; levels `near` others once.
+
+    A scale that runs away, as on a circle the wheels' do with the lever arm, is held where it was.
+    """
     begun = near or _Levels(_first_levels(knots), WANDERS_S[1])
     logs, wander_s = begun.logs, begun.wander_s
     wanders_s, rounds = ((wander_s,), (2,)) if near else (WANDERS_S, (0, 2))
-    state = _State(dict.fromkeys((*SCALES, *knots.laws), 0.0), 0.0)
+    state = _State(dict.fromkeys((*SCALES, "clock", *knots.laws), 0.0), 0.0, held=held)
     reach = knots.t_s - knots.t_s[0]
     at = knots.mean(base.at_m)
     for horizon in _HORIZONS:
@@ -307,10 +320,14 @@ def _laid(
                 part, logs = tried[wander_s], fitted[wander_s]
             solved = part.solve(logs)
             step = dict(zip(part.columns, solved.values, strict=True))
-            moved = {n: float(np.clip(v + step.get(n, 0.0), -0.5, 0.5)) for n, v in state.values.items()}
-            state = _State(moved, state.turn + step["turn"])
+            sought = {n: v + step[n] for n, v in state.values.items()}
+            moved = {n: float(np.clip(v, -0.5, 0.5)) for n, v in sought.items()}
+            state = _State(moved, state.turn + step["turn"], held=held)
             if last:
                 state = replace(state, strayed=part.noise.strayed(part.left(solved.values), logs))
+    astray = held | {n for n in SCALES if moved[n] != sought[n]}
+    if astray != held:
+        return _laid(knots, base, laws, noise, near, astray)
     levels = _Levels(logs, wander_s)
     return _Laid(state, _problem(knots, base, state, laws, noise, wander_s), levels, solved.loss)
 
@@ -400,7 +417,9 @@ def _answer(
     values, covariance = solved.values, solved.covariance
     names = list(problem.columns)
     for name in SCALES:
-        covariance[names.index(name), names.index(name)] += _MODEL_STD**2
+        covariance[names.index(name), names.index(name)] += (
+            _SCALE if name in state.held else _MODEL_STD
+        ) ** 2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
     spinning = blocks.get("acceleration", {}).get(SPINNING)

@@ -85,7 +85,9 @@ def test_a_bias_beyond_what_the_robot_file_grants_is_named_where_no_rest_takes_i
         initial_std={"gyro_bias_dps": granted},
         parameters=SimpleNamespace(gyro=SimpleNamespace(bias_dps=0.5)),
     )
-    answer = findings._unexpected_bias(robot, yaw(estimate=lambda name: (0.5 + away_stds * granted, 1e-3)))
+    answer = findings.unexpected_bias(
+        robot, yaw(estimate=lambda name: (0.5 + away_stds * granted, 1e-3)), None
+    )
     assert (answer is not None) == found
     if answer is not None:
         gain, effect = answer

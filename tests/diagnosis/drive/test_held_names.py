@@ -1,0 +1,106 @@
+"""Names hold by the estimate that is told of them: jumps, intervals that hold zero, scales that run away, late truths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.drive.engine import _asked, _told_from_nothing, diagnose_drive, examine
+from gyrocal.diagnosis.drive.findings import joint_estimate
+from gyrocal.diagnosis.drive.improved import estimates_of
+from gyrocal.diagnosis.drive.jumps import _likeliest
+from gyrocal.diagnosis.drive.search import _unlike
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot, robot_of
+from gyrocal.report.drive_words import drive_sentences
+from tests.diagnosis.drive.fleet import drive
+from tests.diagnosis.drive.test_lasting import PLAN
+
+Floats = NDArray[np.float64]
+
+
+def test_a_delay_that_was_taken_out_is_uneven_by_what_is_left_of_it_only() -> None:
+    assert _unlike(["delay", "step"], -0.3) == {"step"}
+    assert _unlike(["delay", "step"], 0.0) == {"delay", "step"}
+
+
+def test_instants_of_a_jump_are_within_the_drive() -> None:
+    def rising(instants_s: Floats) -> Floats:
+        return np.asarray(instants_s, dtype=np.float64)
+
+    found = _likeliest(0.0, 300.0, rising, 1e-3)
+    assert found is not None
+    assert 0.0 < found.at_s < 300.0
+    assert found.latest_s <= 300.0
+
+
+def test_a_bias_beyond_what_is_granted_is_no_jump_at_the_end() -> None:
+    """Held to 0.01 deg/s, one of 0.2 deg/s had been another bias "from the end of the log on"."""
+    granted = {"wheel_separation_m": 0.5, "static_s": 0.0, "initial_std": {"gyro_bias_dps": 0.01}}
+    log = drive(replace(PLAN, rest_s=0.0, bias_dps=0.2, truth_m=0.01, minutes=5.0), 8)
+    found = diagnose_drive("log", log, robot_of(granted, Path("robot.toml")))
+    assert "jump" not in found.yaw.chosen
+    assert "gyro_bias" in [e.effect for e in found.diagnosis.effects]
+    # Nor does the page grant what it names.
+    assert not any("grants as much" in line for line in drive_sentences(found))
+    assert [e.named for e in found.estimates if e.name == "gyro_bias"] == [True]
+
+
+def test_a_law_whose_interval_holds_zero_has_no_name(resting: Robot) -> None:
+    found = examine("log", drive(replace(PLAN, truth_m=0.01, minutes=5.0), 6), resting, None)
+    (law,) = [n for n in ("step",) if n in found.yaw.laws]
+    claimed = found.yaw.with_law(law, 20.0)
+    claimed = replace(claimed, named={**claimed.named, "asymmetry": 20.0})
+    yaw, truth = _told_from_nothing(found.series, claimed, _asked(found.series, claimed, found.truth))
+    assert not yaw.named
+    assert law not in yaw.chosen
+    told = {e.name: e for e in estimates_of(found.series, yaw, truth, {}, found.figures)}
+    assert not told["gyro_bias_in_motion"].named
+    # Wheels by the estimate that the bias of the truth goes into.
+    assert told["wheel_asymmetry"].std == pytest.approx(100.0 * joint_estimate(yaw, truth, "asymmetry")[1])
+
+
+def circle() -> DriveBlock:
+    """Five minutes round one circle with an accurate truth, between rests."""
+    rng = np.random.default_rng(51)
+    hz, seconds = 20.0, 200.0
+    t = np.arange(int(seconds * hz)) / hz
+    drives = np.convolve((t > 15.0) & (t < 190.0), np.ones(10) / 10.0, "same")
+    rate_dps, speed = 20.0 * drives, 0.5 * drives
+    heading = np.cumsum(np.radians(rate_dps)) / hz
+    at = np.cumsum(speed * np.exp(1j * (heading - 0.5 * np.radians(rate_dps) / hz))) / hz
+    half = 0.25 * np.radians(rate_dps)
+    left, right = (
+        np.diff(np.floor(np.cumsum(x) / hz / 1e-3) * 1e-3, prepend=0.0) for x in (speed - half, speed + half)
+    )
+    noise = 0.01 * rng.normal(size=(2, t.size))
+    gyro = rate_dps + 0.01 * rng.normal(size=t.size)
+    nothing = np.full(t.size, np.nan)
+    return DriveBlock(2, t, left, right, gyro, nothing, at.real + noise[0], at.imag + noise[1], nothing)
+
+
+def test_no_scale_that_runs_away_is_believed(resting: Robot) -> None:
+    """On a circle that of the wheels goes with the lever arm: it had been 127 %."""
+    truth = examine("log", circle(), resting, None).truth
+    assert truth is not None
+    assert not truth.believed("wheel_scale")
+    assert not truth.shows("wheel_scale") or abs(truth.values["wheel_scale"]) < 0.5
+    assert abs(truth.values["gyro_scale"]) < 1e-3
+    assert abs(truth.values["lever_left"]) < 0.5
+
+
+@pytest.mark.parametrize("late_rows", [8, -8])
+def test_a_late_truth_is_of_an_earlier_place(late_rows: int, resting: Robot) -> None:
+    """As a shift along the direction at its own time it had bent the path, and made scales of it."""
+    log = drive(replace(PLAN, truth_m=0.005, truth_every_s=0.05, minutes=5.0), 6)
+    x, y = (np.roll(v, late_rows) for v in (log.truth_x_m, log.truth_y_m))
+    edge = slice(0, late_rows) if late_rows > 0 else slice(late_rows, None)
+    x[edge] = y[edge] = np.nan
+    truth = examine("log", replace(log, truth_x_m=x, truth_y_m=y), resting, None).truth
+    assert truth is not None
+    assert truth.values["clock"] == pytest.approx(late_rows / 20.0, abs=0.01)
+    assert all(abs(truth.told(scale)) < 3.0 for scale in ("gyro_scale", "wheel_scale"))
