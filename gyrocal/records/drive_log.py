@@ -95,14 +95,30 @@ def iterate_drive_log(
         head.append(more)
     if not head:
         raise InputError(f"{path}: has a header and no rows. Check that it was written to its end.")
-    reads = itertools.chain(head, reads)
-    yield from _merge_columns(path, rules, reads) if _is_sparse(head) else (read.block for read in reads)
+    if _is_sparse(head):
+        yield from _merge_columns(path, rules, itertools.chain(head, reads))
+        return
+    if any(rules[name].unit.speed for name in scales):
+        # Of single rows without a speed the navigator holds the last one: the next must not tell their way again.
+        head, reads = [], _read_file(path, header, rules, scales, chunk_rows, by_row=True)
+    yield from (read.block for read in itertools.chain(head, reads))
 
 
 def _read_file(
-    path: Path, header: list[str], rules: Rules, scales: Mapping[str, float], chunk_rows: int
+    path: Path,
+    header: list[str],
+    rules: Rules,
+    scales: Mapping[str, float],
+    chunk_rows: int,
+    *,
+    by_row: bool = False,
 ) -> Iterator[_Read]:
-    """Rows of one file, as they stand there; the clock's steps closed."""
+    """Rows of one file, as they stand there; the clock's steps closed.
+
+    Parameters
+    ----------
+    by_row : whether a speed holds since the row before, not since the speed before
+    """
     only = list(dict.fromkeys(name for rule in rules.values() for name in rule.sources))
     blocks = (item for item in iterate_columns(path, header, chunk_rows, only) if item[1][only[0]].size)
     head: list[tuple[int, dict[str, Floats]]] = []
@@ -112,7 +128,7 @@ def _read_file(
         return
     first_s = np.concatenate([scaled(path, line, rules["t_s"], raw) for line, raw in head])
     timeline = Timeline(path, usual_step(path, first_s))
-    ways = {name: _Way(rules[name], scales[name]) for name in scales}
+    ways = {name: _Way(rules[name], scales[name], by_row) for name in scales}
     leaps = {name: Leaps(path, rules[name], scales[name], timeline.usual_dt_s) for name in scales}
     for first_line, raw in itertools.chain(head, blocks):
         values = {name: scaled(path, first_line, rule, raw) for name, rule in rules.items()}
@@ -310,9 +326,10 @@ def _tick_scales(path: Path, rules: Rules, metres_per_tick: tuple[float, float] 
 class _Way:
     """A column that tells distance, speed or a count, as distances since the row before; blocks follow each other."""
 
-    def __init__(self, rule: ColumnRule, scale: float) -> None:
+    def __init__(self, rule: ColumnRule, scale: float, by_row: bool) -> None:
         self._rule = rule
         self._scale = scale
+        self._by_row = by_row
         self._counter = np.nan
         self._told_s: float | None = None
         self.counts = rule.unit.total
@@ -323,6 +340,10 @@ class _Way:
         known = np.flatnonzero(told)
         if self._told_s is None:
             self._told_s = float(t_s[0])
+        if self._rule.unit.speed and self._by_row:
+            steps = values * np.diff(t_s, prepend=self._told_s)
+            self._told_s = float(t_s[-1])
+            return steps * self._scale, told
         if not known.size:
             standing = 0.0 if self._rule.unit.total and np.isfinite(self._counter) else np.nan
             return np.full(values.shape, standing), told
