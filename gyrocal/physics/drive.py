@@ -246,7 +246,8 @@ SKID_SLIP = DriveEffect(
     "skid_slip",
     "wheel slip",
     "D_eff = D (1 + k f), f = (|w|/30 deg/s)^n, or q, or q/(q + q0), with q = |w| D/(2 |v|)",
-    "In turns the wheels skid, so that the robot turns as if its wheels stood wider apart.",
+    "In turns the wheels skid, so that the robot turns as if they stood wider apart; what is alike in all turns may be a "
+    "wrong wheel separation as well.",
     (
         amplitude("%", 300.0, 5.0, "widening at f = 1"),
         shape("law", "1", 0.0, 2.0, 0.0, "0 by turn rate, 1 by curvature, 2 by curvature that saturates"),

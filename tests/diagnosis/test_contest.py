@@ -10,8 +10,9 @@ import pytest
 from gyrocal.diagnosis.blocks import evidence
 from gyrocal.diagnosis.contest import Winner, best_law
 from gyrocal.diagnosis.examine import alive, fit_anyhow
+from gyrocal.diagnosis.in_place import beyond_chance
 from gyrocal.diagnosis.laws import effects_of, laws_of
-from gyrocal.diagnosis.layers import full_model, surface_of
+from gyrocal.diagnosis.layers import Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
@@ -43,3 +44,24 @@ def test_a_law_of_more_shapes_has_to_explain_more() -> None:
     worse += 0.5 * float(np.log(second.shapes / first.shapes))
     worse += first.effect.search.prior_nats - second.effect.search.prior_nats
     assert first.rivals[second.effect.id] == pytest.approx(worse, abs=1e-6)
+
+
+def test_what_as_many_parameters_take_of_any_curve_is_no_evidence_for_a_law() -> None:
+    """Five sizes of rate leave a cubic three differences: of three numbers two parameters take two thirds by chance."""
+    rate = np.tile(np.linspace(-100.0, 100.0, 11), 5)
+    temp = np.repeat(np.linspace(-10.0, 50.0, 5), 11)
+    gyro = rate + 1e-3 * np.random.default_rng(1).standard_normal(rate.size)
+    fitted = alive(
+        fit_anyhow(full_model(means_of(series_of_table(DataSetTable(Path("r.csv"), rate, gyro, temp)))))
+    )
+    laws = laws_of(fitted.model.means, surface_of(fitted.model, fitted.solve()))
+    unit = np.ones((len(fitted.model.means), 1))
+    sine = Law("sagnac_sine", {"phase_rad_per_dps": 0.005}, unit)
+    knee = Law("saturation", {"knee_dps": 60.0, "softness_dps": 0.0}, unit)
+    asymmetry = Law("scale_asymmetry", {}, unit)
+    assert beyond_chance(2.0 / 3.0, [sine], "odd rate", laws) == pytest.approx(0.0)
+    assert beyond_chance(0.9, [sine], "odd rate", laws) == pytest.approx(0.7)
+    assert beyond_chance(0.75, [asymmetry], "even rate", laws) == pytest.approx(2.0 / 3.0)
+    assert beyond_chance(1.0, [sine, knee], "odd rate", laws) == 0.0
+    # What goes by the temperature or by time has more than some numbers to fit.
+    assert beyond_chance(0.6, [sine], "memory", laws) == 0.6
