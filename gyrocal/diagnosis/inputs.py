@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.layers import free_terms
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Note, Remark, Said
@@ -11,6 +12,7 @@ from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import (
     Odd,
     copied_text,
@@ -23,6 +25,8 @@ from gyrocal.records.scale import (
 )
 from gyrocal.units import plural
 
+#: A temperature that never turns back by more than this share of its range was seen once, early or late.
+_TURNS_BACK = 0.1
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1
 
@@ -66,7 +70,7 @@ def check_inputs(
             f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
             f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
         )
-    notes: tuple[Note, ...] = (*_stray_notes(series), *_clipped_notes(series))
+    notes: tuple[Note, ...] = (*_stray_notes(series), *_clipped_notes(series), *_one_way_notes(series))
     if series.copies and not ideal:
         notes += (copied_text(series.copies, len(series)),)
     if coefficients is not None:
@@ -95,6 +99,18 @@ def _clipped_notes(series: Series) -> tuple[Remark, ...]:
         "least_dps": float(np.min(np.abs(series.rate_dps[~free]))),
     }
     return (Remark(Said.CLIPPED, facts),)
+
+
+def _one_way_notes(series: Series) -> tuple[Remark, ...]:
+    """What time did looks like what the temperature did where that went one way."""
+    temp_c, span_c = series.temp_c, float(np.ptp(series.temp_c))
+    if np.ptp(series.rate_dps) == 0.0 or not np.any(carried_terms(series) % SHAPE[1]):
+        return ()
+    back_c = {
+        rose: float(np.max(np.maximum.accumulate(x) - x)) for rose, x in ((True, temp_c), (False, -temp_c))
+    }
+    rose = min(back_c, key=lambda way: back_c[way])
+    return (Remark(Said.ONE_WAY, {"rose": rose}),) if back_c[rose] < _TURNS_BACK * span_c else ()
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

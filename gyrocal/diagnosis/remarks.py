@@ -35,6 +35,7 @@ class Said(Enum):
     NO_INVERSE = auto()
     TOO_FEW_TO_WRITE = auto()
     TOO_FEW_RATES = auto()
+    ONE_WAY = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
     FAR_SETS = auto()

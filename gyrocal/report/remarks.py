@@ -112,6 +112,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.WHOLE_DEGREES: "temperatures are whole degrees (nominal, or of a coarse sensor): an error of 0.29 degC rms, "
     "which blurs what lives in temperature and hides what lives in its rate",
     Said.CHAMBER_FOR_GYRO: "the gyro sends no temperature: the chamber's stands for its own, behind which the gyro lags",
+    Said.ONE_WAY: lambda rose: (
+        f"the temperature {'rose' if rose else 'fell'} all along: what time alone did to bias or scale factor stands in the surface as "
+        "if it were the temperature's, and in no stated uncertainty; heat and cool more than once"
+    ),
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "
     "its noise; [it counts|they count] as noisy as the others",

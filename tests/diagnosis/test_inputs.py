@@ -27,10 +27,10 @@ from tests.records.whole import read_drive_log
 
 
 def make_table(scale: float = 1.0, full_dps: float = 240.0) -> DataSetTable:
-    """A table of 55 data sets without time stamps."""
+    """A table of 55 data sets without time stamps, heated and cooled."""
     rng = np.random.default_rng(1)
     rate = np.tile(np.linspace(-full_dps, full_dps, 11), 5)
-    temp = np.repeat(np.linspace(-20.0, 60.0, 5), 11) + rng.normal(0, 0.1, rate.size)
+    temp = np.repeat(np.array([-20.0, 20.0, 60.0, 40.0, 0.0]), 11) + rng.normal(0, 0.1, rate.size)
     gyro = scale * (1.002 * rate + 0.3) + 0.003 * rng.standard_normal(rate.size)
     return DataSetTable(Path("made.csv"), rate, gyro, temp)
 
@@ -265,3 +265,15 @@ def test_rates_that_were_mixed_up_are_said() -> None:
     table.rate_dps[[10, 11]] = table.rate_dps[[11, 10]]
     (note,) = check_inputs(series_of_table(table), None)
     assert remark_words(note).startswith("data sets 11, 12 are far off the line of the others")
+
+
+def test_a_temperature_that_goes_one_way_is_said() -> None:
+    """Time and temperature are one there: a drift of the bias stands in the surface, with the noise for its uncertainty."""
+    table = make_table()
+    assert check_inputs(series_of_table(table), None) == ()
+    for rose in (True, False):
+        order = np.argsort(np.round(table.temp_c), kind="stable")[:: 1 if rose else -1]
+        columns = table.rate_dps[order], table.gyro_dps[order], table.temp_c[order]
+        (said,) = check_inputs(series_of_table(DataSetTable(table.source, *columns)), None)
+        assert said == Remark(Said.ONE_WAY, {"rose": rose})
+        assert remark_words(Remark(Said.ONE_WAY, {"rose": rose})).startswith("the temperature")
