@@ -72,9 +72,10 @@ def _apart(series: Series, terms: Ints) -> Ints:
     for k in terms[np.lexsort((j, i + j))].tolist():
         column = design[:, k] / np.linalg.norm(design[:, k - k % SHAPE[1]])
         left = column - basis @ (basis.T @ column)
-        size = float(np.linalg.norm(left))
-        if size > (apart ** (k % SHAPE[1]) if k % SHAPE[1] else np.sqrt(np.finfo(float).eps)):
-            basis, kept = np.column_stack([basis, left / size]), [*kept, k]
+        size, power = float(np.linalg.norm(left)), k % SHAPE[1]
+        if size > (apart**power if power else np.sqrt(np.finfo(float).eps)):
+            basis = np.column_stack([basis, left / size])
+            kept.append(k)
     return np.array(sorted(kept), dtype=np.int64)
 
 

@@ -30,7 +30,7 @@ from gyrocal.diagnosis.parts import (
     passing,
     remembering,
 )
-from gyrocal.inference.additive import START, Component, Contrasts
+from gyrocal.inference.additive import START, Component, Contrasts, Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
@@ -269,7 +269,9 @@ class TableSearch:
             start = None if near is None else near.fitted.fit.log_variance
             fit = contrasts.fit(model.all, start)
             fitted = Fitted(model, fit, contrasts)
-            paid = self._toll(coil, changes) + _CANCELLED_NATS * self._cancelled(fitted)
+            added = self._added(model, fitted.solve()).values() if changes else ()
+            cancelled = self._cancelled(added, self.base.error_dps)
+            paid = self._toll(coil, changes) + _CANCELLED_NATS * cancelled
             self.known[key] = Candidate(coil, changes, fitted, fit.nll + paid)
         return self.known[key]
 
@@ -290,40 +292,33 @@ class TableSearch:
         return float(np.sqrt(np.mean((columns - self._by_rate @ (self._by_rate.T @ columns)) ** 2)))
 
     def cancelled_nats(self, fitted: Fitted, smooth: Sequence[str]) -> float:
-        """What a model pays where its laws and some smooth parts cancel each other, in all or in the bias alone, nats."""
-        return _CANCELLED_NATS * max(self._cancelled(fitted, smooth), self._cancelled_in_bias(fitted, smooth))
+        """What a model pays where its laws and some smooth parts cancel each other, in all or in the bias alone, nats.
 
-    def _cancelled(self, fitted: Fitted, smooth: Sequence[str] = ()) -> float:
-        """How far the laws of a model, and smooth parts, go together beyond what the record shows, as a share of that.
+        The record mostly shows a scale factor, beside which a drift of the bias and a slope over temperature may be of any size.
+        But what drifts while it warms up may well hide most of the slope: of the bias it is one multiple at most.
+        """
+        model, solution = fitted.model, fitted.solve()
+        added = self._added(model, solution, smooth)
+        of_bias = [curve for name, curve in added.items() if name not in self._with_rate(model)]
+        still = model.design[:, : SHAPE[1]] @ model.legendre(solution)[: SHAPE[1]]
+        in_bias = self._cancelled(of_bias, still + np.sum(of_bias, axis=0)) if of_bias else 0.0
+        return _CANCELLED_NATS * max(self._cancelled(added.values(), self.base.error_dps), min(in_bias, 1.0))
+
+    def _cancelled(self, curves: Iterable[Floats], shown: Floats) -> float:
+        """How far curves go together beyond what is shown, as a share of that.
 
         Each hides the others. The surface and what passes can take back nearly all of a law that is like them, and the record would not tell.
         """
-        curves = self._added(fitted, smooth).values()
-        shown = self._beyond_rate(self.base.error_dps)
-        return max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0) if shown else 0.0
+        size = self._beyond_rate(shown)
+        return max(0.0, sum(map(self._beyond_rate, curves)) / size - 1.0) if size else 0.0
 
-    def _cancelled_in_bias(self, fitted: Fitted, smooth: Sequence[str]) -> float:
-        """How far what changes the bias goes beyond what they and the surface make of it together, as a share of that, 1 at most.
-
-        The record mostly shows a scale factor, beside which a drift of the bias and a slope over temperature may be of any size.
-        But what drifts while it warms up may well hide most of the slope.
-        """
-        added = self._added(fitted, smooth)
-        curves = [curve for name, curve in added.items() if name not in self._with_rate(fitted.model)]
-        if not curves:
-            return 0.0
-        still = fitted.model.design[:, : SHAPE[1]] @ fitted.model.legendre(fitted.solve())[: SHAPE[1]]
-        shown = self._beyond_rate(still + np.sum(curves, axis=0))
-        return min(max(0.0, sum(map(self._beyond_rate, curves)) / shown - 1.0), 1.0) if shown else 0.0
-
-    def _added(self, fitted: Fitted, smooth: Sequence[str]) -> dict[str, Floats]:
+    def _added(self, model: Model, solution: Solution, smooth: Sequence[str] = ()) -> dict[str, Floats]:
         """What the laws that the base lacks and some smooth parts add, each by its name, shape (n,)."""
-        columns = {law.name: law.columns for law in fitted.model.laws if not self.base.holds(law)}
+        columns = {law.name: law.columns for law in model.laws if not self.base.holds(law)}
         columns |= {
-            n: c.columns for n, c in fitted.model.components.items() if n in smooth and c.columns is not None
+            n: c.columns for n, c in model.components.items() if n in smooth and c.columns is not None
         }
-        amplitudes = fitted.solve().amplitudes if columns else {}
-        return {name: own @ amplitudes[name] for name, own in columns.items()}
+        return {name: own @ solution.amplitudes[name] for name, own in columns.items()}
 
     def _with_rate(self, model: Model) -> set[str]:
         """Laws that go by the rate, and what of the components stands for the scale factor in time."""

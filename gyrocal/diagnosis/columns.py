@@ -26,7 +26,7 @@ def conditions_of(series: Series) -> Conditions:
     """
     since_on = series.since_power_on_s
     if since_on is None:
-        since_on = series.t_s - series.history.t_s[0]
+        since_on = series.t_s - series.began_s
     return Conditions(
         t_s=series.t_s,
         rate_dps=series.rate_dps,

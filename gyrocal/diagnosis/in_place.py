@@ -156,8 +156,8 @@ def _alone(
         if gain < least:
             break
         another = found.named and best.effect.id not in found.kinds
-        if another and beyond_chance(1.0, [*(n.law for n in found.named), best.law], block, laws) < 1.0:
-            # With as many parameters as the rates leave over they would explain anything.
+        if another and not _left_to_check([*(n.law for n in found.named), best.law], block, laws):
+            # They would explain anything.
             break
         bends = BLOCKS[block].family == BIAS_DRIFT.family
         if another and not bends and _beyond_misfit(found, best.fitted, laws) < least:
@@ -177,15 +177,24 @@ def _alone(
 def beyond_chance(share: float, several: Sequence[Law], block: str, laws: Laws) -> float:
     """The share of a block that laws take, less what as many parameters would take of any curve; 0 where that is all of it.
 
-    Of what goes by the rate the sizes of the rate leave over but a few numbers: an adjusted coefficient of determination.
+    An adjusted coefficient of determination.
+    """
+    left = _left_to_check(several, block, laws)
+    return 1.0 - (1.0 - share) / left if left else 0.0
+
+
+def _left_to_check(several: Sequence[Law], block: str, laws: Laws) -> float:
+    """Share of the numbers that a block is that the parameters of laws leave to check them by; 0: none.
+
+    Of what goes by the rate the sizes of the rate leave over but a few; all else has many.
     """
     if block not in BENT:
-        return share
+        return 1.0
     odd, even = laws.offer.left_by_cubic
-    left = odd if block in (ODD, EACH_RATE) else even
+    numbers = odd if block in (ODD, EACH_RATE) else even
     shapes = sum(n in law.shape for law in several for n in CATALOGUE[law.effect].search.refined)
-    free = left - shapes - sum(law.columns.shape[1] for law in several)
-    return 1.0 - (1.0 - share) * left / free if free > 0 else 0.0
+    free = numbers - shapes - sum(law.columns.shape[1] for law in several)
+    return free / numbers if free > 0 else 0.0
 
 
 def _may_follow(trial: Trial, found: Alone) -> bool:

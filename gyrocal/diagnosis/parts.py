@@ -229,7 +229,7 @@ def slope_by_temperature(rate_dps: Floats, temp_c: Floats, frame: Frame, surface
 def since_on(means: Means) -> Floats:
     """Time since power-on; since the record began where nobody says."""
     known = means.since_power_on_s
-    return means.t_s - means.series.history.t_s[0] if known is None else known
+    return means.t_s - means.series.began_s if known is None else known
 
 
 def polynomials(columns: tuple[Column, ...], frame: Frame) -> Floats:

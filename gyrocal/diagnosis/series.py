@@ -141,6 +141,11 @@ class Series:
         """The coordinate that stands for time: without times, the number of the data set."""
         return "time" if self.has_time else "data_set_index"
 
+    @property
+    def began_s(self) -> float:
+        """When the record began, whatever of it was set aside."""
+        return float(self.history.t_s[0])
+
     def take(self, rows: Bools | Ints) -> Series:
         """The same, for some of the rows; the temperature history stays whole."""
         arrays: dict[str, Any] = {

@@ -114,9 +114,9 @@ def gross_strays(series: Series) -> Strays:
     """
     bent = fit_surface(series).residual_dps
     numbers, rate = set_means(series, series.rate_dps)
-    off: dict[int, tuple[float, float]] = {}
-    while len(off) <= _most(numbers.size):
-        kept = ~np.isin(series.set_index, [*off])
+    bad, off, std = np.zeros(numbers.size, dtype=np.bool_), np.zeros(numbers.size), np.zeros(numbers.size)
+    while few := int(bad.sum()) <= _most(numbers.size):
+        kept = ~np.isin(series.set_index, numbers[bad])
         others, left, spread = _off_robustly(series.take(kept), bent[kept])
         if not others.size:
             return NO_STRAYS
@@ -125,15 +125,13 @@ def gross_strays(series: Series) -> Strays:
         far = size > max(_GROSS * float(np.quantile(size, 1.0 - _MOST_SHARE)), _BENDS * float(size.max()))
         if not far.any():
             break
-        off |= {int(n): (d, s) for n, d, s in zip(others[far], left[far], spread[far], strict=True)}
-    bad = np.isin(numbers, [*off])
-    bad &= ~_of_one_rate(bad, rate)
-    bad &= ~_of_a_transient(np.array([off.get(int(n), (0.0, 0.0))[0] for n in numbers]))
+        at = np.searchsorted(numbers, others[far])
+        bad[at], off[at], std[at] = True, left[far], spread[far]
+    bad &= ~_of_one_rate(bad, rate) & ~_of_a_transient(off)
     places = (np.abs(rate), set_means(series, series.temp_c)[1], numbers)
-    if not bad.any() or len(off) > _most(numbers.size) or _together(bad, places):
+    if not (few and bad.any()) or _together(bad, places):
         return NO_STRAYS
-    by, std = np.array([off[n] for n in numbers[bad].tolist()]).T
-    return Strays(numbers[bad], by, std)
+    return Strays(numbers[bad], off[bad], std[bad])
 
 
 def _off_robustly(series: Series, left_dps: Floats) -> tuple[Ints, Floats, Floats]:

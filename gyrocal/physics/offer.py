@@ -69,11 +69,19 @@ class Offer:
         return np.unique(np.abs(self.rates_dps))
 
     @property
+    def turning_sizes(self) -> int:
+        """How many sizes of its rates are none of rest."""
+        return int(np.count_nonzero(self.sizes_dps > _REST_DPS))
+
+    @property
+    def all_sizes(self) -> int:
+        """The same with rest, which is one."""
+        return self.turning_sizes + int(self.turning_sizes < self.sizes_dps.size)
+
+    @property
     def left_by_cubic(self) -> tuple[int, int]:
         """How many differences between sizes of the rate a cubic leaves over, odd and even in the rate."""
-        turning = int(np.count_nonzero(self.sizes_dps > _REST_DPS))
-        resting = int(turning < self.sizes_dps.size)
-        return max(turning - 2, 0), max(turning + resting - 2, 0)
+        return max(self.turning_sizes - 2, 0), max(self.all_sizes - 2, 0)
 
     @property
     def turns(self) -> bool:
@@ -110,19 +118,16 @@ def many_rates(offer: Offer) -> Reason | None:
 
 def many_sizes(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a shape that is odd in it beyond the cubic."""
-    count = int(np.count_nonzero(offer.sizes_dps > _REST_DPS))
-    if count >= _FEWEST_SIZES:
+    if offer.turning_sizes >= _FEWEST_SIZES:
         return None
-    return Lack(Why.FEW_SIZES, {"count": count, "fewest": _FEWEST_SIZES})
+    return Lack(Why.FEW_SIZES, {"count": offer.turning_sizes, "fewest": _FEWEST_SIZES})
 
 
 def sizes_for_peak(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a peak, which has a place, a width and a height."""
-    turning = int(np.count_nonzero(offer.sizes_dps > _REST_DPS))
-    count = turning + int(turning < offer.sizes_dps.size)
-    if count >= _FEWEST_FOR_PEAK:
+    if offer.all_sizes >= _FEWEST_FOR_PEAK:
         return None
-    return Lack(Why.FEW_FOR_PEAK, {"count": count, "fewest": _FEWEST_FOR_PEAK})
+    return Lack(Why.FEW_FOR_PEAK, {"count": offer.all_sizes, "fewest": _FEWEST_FOR_PEAK})
 
 
 def both_ways(offer: Offer) -> Reason | None:

@@ -394,13 +394,13 @@ def test_what_the_surface_can_take_back_is_not_believed_beyond_what_the_record_s
     wavy = replace(means, gyro_dps=means.rate_dps + 5e-4 * np.sin(np.arange(40.0)))
     search = TableSearch(full_model(wavy, memory=False))
     law = search.changes.law(Change("bias_drift", 1.0))
-    solved = SimpleNamespace(amplitudes={law.name: np.array([1.0])})
-    fitted = cast(
-        Any, SimpleNamespace(model=SimpleNamespace(laws=(law,), components={}), solve=lambda: solved)
-    )
+    solved = cast(Any, SimpleNamespace(amplitudes={law.name: np.array([1.0])}))
+    added = search._added(cast(Any, SimpleNamespace(laws=(law,), components={})), solved)
     shown = search._beyond_rate(search.base.error_dps)
     own = search._beyond_rate(law.columns[:, 0])
-    assert search._cancelled(fitted) == pytest.approx(max(0.0, own / shown - 1.0))
+    assert search._cancelled(added.values(), search.base.error_dps) == pytest.approx(
+        max(0.0, own / shown - 1.0)
+    )
 
 
 def test_a_law_with_a_name_is_none_that_errors_of_each_rate_could_be() -> None:

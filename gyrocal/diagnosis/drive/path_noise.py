@@ -127,8 +127,8 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     # The part of a turn within a cell acts from that turn on.
     turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
     weights = known.weights_between(edges)
-    turn = np.vstack([_blocks(knots, turned, after), weights])
-    by_wheels = np.vstack([_blocks(knots, turned, after), 0.0 * weights])
+    of_path = _blocks(knots, turned, after)
+    turn, by_wheels = np.vstack([of_path, weights]), np.vstack([of_path, 0.0 * weights])
     unseen = by_wheels * _unseen(path, edges, noise)
     lag = np.abs(middle[:, None] - middle[None, :])
     since = middle - begin
