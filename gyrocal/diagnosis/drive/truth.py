@@ -427,11 +427,8 @@ def _answer(
         wider = problem.with_columns({SPINNING: spinning})
         found[SPINNING], stds[SPINNING] = wider.told(SPINNING, logs)
     # Parts that the truth does not show by itself are noise.
-    moving = odd.get("time", 1.0) < STRANGER_P
-    of_parts = [v for n, v in zip(names, values, strict=True) if n in BIAS_PARTS and moving]
-    moves_dps = RAD_TO_DEG * float(np.sqrt(np.mean(np.square([*of_parts, -sum(of_parts)]))))
-    at = [names.index(n) for n in SCALES]
-    of_laws = [names.index(n) for n in [*knots.laws][: knots.told]]
+    parts = [n for n in names if n in BIAS_PARTS and odd.get("time", 1.0) < STRANGER_P]
+    moves_dps = RAD_TO_DEG * bias_moves(*_of(parts, names, values, covariance)) if parts else 0.0
     told = [
         n
         for n in (*knots.laws, *SCALES, SPINNING, "lever_ahead", "lever_left", "clock", "mounting")
@@ -440,11 +437,34 @@ def _answer(
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},
-        covariance[np.ix_(at, at)],
-        covariance[np.ix_(of_laws, of_laws)],
+        _of(SCALES, names, values, covariance)[1],
+        _of([*knots.laws][: knots.told], names, values, covariance)[1],
         odd,
         loss=laid.loss,
         levels=laid.levels,
         bias_moves_dps=moves_dps,
         one_way=one_way,
     )
+
+
+def _of(
+    some: Sequence[str], names: Sequence[str], values: Floats, covariance: Floats
+) -> tuple[Floats, Floats]:
+    """Values of some, and their covariance."""
+    at = [names.index(n) for n in some]
+    return values[at], covariance[np.ix_(at, at)]
+
+
+def bias_moves(parts: Floats, covariance: Floats) -> float:
+    """By how much the bias of the parts of a drive differs (rms), less what their own errors make of that.
+
+    Weighed by what the truth tells of them: beside columns of the heading it tells next to nothing of some mixtures.
+
+    Parameters
+    ----------
+    parts, covariance : of all parts but the last, the mean of all being zero
+    """
+    precision = np.linalg.inv(covariance)
+    beyond = float(parts @ precision @ parts) - parts.size
+    spread = np.eye(parts.size) - 1.0 / (parts.size + 1)
+    return float(np.sqrt(max(beyond, 0.0) / np.trace(precision @ spread)))

@@ -14,7 +14,7 @@ from scipy.stats import norm
 from gyrocal.diagnosis.drive import findings, places
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer, bias_moves
 from gyrocal.diagnosis.remarks import Said
 
 
@@ -137,3 +137,17 @@ def test_a_law_is_the_one_that_encoders_and_truth_tell_together() -> None:
     mean = both @ (np.linalg.inv(covariance) @ [0.5, 2.0] + precision * measured * seen)
     assert findings.joint_estimate(found, told, "asymmetry") == pytest.approx((mean[1], np.sqrt(both[1, 1])))
     assert findings.joint_estimate(found, replace(told, mirrored=True), "bias") == (0.5, 0.1)
+
+
+def test_a_bias_that_differs_between_the_parts_of_a_drive_differs_by_what_the_truth_tells() -> None:
+    rng = np.random.default_rng(5)
+    # The truth tells all of the parts but one mixture of them, of which it knows nothing.
+    spread = np.diag([0.02, 0.01, 0.03, 0.02, 0.01, 0.02, 0.03]) ** 2
+    mixture = np.ones(7) / np.sqrt(7.0)
+    covariance = spread + 1e6 * np.outer(mixture, mixture)
+    errors = rng.multivariate_normal(np.zeros(7), spread, 400) + 1e3 * rng.normal(size=(400, 1)) * mixture
+    for true in (0.0, 0.1):
+        bias = true * rng.normal(size=(400, 8))
+        parts = bias[:, :-1] - bias.mean(axis=1, keepdims=True) + errors
+        found = [bias_moves(one, covariance) for one in parts]
+        assert np.sqrt(np.mean(np.square(found))) == pytest.approx(true, abs=0.01)
