@@ -18,15 +18,13 @@ from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, Fitted, Law, 
 from gyrocal.diagnosis.open_loop import given_back
 from gyrocal.diagnosis.parts import (
     BLOCKS,
-    EACH_RATE,
-    PASSING,
     SURFACE,
     Part,
     legendre_to_powers,
-    passing,
     polynomials,
 )
 from gyrocal.diagnosis.rising import dead_zone, rising
+from gyrocal.diagnosis.rivals import may_wander, with_rivals
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
@@ -91,19 +89,12 @@ def _beside_wander(found: Examination, blocks: Sequence[str]) -> dict[str, float
     if not blocks:
         return {}
     beside = found.naming.fitted
-    beside = beside.refit(_wandering(beside.model))
+    beside = beside.refit(may_wander(beside.model))
     return {b: evidence(beside, b)[0] for b in blocks}
 
 
-def _wandering(model: Model, without: Sequence[str] = ()) -> Model:
-    """The same, with a bias and a scale factor that may wander, but for some blocks."""
-    passes = passing(model.means, model.basis.frame)
-    wander = {c.name: c for c in passes if PASSING.get(c.name) not in (EACH_RATE, *without)}
-    return replace(model, components={**wander, **model.components})
-
-
 def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
-    """The coefficient file of what was found; of a table of sweeps it is averaged over the models that are near.
+    """The coefficient file of what was found, averaged over the models that are near.
 
     The surface has the state at the end of the record: what passes is held where it was last, but for a drift of a
     table, whose mean it has. Where it is open whether a change since power-on comes again, the file has the mean of both,
@@ -114,7 +105,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     without : blocks that are left out of it
     """
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
-    near = near or [(1.0, _less(found.naming.fitted, without))]
+    near = near or with_rivals(_less(found.naming.fitted, without), found.naming.named, found.laws)
     near = _over_peaks(near, found.laws)
     zone = dead_zone(near[0][1], found.laws)
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
@@ -184,7 +175,7 @@ def mixed(each: Sequence[tuple[float, Floats, Floats]]) -> tuple[Floats, Floats]
 def _less(fitted: Fitted, blocks: Sequence[str]) -> Fitted:
     """Without some blocks, whose place what may wander takes: the surface alone would be bent by what they explained."""
     names = [n for n, b in fitted.model.blocks.items() if b in blocks]
-    return around_itself(fitted.refit(_wandering(fitted.model.without(names), blocks))) if names else fitted
+    return around_itself(fitted.refit(may_wander(fitted.model.without(names), blocks))) if names else fitted
 
 
 def _over_peaks(near: Sequence[tuple[float, Fitted]], laws: Laws) -> list[tuple[float, Fitted]]:

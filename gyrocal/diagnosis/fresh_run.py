@@ -109,7 +109,9 @@ def _sigma_of_sum(weights: Floats, coefficients: Coefficients, c: Conditions) ->
         term.tangent(at_rate, surface, error, None)[0]
         for term, error in zip(terms, solved.errors_dps, strict=True)
     ]
-    along = weights @ sensitivity(surface, terms, tangents, solved, c, blank)
+    by_row = sensitivity(surface, terms, tangents, solved, c, blank)
+    # An output that no rate gives has no derivative either.
+    along = weights @ np.where(weights[:, None] != 0.0, by_row, 0.0)
     return float(
         np.sqrt(max(float(along @ joint_covariance(coefficients.covariance_dps2, terms) @ along), 0.0))
     )

@@ -55,6 +55,12 @@ class Named:
     trials: int
 
 
+def is_passing(named: Named) -> bool:
+    """Whether a law is of what passes: its state at the end is held, and it does not begin anew."""
+    effect = CATALOGUE[named.law.effect]
+    return effect.family == BLOCKS["bias in time"].family and not effect.runtime
+
+
 @dataclass(frozen=True)
 class Alone:
     """Laws alone in place of a block: the model, what each of the nearest ones leaves of the block, nats, and the nearest."""

@@ -26,7 +26,7 @@ from gyrocal.diagnosis.blocks import (
 )
 from gyrocal.diagnosis.contest import Winner, best_law
 from gyrocal.diagnosis.estimates import reshaped
-from gyrocal.diagnosis.in_place import Named, beyond_chance, simplest
+from gyrocal.diagnosis.in_place import Named, beyond_chance, is_passing, simplest
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
@@ -287,7 +287,7 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     share = (without.nll - alone.fitted.nll) / worth
     named = [replace(n, share=share) for n in alone.named]
     # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.
-    replaces = all(_of_robot(n) or _passes(n) for n in named) or not BLOCKS[block].stays
+    replaces = all(_of_robot(n) or is_passing(n) for n in named) or not BLOCKS[block].stays
     # Errors of single rates are as simple as a law is.
     slack = 0.0 if block == EACH_RATE else REPLACED + len(named)
     if alone.fitted.nll <= whole_nll + slack:
@@ -318,12 +318,6 @@ def _resembling(nearest: Winner | None, without: Fitted, block: str, worth: floa
 def _of_robot(named: Named) -> bool:
     effect = CATALOGUE[named.law.effect]
     return effect.runtime and not effect.search.in_part and named.law.columns.shape[1] == 1
-
-
-def _passes(named: Named) -> bool:
-    """Whether a law is of what passes: its state at the end is held, and it does not begin anew."""
-    effect = CATALOGUE[named.law.effect]
-    return effect.family == BLOCKS["bias in time"].family and not effect.runtime
 
 
 def _least_worth(named: Named) -> float:

@@ -60,6 +60,8 @@ _WARMER_C = 0.01
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC, and fewer than so many times these of shapes in temperature.
 _LEAST_SPAN_C, _SHAPED = 0.5, 4.0
+#: Temperatures as far apart as this share of the range are different ones.
+_APART = 0.05
 #: What stands for a drift of the scale factor.
 DRIFTING_SCALE = "scale drift"
 #: Rates that differ by less are one: tables repeat theirs closer.
@@ -287,6 +289,15 @@ def _turns(means: Means) -> bool:
     return np.unique(np.round(means.rate_dps, 2)).size > 3
 
 
+def shows_scale(means: Means) -> bool:
+    """Whether the scale factor was seen at temperatures enough to tell what changes it beyond the surface.
+
+    Of four temperatures, each once, the surface takes three numbers, and what is left is as well a step as a lag or an order.
+    """
+    turned_c = means.temp_c[means.rate_dps != 0.0]
+    return _apart(turned_c, max(_LEAST_SPAN_C, _APART * float(np.ptp(means.temp_c)))) >= SHAPE[1] + 2
+
+
 def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[float, ...] = ()) -> Part:
     return Part(name, block, columns, weights or (1.0,) * len(columns))
 
@@ -344,7 +355,8 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
     """The same in temperature, of the bias and, at the temperatures at which it turned, of the scale factor."""
     found = []
     spacing = 2.0 * frame.temp_scale_c / (_TEMP_BUMPS - 1.0)
-    for target, rate in (("bias", Factor()), ("scale", _LINEAR)) if turning else (("bias", Factor()),):
+    of_scale = (("scale", _LINEAR),) if turning and shows_scale(means) else ()
+    for target, rate in (("bias", Factor()), *of_scale):
         told = means.rate_dps != 0.0 if target == "scale" else np.ones(len(means), dtype=np.bool_)
         visited = _apart(means.temp_c[told] - frame.temp_center_c, spacing)
         powers = tuple(
@@ -378,7 +390,7 @@ def remembering(means: Means) -> list[Part]:
         _part("play on bias", "memory", tuple(Column(driver=d) for d in plays)),
         _part("play on bias by temperature", "memory", tuple(Column(one, slope, d) for d in plays)),
     ]
-    if _turns(means):
+    if _turns(means) and shows_scale(means):
         found += [
             _part("lag on scale", "memory", tuple(Column(_LINEAR, one, d) for d in lags)),
             _part("lag on scale by temperature", "memory", tuple(Column(_LINEAR, slope, d) for d in lags)),
@@ -404,7 +416,8 @@ def passing(means: Means, frame: Frame) -> list[Component]:
     found = [Component("bias walk", covariance=walk)]
     if np.any(u != 0.0):
         ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
-        found.append(Component("scale line", (ahead * u)[:, None]))
+        if shows_scale(means):
+            found.append(Component("scale line", (ahead * u)[:, None]))
         found.append(Component("scale walk", covariance=walk * np.outer(u, u)))
         each = _by_size(means, u)
         if 3 < each.shape[1] < _MOST_RATES:

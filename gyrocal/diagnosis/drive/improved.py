@@ -197,6 +197,9 @@ def _of_gyro(
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
             if name in yaw.chosen:
                 known = told_estimate(yaw, truth, name)
+            elif name == "jump":
+                # At the best of all instants it is no estimate.
+                continue
             else:
                 (value,), ((variance,),) = yaw.beyond([name])
                 known = float(value), float(np.sqrt(max(variance, 0.0)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import Frame, Law, jump
+from gyrocal.diagnosis.drive.series import Nodes
 from gyrocal.diagnosis.drive.yaw import YawModel, evidence
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 
@@ -47,6 +48,16 @@ def chance(gain: float) -> float:
 def instant_of_p(at_s: float, span_s: tuple[float, float], p_value: float) -> Instant:
     """An instant that something else shows, with the gain of such a chance."""
     return Instant(at_s, *span_s, float(stats.chi2.isf(max(p_value, 1e-300) / _INSTANTS, 1)))
+
+
+def within_motion(nodes: Nodes) -> tuple[float, float]:
+    """Span of a drive with some motion before it and after it, s.
+
+    A bias that is another one in the rest at an end of a drive comes with the motion, or is what slow wheels do.
+    """
+    moved_s = np.cumsum(np.where(nodes.resting, 0.0, nodes.dt_s))
+    begin, end = np.searchsorted(moved_s, moved_s[-1] * np.array([1.0, _INSTANTS - 1.0]) / _INSTANTS)
+    return float(nodes.t_s[begin]), float(nodes.t_s[end])
 
 
 def _likeliest(
@@ -98,7 +109,7 @@ def jump_of(
             told = evidence(model, columns | of).knowing(less(known, name))
             return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
 
-        return _likeliest(float(model.frame.series.t_s[0]), float(ends_s[-1]), gains, least)
+        return _likeliest(*within_motion(model.frame.nodes), gains, least)
 
     bias = likeliest("bias")
     if bias is None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,8 +14,9 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.drive.engine import _asked, _told_from_nothing, diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.improved import estimates_of
-from gyrocal.diagnosis.drive.jumps import _likeliest
+from gyrocal.diagnosis.drive.jumps import _likeliest, within_motion
 from gyrocal.diagnosis.drive.search import _unlike
+from gyrocal.diagnosis.drive.series import Nodes
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, robot_of
 from gyrocal.report.drive_words import drive_sentences
@@ -104,3 +107,11 @@ def test_a_late_truth_is_of_an_earlier_place(late_rows: int, resting: Robot) -> 
     assert truth is not None
     assert truth.values["clock"] == pytest.approx(late_rows / 20.0, abs=0.01)
     assert all(abs(truth.told(scale)) < 3.0 for scale in ("gyro_scale", "wheel_scale"))
+
+
+def test_a_bias_of_the_last_rest_alone_is_no_jump() -> None:
+    """It came with the motion; or wheels that go by the speed are as a bias and a difference of theirs together."""
+    dt_s = np.ones(400)
+    resting = np.arange(400) >= 395
+    nodes = cast(Nodes, SimpleNamespace(t_s=np.cumsum(dt_s), dt_s=dt_s, resting=resting))
+    np.testing.assert_allclose(within_motion(nodes), [395 / 40, 395 * 39 / 40], atol=1.0)

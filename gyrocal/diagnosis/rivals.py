@@ -1,0 +1,63 @@
+"""What else the laws of a run may be: models with a rival in place of a law that is hardly likelier."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gyrocal.diagnosis.coil import AVERAGED_NATS, TOLL_NATS
+from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.estimates import reshaped
+from gyrocal.diagnosis.in_place import Named, is_passing
+from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.layers import Fitted, Law, Model
+from gyrocal.diagnosis.parts import EACH_RATE, PASSING, passing
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Effect
+
+
+def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tuple[float, Fitted]]:
+    """A model, and those with rivals in place of one or more of its laws, with how likely each is.
+
+    Of a few rates, or of temperatures that come once, several laws explain the same, and away from what was visited each
+    makes something else of it: a file of one alone would be sure of what nobody knows.
+    """
+    near = [(0.0, fitted)]
+    for one in named:
+        near += [other for loss, model in near for other in _instead(loss, model, one, laws)]
+    least = min(loss for loss, _ in near)
+    weights = [(float(np.exp(least - loss)), model) for loss, model in near if loss < least + AVERAGED_NATS]
+    whole = sum(weight for weight, _ in weights)
+    return [(weight / whole, model) for weight, model in weights]
+
+
+def may_wander(model: Model, without: Sequence[str] = ()) -> Model:
+    """The same, with a bias and a scale factor that may wander, but for some blocks."""
+    passes = passing(model.means, model.basis.frame)
+    wander = {c.name: c for c in passes if PASSING.get(c.name) not in (EACH_RATE, *without)}
+    return replace(model, components={**wander, **model.components})
+
+
+def _instead(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator[tuple[float, Fitted]]:
+    """Models with each of its rivals in place of a law, with their losses, nats; of what passes with a walk, too."""
+    if not fitted.model.holds(one.law):
+        return
+    model = replace(fitted.model, laws=tuple(law for law in fitted.model.laws if law.name != one.law.name))
+    own = fitted.nll + _paid(CATALOGUE[one.law.effect], one.law, one.trials)
+    if is_passing(one):
+        wandering = fitted.refit(may_wander(model))
+        yield loss + wandering.nll - own, wandering
+    without = fitted.refit(model)
+    for effect in (e for e, behind in one.rivals.items() if loss + behind < AVERAGED_NATS):
+        trials = [t for t in laws.trials(CATALOGUE[effect]) if t.columns.shape[1] == 1]
+        rival = best_law(without, without, one.block, trials, laws)
+        if rival is not None:
+            shaped = reshaped(rival.fitted, laws, [rival.law.name])
+            yield loss + shaped.nll + _paid(rival.effect, rival.law, rival.shapes) - own, shaped
+
+
+def _paid(effect: Effect, law: Law, shapes: int) -> float:
+    """What a law pays for being there, nats, with the shapes that it had to choose from."""
+    return TOLL_NATS + 0.5 * float(np.log(max(1, shapes))) - effect.search.nats_before(law.shape)

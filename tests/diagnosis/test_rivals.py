@@ -1,0 +1,91 @@
+"""What else a law may be, and what four temperatures cannot tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.coil import TOLL_NATS
+from gyrocal.diagnosis.in_place import Named
+from gyrocal.diagnosis.jumps import boundaries
+from gyrocal.diagnosis.laws import Laws, laws_of
+from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.means import Means, means_of
+from gyrocal.diagnosis.rivals import with_rivals
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.physics.effect import Effect
+from gyrocal.physics.rate import RATE_ORDER, SATURATION
+from gyrocal.physics.timewise import SCALE_STEP
+from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
+
+
+def _means(temps_c: Floats, error_dps: float = 0.0) -> Means:
+    """Rates up and down at each temperature; an error of the fifth order in the rate."""
+    sizes = np.array([10.0, 30.0, 50.0, 70.0, 90.0, 100.0])
+    rates = np.concatenate([-sizes[::-1], [0.0], sizes])
+    rate_dps, temp_c = np.tile(rates, temps_c.size), np.repeat(temps_c, rates.size)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(rate_dps.size)
+    gyro_dps = rate_dps + error_dps * (rate_dps / 100.0) ** 5 + noise
+    t_s = 60.0 * np.arange(rate_dps.size, dtype=np.float64)
+    return means_of(series_of_table(DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)))
+
+
+def _with(means: Means, effect: Effect, shape: dict[str, float]) -> tuple[Fitted, Law, Laws]:
+    """A model of surface, white noise and one law."""
+    model = full_model(means)
+    kept = {"white", *(p.name for p in model.parts if p.block == "surface")}
+    fitted = fit_model(model.without([n for n in model.components if n not in kept]))
+    laws = laws_of(means, surface_of(fitted.model, fitted.solve()))
+    law = Law(effect.id, shape, laws.at(effect, shape))
+    return fitted.refit(fitted.model.with_laws(law)), law, laws
+
+
+def test_a_rival_stands_in_the_file_by_how_likely_it_is() -> None:
+    fitted, law, laws = _with(
+        _means(np.array([20.0, 30.0, 40.0]), 6e-3), SATURATION, {"knee_dps": 60.0, "softness_dps": 0.0}
+    )
+    named = Named(law, "odd rate", 20.0, 1.0, {RATE_ORDER.id: 0.5, "scale_asymmetry": 30.0}, 40)
+    found = with_rivals(fitted, [named], laws)
+    assert [m.model.laws[-1].effect for _, m in found] == [SATURATION.id, RATE_ORDER.id]
+    (own, _), (other, rival) = found
+    orders = sum(t.columns.shape[1] == 1 for t in laws.trials(RATE_ORDER))
+    behind = (rival.nll + 0.5 * np.log(orders) - RATE_ORDER.search.prior_nats) - (
+        fitted.nll + 0.5 * np.log(named.trials)
+    )
+    assert own + other == pytest.approx(1.0)
+    assert other / own == pytest.approx(np.exp(-behind), rel=1e-6)
+
+
+def test_what_wanders_stands_in_for_a_law_of_what_passes() -> None:
+    """Of nothing but noise a step is no likelier than a walk, and pays for its instant."""
+    fitted, law, laws = _with(_means(np.linspace(20.0, 45.0, 6)), SCALE_STEP, {"at_s": 2000.0})
+    found = with_rivals(fitted, [Named(law, "scale in time", 9.0, 1.0, {}, 1)], laws)
+    (own, _), (other, wandering) = found
+    assert not wandering.model.laws
+    assert "scale walk" in wandering.model.components
+    assert other / own == pytest.approx(np.exp(fitted.nll + TOLL_NATS - wandering.nll), rel=1e-6)
+    tried = with_rivals(fitted, [Named(law, "scale in time", 9.0, 1.0, {}, 1000)], laws)
+    assert [m.model.laws for _, m in tried] == [()]
+
+
+def test_a_law_without_rivals_stands_alone() -> None:
+    fitted, law, laws = _with(
+        _means(np.array([20.0, 30.0, 40.0]), 6e-3), SATURATION, {"knee_dps": 60.0, "softness_dps": 0.0}
+    )
+    assert with_rivals(fitted, [Named(law, "odd rate", 20.0, 1.0, {}, 40)], laws) == [(1.0, fitted)]
+
+
+@pytest.mark.parametrize(("temperatures", "told"), [(4, False), (5, True)])
+def test_four_temperatures_do_not_tell_what_changes_the_scale_factor(temperatures: int, told: bool) -> None:
+    """The surface takes three numbers: one more is as well a step as a lag or an order."""
+    means = _means(np.linspace(0.0, 40.0, temperatures))
+    components = full_model(means).components
+    of_scale = {"scale line", "temperature orders on scale", "lag on scale", "play on scale"}
+    assert of_scale <= components.keys() if told else of_scale.isdisjoint(components)
+    assert "temperature rate" in components
+    assert bool(boundaries(means, SCALE_STEP.id).size) is told
