@@ -82,7 +82,6 @@ def command(
     from gyrocal.calibration.export import export_c_header, write_header
     from gyrocal.calibration.provenance import naming
     from gyrocal.cli.console import emit_json
-    from gyrocal.errors import OutputError
     from gyrocal.fusion.coefficients import load_coefficients
     from gyrocal.records.files import check_output_file, write_atomically
 
@@ -95,9 +94,7 @@ def command(
     if output is None:
         click.echo(made if export is None else export.text, nl=False)
         return
-    if output.resolve() == coefficients.resolve():
-        raise OutputError(f"{output}: is the coefficient file itself. Choose another --output.")
-    check_output_file(output, overwrite=overwrite)
+    check_output_file(output, overwrite=overwrite, inputs=[coefficients])
     if export is None:
         write_atomically(output, made or "")
         about = {"format": form, "sensor": dict(loaded.sensor)}
