@@ -171,7 +171,7 @@ def examine_static(
         notes += _within(trend)
     notes += _set_aside(aside_s, run)
     tell(0.8, "figures")
-    curves = curves_of(reading)
+    curves = [trend.restored(curve) for curve in curves_of(reading)]
     noise = figures_of(curves) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")

@@ -8,13 +8,14 @@ noise with 1/f noise and a random walk of whatever level beside it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from gyrocal.calibration.course import Course
+from gyrocal.inference.allan import AllanCurve
 from gyrocal.inference.flicker import TIME_CONSTANTS_S, flicker_correlation
 
 Floats = NDArray[np.float64]
@@ -77,9 +78,9 @@ class CourseNoise:
                 cost = np.minimum(cost, gyro_dps.size * np.log(beside) + spread)
         return without, cost
 
-    def sizes(self, gyro_dps: Floats, known: Floats) -> Floats:
-        """Likeliest amplitudes of the columns `known`, shape (m,)."""
-        best, found = np.inf, np.zeros(known.shape[1])
+    def sizes(self, gyro_dps: Floats, known: Floats) -> tuple[Floats, Floats]:
+        """Likeliest amplitudes of the columns `known` and their variances, shape (m,) each."""
+        best, found = np.inf, (np.zeros(known.shape[1]), np.zeros(known.shape[1]))
         scaled = np.column_stack([known, gyro_dps]) * self._root_s[:, None]
         for variances, vectors in self._drifts:
             turned = vectors.T @ scaled
@@ -89,7 +90,9 @@ class CourseNoise:
                 rest = white[:, -1] - white[:, :-1] @ sizes
                 cost = gyro_dps.size * float(np.log(rest @ rest)) + float(np.log(variance).sum())
                 if cost < best:
-                    best, found = cost, sizes
+                    inverse = np.linalg.pinv(white[:, :-1])
+                    each = float(rest @ rest) / max(gyro_dps.size - sizes.size, 1)
+                    best, found = cost, (sizes, each * np.sum(inverse**2, axis=1))
         return found
 
 
@@ -111,8 +114,8 @@ class Trend:
     ----------
     start_s : float
         When the course begins.
-    drift_dps_per_s : float
-        0 where there is none.
+    drift_dps_per_s, drift_variance : float
+        0 where there is none; the variance in (deg/s/s)^2.
     settling : tuple of (float, float), optional
         Size at the beginning, deg/s, and time constant, s, of an exponential.
     steps : tuple of (float, float)
@@ -121,6 +124,7 @@ class Trend:
 
     start_s: float = 0.0
     drift_dps_per_s: float = 0.0
+    drift_variance: float = 0.0
     settling: tuple[float, float] | None = None
     steps: tuple[tuple[float, float], ...] = ()
 
@@ -132,6 +136,10 @@ class Trend:
             return off
         size_dps, constant_s = self.settling
         return np.asarray(off + size_dps * np.exp(-later_s / constant_s))
+
+    def restored(self, curve: AllanCurve) -> AllanCurve:
+        """The curve of a record without its drift, with what of its noise went with that: a slope of noise is ``R^2 tau^2 / 2``."""
+        return replace(curve, avar=curve.avar + 0.5 * self.drift_variance * curve.tau_s**2)
 
 
 def trend_of(course: Course, jumps: Sequence[tuple[float, float]], rounding_dps: float) -> Trend:
@@ -160,7 +168,7 @@ def trend_of(course: Course, jumps: Sequence[tuple[float, float]], rounding_dps:
             # One drift, and one settling.
             needed[tried.needed == tried.needed[best]] = np.inf
             continue
-        if abs(noise.sizes(gyro_dps, np.stack(known, axis=1))[-1]) < 2.0 * rounding_dps:
+        if abs(noise.sizes(gyro_dps, np.stack(known, axis=1))[0][-1]) < 2.0 * rounding_dps:
             found.pop()
         else:
             spans.append(_around(t_s, cost[tried.smooth :], k))
@@ -169,12 +177,14 @@ def trend_of(course: Course, jumps: Sequence[tuple[float, float]], rounding_dps:
         needed[best - min(k, _NEAR) : best + _NEAR + 1] = np.inf
     if not found:
         return Trend()
-    sizes = noise.sizes(gyro_dps, np.stack(known, axis=1))
-    drift = next((float(sizes[at]) for k, at in found if k == 0), 0.0)
+    sizes, variances = noise.sizes(gyro_dps, np.stack(known, axis=1))
+    drift, variance = next(
+        ((float(sizes[at]), float(variances[at])) for k, at in found if k == 0), (0.0, 0.0)
+    )
     settling = next(
         ((float(sizes[at]), float(tried.constants_s[k - 1])) for k, at in found if 0 < k < tried.smooth), None
     )
-    return Trend(float(t_s[0]), drift, settling, tuple(sorted(spans)))
+    return Trend(float(t_s[0]), drift, variance, settling, tuple(sorted(spans)))
 
 
 @dataclass(frozen=True)
