@@ -304,6 +304,7 @@ def recording_of(run: Run) -> Recording:
         msg = f"{run.path}: holds no usable data set{reasons}. Record segments of kind rate, one a rate and temperature; "
         msg += f"what a gyro at rest says of noise and bias is gyrocal noise {run.path}."
         raise DataError(msg)
+    notes += _references_said(rows)
     saturated, at_rail = _saturated_sums([sums for _, sums, _, _ in rows])
     return Recording(
         source=run.path,
@@ -373,6 +374,26 @@ def reference_rate(record: SegmentRecord, sums: SegmentSums) -> tuple[float, str
     if error < report_error or apart > _ECHO_SIGMAS * error:
         return angle, "angle", ""
     return table.mean, "table", ""
+
+
+def _references_said(rows: Sequence[tuple[SegmentRecord, SegmentSums, float, str]]) -> list[str]:
+    """What is to be said of the rates that the table reports, or does not."""
+    turned = [
+        (record.rate_dps, rate, reference) for record, _, rate, reference in rows if record.rate_dps != 0.0
+    ]
+    unread = sum(reference == "command" for *_, reference in turned)
+    said = []
+    if unread:
+        said.append(
+            f"the table reports no rate or angle in {unread} of {len(turned)} segments that turn: the commanded rate is taken for true"
+        )
+    measured = [command * rate for command, rate, reference in turned if reference != "command"]
+    if measured and max(measured) < 0.0:
+        said.append(
+            "the rate that the table reports has the other sign than the one commanded, in every segment: the report is taken; "
+            "check which way is positive (counter-clockwise from above)"
+        )
+    return said
 
 
 def _saturated_sums(rows: Sequence[SegmentSums]) -> tuple[NDArray[np.bool_], int]:

@@ -293,7 +293,8 @@ def _rounded(reading: Reading) -> tuple[float, list[str]]:
     curves = curves_of(reading)
     # Halves of stretches scatter by half their Allan variance; all halvings together are the scatter of the samples.
     scatter_dps = float(np.sqrt(0.5 * curves[0].avar.sum())) if curves else 0.0
-    if not np.isfinite(step_dps := reading.stepped.step):
+    few_rows = not any(curve.factor.size for curve in curves)
+    if few_rows or not np.isfinite(step_dps := reading.stepped.step):
         return 0.0, []
     if reading.stepped.few:
         noise_dps = reading.stepped.least_noise()

@@ -28,7 +28,7 @@ _WALKS = (0.0, 0.01, 0.05, 0.3, 1.0)
 _ALARM = 1e-4
 #: Means that a course needs, and time constants of a settling that are tried.
 _LEAST_MEANS, _TRIED = 32, 40
-#: Steps that are told at most: what has more is a noise of its own.
+#: Fewer steps than this are told: what has more, as a telegraph, is a noise of its own.
 _MOST_STEPS = 8
 #: Means to either side of a step within which another is none.
 _NEAR = 2
@@ -175,7 +175,7 @@ def trend_of(course: Course, jumps: Sequence[tuple[float, float]], rounding_dps:
         # It may be within either of the two means beside it: they say nothing more.
         known += [np.eye(t_s.size)[k + 1], np.eye(t_s.size)[k + 2]]
         needed[best - min(k, _NEAR) : best + _NEAR + 1] = np.inf
-    if not found:
+    if not found or len(spans) == _MOST_STEPS:
         return Trend()
     sizes, variances = noise.sizes(gyro_dps, np.stack(known, axis=1))
     drift, variance = next(

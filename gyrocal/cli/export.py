@@ -71,7 +71,7 @@ def command(
 
     kalibr: imu.yaml with the gyro's noise. px4, ardupilot: parameters with the bias over temperature; they have no place
     for the rest. The header holds PREFIX_error, PREFIX_correct and PREFIX_flags in double, and the same ending in f in float. The
-    error in float is within 1e-6 deg/s of the coefficient file's; the corrected rate in float has the steps
+    error in float is within 1e-6 deg/s of the coefficient file's in its valid range; the corrected rate in float has the steps
     of a float besides (7.6e-6 deg/s at 100 deg/s).
 
     Terms of `diagnose` that a robot can evaluate go along. Those that remember earlier temperatures bring a

@@ -197,6 +197,19 @@ def test_a_noise_of_heavy_tails_stays_as_it_is(tmp_path: Path) -> None:
         assert found.set_aside == 0
 
 
+def test_a_telegraph_is_noise() -> None:
+    rng = np.random.default_rng(67)
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    telegraph = 0.01 * (np.cumsum(rng.random(t_s.size) < 1.0 / 2000.0) % 2)
+    assert trend_of(course_of_log(t_s, telegraph + white(rng, t_s.size)), [], 0.0) == Trend()
+
+
+@pytest.mark.parametrize("rows", [3, 50])
+def test_a_few_rows_have_no_steps(tmp_path: Path, rows: int) -> None:
+    log = write_log(tmp_path / "few.csv", 0.1 * np.arange(rows), white(np.random.default_rng(68), rows))
+    assert examine_static(StaticConfig(log)).warnings == ()
+
+
 def test_earth_rate_by_axis() -> None:
     assert earth_rate_dph(90.0, 90.0, 0.0) == pytest.approx(15.04106864)
     assert earth_rate_dph(42.0, -90.0, 0.0) == pytest.approx(-15.04106864 * np.sin(np.radians(42.0)))
