@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
-from gyrocal.errors import CoefficientError, DataError, OutputError
+from gyrocal.errors import CoefficientError, DataError
 from gyrocal.fusion.coefficients import (
     FLAG_NOT_FINITE,
     FLAG_RATE,
@@ -122,10 +122,8 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     InputError, DataError, CoefficientError, OutputError
         Nothing is written then.
     """
-    output, recording = config.output.resolve(), config.recording.resolve()
-    if output == config.coefficients.resolve() or output.is_relative_to(recording):
-        raise OutputError(f"{config.output}: is an input of this command, or lies in it. Choose another -o.")
-    check_output_file(config.output, overwrite=config.overwrite)
+    inputs = (config.recording, config.coefficients)
+    check_output_file(config.output, overwrite=config.overwrite, inputs=inputs)
     coefficients = load_coefficients(config.coefficients)
     with naming(config.coefficients):
         compensator = Compensator(coefficients)

@@ -242,6 +242,7 @@ def _assess(
     line = np.polynomial.polynomial.polyvander(sets.gyro_dps, 0 if config.bias_only else 1)
     before = sets.error_dps - line @ np.linalg.lstsq(line, sets.error_dps, rcond=None)[0]
     known = np.isfinite(sets.mean_variance_dps2)
+    valid = _valid(recording, config, sets, kept)
     noise = noise_figures(recording)
     calibration = Calibration(
         recording=recording,
@@ -260,27 +261,44 @@ def _assess(
         noise=noise,
         merit=merit_figures(fit, next((v.error_dps for v in chosen.left_out if v.left_out == "time"), None)),
         excluded_by_user=tuple(sorted(config.exclude)),
-        notes=(*notes, *_too_noisy(fit)),
-        coefficients=_coefficients(recording, config, chosen, noise),
+        notes=(
+            *notes,
+            *_too_noisy(fit),
+            *_narrowed(valid, _valid(recording, config, sets, np.ones_like(kept))),
+        ),
+        coefficients=_coefficients(recording, config, chosen, noise, valid),
     )
     coefficients = replace(calibration.coefficients, figures=_figures(calibration))
     return replace(calibration, coefficients=coefficients)
 
 
-def _valid(recording: Recording, config: FitConfig, sets: DataSets) -> Valid:
-    """Range of output and temperature that the fitted data sets cover, to their last row or sample, averaged or not."""
+def _valid(recording: Recording, config: FitConfig, sets: DataSets, kept: NDArray[np.bool_]) -> Valid:
+    """Range of output and temperature that the `kept` of the fitted sets cover, to their last row or sample, averaged or not."""
     rows = recording.sets
     lows_and_highs = recording.reach
     if lows_and_highs is None:
         lows_and_highs = np.stack([rows.gyro_dps, rows.gyro_dps, rows.temp_c, rows.temp_c], axis=1)
     # A bias is taken from one of the rates.
     fitted = (rows.rate_dps >= sets.rate_dps.min()) & (rows.rate_dps <= sets.rate_dps.max())
-    lows_and_highs = lows_and_highs[fitted & ~np.isin(rows.segment, config.exclude)]
+    starts = np.flatnonzero(np.isin(rows.segment, sets.segment))
+    believed = kept[np.searchsorted(starts, np.arange(len(rows)), side="right") - 1]
+    lows_and_highs = lows_and_highs[fitted & believed & ~np.isin(rows.segment, config.exclude)]
     low, _, temp_low, _ = (float(v) for v in lows_and_highs.min(axis=0))
     _, high, _, temp_high = (float(v) for v in lows_and_highs.max(axis=0))
     if config.bias_only:
         low, high = low - BIAS_REACH_DPS, high + BIAS_REACH_DPS
     return Valid((low, high), (temp_low, temp_high))
+
+
+def _narrowed(valid: Valid, with_outliers: Valid) -> list[str]:
+    """Says it where outliers alone would have widened what the coefficients are valid for."""
+    if valid == with_outliers:
+        return []
+    (low, high), (cold, warm) = with_outliers.rate_dps, with_outliers.temp_c
+    return [
+        f"outliers are not counted in the valid range, which would go from {low:+.4g} to {high:+.4g} deg/s and {cold:.1f} to "
+        f"{warm:.1f} °C by them: a misread one would vouch for what was never visited"
+    ]
 
 
 def _need_rates(recording: Recording, fit: SurfaceFit) -> None:
@@ -310,7 +328,7 @@ def _too_noisy(fit: SurfaceFit) -> list[str]:
 
 
 def _coefficients(
-    recording: Recording, config: FitConfig, chosen: ChosenFit, noise: NoiseFigures
+    recording: Recording, config: FitConfig, chosen: ChosenFit, noise: NoiseFigures, valid: Valid
 ) -> Coefficients:
     fit = chosen.fit
     provenance: dict[str, Any] = {
@@ -339,7 +357,7 @@ def _coefficients(
         sensor=recording.sensor,
         surface=fit.surface,
         covariance_dps2=0.5 * (fit.covariance_dps2 + fit.covariance_dps2.T),
-        valid=_valid(recording, config, fit.sets),
+        valid=valid,
         noise=Noise(noise.angle_random_walk_deg_per_rt_h, noise.bias_instability_deg_per_h),
         provenance=provenance,
     )

@@ -304,6 +304,7 @@ def recording_of(run: Run) -> Recording:
         msg = f"{run.path}: holds no usable data set{reasons}. Record segments of kind rate, one a rate and temperature; "
         msg += f"what a gyro at rest says of noise and bias is gyrocal noise {run.path}."
         raise DataError(msg)
+    notes += _references_said(rows)
     saturated, at_rail = _saturated_sums([sums for _, sums, _, _ in rows])
     return Recording(
         source=run.path,
@@ -375,19 +376,52 @@ def reference_rate(record: SegmentRecord, sums: SegmentSums) -> tuple[float, str
     return table.mean, "table", ""
 
 
+def _references_said(rows: Sequence[tuple[SegmentRecord, SegmentSums, float, str]]) -> list[str]:
+    """What is to be said of the rates that the table reports, or does not."""
+    turned = [
+        (record.rate_dps, rate, reference) for record, _, rate, reference in rows if record.rate_dps != 0.0
+    ]
+    unread = sum(reference == "command" for *_, reference in turned)
+    said = []
+    if unread:
+        said.append(
+            f"the table reports no rate or angle in {unread} of {len(turned)} segments that turn: the commanded rate is taken for true"
+        )
+    measured = [command * rate for command, rate, reference in turned if reference != "command"]
+    if measured and max(measured) < 0.0:
+        said.append(
+            "the rate that the table reports has the other sign than the one commanded, in every segment: the report is taken; "
+            "check which way is positive (counter-clockwise from above)"
+        )
+    return said
+
+
 def _saturated_sums(rows: Sequence[SegmentSums]) -> tuple[NDArray[np.bool_], int]:
-    """Data sets at the rail, and how many samples stand there.
+    """Data sets at the rail, and how many samples stand there."""
+    ends = np.array([(s.gyro.low, s.gyro.high) for s in rows])
+    return at_the_rail(
+        ends, np.array([(s.gyro.n_low, s.gyro.n_high) for s in rows]), np.array([s.gyro.n for s in rows])
+    )
+
+
+def at_the_rail(ends: Floats, counts: Ints, n: Ints) -> tuple[NDArray[np.bool_], int]:
+    """Which stretches of a recording are saturated, and how many samples stand at the rail.
+
+    Parameters
+    ----------
+    ends, counts : ndarray, shape (k, 2)
+        Least and largest output of each stretch, and how many samples have it.
+    n : ndarray, shape (k,)
+        Samples of each stretch.
 
     The rail is the recording's extreme value. A coarse output step also repeats its extremes; then every data set
     does so, also those far from the rail, and nothing is called saturated.
     """
-    share = np.array([(s.gyro.n_low / s.gyro.n, s.gyro.n_high / s.gyro.n) for s in rows])
-    extreme = np.array([(s.gyro.low, s.gyro.high) for s in rows])
-    at_rail = extreme == np.array([extreme[:, 0].min(), extreme[:, 1].max()])
+    share = counts / n[:, None]
+    at_rail = ends == np.array([ends[:, 0].min(), ends[:, 1].max()])
     usual = np.median(share[~at_rail]) if (~at_rail).any() else 0.0
-    alive = np.array([s.gyro.low != s.gyro.high or s.gyro.low != 0.0 for s in rows])
+    alive = (ends[:, 0] != ends[:, 1]) | (ends[:, 0] != 0.0)
     hit = at_rail & (share >= max(_RAIL_SHARE, 4 * usual)) & alive[:, None]
-    counts = np.array([(s.gyro.n_low, s.gyro.n_high) for s in rows])
     return np.asarray(hit.any(axis=1)), int(counts[hit].sum())
 
 

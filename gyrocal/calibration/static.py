@@ -15,27 +15,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.calibration.course import Course, CourseSums
+from gyrocal.calibration.course import Course
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.fit import gls_gain
 from gyrocal.calibration.jumps import jumps_of
-from gyrocal.calibration.noise import (
-    NoiseFigures,
-    add_pieces,
-    figures_of,
-    gaps,
-    noise_at_rest,
+from gyrocal.calibration.noise import NoiseFigures, figures_of, noise_at_rest
+from gyrocal.calibration.rest_reading import (
+    Block,
+    Reading,
+    curves_of,
+    less,
+    log_blocks,
+    read_rest,
+    run_blocks,
+    without,
+    without_glitches,
 )
+from gyrocal.calibration.trend import Trend, trend_of
 from gyrocal.calibration.warm_up import warm_up
 from gyrocal.errors import DataError, InputError
-from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER
 from gyrocal.inference.flicker import TIME_CONSTANTS_S, flicker_correlation
-from gyrocal.inference.rounding import StepCounts, mean_error, slope_error
+from gyrocal.inference.rounding import mean_error, slope_error
 from gyrocal.records.bags import is_bag
-from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice, iterate_gyro_log
+from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice
 from gyrocal.records.run import Run, read_run
-from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H
+from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H, plural
 
 Floats = NDArray[np.float64]
 
@@ -91,6 +96,8 @@ class StaticFigures:
     course : Course
     samples, missing : int
         Samples used, and samples that were bad, empty, not finite or left out.
+    set_aside : int
+        Single samples that stand far off all others.
     warnings : tuple of str
         That the output jumps, and what was left out for it; that its steps hide its noise.
     """
@@ -103,6 +110,7 @@ class StaticFigures:
     missing: int
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    set_aside: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, the Allan curve included."""
@@ -112,6 +120,7 @@ class StaticFigures:
             "recording": self.source.name,
             "samples": self.samples,
             "missing_samples": self.missing,
+            "samples_set_aside": self.set_aside,
             "record_s": self.noise.record_s,
             "figures": {name: figure.to_json() for name, figure in every.items()},
             "fit": self.noise.fit_statement,
@@ -132,31 +141,6 @@ class StaticFigures:
         }
 
 
-@dataclass(frozen=True)
-class _Block:
-    """Samples in a row of one segment; NaN output is a missing sample."""
-
-    segment: int
-    dt_s: float
-    t_s: Floats
-    gyro_dps: Floats
-    temp_c: Floats
-
-
-@dataclass
-class _Reading:
-    """What accumulates while a record is read."""
-
-    sums: dict[float, AllanSums] = field(default_factory=dict)
-    course: CourseSums = field(default_factory=CourseSums)
-    samples: int = 0
-    missing: int = 0
-    elapsed_s: float = 0.0
-    steps: int = 0
-    jitter_s: float = 0.0
-    stepped: StepCounts = field(default_factory=StepCounts)
-
-
 def examine_static(
     config: StaticConfig, progress: Callable[[float, str], None] | None = None
 ) -> StaticFigures:
@@ -171,41 +155,33 @@ def examine_static(
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
-    rate_hz, notes = config.rate_hz, list[str]()
-    if config.path.is_dir() and not is_bag(config.path):
-        if config.choice != GyroChoice():
-            raise InputError(
-                f"{config.path}: is a run of one gyro; leave out axis, instance, topic and columns."
-            )
-        run = read_run(config.path)
-        blocks = _run_blocks(run)
-        if config.latitude_deg is None and isinstance(run.bench.get("latitude_deg"), int | float):
-            config = replace(config, latitude_deg=float(run.bench["latitude_deg"]))
-        notes += list(run.notes)
-    else:
-        run, blocks = None, _log_blocks(config, notes)
-    reading = _read(blocks)
+    notes, aside_s = list[str](), list[float]()
+    config, run, blocks = _opened(config, notes)
+    reading = read_rest(without_glitches(blocks, aside_s))
     if reading.samples == 0:
         lacks = "holds no samples at rest. Record some with the static_allan profile."
         raise DataError(f"{config.path}: {lacks if run else ALL_EMPTY}")
-    course, raw = reading.course.course(), reading
-    spans = list[tuple[float, float]]()
+    course = reading.course.course()
+    off_dps, coarse = _rounded(reading)
     if run is None:
         _refuse_turns(config.path, course)
-        spans = jumps_of(course, reading.stepped.step)
-        reading = _read_again(config, reading, spans, notes)
+        reading, trend = _read_again(config, reading, off_dps, notes)
+    else:
+        trend = trend_of(course, [], off_dps) if reading.segments == 1 else Trend()
+        notes += _within(trend)
+    notes += _set_aside(aside_s, run)
     tell(0.8, "figures")
-    curves = _curves(reading)
+    curves = [trend.restored(curve) for curve in curves_of(reading)]
     noise = figures_of(curves) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
-    off_dps, coarse = _rounded(raw, curves)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
-    figures = [*_mean(course, covariance, off_dps, blank, config), *_slopes(course, covariance, blank)]
+    figures = [*_mean(course, covariance, off_dps, blank, config), *_slopes(course, covariance, blank, trend)]
     figures.append(warm_up(course, None if run is None else run.power_on_t_s, blank.sample))
-    if spans:
+    spans = trend.steps
+    if spans and run is None:
         reason = "the output jumps within the record: cut out a rest"
         figures = [replace(f, value=None, low=None, high=None, reason=reason) for f in figures]
-    figures.append(_clock(reading, rate_hz))
+    figures.append(_clock(reading, config.rate_hz))
     return StaticFigures(
         config.path,
         noise,
@@ -213,27 +189,84 @@ def examine_static(
         course,
         reading.samples,
         reading.missing,
-        tuple([_jumps_said(spans)] * bool(spans) + coarse),
+        tuple([_jumps_said(spans)] * bool(spans and run is None) + coarse),
         tuple(notes),
+        len(aside_s),
     )
+
+
+def _opened(config: StaticConfig, notes: list[str]) -> tuple[StaticConfig, Run | None, Iterator[Block]]:
+    """Samples of a run or of a log, with the latitude that a run says."""
+    if not config.path.is_dir() or is_bag(config.path):
+        return config, None, log_blocks(config.path, config.choice, notes)
+    if config.choice != GyroChoice():
+        raise InputError(f"{config.path}: is a run of one gyro; leave out axis, instance, topic and columns.")
+    run = read_run(config.path)
+    if config.latitude_deg is None and isinstance(run.bench.get("latitude_deg"), int | float):
+        config = replace(config, latitude_deg=float(run.bench["latitude_deg"]))
+    notes += list(run.notes)
+    return config, run, run_blocks(run)
 
 
 def _read_again(
-    config: StaticConfig, reading: _Reading, spans: list[tuple[float, float]], notes: list[str]
-) -> _Reading:
-    """A log without its jumps, or less what temperature does to it; as it was read where there is neither."""
-    if spans:
-        return _read(_without(_log_blocks(config, []), spans))
+    config: StaticConfig, reading: Reading, off_dps: float, notes: list[str]
+) -> tuple[Reading, Trend]:
+    """A log without its jumps, less what temperature and time do to it, and what these are; means may be off by `off_dps`."""
     course = reading.course.course()
-    bias = _over_temperature(course)
-    if bias is None:
-        return reading
-    low_c, high_c = np.min(course.temp_c), np.max(course.temp_c)
-    notes.append(
-        f"what temperature does to the output, a polynomial of order {_TEMPERATURE_ORDER} over {low_c:.1f} to {high_c:.1f} °C, is "
-        "taken off before noise is told"
+    spans = jumps_of(course, reading.stepped.step)
+    bias = None if spans else _over_temperature(course)
+    trend = Trend()
+
+    def again() -> Reading:
+        blocks = without_glitches(log_blocks(config.path, config.choice, []), [])
+        blocks = without(blocks, spans)
+        if bias is not None:
+            blocks = less(blocks, lambda block: bias(block.temp_c))
+        return read_rest(less(blocks, lambda block: trend.smooth_dps(block.t_s)))
+
+    if spans or bias is not None:
+        reading = again()
+    if bias is not None:
+        low_c, high_c = np.min(course.temp_c), np.max(course.temp_c)
+        notes.append(
+            f"what temperature does to the output, a polynomial of order {_TEMPERATURE_ORDER} over {low_c:.1f} to {high_c:.1f} °C, is "
+            "taken off before noise is told"
+        )
+    found = trend_of(reading.course.course(), spans, off_dps)
+    if found != Trend():
+        trend, spans = found, sorted([*spans, *found.steps])
+        reading = again()
+        notes += [f"{what} is taken off before noise is told" for what in _said(found)]
+    return reading, replace(found, steps=tuple(spans))
+
+
+def _said(trend: Trend) -> list[str]:
+    """What the output does beside noise and steps, in words."""
+    said = [f"a straight drift, {trend.drift_dps_per_s * DPS_TO_DPH * S_PER_H:.3g} deg/h/h,"] * bool(
+        trend.drift_dps_per_s
     )
-    return _read(_less(_log_blocks(config, []), bias))
+    if trend.settling is not None:
+        size_dps, constant_s = trend.settling
+        size = f"{size_dps * DPS_TO_DPH:.3g} deg/h at the beginning"
+        said.append(f"what settles as after power-on ({size}, time constant about {constant_s:.2g} s)")
+    return said
+
+
+def _within(trend: Trend) -> list[str]:
+    """What stands in the noise of a run, of which nothing is taken off."""
+    said = _said(trend) + [f"a step at {start:.4g} to {end:.4g} s" for start, end in trend.steps]
+    return [
+        f"{what} is within bias instability and rate random walk, which are less without it" for what in said
+    ]
+
+
+def _set_aside(times_s: list[float], run: Run | None) -> list[str]:
+    """Single samples that stand far off, in words."""
+    if not times_s:
+        return []
+    text = f"{len(times_s)} single [sample stands|samples stand] far off all others (the first at {times_s[0]:.6g} s)"
+    done = "the noise of a run holds them" if run else "the median of five stands in the place of each"
+    return [f"{plural(len(times_s), text)}; {done}"]
 
 
 def _refuse_turns(path: Path, course: Course) -> None:
@@ -255,11 +288,13 @@ def _jumps_said(spans: Sequence[tuple[float, float]]) -> str:
     return f"the output jumps (at {shown}): the gyro was moved, or its bias stepped; noise is told without the {length_s:.3g} s around"
 
 
-def _rounded(reading: _Reading, curves: Sequence[AllanCurve]) -> tuple[float, list[str]]:
+def _rounded(reading: Reading) -> tuple[float, list[str]]:
     """How far rounding may put the mean off, and what to say of it where it may do more than that."""
+    curves = curves_of(reading)
     # Halves of stretches scatter by half their Allan variance; all halvings together are the scatter of the samples.
     scatter_dps = float(np.sqrt(0.5 * curves[0].avar.sum())) if curves else 0.0
-    if not np.isfinite(step_dps := reading.stepped.step):
+    few_rows = not any(curve.factor.size for curve in curves)
+    if few_rows or not np.isfinite(step_dps := reading.stepped.step):
         return 0.0, []
     if reading.stepped.few:
         noise_dps = reading.stepped.least_noise()
@@ -272,15 +307,6 @@ def _rounded(reading: _Reading, curves: Sequence[AllanCurve]) -> tuple[float, li
     return mean_error(step_dps, scatter_dps), [said] if share > _ROUNDED else []
 
 
-def _without(blocks: Iterator[_Block], spans: Sequence[tuple[float, float]]) -> Iterator[_Block]:
-    """The blocks, missing what lies in `spans`."""
-    for block in blocks:
-        inside = np.zeros(block.t_s.shape, dtype=np.bool_)
-        for start, end in spans:
-            inside |= (block.t_s >= start) & (block.t_s <= end)
-        yield replace(block, gyro_dps=np.where(inside, np.nan, block.gyro_dps))
-
-
 def _over_temperature(course: Course) -> np.polynomial.Polynomial | None:
     """The output of a log over its temperatures; None where they are unknown or vary too little to say."""
     known = bool(np.isfinite(course.temp_c).all()) and course.t_s.size >= _LEAST_MEANS
@@ -289,72 +315,6 @@ def _over_temperature(course: Course) -> np.polynomial.Polynomial | None:
     return np.polynomial.Polynomial.fit(
         course.temp_c, course.gyro_dps, _TEMPERATURE_ORDER, w=np.sqrt(course.n)
     )
-
-
-def _less(blocks: Iterator[_Block], bias: np.polynomial.Polynomial) -> Iterator[_Block]:
-    """The blocks less what temperature does to the output; a sample without a temperature is missing."""
-    for block in blocks:
-        yield replace(block, gyro_dps=block.gyro_dps - bias(block.temp_c))
-
-
-def _run_blocks(run: Run) -> Iterator[_Block]:
-    for record in run.segments:
-        if record.outcome == "failed" or record.rate_dps != 0.0:
-            continue
-        dt_s = record.averaging_s
-        for block in run.iterate_segment(record):
-            if dt_s is None and block.t_s.size > 1:
-                dt_s = float(np.median(np.diff(block.t_s)))
-            if dt_s is not None:
-                gyro_dps = np.where(block.good, block.gyro_dps, np.nan)
-                yield _Block(record.id, dt_s, block.t_s, gyro_dps, block.gyro_temp_c)
-
-
-def _log_blocks(config: StaticConfig, notes: list[str]) -> Iterator[_Block]:
-    for block in iterate_gyro_log(config.path, config.choice):
-        notes += block.notes
-        rate = np.where(np.isfinite(block.rate_dps), block.rate_dps, 0.0)
-        yield _Block(block.segment, block.usual_dt_s, block.t_s, block.gyro_dps - rate, block.temp_c)
-
-
-def _read(blocks: Iterator[_Block]) -> _Reading:
-    reading, segment, tail = _Reading(), None, np.empty(0)
-    for block in blocks:
-        if block.segment != segment:
-            for sums in reading.sums.values():
-                sums.cut()
-            segment, tail = block.segment, np.empty(0)
-        good = np.isfinite(block.gyro_dps) & np.isfinite(block.t_s)
-        t_s, gyro_dps = block.t_s[good], block.gyro_dps[good]
-        reading.missing += int(good.size - t_s.size)
-        if t_s.size < 2:
-            continue
-        reading.samples += t_s.size
-        reading.stepped.add(block.segment, gyro_dps, block.dt_s)
-        reading.course.add(t_s, gyro_dps, block.temp_c[good])
-        cuts, tail = gaps(tail, t_s, block.dt_s)
-        _time(reading, t_s, cuts, block.dt_s)
-        add_pieces(reading.sums.setdefault(block.dt_s, AllanSums(block.dt_s)), np.split(gyro_dps, cuts))
-    return reading
-
-
-def _curves(reading: _Reading) -> list[AllanCurve]:
-    """Allan curves; the sample time of a plain log is its mean one, which jitter of the time stamps does not bend."""
-    curves = [reading.sums[dt_s].curve() for dt_s in sorted(reading.sums)]
-    if len(curves) == 1 and reading.steps:
-        return [replace(curves[0], dt_s=reading.elapsed_s / reading.steps)]
-    return curves
-
-
-def _time(reading: _Reading, t_s: Floats, cuts: NDArray[np.int64], dt_s: float) -> None:
-    """Elapsed time and number of steps of gapless stretches, for the clock."""
-    for piece in np.split(t_s, cuts):
-        if piece.size > 1:
-            reading.steps += piece.size - 1
-            reading.elapsed_s += float(piece[-1] - piece[0])
-            reading.jitter_s = max(
-                reading.jitter_s, float(np.std(np.diff(piece))) if piece.size > 2 else dt_s
-            )
 
 
 def _covariance(course: Course, noise: NoiseFigures, elapsed_s: float) -> Floats | None:
@@ -422,7 +382,7 @@ def earth_rate_dph(latitude_deg: float, elevation_deg: float, azimuth_deg: float
     return float(EARTH_RATE_DPH * (north + np.sin(latitude) * np.sin(elevation)))
 
 
-def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Figure]:
+def _slopes(course: Course, covariance: Floats | None, blank: Figure, trend: Trend) -> list[Figure]:
     """Slopes over time and temperature, by generalised least squares, jointly where both vary."""
     blank = replace(blank, method="slope of the means over the record, weighted by the noise")
     ramp = replace(blank, name=RATE_RAMP, unit="deg/h/h", definition="R of the drift R t")
@@ -435,13 +395,16 @@ def _slopes(course: Course, covariance: Floats | None, blank: Figure) -> list[Fi
     if covariance is None or course.t_s.size < _LEAST_MEANS:
         reason = "the record is too short, or its noise has no model"
         return [replace(ramp, reason=reason), replace(warm, reason=reason)]
+    if trend.settling is not None:
+        reason = "the output settles as after power-on, which is neither: cut out what comes later"
+        return [replace(ramp, reason=reason), replace(warm, reason=reason)]
     columns = [np.ones(course.t_s.size), course.t_s - course.t_s.mean()]
     known = bool(np.isfinite(course.temp_c).all())
     varied = known and float(np.ptp(course.temp_c)) > _LEAST_SPAN_C
     if varied:
         columns.append(course.temp_c - course.temp_c.mean())
-        trend = np.polynomial.Polynomial.fit(course.t_s, course.temp_c, 1)
-        if float(np.ptp(course.temp_c - trend(course.t_s))) < _LEAST_SPAN_C:
+        even = np.polynomial.Polynomial.fit(course.t_s, course.temp_c, 1)
+        if float(np.ptp(course.temp_c - even(course.t_s))) < _LEAST_SPAN_C:
             reason = "the temperature changes evenly with time, and what either does is not told apart"
             return [replace(ramp, reason=reason), replace(warm, reason=reason)]
     design = np.stack(columns, axis=1)
@@ -476,7 +439,7 @@ def _or_bound(figure: Figure) -> Figure:
     return replace(figure, value=None, low=None, high=most, reason=reason)
 
 
-def _clock(reading: _Reading, rate_hz: float | None) -> Figure:
+def _clock(reading: Reading, rate_hz: float | None) -> Figure:
     blank = Figure(
         "clock_error",
         "ppm",

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
+from gyrocal.calibration.datasets import at_the_rail
 from gyrocal.errors import DataError
 from gyrocal.inference.rounding import least_noise, mean_error
 from gyrocal.units import NORMAL_95, plural
@@ -36,6 +37,7 @@ _REST_SIGMA, _REST_DPS = 6.0, 0.2
 _QUARTER = 0.31864
 #: A turn whose angle is further than this share of the mark's from a multiple of it is not taken for one.
 _OFF_MARK = 0.2
+_SATURATED = "saturated: samples stand at the recording's extreme value"
 #: Scatter of the stops that is weighed, deg: uniform in its logarithm, and none.
 _STOPS_DEG = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 60)])
 
@@ -59,7 +61,7 @@ class Turn:
     angle_deg : what the gyro integrates to, less the bias of the rests around it
     std_deg : of that, from the gyro's white noise and a bias that walks between the rests as it does from rest to rest
     true_deg : the multiple of the mark's angle next to it
-    used : False where `angle_deg` is too far from any multiple; `remark` says so
+    used : False where `angle_deg` is too far from any multiple, or the gyro at its rail; `remark` says so
     """
 
     start_s: float
@@ -89,12 +91,14 @@ class TurnCalibration:
     Attributes
     ----------
     scale : scale factor error, output over true less 1, ppm, the mean of both directions
+    other_scales_ppm : what it would be if the turns were by more marks than counted, and by fewer; None where none are fewer
     asymmetry : counter-clockwise less clockwise, ppm; None with turns in one direction only
     bias : mean of the rests, deg/s; its interval from their scatter and from what rounding may hide
     stop_std_deg : how well the stops are on their marks, estimated from the turns themselves
     """
 
     scale: Figure
+    other_scales_ppm: tuple[float, float | None]
     asymmetry: Figure | None
     bias: Figure
     stop_std_deg: float
@@ -127,8 +131,22 @@ def calibrate_turns(t_s: Floats, gyro_dps: Floats, mark_deg: float = 360.0) -> T
     hidden_dps = mean_error(step_dps, math.hypot(noise_dps, step_dps / math.sqrt(12.0)))
     scale, asymmetry, stop_std_deg = _fit(turns, hidden_dps)
     return TurnCalibration(
-        scale, asymmetry, _bias(rests, hidden_dps), stop_std_deg, tuple(rests), tuple(turns)
+        scale,
+        _other_scales(scale, turns, mark_deg),
+        asymmetry,
+        _bias(rests, hidden_dps),
+        stop_std_deg,
+        tuple(rests),
+        tuple(turns),
     )
+
+
+def _other_scales(scale: Figure, turns: list[Turn], mark_deg: float) -> tuple[float, float | None]:
+    """Scale factor errors by which the next other counts of marks, more and fewer, fit all turns as well."""
+    # All counts change by one factor, and stay whole.
+    marks = math.gcd(*(round(turn.true_deg / mark_deg) for turn in turns if turn.used))
+    factor = 1e6 + scale.value
+    return factor * marks / (marks + 1) - 1e6, factor * marks / (marks - 1) - 1e6 if marks > 1 else None
 
 
 def _too_few(rests: list[Rest], turns: list[Turn], mark_deg: float) -> str:
@@ -138,6 +156,8 @@ def _too_few(rests: list[Rest], turns: list[Turn], mark_deg: float) -> str:
         f"{plural(count, '[turn|turns]')} by a multiple of {mark_deg:g} deg {plural(len(rests), '[is|are]')} found, and three "
         "turns are wanted: stand still between the turns, and give the angle of the mark"
     )
+    if any(turn.remark == _SATURATED for turn in turns):
+        return f"{said}. Some turns are {_SATURATED}: turn more slowly."
     others = [f"{turn.angle_deg:.0f}" for turn in turns if not turn.used]
     shown = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")
     return f"{said}. By the gyro it turned by {shown} deg." if others else f"{said}."
@@ -216,7 +236,8 @@ def _densest(x: Floats) -> float:
 
 def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_deg: float) -> list[Turn]:
     turns, walk = [], _walk(rests)
-    for before, after in itertools.pairwise(rests):
+    saturated = _saturated(t_s, gyro_dps, rests)
+    for (before, after), clipped in zip(itertools.pairwise(rests), saturated, strict=True):
         # From the middle of one rest to the middle of the next, so that nothing of the turn is cut off.
         start, end = 0.5 * (before.start_s + before.end_s), 0.5 * (after.start_s + after.end_s)
         inside = (t_s > start) & (t_s <= end)
@@ -228,8 +249,9 @@ def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_
         bias_std = 0.5 * length * math.hypot(before.std_error_dps, after.std_error_dps)
         noise = before.std_error_dps**2 * (before.end_s - before.start_s)
         true = mark_deg * round(angle / mark_deg)
-        used = true != 0.0 and abs(angle - true) <= _OFF_MARK * mark_deg
-        remark = "" if used else f"{angle:.1f} deg is not near a multiple of {mark_deg:g} deg"
+        near = true != 0.0 and abs(angle - true) <= _OFF_MARK * mark_deg
+        remark = "" if near else f"{angle:.1f} deg is not near a multiple of {mark_deg:g} deg"
+        remark = _SATURATED if clipped else remark
         turns.append(
             Turn(
                 before.end_s,
@@ -238,11 +260,27 @@ def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_
                 math.sqrt(bias_std**2 + noise * length + walk * length**3 / 12.0),
                 true,
                 float(np.max(np.abs(rate))),
-                used,
+                not remark,
                 remark,
             )
         )
     return turns
+
+
+def _saturated(t_s: Floats, gyro_dps: Floats, rests: list[Rest]) -> list[bool]:
+    """Whether the gyro stands at its rail between each two rests."""
+    ends = [(rest.end_s, rest.start_s) for rest in rests]
+    stretches = [(a[1], a[0]) for a in ends] + [(a[0], b[1]) for a, b in itertools.pairwise(ends)]
+    outputs = [gyro_dps[(t_s >= start) & (t_s <= end)] for start, end in stretches]
+    lows_and_highs = np.array([(x.min(), x.max()) for x in outputs]).reshape(-1, 2)
+    counts = [
+        (np.count_nonzero(x == low), np.count_nonzero(x == high))
+        for x, (low, high) in zip(outputs, lows_and_highs, strict=True)
+    ]
+    if len(rests) < 2:
+        return []
+    hit = at_the_rail(lows_and_highs, np.array(counts), np.array([x.size for x in outputs]))[0]
+    return [bool(x) for x in hit[len(rests) :]]
 
 
 def _fit(turns: list[Turn], hidden_dps: float) -> tuple[Figure, Figure | None, float]:

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import stats
 
 from gyrocal.calibration.course import Course
 from gyrocal.calibration.figure import Figure
-from gyrocal.inference.flicker import TIME_CONSTANTS_S, flicker_correlation
-
-Floats = NDArray[np.float64]
+from gyrocal.calibration.trend import CourseNoise
 
 WARM_UP = "warm_up_time"
 #: Fewer means do not show a course.
@@ -22,8 +19,6 @@ _LATEST_S = 600.0
 #: Time constants of an exponential until 95 % of it is over.
 _CONSTANTS = 3.0
 _TRIED = 80
-#: Levels of the drift that are tried, three a decade.
-_LEVELS = 25
 #: Chance that noise passes for a warm-up of one time constant; of any that are tried it does in less than one of a hundred.
 _ALARM = 1e-3
 #: Rise of the cost at the ends of a 95 % interval.
@@ -57,7 +52,12 @@ def warm_up(course: Course, on_s: float | None, sample: str) -> Figure:
     if since_s.size < _LEAST_MEANS:
         return replace(blank, reason="the record is too short")
     tau_s = np.geomspace(2.0 * float(np.median(np.diff(since_s))), 0.5 * course.span_s, _TRIED)
-    without, cost = _costs(course, since_s, tau_s)
+    columns = [np.ones(since_s.size)]
+    if np.isfinite(course.temp_c).all() and np.ptp(course.temp_c) > 0:
+        columns.append(course.temp_c - course.temp_c.mean())
+    # The levels of the Allan variance would have the warm-up in them.
+    noise, decays = CourseNoise(course), np.exp(-since_s[:, None] / tau_s)
+    without, cost = noise.costs(course.gyro_dps, np.stack(columns, axis=1), decays)
     best = int(np.argmin(cost))
     if without - cost[best] < stats.chi2.isf(_ALARM, 2):
         return replace(blank, reason="no change since power-on stands out of the noise")
@@ -70,39 +70,3 @@ def warm_up(course: Course, on_s: float | None, sample: str) -> Figure:
     return replace(
         blank, value=float(value_min[best]), low=float(value_min[low]), high=float(value_min[high])
     )
-
-
-def _costs(course: Course, since_s: Floats, tau_s: Floats) -> tuple[float, Floats]:
-    """Minus twice the log-likelihood of the means without and with an exponential of each time constant, shape (t,).
-
-    Noise is white and, as likely as can be, 1/f or a random walk of whatever level: those of the Allan variance would have the
-    warm-up in them.
-    """
-    duration_s = course.n / course.n.sum() * course.span_s
-    columns = [np.ones(since_s.size)]
-    if np.isfinite(course.temp_c).all() and np.ptp(course.temp_c) > 0:
-        columns.append(course.temp_c - course.temp_c.mean())
-    decays = np.exp(-since_s[:, None] / tau_s)
-    scaled = np.column_stack([*columns, course.gyro_dps, decays]) * np.sqrt(duration_s)[:, None]
-    without, cost = np.inf, np.full(tau_s.size, np.inf)
-    flicker = flicker_correlation(course.t_s, duration_s, TIME_CONSTANTS_S)
-    for drift in (flicker, np.minimum(since_s[:, None], since_s[None, :])):
-        power, vectors = linalg.eigh(drift * np.sqrt(np.outer(duration_s, duration_s)))
-        turned = vectors.T @ scaled
-        for level in np.append(0.0, np.geomspace(1e-3, 1e3, _LEVELS) / power[power.size // 2 :].mean()):
-            variance = 1.0 + level * np.maximum(power, 0.0)
-            alone, beside = _squares(turned / np.sqrt(variance)[:, None], len(columns))
-            spread = float(np.log(variance).sum())
-            without = min(without, since_s.size * float(np.log(alone)) + spread)
-            cost = np.minimum(cost, since_s.size * np.log(beside) + spread)
-    return without, cost
-
-
-def _squares(white: Floats, nuisance: int) -> tuple[float, Floats]:
-    """Sum of squares of the column after the first `nuisance` ones beside them, and beside each later one too."""
-    q = linalg.qr(white[:, :nuisance], mode="economic")[0]
-    rest = white[:, nuisance:] - q @ (q.T @ white[:, nuisance:])
-    error, decay = rest[:, 0], rest[:, 1:]
-    size = np.maximum(np.sum(decay**2, axis=0), np.finfo(float).tiny)
-    alone = float(error @ error)
-    return alone, np.asarray(alone - (error @ decay) ** 2 / size)

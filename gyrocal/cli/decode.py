@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from gyrocal.cli.console import emit_json, json_option, overwrite_option
-from gyrocal.errors import OutputError
 
 
 @click.command()
@@ -34,9 +33,9 @@ def command(capture: Path, output: Path, overwrite: bool, as_json: bool) -> None
     from gyrocal.bench.capture import decode_capture
     from gyrocal.records.files import check_output_file
 
-    if output.resolve() == capture.resolve():
-        raise OutputError(f"{output}: is the capture itself. Choose another --output.")
-    check_output_file(output, overwrite=overwrite)
+    run = capture.resolve().parent.parent
+    inputs = [capture, *([run] if (run / "run.json").exists() else [])]
+    check_output_file(output, overwrite=overwrite, inputs=inputs)
     decoded = decode_capture(capture, output)
     if as_json:
         emit_json(

@@ -71,7 +71,7 @@ def command(
 
     kalibr: imu.yaml with the gyro's noise. px4, ardupilot: parameters with the bias over temperature; they have no place
     for the rest. The header holds PREFIX_error, PREFIX_correct and PREFIX_flags in double, and the same ending in f in float. The
-    error in float is within 1e-6 deg/s of the coefficient file's; the corrected rate in float has the steps
+    error in float is within 1e-6 deg/s of the coefficient file's in its valid range; the corrected rate in float has the steps
     of a float besides (7.6e-6 deg/s at 100 deg/s).
 
     Terms of `diagnose` that a robot can evaluate go along. Those that remember earlier temperatures bring a
@@ -82,7 +82,6 @@ def command(
     from gyrocal.calibration.export import export_c_header, write_header
     from gyrocal.calibration.provenance import naming
     from gyrocal.cli.console import emit_json
-    from gyrocal.errors import OutputError
     from gyrocal.fusion.coefficients import load_coefficients
     from gyrocal.records.files import check_output_file, write_atomically
 
@@ -95,9 +94,7 @@ def command(
     if output is None:
         click.echo(made if export is None else export.text, nl=False)
         return
-    if output.resolve() == coefficients.resolve():
-        raise OutputError(f"{output}: is the coefficient file itself. Choose another --output.")
-    check_output_file(output, overwrite=overwrite)
+    check_output_file(output, overwrite=overwrite, inputs=[coefficients])
     if export is None:
         write_atomically(output, made or "")
         about = {"format": form, "sensor": dict(loaded.sensor)}

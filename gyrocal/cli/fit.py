@@ -77,7 +77,7 @@ def command(
     from gyrocal.cli.console import emit_json
     from gyrocal.records.files import check_output_file, write_atomically
 
-    check_output_file(output, overwrite=overwrite)
+    check_output_file(output, overwrite=overwrite, inputs=[recording])
     result = calibrate(
         recording, FitConfig(counts_per_dps, weights, bias_only, exclude, force, direction, paper)
     )

@@ -45,7 +45,7 @@ def command(
     Example: gyrocal turn turns.csv --mark-deg 360
     """
     from gyrocal.commands.turn import examine_turns, write_turns
-    from gyrocal.report.turns import turn_rows, turn_sentence
+    from gyrocal.report.turns import count_sentence, turn_rows, turn_sentence
 
     report = examine_turns(log, mark_deg, choice)
     if out is not None:
@@ -56,6 +56,6 @@ def command(
     click.echo(turn_sentence(report.found))
     click.echo("")
     emit_table(*turn_rows(report.found))
-    emit_list(report.notes)
+    emit_list([count_sentence(report.found), *report.notes])
     if out is not None:
         click.echo(f"\nPictures and numbers: open {out / 'turns.html'}")

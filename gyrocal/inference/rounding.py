@@ -35,6 +35,8 @@ _EDGES = 20
 _LEAST_SHARE = 0.02
 #: An output of more values than this has noise enough to carry it over its steps.
 _FEW_VALUES = 64
+#: Where values come less often than this on average, they are no steps.
+_AGAIN = 2
 #: Sample times that differ by less than this factor are one.
 _SAME_TIME = 1.5
 #: Fall of the log-likelihood at a bound that holds with 95 % (half of chi-square's 90 % with one degree of freedom).
@@ -105,14 +107,21 @@ class StepCounts:
             self.dt_s, self.step, self.values = dt_s, np.inf, {}
         moved = np.abs(np.diff(output))
         self.step = float(np.min(moved, where=moved > 0.0, initial=self.step))
-        if self.few:
+        if self._countable:
             values, counts = np.unique(output, return_counts=True)
             counted = dict(zip(values.tolist(), counts.tolist(), strict=True))
             self.values.setdefault(segment, Counter()).update(counted)
 
     @property
     def few(self) -> bool:
-        """Whether the values are so few that steps may hide the noise."""
+        """Whether the values are so few that steps may hide the noise: of a record of a few rows each may come once."""
+        distinct = sum(len(counted) for counted in self.values.values())
+        return (
+            self._countable and sum(counted.total() for counted in self.values.values()) >= _AGAIN * distinct
+        )
+
+    @property
+    def _countable(self) -> bool:
         return all(len(counted) <= _FEW_VALUES for counted in self.values.values())
 
     def least_noise(self) -> float:

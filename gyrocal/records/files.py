@@ -10,7 +10,7 @@ import math
 import os
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -83,8 +83,21 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         f.write(data.encode() if isinstance(data, str) else data)
 
 
-def check_output_file(path: Path, *, overwrite: bool) -> None:
-    """Refuse, before the work, an output that is a directory, or that exists and may not be overwritten."""
+def check_output_file(path: Path, *, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse, before the work, an output that must not be written.
+
+    Parameters
+    ----------
+    inputs : iterable of Path
+        What the command reads: no output replaces one of them, or lies in one that is a directory.
+
+    Raises
+    ------
+    OutputError
+        `path` is an input or lies in one, is a directory, or exists and may not be overwritten.
+    """
+    if any(path.resolve().is_relative_to(read.resolve()) for read in inputs):
+        raise OutputError(f"{path}: is an input of this command, or lies in it. Choose another --output.")
     if path.is_dir():
         raise OutputError(f"{path}: is a directory, and a file is wanted here. Choose another --output.")
     if path.exists() and not overwrite:

@@ -15,6 +15,8 @@ Ints = NDArray[np.int64]
 WORST_SCALE = 1.5
 #: A scale that is this near to a well-known mistake is that mistake.
 _NEAR = 0.15
+#: Beyond so many times the rate, an output may be counts as well as of a finer unit.
+_COUNTS = 10.0
 #: An output that follows the rate by less does not follow it.
 _DEAD = 2e-3
 #: A data set that is further off than this many times the largest rate was not measured.
@@ -361,9 +363,10 @@ def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Od
     scale = scale_unclipped(rate_dps, gyro_dps)
     if not np.isfinite(scale) or 1.0 / WORST_SCALE < scale < WORST_SCALE:
         return None
-    text = f"the output is {scale:.3g} times the rate"
+    text = f"the output is {times_said(scale)} times the rate"
     mistake, meaning = min(_MISTAKES, key=lambda known: abs(scale / known[0] - 1.0))
     if abs(scale / mistake - 1.0) < _NEAR:
+        meaning += ", or in counts of another scale" * (scale >= _COUNTS)
         return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT, a_scale=True)
     if abs(scale) < _DEAD:
         return Odd(f"{text}: it does not follow the rate", _STUCK, a_scale=True)

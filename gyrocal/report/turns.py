@@ -19,6 +19,8 @@ from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.units import plural
 
 _CURVE_POINTS = 6000
+#: Scale factor errors up to this are those of gyros: a few percent for MEMS, some more by how they are mounted.
+_LIKELY_PPM = 1e5
 #: Which bias is meant: a gyro whose bias walks has one for each rest.
 _BIAS = "mean bias of the rests"
 
@@ -48,6 +50,16 @@ def turn_sentence(found: TurnCalibration) -> str:
     parts.append(f"{_BIAS} {_said(found.bias)}")
     parts.append(f"the stops are off their marks by {found.stop_std_deg:.2g} deg")
     return ", ".join(parts) + "."
+
+
+def count_sentence(found: TurnCalibration) -> str:
+    """What the scale factor error is if the marks are miscounted, and whether these turns leave that open."""
+    more, fewer = found.other_scales_ppm
+    others = " or ".join(f"{other * 1e-4:+.3g} %" for other in (more, fewer) if other is not None)
+    text = f"How many marks a turn passes is counted by the gyro: by another count the scale factor error is {others}, or further off."
+    if any(other is not None and abs(other) < _LIKELY_PPM for other in (more, fewer)):
+        text += " These turns do not tell which: turn by fewer marks, too."
+    return text
 
 
 def _said(figure: Figured) -> str:
@@ -93,7 +105,8 @@ def turn_page(report: TurnReport, png: bytes) -> Page:
         key_figures=[(name, "turn both ways for it" if f is None else _said(f)) for name, f in figures],
         remarks=[
             "The bias is the mean of what the gyro says at the rests, earth rate within it; where it walks from rest to rest, that "
-            "of another time is another."
+            "of another time is another.",
+            count_sentence(found),
         ],
         pictures=[
             Picture("turns", "Rests and turns", "Above the log, below what each turn is off; 95 % bars.", png)

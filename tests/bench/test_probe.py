@@ -104,7 +104,9 @@ def test_probe_of_a_tcp_port_that_streams_and_of_one_that_is_silent() -> None:
 
 
 def test_a_capture_is_decoded_by_the_codec_that_recorded_it(tmp_path: Path) -> None:
-    path, out = tmp_path / "gyro.raw", tmp_path / "samples.csv"
+    path, out = tmp_path / "run" / "raw" / "gyro.raw", tmp_path / "samples.csv"
+    path.parent.mkdir(parents=True)
+    (tmp_path / "run" / "run.json").write_text("{}")
     writer = RawWriter(path, "kvh-frame-a", {"axis": "z", "temperature_lsb_c": 0.01})
     data = sent("kvh-frame-a", 20)
     for i in range(0, len(data), 50):
@@ -120,7 +122,8 @@ def test_a_capture_is_decoded_by_the_codec_that_recorded_it(tmp_path: Path) -> N
     captured = path.read_bytes()
     for target, more, said in (
         (out, [], "exists; nothing was overwritten"),
-        (path, ["--overwrite"], "is the capture itself"),
+        (path, ["--overwrite"], "is an input of this command"),
+        (tmp_path / "run" / "run.json", ["--overwrite"], "or lies in it"),
     ):
         refused = CliRunner().invoke(gyrocal_command, ["decode", str(path), "-o", str(target), *more])
         assert said in str(refused.exception)

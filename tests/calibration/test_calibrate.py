@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,25 @@ def test_file_is_complete_and_reads_back(result: Calibration, run: Path) -> None
 def test_same_input_gives_the_same_bytes(result: Calibration, run: Path) -> None:
     assert calibrate(run, FitConfig()).coefficients.to_text() == result.coefficients.to_text()
     assert str(run.parent) not in result.coefficients.to_text()
+
+
+def test_commanded_rates_that_nothing_measures_are_said(tmp_path: Path) -> None:
+    """Before: they were taken for true without a word, and a table that turns the other way was none either."""
+    sets = simulate(np.random.default_rng(4))
+    parts = parts_of(sets, np.random.default_rng(5))
+    other_way = [replace(part, rate_dps=-part.rate_dps) for part in parts]
+    unread = [replace(part, rows=[row for row in part.rows if row.endswith(",,,,")]) for part in parts]
+    said = {
+        name: " ".join(calibrate(write_run(tmp_path / name, each), FitConfig()).notes)
+        for name, each in (("measured", parts), ("unread", unread), ("other_way", other_way))
+    }
+    turned = np.count_nonzero(sets.rate_dps)
+    assert (
+        f"reports no rate or angle in {turned} of {turned} segments that turn: the commanded rate is taken for true"
+        in said["unread"]
+    )
+    assert "has the other sign than the one commanded, in every segment" in said["other_way"]
+    assert "commanded" not in said["measured"]
 
 
 def test_every_sample_lies_in_the_valid_range(result: Calibration) -> None:

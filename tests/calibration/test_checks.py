@@ -81,7 +81,12 @@ def test_stuck_gyro(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(-1.0, "-1 times"), (np.pi / 180.0, "0.0175 times"), (3600.0, "3.6e+03")]
+    ("factor", "said"),
+    [
+        (-1.0, "-1 times"),
+        (np.pi / 180.0, "0.0175 times"),
+        (3600.0, "3,600 times the rate (it is in deg/h, or in counts of another scale)"),
+    ],
 )
 def test_another_unit_or_sign_is_refused_and_forced(tmp_path: Path, factor: float, said: str) -> None:
     rate, temp = grid()

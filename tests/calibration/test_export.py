@@ -358,5 +358,5 @@ def test_the_command(tmp_path: Path) -> None:
     assert json.loads(facts)["coefficients_sha256"] == digest
     assert run.invoke(gyrocal_command, ["export", str(source), "--json"]).exit_code == 2
     onto_itself = run.invoke(gyrocal_command, ["export", str(source), "-o", str(source), "--overwrite"])
-    assert "is the coefficient file itself" in str(onto_itself.exception)
+    assert "is an input of this command" in str(onto_itself.exception)
     assert source.read_text(encoding="utf-8").startswith("{")

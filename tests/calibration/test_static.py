@@ -13,10 +13,11 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.calibration.course import CourseSums
+from gyrocal.calibration.course import Course, CourseSums
 from gyrocal.calibration.jumps import jumps_of
 from gyrocal.calibration.noise import gaps
 from gyrocal.calibration.static import StaticConfig, StaticFigures, earth_rate_dph, examine_static
+from gyrocal.calibration.trend import Trend, trend_of
 from gyrocal.cli import gyrocal_command
 from gyrocal.errors import DataError, GyrocalError
 from tests.calibration.runs import Part, gyro_row, write_run
@@ -104,6 +105,109 @@ def test_noise_of_any_kind_does_not_jump() -> None:
         sums.add(t_s, gyro, np.full(t_s.size, np.nan))
         steps = np.abs(np.diff(gyro))
         assert jumps_of(sums.course(), float(np.min(steps[steps > 0]))) == []
+
+
+def course_of_log(t_s: Floats, gyro_dps: Floats) -> Course:
+    sums = CourseSums()
+    sums.add(t_s, gyro_dps, np.full(t_s.size, np.nan))
+    return sums.course()
+
+
+@pytest.mark.parametrize("seeds", [2, pytest.param(60, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
+def test_noise_of_any_kind_has_no_trend(seeds: int) -> None:
+    """One of a thousand is allowed to drift, one to settle, one to step."""
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    found = 0
+    for seed in range(seeds):
+        rng = np.random.default_rng([61, seed])
+        noise = white(rng, t_s.size)
+        logs = (
+            noise,
+            noise + flicker(rng, t_s.size, 1e-3, 0.1),
+            noise + np.cumsum(rng.normal(0.0, 1e-5, t_s.size)),
+            noise + np.cumsum(rng.normal(0.0, 1e-4, t_s.size)),
+            noise + flicker(rng, t_s.size, 5e-4, 0.1) + np.cumsum(rng.normal(0.0, 1e-5, t_s.size)),
+        )
+        found += sum(trend_of(course_of_log(t_s, gyro), [], 0.0) != Trend() for gyro in logs)
+    assert found <= stats.binom.isf(FALSE_ALARM, 5 * seeds, 3e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("drift", "a straight drift, "),
+        ("step", "the output jumps (at 1"),
+        ("settling", "what settles as after power-on"),
+    ],
+)
+def test_what_is_no_noise_is_no_random_walk(tmp_path: Path, kind: str, said: str) -> None:
+    """Before: a walk of 5.5, 17 and 25 deg/h/√h, each with an interval that was far from none, and nothing said."""
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    off = {
+        "drift": 20.0 / 3600.0**2 * t_s,
+        "step": np.where(t_s > 1800.0, 0.005, 0.0),
+        "settling": 0.02 * np.exp(-t_s / 400.0),
+    }
+    log = write_log(tmp_path / "log.csv", t_s, off[kind] + white(np.random.default_rng(62), t_s.size))
+    found = examine_static(StaticConfig(log))
+    figures = found.noise.figures
+    assert figures["rate_random_walk"].value is None
+    assert figures["bias_instability"].value is None
+    assert figures["angle_random_walk"].low < 60.0 * ARW_DPS_RT_S < figures["angle_random_walk"].high  # type: ignore[operator]
+    assert any(said in text for text in (*found.warnings, *found.notes))
+    ramp = found.figures["rate_ramp"]
+    assert (ramp.value is not None and ramp.low < 20.0 < ramp.high) == (kind == "drift")  # type: ignore[operator]
+
+
+def test_a_walk_beside_a_drift_is_told(tmp_path: Path) -> None:
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    rng = np.random.default_rng(66)
+    walk = np.cumsum(rng.normal(0.0, 1e-4 * np.sqrt(0.1), t_s.size))
+    log = write_log(tmp_path / "log.csv", t_s, 1000.0 / 3600.0**2 * t_s + walk + white(rng, t_s.size))
+    found = examine_static(StaticConfig(log))
+    told = found.noise.figures["rate_random_walk"].interval
+    assert told is not None
+    assert told[1] < 1e-4 * 216_000 < told[2]
+    assert interval(found, "rate_ramp")[1] < 1000.0 < interval(found, "rate_ramp")[2]
+
+
+def test_single_samples_far_off_are_set_aside_and_said(tmp_path: Path) -> None:
+    """Before: 20 of 36,000 made half of the angle random walk as much again, unsaid."""
+    rng = np.random.default_rng(64)
+    gyro = white(rng, 36_000)
+    gyro[rng.choice(gyro.size, 20, replace=False)] += 0.5
+    found = examine_static(StaticConfig(write_log(tmp_path / "log.csv", 0.1 * np.arange(gyro.size), gyro)))
+    walk = found.noise.angle_random_walk_deg_per_rt_h
+    assert walk is not None
+    assert walk[1] < 60.0 * ARW_DPS_RT_S < walk[2]
+    assert found.set_aside == found.to_json()["samples_set_aside"] == 20
+    assert any(text.startswith("20 single samples stand far off all others") for text in found.notes)
+
+
+def test_a_noise_of_heavy_tails_stays_as_it_is(tmp_path: Path) -> None:
+    rng = np.random.default_rng(65)
+    for gyro in (
+        rng.laplace(0.0, 0.004, 20_000),
+        0.004 * rng.standard_t(3, 20_000),
+        np.round(rng.normal(0.0, 0.4, 20_000)),
+    ):
+        found = examine_static(
+            StaticConfig(write_log(tmp_path / "log.csv", 0.1 * np.arange(gyro.size), gyro))
+        )
+        assert found.set_aside == 0
+
+
+def test_a_telegraph_is_noise() -> None:
+    rng = np.random.default_rng(67)
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    telegraph = 0.01 * (np.cumsum(rng.random(t_s.size) < 1.0 / 2000.0) % 2)
+    assert trend_of(course_of_log(t_s, telegraph + white(rng, t_s.size)), [], 0.0) == Trend()
+
+
+@pytest.mark.parametrize("rows", [3, 50])
+def test_a_few_rows_have_no_steps(tmp_path: Path, rows: int) -> None:
+    log = write_log(tmp_path / "few.csv", 0.1 * np.arange(rows), white(np.random.default_rng(68), rows))
+    assert examine_static(StaticConfig(log)).warnings == ()
 
 
 def test_earth_rate_by_axis() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.turns import calibrate_turns, find_rests
 from gyrocal.errors import DataError
+from gyrocal.report.turns import count_sentence
 
 Floats = NDArray[np.float64]
 SAMPLE_HZ = 50.0
@@ -109,6 +111,39 @@ def test_a_turn_that_is_off_every_mark_is_said_and_left_out() -> None:
     found = calibrate_turns(t_s, output)
     assert [turn.used for turn in found.turns].count(False) == 1
     assert "is not near a multiple of 360 deg" in next(t.remark for t in found.turns if not t.used)
+
+
+def test_a_turn_at_the_rail_is_left_out() -> None:
+    """Before: -29,000 ppm where 3,000 are true, without a word."""
+    t_s, output = turned(np.random.default_rng(11), Gyro(3e-3, 0.0, 0.0), 0.02, [1, -1, 1, -1, 2, -2, 2, -2])
+    fast = float(np.abs(output).max())
+    with pytest.raises(DataError, match=r"saturated: samples stand .* turn more slowly"):
+        calibrate_turns(t_s, np.clip(output, -0.5 * fast, 0.5 * fast))
+    found = calibrate_turns(t_s, np.clip(output, -0.8 * fast, 0.8 * fast))
+    assert [turn.used for turn in found.turns] == [True, False, False, *[True] * 5]
+    assert found.turns[1].remark == "saturated: samples stand at the recording's extreme value"
+    steps = calibrate_turns(t_s, 5.0 * np.round(output / 5.0))
+    assert all(turn.used for turn in steps.turns)
+
+
+@pytest.mark.parametrize("turns", [[5, -5, 5], [2, -3, 3], [4, -4, 6]])
+def test_other_counts_of_marks_are_told(turns: list[float]) -> None:
+    """Counts that fit as well: each has the scale of the same angles over them."""
+    found = calibrate_turns(*turned(np.random.default_rng(12), Gyro(0.01, 0.0, 0.0), 0.02, turns))
+    more, fewer = found.other_scales_ppm
+    shared = math.gcd(*map(int, turns))
+    assert more == pytest.approx((1e6 + found.scale.value) * shared / (shared + 1) - 1e6)
+    assert (fewer is None) == (shared == 1)
+    if fewer is not None:
+        assert fewer == pytest.approx((1e6 + found.scale.value) * shared / (shared - 1) - 1e6)
+
+
+def test_a_miscount_is_told_as_open() -> None:
+    """A gyro that is 12 % off and turned nine times is as one that is 0.8 % off and turned ten times."""
+    found = calibrate_turns(*turned(np.random.default_rng(13), Gyro(0.12, 0.0, 0.0), 0.02, [9, -9, 9]))
+    assert found.scale.value == pytest.approx(8000.0, abs=500.0)
+    assert found.other_scales_ppm[1] == pytest.approx(120_000.0, abs=500.0)
+    assert "or +12 %, or further off. These turns do not tell which" in count_sentence(found)
 
 
 def test_a_log_without_turns_is_refused() -> None:

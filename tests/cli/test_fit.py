@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrocal.cli import main
-from gyrocal.fusion.coefficients import load_coefficients
+from gyrocal.fusion.coefficients import FLAG_TEMPERATURE, load_coefficients
 from tests.calibration.runs import parts_of, write_run
 from tests.calibration.simulation import SURFACE, simulate
 
@@ -54,6 +54,45 @@ def test_fit_of_a_table(table: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     coefficients = load_coefficients(output)
     assert coefficients.correct(50.0, 20.0) == pytest.approx(50.0 - SURFACE.error_dps(50.0, 20.0), abs=5e-3)
     assert coefficients.provenance["counts_per_dps"] == -1000
+
+
+def test_the_recording_is_never_written_over(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before: --overwrite put the coefficients in its place, or into the run that they are of."""
+    path, before = tmp_path / "sets.csv", table.read_bytes()
+    path.write_bytes(before)
+    (tmp_path / "link.csv").symlink_to(path)
+    for output in (path, tmp_path / "link.csv"):
+        assert call(path, "-o", output, "--counts-per-dps", -1000, "--overwrite") == 7
+    assert path.read_bytes() == before
+    run = write_run(tmp_path / "run", parts_of(simulate(np.random.default_rng(1)), np.random.default_rng(2)))
+    kept = {file: file.read_bytes() for file in run.rglob("*") if file.is_file()}
+    for inside in [*kept, run / "data" / "coefficients.json"]:
+        assert call(run, "-o", inside, "--overwrite") == 7
+    assert {file: file.read_bytes() for file in run.rglob("*") if file.is_file()} == kept
+    assert "is an input of this command, or lies in it" in capsys.readouterr().err
+
+
+def test_an_outlier_does_not_widen_what_is_valid(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before: one temperature misread as 85 °C made 60 °C valid, where no band of the file holds."""
+    head, *rows = table.read_text().split()
+    rate, counts, _ = rows[2].split(",")
+    rows[2] = f"{rate},{counts},85.0"
+    path = tmp_path / "misread.csv"
+    path.write_text("\n".join([head, *rows]) + "\n")
+    for arguments, noted in (((), True), (("--exclude", 3), False)):
+        capsys.readouterr()
+        assert (
+            call(path, "-o", tmp_path / "c.json", "--counts-per-dps", -1000, "--overwrite", *arguments) == 0
+        )
+        coefficients = load_coefficients(tmp_path / "c.json")
+        assert coefficients.valid.temp_c[1] < 41.0
+        assert coefficients.flags(0.0, 60.0) == FLAG_TEMPERATURE
+        said = capsys.readouterr().out
+        assert ("outliers are not counted in the valid range" in said) == noted
 
 
 @pytest.mark.parametrize("turned", [[3], [2, 7, 9, 15, 20, 24]])

@@ -46,6 +46,17 @@ def test_the_noise_below_steps_is_told_by_how_often_each_comes(noise_steps: floa
     assert below >= 51
 
 
+@pytest.mark.parametrize("rows", [3, 10, 50])
+def test_a_few_rows_that_are_not_rounded_have_no_steps(rows: int) -> None:
+    """Before: each value came once, of which the least noise was none, and the output "comes in steps"."""
+    counts = StepCounts()
+    counts.add(1, np.random.default_rng(3).normal(0.0, 0.004, rows), 0.1)
+    assert not counts.few
+    counts = StepCounts()
+    counts.add(1, np.round(np.random.default_rng(3).normal(0.0, 0.4, rows)), 0.1)
+    assert counts.few == (rows > 3)
+
+
 def test_a_toggling_output_says_nothing_of_its_noise() -> None:
     """Its scatter is half a step, which had been taken for noise enough."""
     rng = np.random.default_rng(2)

@@ -34,7 +34,7 @@ def test_a_gyros_scale_error_is_no_other_unit(scale: float) -> None:
         (1 / 360, "(it is in rev/s)"),
         (1 / 6, "(it is in rpm)"),
         (6.0, "(the rate is in rpm)"),
-        (60.0, "(it is in deg/min)"),
+        (60.0, "(it is in deg/min, or in counts of another scale)"),
         (27312.6, "another unit or sign"),
         (1e-4, "does not follow the rate"),
     ],
