@@ -60,8 +60,6 @@ _WARMER_C = 0.01
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC, and fewer than so many times these of shapes in temperature.
 _LEAST_SPAN_C, _SHAPED = 0.5, 4.0
-#: Temperatures as far apart as this share of the range are different ones.
-_APART = 0.05
 #: What stands for a drift of the scale factor.
 DRIFTING_SCALE = "scale drift"
 #: Rates that differ by less are one: tables repeat theirs closer.
@@ -290,12 +288,16 @@ def _turns(means: Means) -> bool:
 
 
 def shows_scale(means: Means) -> bool:
-    """Whether the scale factor was seen at temperatures enough to tell what changes it beyond the surface.
+    """Whether the record tells what changes the scale factor beyond the surface: at one temperature, or where it went to five and more.
 
-    Of four temperatures, each once, the surface takes three numbers, and what is left is as well a step as a lag or an order.
+    Of four temperatures in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
     """
-    turned_c = means.temp_c[means.rate_dps != 0.0]
-    return _apart(turned_c, max(_LEAST_SPAN_C, _APART * float(np.ptp(means.temp_c)))) >= SHAPE[1] + 2
+    apart_c = max(_LEAST_SPAN_C, float(np.ptp(means.temp_c)) / (_TEMP_BUMPS - 1.0))
+    visits, here_c = 0, -np.inf
+    for temp_c in means.temp_c[means.rate_dps != 0.0].tolist():
+        if abs(temp_c - here_c) > apart_c:
+            visits, here_c = visits + 1, temp_c
+    return visits == 1 or visits >= SHAPE[1] + 2
 
 
 def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[float, ...] = ()) -> Part:

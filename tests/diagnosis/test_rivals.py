@@ -80,12 +80,14 @@ def test_a_law_without_rivals_stands_alone() -> None:
     assert with_rivals(fitted, [Named(law, "odd rate", 20.0, 1.0, {}, 40)], laws) == [(1.0, fitted)]
 
 
-@pytest.mark.parametrize(("temperatures", "told"), [(4, False), (5, True)])
+@pytest.mark.parametrize(("temperatures", "told"), [(1, True), (4, False), (5, True)])
 def test_four_temperatures_do_not_tell_what_changes_the_scale_factor(temperatures: int, told: bool) -> None:
-    """The surface takes three numbers: one more is as well a step as a lag or an order."""
+    """The surface takes three numbers: one more is as well a step as a lag or an order. At one a drift is seen."""
     means = _means(np.linspace(0.0, 40.0, temperatures))
     components = full_model(means).components
-    of_scale = {"scale line", "temperature orders on scale", "lag on scale", "play on scale"}
-    assert of_scale <= components.keys() if told else of_scale.isdisjoint(components)
-    assert "temperature rate" in components
+    assert ("scale line" in components) is told
     assert bool(boundaries(means, SCALE_STEP.id).size) is told
+    of_temperature = {"temperature orders on scale", "lag on scale", "play on scale"}
+    assert of_temperature.isdisjoint(components) or of_temperature <= components.keys()
+    assert ("lag on scale" in components) is (temperatures > 4)
+    assert ("temperature rate" in components) is (temperatures > 1)
