@@ -7,6 +7,7 @@ import numpy as np
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.layers import free_terms
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.parts import shows_scale, temperatures_turned_at
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
@@ -70,7 +71,12 @@ def check_inputs(
             f"{series.name}: data set {series.set_index[row] + 1} ({series.rate_dps[row]:+.4g} deg/s, "
             f"{series.temp_c[row]:.1f} °C) says {series.gyro_dps[row]:.6g} deg/s, which no gyro does. Repair or remove it."
         )
-    notes: tuple[Note, ...] = (*_stray_notes(series), *_clipped_notes(series), *_one_way_notes(series))
+    notes: tuple[Note, ...] = (
+        *_stray_notes(series),
+        *_clipped_notes(series),
+        *_one_way_notes(series),
+        *_few_temperatures_notes(series),
+    )
     if series.copies and not ideal:
         notes += (copied_text(series.copies, len(series)),)
     if coefficients is not None:
@@ -111,6 +117,12 @@ def _one_way_notes(series: Series) -> tuple[Remark, ...]:
     }
     rose = min(back_c, key=lambda way: back_c[way])
     return (Remark(Said.ONE_WAY, {"rose": rose}),) if back_c[rose] < _TURNS_BACK * span_c else ()
+
+
+def _few_temperatures_notes(series: Series) -> tuple[Remark, ...]:
+    """What is not looked for where the gyro turned at a few temperatures."""
+    count = temperatures_turned_at(series.rate_dps, series.temp_c)
+    return () if count == 0 or shows_scale(count) else (Remark(Said.FEW_TEMPERATURES, {"count": count}),)
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

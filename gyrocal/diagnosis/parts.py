@@ -287,17 +287,27 @@ def _turns(means: Means) -> bool:
     return np.unique(np.round(means.rate_dps, 2)).size > 3
 
 
-def shows_scale(means: Means) -> bool:
-    """Whether the record tells what changes the scale factor beyond the surface: at one temperature, or where it went to five and more.
+def temperatures_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
+    """How many temperatures, one after the other, the gyro turned at."""
+    apart_c = max(_LEAST_SPAN_C, float(np.ptp(temp_c)) / (_TEMP_BUMPS - 1.0))
+    count, last_c = 0, -np.inf
+    for here_c in temp_c[rate_dps != 0.0].tolist():
+        if abs(here_c - last_c) > apart_c:
+            count, last_c = count + 1, here_c
+    return count
 
-    Of four temperatures in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
+
+def shows_scale(temperatures: int) -> bool:
+    """Whether so many temperatures tell what changes the scale factor beyond the surface: one, or five and more.
+
+    Of four in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
     """
-    apart_c = max(_LEAST_SPAN_C, float(np.ptp(means.temp_c)) / (_TEMP_BUMPS - 1.0))
-    visits, here_c = 0, -np.inf
-    for temp_c in means.temp_c[means.rate_dps != 0.0].tolist():
-        if abs(temp_c - here_c) > apart_c:
-            visits, here_c = visits + 1, temp_c
-    return visits == 1 or visits >= SHAPE[1] + 2
+    return temperatures == 1 or temperatures >= SHAPE[1] + 2
+
+
+def tells_of_scale(means: Means) -> bool:
+    """The same of a record."""
+    return shows_scale(temperatures_turned_at(means.rate_dps, means.temp_c))
 
 
 def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[float, ...] = ()) -> Part:
@@ -357,7 +367,7 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
     """The same in temperature, of the bias and, at the temperatures at which it turned, of the scale factor."""
     found = []
     spacing = 2.0 * frame.temp_scale_c / (_TEMP_BUMPS - 1.0)
-    of_scale = (("scale", _LINEAR),) if turning and shows_scale(means) else ()
+    of_scale = (("scale", _LINEAR),) if turning and tells_of_scale(means) else ()
     for target, rate in (("bias", Factor()), *of_scale):
         told = means.rate_dps != 0.0 if target == "scale" else np.ones(len(means), dtype=np.bool_)
         visited = _apart(means.temp_c[told] - frame.temp_center_c, spacing)
@@ -392,7 +402,7 @@ def remembering(means: Means) -> list[Part]:
         _part("play on bias", "memory", tuple(Column(driver=d) for d in plays)),
         _part("play on bias by temperature", "memory", tuple(Column(one, slope, d) for d in plays)),
     ]
-    if _turns(means) and shows_scale(means):
+    if _turns(means) and tells_of_scale(means):
         found += [
             _part("lag on scale", "memory", tuple(Column(_LINEAR, one, d) for d in lags)),
             _part("lag on scale by temperature", "memory", tuple(Column(_LINEAR, slope, d) for d in lags)),
@@ -418,7 +428,7 @@ def passing(means: Means, frame: Frame) -> list[Component]:
     found = [Component("bias walk", covariance=walk)]
     if np.any(u != 0.0):
         ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
-        if shows_scale(means):
+        if tells_of_scale(means):
             found.append(Component("scale line", (ahead * u)[:, None]))
         found.append(Component("scale walk", covariance=walk * np.outer(u, u)))
         each = _by_size(means, u)

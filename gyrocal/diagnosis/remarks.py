@@ -36,6 +36,7 @@ class Said(Enum):
     TOO_FEW_TO_WRITE = auto()
     TOO_FEW_RATES = auto()
     ONE_WAY = auto()
+    FEW_TEMPERATURES = auto()
     DEAD_SETS = auto()
     STRANGE_SETS = auto()
     FAR_SETS = auto()

@@ -116,6 +116,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"the temperature {'rose' if rose else 'fell'} all along: what time alone did to bias or scale factor stands in the surface as "
         "if it were the temperature's, and in no stated uncertainty; heat and cool more than once"
     ),
+    Said.FEW_TEMPERATURES: "it turned at {count} temperatures: what changes the scale factor over temperature or time beyond the surface "
+    "is not looked for; turn at five or more, up and down",
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "
     "its noise; [it counts|they count] as noisy as the others",

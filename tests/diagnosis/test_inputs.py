@@ -277,3 +277,14 @@ def test_a_temperature_that_goes_one_way_is_said() -> None:
         (said,) = check_inputs(series_of_table(DataSetTable(table.source, *columns)), None)
         assert said == Remark(Said.ONE_WAY, {"rose": rose})
         assert remark_words(Remark(Said.ONE_WAY, {"rose": rose})).startswith("the temperature")
+
+
+@pytest.mark.parametrize(("temps_c", "said"), [((20.0, 60.0, -10.0, 40.0), True), ((25.0,), False)])
+def test_what_a_few_temperatures_cannot_tell_is_said(temps_c: tuple[float, ...], said: bool) -> None:
+    rates = np.linspace(-100.0, 100.0, 15)
+    rate_dps, temp_c = np.tile(rates, len(temps_c)), np.repeat(temps_c, rates.size)
+    gyro_dps = rate_dps + 1e-3 * np.random.default_rng(1).standard_normal(rate_dps.size)
+    notes = check_inputs(series_of_table(DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c)), None)
+    few = Remark(Said.FEW_TEMPERATURES, {"count": 4})
+    assert (few in notes) is said
+    assert "five or more" in remark_words(few)
