@@ -27,10 +27,10 @@ def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tupl
     near = [(0.0, fitted)]
     for one in named:
         near += [other for loss, model in near for other in _instead(loss, model, one, laws)]
-    least = min(loss for loss, _ in near)
-    weights = [(float(np.exp(least - loss)), model) for loss, model in near if loss < least + AVERAGED_NATS]
-    whole = sum(weight for weight, _ in weights)
-    return [(weight / whole, model) for weight, model in weights]
+        least = min(loss for loss, _ in near)
+        near = [(loss - least, model) for loss, model in near if loss < least + AVERAGED_NATS]
+    weights = np.exp([-loss for loss, _ in near])
+    return [*zip((weights / weights.sum()).tolist(), (model for _, model in near), strict=True)]
 
 
 def may_wander(model: Model, without: Sequence[str] = ()) -> Model:

@@ -270,6 +270,7 @@ def test_an_instant_outside_of_a_log_is_no_jump(resting: Robot) -> None:
     assert np.isfinite(_loss_with_jump(found.series, found.yaw, found.truth, 0.5 * (begin_s + end_s)))
 
 
+@pytest.mark.slow
 def test_a_gyro_that_lacks_turns_in_one_place_has_no_scale(resting: Robot) -> None:
     """As on a slope: seen by the truth, and by the encoders where the truth is too coarse to tell where."""
     plan = replace(RESTS, shape="eights", minutes=5.0, truth_m=0.02, truth_heading_deg=0.2)
@@ -333,6 +334,7 @@ def test_a_wheel_that_changes_is_no_bias(shape: str, truth_m: float) -> None:
     assert "the distance counted by the right wheel" in remark_words(told)
 
 
+@pytest.mark.slow
 def test_a_gyro_that_errs_by_heading_is_told_as_such(resting: Robot) -> None:
     """As one in the field of the earth: a bias of another size on each leg of a square."""
     log = drive(replace(RESTS, shape="square", truth_m=0.02, truth_heading_deg=0.1), 4)
@@ -342,6 +344,7 @@ def test_a_gyro_that_errs_by_heading_is_told_as_such(resting: Robot) -> None:
     assert "heading" in [p.coordinate for p in found.diagnosis.located if p.remains]
 
 
+@pytest.mark.slow
 def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:
     """Another path turns more to the other side."""
     log = drive(replace(RESTS, shape="random", truth_m=0.02, truth_heading_deg=0.2), 8)

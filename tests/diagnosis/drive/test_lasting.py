@@ -206,6 +206,7 @@ def test_a_slip_in_the_last_row_is_left_out_too(resting: Robot) -> None:
     assert last.turn_deg == pytest.approx(np.degrees(0.02) / resting.wheel_separation_m, abs=0.2)
 
 
+@pytest.mark.slow
 def test_wheels_that_differ_now_and_then_have_no_name(resting: Robot) -> None:
     """The mean of what comes and goes is another one on the next drive."""
     log = drive(PLAN, 6)

@@ -45,6 +45,7 @@ def test_a_speed_in_another_unit_is_no_wheel_twice_as_large(robot: Robot) -> Non
         diagnose_drive("odd", odd, robot)
 
 
+@pytest.mark.slow
 def test_a_compass_is_no_scale_of_the_gyro() -> None:
     """Before: the gyro's scale was said to be 300.0 ± 0.1 % off."""
     log = drive(Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05), 3)
@@ -66,6 +67,7 @@ def test_a_wheel_that_counts_backwards_is_told_and_turned_round(robot: Robot, si
     assert effects[0].seen == Remark(Said.WHEEL_SIGN, {"side": side})
 
 
+@pytest.mark.slow
 def test_a_truth_that_was_left_aside_leaves_no_structure() -> None:
     log = drive(Plan("random", 4.0, 10.0, truth_m=0.02, truth_heading_deg=0.05), 3)
     standing = robot_of({"wheel_separation_m": 0.5, "static_s": 7.0}, Path("robot.toml"))

@@ -28,7 +28,7 @@ def spinning(log: DriveBlock, share_s2_per_m: float, *, braking: bool = False) -
     return replace(log, left_m=log.left_m * further, right_m=log.right_m * further)
 
 
-@pytest.mark.parametrize("truth_m", [0.0, 0.01])
+@pytest.mark.parametrize("truth_m", [0.0, pytest.param(0.01, marks=pytest.mark.slow)])
 def test_wheels_that_spin_while_the_speed_grows_are_named(resting: Robot, truth_m: float) -> None:
     """By the way, where a truth shows it, and by turns that begin as the speed grows."""
     log = drive(replace(PLAN, truth_m=truth_m), 6)
