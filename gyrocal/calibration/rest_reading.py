@@ -16,6 +16,7 @@ from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.rounding import StepCounts
 from gyrocal.records.gyro_log import GyroChoice, iterate_gyro_log
 from gyrocal.records.run import Run
+from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
 
@@ -143,9 +144,9 @@ def without_glitches(blocks: Iterator[Block], aside_s: list[float]) -> Iterator[
             yield block
             continue
         middle_dps = ndimage.median_filter(gyro_dps, 5, mode="nearest")
-        # Median of the size of a normal: 0.6745; a noise that is hidden by steps may be as large as one.
+        # A noise that is hidden by steps may be as large as one.
         scatter_dps = max(
-            float(np.median(moved_dps)) / 0.6745 / np.sqrt(2.0), float(moved_dps[moved_dps > 0].min())
+            STDS_PER_MAD * float(np.median(moved_dps)) / np.sqrt(2.0), float(moved_dps[moved_dps > 0].min())
         )
         off_dps = np.abs(gyro_dps - middle_dps)
         alone = off_dps > _ALONE * scatter_dps

@@ -7,7 +7,7 @@ noise with 1/f noise and a random walk of whatever level beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,33 +67,34 @@ class CourseNoise:
         without : float
         cost : ndarray, shape (t,)
         """
-        scaled = np.column_stack([known, gyro_dps, tried]) * self._root_s[:, None]
         without, cost = np.inf, np.full(tried.shape[1], np.inf)
-        for variances, vectors in self._drifts:
-            turned = vectors.T @ scaled
-            for variance in variances:
-                alone, beside = _squares(turned / np.sqrt(variance)[:, None], known.shape[1])
-                spread = float(np.log(variance).sum())
-                without = min(without, gyro_dps.size * float(np.log(alone)) + spread)
-                cost = np.minimum(cost, gyro_dps.size * np.log(beside) + spread)
+        for white, spread in self._whitened(np.column_stack([known, gyro_dps, tried])):
+            alone, beside = _squares(white, known.shape[1])
+            without = min(without, gyro_dps.size * float(np.log(alone)) + spread)
+            cost = np.minimum(cost, gyro_dps.size * np.log(beside) + spread)
         return without, cost
 
     def sizes(self, gyro_dps: Floats, known: Floats) -> tuple[Floats, Floats]:
         """Likeliest amplitudes of the columns `known` and their variances, shape (m,) each."""
-        best, found = np.inf, (np.zeros(known.shape[1]), np.zeros(known.shape[1]))
-        scaled = np.column_stack([known, gyro_dps]) * self._root_s[:, None]
+        best, none = np.inf, np.zeros(known.shape[1])
+        found: tuple[Floats, Floats] = none, none
+        for white, spread in self._whitened(np.column_stack([known, gyro_dps])):
+            sizes = np.asarray(np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0], dtype=np.float64)
+            rest = white[:, -1] - white[:, :-1] @ sizes
+            cost = gyro_dps.size * float(np.log(rest @ rest)) + spread
+            if cost < best:
+                inverse = np.linalg.pinv(white[:, :-1])
+                each = float(rest @ rest) / max(gyro_dps.size - sizes.size, 1)
+                best, found = cost, (sizes, each * np.sum(inverse**2, axis=1))
+        return found
+
+    def _whitened(self, columns: Floats) -> Iterator[tuple[Floats, float]]:
+        """Columns under each noise, of unit variance, and the logarithm of its determinant."""
+        scaled = columns * self._root_s[:, None]
         for variances, vectors in self._drifts:
             turned = vectors.T @ scaled
             for variance in variances:
-                white = turned / np.sqrt(variance)[:, None]
-                sizes = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]
-                rest = white[:, -1] - white[:, :-1] @ sizes
-                cost = gyro_dps.size * float(np.log(rest @ rest)) + float(np.log(variance).sum())
-                if cost < best:
-                    inverse = np.linalg.pinv(white[:, :-1])
-                    each = float(rest @ rest) / max(gyro_dps.size - sizes.size, 1)
-                    best, found = cost, (sizes, each * np.sum(inverse**2, axis=1))
-        return found
+                yield turned / np.sqrt(variance)[:, None], float(np.log(variance).sum())
 
 
 def _squares(white: Floats, nuisance: int) -> tuple[float, Floats]:

@@ -269,16 +269,16 @@ def _turns(t_s: Floats, gyro_dps: Floats, dt_s: Floats, rests: list[Rest], mark_
 
 def _saturated(t_s: Floats, gyro_dps: Floats, rests: list[Rest]) -> list[bool]:
     """Whether the gyro stands at its rail between each two rests."""
-    ends = [(rest.end_s, rest.start_s) for rest in rests]
-    stretches = [(a[1], a[0]) for a in ends] + [(a[0], b[1]) for a, b in itertools.pairwise(ends)]
+    if len(rests) < 2:
+        return []
+    stretches = [(rest.start_s, rest.end_s) for rest in rests]
+    stretches += [(before.end_s, after.start_s) for before, after in itertools.pairwise(rests)]
     outputs = [gyro_dps[(t_s >= start) & (t_s <= end)] for start, end in stretches]
-    lows_and_highs = np.array([(x.min(), x.max()) for x in outputs]).reshape(-1, 2)
+    lows_and_highs = np.array([(x.min(), x.max()) for x in outputs])
     counts = [
         (np.count_nonzero(x == low), np.count_nonzero(x == high))
         for x, (low, high) in zip(outputs, lows_and_highs, strict=True)
     ]
-    if len(rests) < 2:
-        return []
     hit = at_the_rail(lows_and_highs, np.array(counts), np.array([x.size for x in outputs]))[0]
     return [bool(x) for x in hit[len(rests) :]]
 
