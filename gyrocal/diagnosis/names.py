@@ -32,6 +32,7 @@ from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import changing, without_mending
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.rivals import or_lasting
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
@@ -95,7 +96,7 @@ def name(
         named += [jumped(jump) for jump in more]
         # A walk that smooth parts had taken the place of: laws that it can follow are none.
         fitted = _beside(fitted, passes)
-    fitted, named = _backward(fitted, named)
+    fitted, named, followed = _backward(fitted, named)
     settled = settle_direction(fitted, partial(reshaped, laws=laws))
     fitted, named = settled, _as_fitted(named, fitted, settled)
     # What a law's first surface or shape had left to smooth parts may be gone.
@@ -112,7 +113,8 @@ def name(
     fitted, laws = tied_anew(fitted, laws)
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
-    shaped, named = _no_misfits(shaped, _mechanisms(still_there(named, shaped, left)), laws)
+    shaped, named = or_lasting(shaped, still_there(named, shaped, left), followed, laws)
+    shaped, named = _no_misfits(shaped, _mechanisms(named), laws)
     shaped = around_itself(shaped)
     return Naming(shaped, tuple(named), left, nearest, _of_input(shaped)), laws
 
@@ -324,8 +326,9 @@ def _least_worth(named: Named) -> float:
     return _LINE if named.law.effect == BIAS_DRIFT.id else _DROPPED
 
 
-def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named]]:
-    """Drop laws that the others have made superfluous."""
+def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named], list[Named]]:
+    """Drop laws that the others have made superfluous; also those of them that stay."""
+    followed: list[Named] = []
     beside = [n for n in named if n.block in fitted.model.blocks.values() and n.block != "bias in time"]
     named = [n for n in named if n not in beside]
     while named:
@@ -337,6 +340,8 @@ def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named]]:
         without, weakest = gains[0]
         if without.nll - fitted.nll >= _least_worth(weakest):
             worth = {n.law.name: f.nll - fitted.nll for f, n in gains}
-            return fitted, beside + [replace(n, gain=worth[n.law.name]) for n in named]
+            return fitted, beside + [replace(n, gain=worth[n.law.name]) for n in named], followed
         fitted, named = without, [n for n in named if n is not weakest]
-    return fitted, beside
+        if weakest.block and BLOCKS[weakest.block].stays:
+            followed.append(weakest)
+    return fitted, beside, followed

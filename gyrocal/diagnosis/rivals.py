@@ -11,7 +11,7 @@ from gyrocal.diagnosis.coil import AVERAGED_NATS, TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.in_place import Named, is_passing
-from gyrocal.diagnosis.laws import Laws
+from gyrocal.diagnosis.laws import Laws, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.diagnosis.parts import EACH_RATE, PASSING, passing
 from gyrocal.physics.catalogue import CATALOGUE
@@ -33,6 +33,32 @@ def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tupl
     return [*zip((weights / weights.sum()).tolist(), (model for _, model in near), strict=True)]
 
 
+def or_lasting(
+    fitted: Fitted, named: Sequence[Named], followed: Sequence[Named], laws: Laws
+) -> tuple[Fitted, list[Named]]:
+    """The model, and the names, with the likelier of a law that passes and one that stays which it can follow; the other is its rival.
+
+    A plan goes through temperatures in turn: a lag in each of them is like a step from one to the next.
+
+    Parameters
+    ----------
+    followed : laws that stay, and have no name because what passes can follow them
+    """
+    named = [*named]
+    for lasts in followed:
+        for k, passes in enumerate(named):
+            if not (is_passing(passes) and fitted.model.holds(passes.law)):
+                continue
+            kept = tuple(law for law in fitted.model.laws if law.name != passes.law.name)
+            other, _ = tied_anew(fitted.refit(replace(fitted.model, laws=(*kept, lasts.law))), laws)
+            behind = other.nll + _paid_by(lasts) - fitted.nll - _paid_by(passes)
+            if behind < 0.0:
+                fitted, named[k] = other, replace(lasts, rivals={**lasts.rivals, passes.law.effect: -behind})
+            else:
+                named[k] = replace(passes, rivals={**passes.rivals, lasts.law.effect: behind})
+    return fitted, named
+
+
 def may_wander(model: Model, without: Sequence[str] = ()) -> Model:
     """The same, with a bias and a scale factor that may wander, but for some blocks."""
     passes = passing(model.means, model.basis.frame)
@@ -45,7 +71,7 @@ def _instead(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator[tu
     if not fitted.model.holds(one.law):
         return
     model = replace(fitted.model, laws=tuple(law for law in fitted.model.laws if law.name != one.law.name))
-    own = fitted.nll + _paid(CATALOGUE[one.law.effect], one.law, one.trials)
+    own = fitted.nll + _paid_by(one)
     if is_passing(one):
         wandering = fitted.refit(may_wander(model))
         yield loss + wandering.nll - own, wandering
@@ -56,6 +82,10 @@ def _instead(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator[tu
         if rival is not None:
             shaped = reshaped(rival.fitted, laws, [rival.law.name])
             yield loss + shaped.nll + _paid(rival.effect, rival.law, rival.shapes) - own, shaped
+
+
+def _paid_by(named: Named) -> float:
+    return _paid(CATALOGUE[named.law.effect], named.law, named.trials)
 
 
 def _paid(effect: Effect, law: Law, shapes: int) -> float:

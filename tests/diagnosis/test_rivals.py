@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from gyrocal.diagnosis.jumps import boundaries
 from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import Means, means_of
-from gyrocal.diagnosis.rivals import with_rivals
+from gyrocal.diagnosis.rivals import or_lasting, with_rivals
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER, SATURATION
+from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import SCALE_STEP
 from gyrocal.records.datasets import DataSetTable
 
@@ -71,6 +73,27 @@ def test_what_wanders_stands_in_for_a_law_of_what_passes() -> None:
     assert other / own == pytest.approx(np.exp(fitted.nll + TOLL_NATS - wandering.nll), rel=1e-6)
     tried = with_rivals(fitted, [Named(law, "scale in time", 9.0, 1.0, {}, 1000)], laws)
     assert [m.model.laws for _, m in tried] == [()]
+
+
+@pytest.mark.parametrize("lagging", [True, False])
+def test_a_step_between_temperatures_that_come_once_is_told_from_a_lag(lagging: bool) -> None:
+    means = _means(np.array([20.0, 26.0, 30.0, 36.0, 39.0, 45.0]))
+    coil_c = means.temp_c.copy()
+    for k in range(1, coil_c.size):
+        coil_c[k] = means.temp_c[k] + (coil_c[k - 1] - means.temp_c[k]) * np.exp(-60.0 / 200.0)
+    at_s = float(means.t_s[13 * 2] - 30.0)
+    ppm = 100.0 * (coil_c if lagging else means.temp_c + (means.t_s > at_s))
+    means = replace(means, gyro_dps=means.gyro_dps + 1e-6 * ppm * means.rate_dps)
+    fitted, step, laws = _with(means, SCALE_STEP, {"at_s": at_s})
+    lag = Law(THERMAL_LAG.id, {"tau_s": 200.0}, laws.at(THERMAL_LAG, {"tau_s": 200.0}))
+    followed = Named(lag, "memory", 9.0, 1.0, {}, 18)
+    found, named = or_lasting(fitted, [Named(step, "scale in time", 9.0, 1.0, {}, 18)], [followed], laws)
+    first, other = (lag, step) if lagging else (step, lag)
+    assert [law.name for law in found.model.laws] == [first.name]
+    ((own, rivals),) = [(n.law.effect, n.rivals) for n in named]
+    assert own == first.effect
+    assert rivals.keys() == {other.effect}
+    assert rivals[other.effect] > 0.0
 
 
 def test_a_law_without_rivals_stands_alone() -> None:
