@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import KINDS, Law
 from gyrocal.diagnosis.drive.motions import settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
-from gyrocal.diagnosis.drive.yaw import Evidence, YawModel, evidence
+from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, Evidence, YawModel, evidence, gram_of
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: Parts of a drive in which a named law must be the same.
 _PARTS = 24
+#: Intervals that are looked at for an event, of those in which a law says most.
+_TELLING = 6
 
 
 def uneven(
@@ -54,6 +61,61 @@ def outlasts(gain: float, changing: Test) -> bool:
     """
     among_parts, parts, _ = changing
     return bool(stats.f.sf(gain * parts / among_parts, 1, parts) < STRANGER_P)
+
+
+def events(
+    model: YawModel,
+    columns: Mapping[str, Floats],
+    known: Mapping[str, tuple[float, float]],
+    named: Mapping[str, float],
+    least_gain: float,
+) -> Ints:
+    """Intervals without which a named law loses its name, and most of what it gains: one event is no law.
+
+    On a circle at one speed scale, bias and wheels differ by how it begins and ends alone; a clock that is late there makes
+    all of them of any size, each the opposite of another.
+
+    Parameters
+    ----------
+    columns : of all laws that are fitted and of what has no name
+    known : what is known of coefficients beforehand
+    least_gain : what a law has to gain for a name
+    """
+    tried = [n for n in named if n in columns and not n.startswith("wheel_")]
+    telling = {n: _telling(model, columns, n) for n in tried}
+    count = model.y.size
+    single = {
+        k: [*range(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, count))]
+        for one in telling.values()
+        for k in one
+    }
+    if not single:
+        return np.zeros(0, dtype=np.int64)
+    impulses = {
+        f"at:{j}": np.eye(1, count, j)[0] for j in sorted({j for near in single.values() for j in near})
+    }
+    beside = evidence(model, {**columns, **impulses}).knowing(known)
+    found = []
+    for name, intervals in telling.items():
+        others = [n for n in columns if n != name]
+        whole = beside.added(others, [name])
+        for k in intervals:
+            left = beside.added([*others, *(f"at:{j}" for j in single[k])], [name])
+            if left < min(least_gain, 0.5 * whole):
+                found.append(k)
+    return np.unique(np.array(found, dtype=np.int64))
+
+
+def _telling(model: YawModel, columns: Mapping[str, Floats], name: str) -> list[int]:
+    """The intervals in which a law says most beside the other columns."""
+    gram, weighed = gram_of(model, columns), model.given(np.column_stack([*columns.values()])).inverse()
+    at, others = [*columns].index(name), [n for n in columns if n != name]
+    rest = [k for k in range(len(columns)) if k != at]
+    shares, _ = replace(gram, right=gram.matrix[:, at]).solve(others)
+    values, _ = gram.solve(others)
+    left = model.y - np.column_stack([columns[n] for n in others]) @ values
+    said = (weighed[:, at] - weighed[:, rest] @ shares) * left
+    return [int(k) for k in np.argsort(-np.abs(said))[:_TELLING]]
 
 
 def undenied(

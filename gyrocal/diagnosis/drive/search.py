@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at, less
-from gyrocal.diagnosis.drive.lasting import outlasting, undenied
+from gyrocal.diagnosis.drive.lasting import events, outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     SETTLING,
@@ -39,6 +39,7 @@ from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: Twice the log likelihood that a law must gain to be named; beside a law of slip also this share of what that gains. On
 #: 100 drives with nothing hidden, made by another hand, no law gained more than 11.4.
@@ -57,6 +58,7 @@ _WINDOWS_S = (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
 _CLEARLY = 0.8
 #: A delay beyond this part of a node is taken out, and the rest estimated again, so often at the most.
 _SHIFT, _ROUNDS = 0.2, 3
+_NO_INTERVALS: Ints = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -306,12 +308,13 @@ def _examine(
     window_s: float,
     before: YawAnswer | None = None,
     held: Mapping[str, tuple[float, float]] | None = None,
+    aside: Ints = _NO_INTERVALS,
 ) -> YawAnswer:
     nodes = nodes_of(series, max(NODE_S, window_s))
     frame = frame_of(series, nodes, ahead_s, window_s, rough_bias_dps(series))
     constant, laws, blocks = constant_laws(frame), candidate_laws(frame), strangers(frame)
     odd_before = [] if before is None else [x for c in before.odd if c in blocks for x in blocks[c].T]
-    model = yaw_model(frame, [*(law.column for law in (constant | laws).values()), *odd_before])
+    model = yaw_model(frame, [*(law.column for law in (constant | laws).values()), *odd_before], aside)
     # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
     candidates = _of_groups(laws, laws if before is None else before.named)
     everything = constant | laws | settling_laws(frame)
@@ -334,6 +337,9 @@ def _examine(
     earned = _named(told, chosen, beside, ahead_s)
     named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
     named, changing = outlasting(model, everything, chosen, named)
+    at_once = events(model, {n: columns[n] for n in (*chosen, *beside)}, known, named, GAIN)
+    if at_once.size:
+        return _examine(series, ahead_s, window_s, before, held, np.union1d(aside, at_once))
     chosen = [
         n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
     ]

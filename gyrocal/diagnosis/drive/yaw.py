@@ -27,6 +27,7 @@ from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, DPH_TO_DPS, STDS_PER_MAD
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: 1/f noise, as the Allan deviation shows it, that is usual for an angle random walk of one deg/sqrt(h), deg/h: one log
 #: cannot measure it.
@@ -53,7 +54,7 @@ _TOLD = 1e-9
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
 LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
-_FAR, _NEIGHBOURS = 5.0, 2
+_FAR, NEIGHBOURS = 5.0, 2
 #: Levels of 1/f noise at which laws are weighed, in standard deviations of their logarithm from what is usual, and how
 #: closely what lies between them is looked at.
 _LEVELS, _BETWEEN = np.linspace(-3.0, 3.0, 9), np.linspace(-3.0, 3.0, 241)
@@ -225,7 +226,7 @@ class YawModel:
     noise: YawNoise
     usual: YawNoise
     left_out: Floats
-    outliers: NDArray[np.int64]
+    outliers: Ints
     log_std: Mapping[str, float]
 
     @property
@@ -243,8 +244,14 @@ class YawModel:
         return self._sources.field(noise, self.left_out).given(columns)
 
 
-def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
-    """Estimate the noise with columns free in the mean, then again without the intervals that stand out."""
+def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
+    """Estimate the noise with columns free in the mean, then again without the intervals that stand out.
+
+    Parameters
+    ----------
+    events : ndarray, shape (e,)
+        Intervals that are known to, beside those that are found.
+    """
     y = difference(frame)
     usual = usual_noise(frame.series)
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
@@ -256,10 +263,10 @@ def yaw_model(frame: Frame, means: Sequence[Floats]) -> YawModel:
     columns = _independent(np.column_stack(means), sources.field(usual, left_out))
     noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
-    outliers = _outliers(model, columns)
+    outliers = np.union1d(_outliers(model, columns), events)
     if not outliers.size:
         return _with_usual_flicker(model)
-    near = np.clip(outliers[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), 0, y.size - 1)
+    near = np.clip(outliers[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, y.size - 1)
     left_out[near.ravel()] = LEFT_OUT
     # From the start again: with the outliers the fit may have gone astray for good.
     noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
@@ -312,7 +319,7 @@ def _levels(
     return noise_of(logs), dict(zip(names, left.tolist(), strict=True))
 
 
-def _outliers(model: YawModel, columns: Floats) -> NDArray[np.int64]:
+def _outliers(model: YawModel, columns: Floats) -> Ints:
     both = np.column_stack([columns, model.y])
     given = model.given(both)
     weighed, gram = given.inverse(), given.gram[:-1]
