@@ -4,8 +4,9 @@ A level that is estimated as nothing is not known to be nothing. Intervals that 
 narrow, so the levels are integrated over. Each enters as a standard deviation (a share of the scatter of the
 residual) under a half-Cauchy prior of scale one (Gelman 2006): flat below the scatter that is seen, falling above it.
 
-A level may be *rare*: with even odds it is nothing. A walk is one: a level that no recording would show, a fiftieth of the
-noise at each step, goes far enough in a thousand steps to widen every interval of the bias, and most gyros have none.
+A level may be *rare*: with even odds it is nothing, else its prior falls to nothing at nothing (``share^2 / (1 + share^2)^2``;
+Johnson, Rossell 2010). A walk is one: a level that no recording would show, a fiftieth of the noise at each step, goes far
+enough in a thousand steps to widen every interval of the bias, and most gyros have none.
 """
 
 from __future__ import annotations
@@ -67,11 +68,13 @@ def integrate(
     places = np.array(list(nodes), dtype=np.float64)
     heights = np.array(list(nodes.values()))
     kept = heights > heights.max() - _DEPTH
-    # A node on the boundary stands for half a cell, and of a rare level for nothing too: the half-Cauchy's height is 2 / pi.
-    boundary = 0.5 + (np.zeros(mode.size) if rare is None else 0.5 * np.pi * rare / step)
-    weight = np.exp(heights - heights.max()) * np.prod(np.where(places == 0, boundary, 1.0), axis=1)
-    weight = weight[kept] / weight[kept].sum()
-    square = (step * places[kept]) ** 2
+    square = (step * places) ** 2
+    rare = np.zeros(mode.size, dtype=np.bool_) if rare is None else rare
+    # A node on the boundary stands for half a cell; of a rare level it stands for nothing, which has all of its odds there.
+    boundary = np.where(rare, 0.5 * np.pi / step, 0.5)
+    inside = np.where(rare, 2.0 * square / (1.0 + square), 1.0)
+    weight = np.exp(heights - heights.max()) * np.prod(np.where(places == 0, boundary, inside), axis=1)
+    weight, square = weight[kept] / weight[kept].sum(), square[kept]
     mean = weight @ square
     covariance = (square - mean).T @ ((square - mean) * weight[:, None])
     return Posterior(mean, covariance, _upper(square, weight, step))
