@@ -146,20 +146,23 @@ def test_intervals_hold_a_bias_that_walks() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("plan", PLANS)
 @pytest.mark.parametrize("steps", [0.2, 0.5, 1.0, 2.0])
 def test_coverage_and_false_changes_of_a_bias_that_walks(plan: Plan, steps: float) -> None:
-    shares, coefficients, alarms = study([[4, k] for k in range(120)], plan, steps)
-    assert shares.mean() > 0.88
-    assert coefficients > 0.92
-    assert alarms <= 6
+    shares, coefficients, alarms = study([[4, k] for k in range(60)], plan, steps)
+    # Of 40 recordings each of 24 like these 89 to 100 and 91 to 97 % were held, and 12 of 380 pairs called changed.
+    assert shares.mean() > 0.86
+    assert coefficients > 0.88
+    assert alarms <= 4
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("plan", PLANS)
 @pytest.mark.parametrize("kind", ["white", "flicker", "jitter"])
 def test_coverage_and_false_changes_without_a_walk(plan: Plan, kind: str) -> None:
-    shares, coefficients, alarms = study([[5, k] for k in range(120)], plan, 0.0, kind)
-    assert shares.mean() > 0.9
-    assert coefficients > 0.93
-    assert alarms <= 6
+    shares, coefficients, alarms = study([[5, k] for k in range(60)], plan, 0.0, kind)
+    assert shares.mean() > 0.88
+    assert coefficients > 0.92
+    assert alarms <= 2
