@@ -151,7 +151,7 @@ def test_intervals_hold_a_bias_that_walks() -> None:
 @pytest.mark.parametrize("steps", [0.2, 0.5, 1.0, 2.0])
 def test_coverage_and_false_changes_of_a_bias_that_walks(plan: Plan, steps: float) -> None:
     shares, coefficients, alarms = study([[4, k] for k in range(60)], plan, steps)
-    # Of 40 recordings each of 24 like these 89 to 100 and 91 to 97 % were held, and 12 of 380 pairs called changed.
+    # Of 40 recordings each of 32 others like these 89 to 99 and 90 to 97 % were held, and 13 of 640 pairs called changed.
     assert shares.mean() > 0.86
     assert coefficients > 0.88
     assert alarms <= 4
