@@ -387,6 +387,8 @@ def _figures(c: Calibration) -> dict[str, Any]:
                 "independent_dps": scatter.white_dps,
                 "flicker_per_decade_dps": scatter.flicker_dps,
                 "rate_jitter_ppm": scatter.jitter * 1e6,
+                # A step is a second, or a data set where times are unknown.
+                "walk_per_root_step_dps": scatter.walk_dps,
                 "seen": dict(zip(PARTS, scatter.seen.tolist(), strict=True)),
                 "timed": scatter.timed,
                 "rest_s": scatter.rest.span_s if scatter.rest else 0.0,

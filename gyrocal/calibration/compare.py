@@ -64,7 +64,7 @@ def compare_runs(runs: Sequence[Calibration]) -> tuple[Change, ...]:
     # Of the same rates and temperatures: a scale factor with a slope has another middle where a run was a tenth of a °C warmer.
     span = common_span([run.fit.sets for run in runs])
     listed = [figures_between(run.fit, span) | dict(run.noise.figures) for run in runs]
-    return _changes(listed)
+    return changes_between(listed)
 
 
 def compare_at_rest(runs: Sequence[StaticFigures]) -> tuple[Change, ...]:
@@ -76,7 +76,7 @@ def compare_at_rest(runs: Sequence[StaticFigures]) -> tuple[Change, ...]:
         Fewer than two runs, or one that is given twice.
     """
     _refuse_few([run.source for run in runs])
-    return _changes([dict(run.noise.figures) | run.figures for run in runs])
+    return changes_between([dict(run.noise.figures) | run.figures for run in runs])
 
 
 def _refuse_few(sources: Sequence[Path]) -> None:
@@ -85,7 +85,8 @@ def _refuse_few(sources: Sequence[Path]) -> None:
     refuse_twice(sources)
 
 
-def _changes(listed: Sequence[Mapping[str, Figure]]) -> tuple[Change, ...]:
+def changes_between(listed: Sequence[Mapping[str, Figure]]) -> tuple[Change, ...]:
+    """Figures by name of every run, in order, and what is more than noise between the first and the last."""
     names = [name for name in listed[0] if all(name in figures for figures in listed)]
     raw = [_change(tuple(figures[name] for figures in listed)) for name in names]
     tested = np.array([c.change is not None for c in raw])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import DataSets
-from gyrocal.inference.flicker import TIME_CONSTANTS_S, Rest, flicker_correlation
+from gyrocal.inference.flicker import TIME_CONSTANTS_S, Rest, flicker_correlation, walk_covariance
 from gyrocal.inference.scatter import Scatter, scatter_of
 
 Floats = NDArray[np.float64]
@@ -26,10 +26,13 @@ def scatter_parts(sets: DataSets) -> tuple[Floats, tuple[Floats, ...], bool]:
     known = np.where(np.isfinite(known), known, 0.0)
     if sets.timed:
         duration = np.where(np.isfinite(sets.duration_s) & (sets.duration_s > 0), sets.duration_s, 1.0)
-        correlation = flicker_correlation(sets.t_s, duration, TIME_CONSTANTS_S)
+        flicker = flicker_correlation(sets.t_s, duration, TIME_CONSTANTS_S)
+        walk = walk_covariance(sets.t_s, duration)
     else:
-        correlation = flicker_correlation(order_of(sets), np.ones(len(sets)), TIME_CONSTANTS_SETS)
-    return known, (np.ones(len(sets)), correlation, sets.rate_dps**2), sets.timed
+        place, one = order_of(sets), np.ones(len(sets))
+        flicker = flicker_correlation(place, one, TIME_CONSTANTS_SETS)
+        walk = walk_covariance(place, one)
+    return known, (np.ones(len(sets)), flicker, sets.rate_dps**2, walk), sets.timed
 
 
 def order_of(sets: DataSets) -> Floats:

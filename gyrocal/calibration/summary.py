@@ -12,7 +12,7 @@ from gyrocal.calibration.choice import PAPER
 from gyrocal.calibration.figure import Figure, interval_said, number
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import stray_rows
-from gyrocal.units import DPS_TO_DPH, NORMAL_95, plural
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
@@ -145,6 +145,9 @@ def _scatter_line(c: Calibration) -> str:
         ("deg/h independent", DPS_TO_DPH),
         (f"deg/h of bias drift a decade of {'time' if s.timed else 'data sets'}", DPS_TO_DPH),
         ("ppm of the rate", _PPM),
+        ("deg/h/√h of random walk of the bias", DPS_TO_DPH * np.sqrt(S_PER_H))
+        if s.timed
+        else ("deg/h of random walk of the bias from one data set to the next", DPS_TO_DPH),
     )
     seen, bounds = [], []
     for (what, unit), level, upper, there in zip(whats, s.levels, s.upper, s.seen, strict=True):
@@ -162,7 +165,7 @@ def _rest_line(c: Calibration) -> list[str]:
     if s.rest_disagrees:
         return [
             "the bias drifts more between data sets than at rest: the intervals rest on the data sets alone, "
-            "and something other than 1/f noise may be at work (gyrocal diagnose)"
+            "and something other than 1/f noise and a walk may be at work (gyrocal diagnose)"
         ]
     if s.rest is None:
         return []

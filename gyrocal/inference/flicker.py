@@ -1,9 +1,10 @@
-"""1/f bias noise: its covariance over windows, and what records at rest say about its level.
+"""Bias that drifts at random, as 1/f noise and as a walk: covariances over windows, and what records at rest say of the levels.
 
 In a run of few temperatures the surface takes drift from one temperature to the next for a dependence on temperature; data
-sets then show flicker only within each visit, and say little about its level. Records at rest show it without any of that.
+sets then show drift only within each visit, and say little about its level. Records at rest show it without any of that.
 Each is cut into windows; a constant, a straight line in time and one in temperature are taken off, since they say nothing
-that the surface does not touch; what is left is rotated to independent contrasts, whose variances are ``white + flicker * gain``.
+that the surface does not touch; what is left is rotated to contrasts that are hardly correlated, whose
+variances are ``white + flicker * gain + walk * walk_gain``.
 """
 
 from __future__ import annotations
@@ -38,14 +39,29 @@ def flicker_correlation(t_s: Floats, duration_s: Floats, time_constants: tuple[f
     return total
 
 
+def walk_covariance(t_s: Floats, duration_s: Floats) -> Floats:
+    """Covariance of window means of a random walk of unit variance a second about the middle of where it goes, shape (n, n), s.
+
+    A walk has no mean, so what the constant beside it stands for is a choice. ``(span - |t - s|) / 2`` is the mean of a walk
+    that begins at nothing and one that ends there: a constant that is estimated under it is off from the bias at either end,
+    and anywhere between, by what is stated. Exact for windows that do not overlap.
+    """
+    apart = np.abs(t_s[:, None] - t_s[None, :])
+    np.fill_diagonal(apart, duration_s / 3.0)
+    span = float(np.max(t_s + 0.5 * duration_s) - np.min(t_s - 0.5 * duration_s))
+    return np.asarray(0.5 * (span - apart))
+
+
 @dataclass(frozen=True)
 class Rest:
-    """Independent contrasts of records at rest: ``square ~ (white + flicker * gain) * chi2(1)``.
+    """Contrasts of records at rest: ``square ~ (white + flicker * gain + walk * walk_gain) * chi2(1)``.
 
     Attributes
     ----------
     gain : ndarray, shape (m,), s
         How strongly flicker shows in each contrast.
+    walk_gain : ndarray, shape (m,), s^2
+        The same of a walk.
     square : ndarray, shape (m,), (deg/s)^2 s
         Squared contrasts.
     records : int
@@ -55,16 +71,17 @@ class Rest:
     """
 
     gain: Floats
+    walk_gain: Floats
     square: Floats
     records: int
     span_s: float
 
-    def cost(self, flicker: float) -> tuple[float, float]:
-        """Minus the log-likelihood of a level of flicker, (deg/s)^2 a decade, and its slope.
+    def cost(self, flicker: float, walk: float) -> tuple[float, float, float]:
+        """Minus the log-likelihood of levels of flicker, (deg/s)^2 a decade, and walk, (deg/s)^2/s, and its slopes.
 
         The angle random walk is whatever suits it best: hundreds of contrasts leave it little freedom.
         """
-        drift = flicker * self.gain
+        drift = flicker * self.gain + walk * self.walk_gain
         middle = np.log(float(np.mean(self.square)) + np.finfo(float).tiny)
 
         def value(log_white: float) -> float:
@@ -75,8 +92,8 @@ class Rest:
             value, bounds=(middle - 20.0, middle + 3.0), method="bounded", options={"xatol": 1e-6}
         )
         variance = np.exp(found.x) + drift
-        slope = 0.5 * float(np.sum((1.0 - self.square / variance) * self.gain / variance))
-        return float(found.fun), slope
+        pull = 0.5 * (1.0 - self.square / variance) / variance
+        return float(found.fun), float(pull @ self.gain), float(pull @ self.walk_gain)
 
 
 def merge_rest(records: Iterable[Rest | None]) -> Rest | None:
@@ -86,6 +103,7 @@ def merge_rest(records: Iterable[Rest | None]) -> Rest | None:
         return None
     return Rest(
         gain=np.concatenate([r.gain for r in present]),
+        walk_gain=np.concatenate([r.walk_gain for r in present]),
         square=np.concatenate([r.square for r in present]),
         records=sum(r.records for r in present),
         span_s=sum(r.span_s for r in present),
@@ -106,7 +124,15 @@ def rest_of_windows(t_s: Floats, gyro_dps: Floats, temp_c: Floats, window_s: flo
     nuisance = np.stack([c / np.linalg.norm(c) for c in columns], axis=1)
     free = linalg.null_space(nuisance.T)
     # Windows are as long as one another: their sample noise is white, and weighed by their length the same in all.
-    covariance = flicker_correlation(t_s, np.full(t_s.size, window_s), TIME_CONSTANTS_S)
-    gain, vectors = linalg.eigh(free.T @ covariance @ free)
-    contrast = vectors.T @ (free.T @ gyro_dps)
-    return Rest(np.maximum(gain, 0.0) * window_s, contrast**2 * window_s, 1, t_s.size * window_s)
+    lengths = np.full(t_s.size, window_s)
+    gain, vectors = linalg.eigh(free.T @ flicker_correlation(t_s, lengths, TIME_CONSTANTS_S) @ free)
+    rotated = free @ vectors
+    # Of a walk the contrasts that are independent are all but the same.
+    walk_gain = np.sum(rotated * (walk_covariance(t_s, lengths) @ rotated), axis=0)
+    return Rest(
+        np.maximum(gain, 0.0) * window_s,
+        np.maximum(walk_gain, 0.0) * window_s,
+        (rotated.T @ gyro_dps) ** 2 * window_s,
+        1,
+        t_s.size * window_s,
+    )

@@ -3,6 +3,10 @@
 A level that is estimated as nothing is not known to be nothing. Intervals that rest on the estimate alone are then too
 narrow, so the levels are integrated over. Each enters as a standard deviation (a share of the scatter of the
 residual) under a half-Cauchy prior of scale one (Gelman 2006): flat below the scatter that is seen, falling above it.
+
+A level may be *rare*: with even odds it is nothing, else its prior falls to nothing at nothing (``share^2 / (1 + share^2)^2``;
+Johnson, Rossell 2010). A walk is one: a level that no recording would show, a fiftieth of the noise at each step, goes far
+enough in a thousand steps to widen every interval of the bias, and most gyros have none.
 """
 
 from __future__ import annotations
@@ -20,9 +24,9 @@ Node = tuple[int, ...]
 #: The lattice's step along each axis takes the log-posterior down by this much: 1.5 standard deviations of a normal
 #: law, at which the sum over a lattice is its integral to four digits.
 _STEP_DROP = 0.5 * 1.5**2
-#: Nodes lower than this below the highest are left out: 1 % of a normal law in three dimensions.
+#: Nodes lower than this below the highest are left out: 1 % of a normal law in three dimensions, 3 % in four.
 _DEPTH = 5.5
-#: Nodes at the most: eleven places along each of three axes.
+#: Nodes at the most: three times what levels that are hardly told apart take.
 _MOST_NODES = 1500
 #: Where the step along an axis is sought: from this share of the mode, or of the scatter where the mode is nothing, to so many
 #: times the scatter, where the prior alone has fallen by as much.
@@ -44,12 +48,16 @@ class Posterior:
     upper: Floats
 
 
-def integrate(log_likelihood: Callable[[Floats], float], mode: Floats) -> Posterior:
+def integrate(
+    log_likelihood: Callable[[Floats], float], mode: Floats, rare: NDArray[np.bool_] | None = None
+) -> Posterior:
     """Posterior of shares (standard deviations, not negative) given a log-likelihood and roughly where it peaks.
 
     Parameters
     ----------
     mode : ndarray, shape (k,)
+    rare : ndarray of bool, shape (k,), optional
+        Which are nothing with even odds; none of them where it is not given.
     """
 
     def log_posterior(share: Floats) -> float:
@@ -60,10 +68,13 @@ def integrate(log_likelihood: Callable[[Floats], float], mode: Floats) -> Poster
     places = np.array(list(nodes), dtype=np.float64)
     heights = np.array(list(nodes.values()))
     kept = heights > heights.max() - _DEPTH
-    # A node on the boundary stands for half a cell.
-    weight = np.exp(heights - heights.max()) * 0.5 ** np.sum(places == 0, axis=1)
-    weight = weight[kept] / weight[kept].sum()
-    square = (step * places[kept]) ** 2
+    square = (step * places) ** 2
+    rare = np.zeros(mode.size, dtype=np.bool_) if rare is None else rare
+    # A node on the boundary stands for half a cell; of a rare level it stands for nothing, which has all of its odds there.
+    boundary = np.where(rare, 0.5 * np.pi / step, 0.5)
+    inside = np.where(rare, 2.0 * square / (1.0 + square), 1.0)
+    weight = np.exp(heights - heights.max()) * np.prod(np.where(places == 0, boundary, inside), axis=1)
+    weight, square = weight[kept] / weight[kept].sum(), square[kept]
     mean = weight @ square
     covariance = (square - mean).T @ ((square - mean) * weight[:, None])
     return Posterior(mean, covariance, _upper(square, weight, step))

@@ -1,15 +1,17 @@
 """Covariance of data-set means: what their scatter is made of, estimated from the scatter itself.
 
-``V = diag(std^2/n) + white I + flicker K(t) + jitter diag(rate^2)``
+``V = diag(std^2/n) + white I + flicker K(t) + jitter diag(rate^2) + walk W(t)``
 
 - ``std^2/n``: sample noise (angle random walk), known from each data set;
 - ``white``: what independent scatter there is beyond it (all of it where a table gives no ``std`` and ``n``);
 - ``flicker``: 1/f bias noise, a sum of Ornstein-Uhlenbeck processes a decade apart with one common variance,
   averaged over the window of each data set; it correlates neighbours in time;
-- ``jitter``: a rate error of the table, independent from data set to data set, proportional to the rate.
+- ``jitter``: a rate error of the table, independent from data set to data set, proportional to the rate;
+- ``walk``: a random walk of the bias, averaged likewise; it has no mean, and the constant beside it stands for the bias at
+  either end of the recording and anywhere between (`flicker.walk_covariance`).
 
-The three levels come from the restricted likelihood (Patterson, Thompson 1971), which allows for the coefficients
-that the same data have to give, and for flicker from records at rest as well (`flicker.Rest`). What is not known about
+The four levels come from the restricted likelihood (Patterson, Thompson 1971), which allows for the coefficients
+that the same data have to give, and for flicker and walk from records at rest as well (`flicker.Rest`). What is not known about
 the levels is carried on: the covariance is the mean over their posterior (`levels`), and its own spread gives the
 degrees of freedom of every interval.
 """
@@ -29,7 +31,11 @@ from gyrocal.inference.levels import integrate
 Floats = NDArray[np.float64]
 
 #: Names of the estimated levels, in the order of `Scatter.levels`.
-PARTS = ("white", "flicker", "jitter")
+PARTS = ("white", "flicker", "jitter", "walk")
+#: Those that records at rest speak of, in the order of `Rest.cost`.
+_DRIFTS = [1, 3]
+#: Those that are nothing with even odds.
+_RARE = np.array([part == "walk" for part in PARTS])
 
 #: A search starts here or higher: as logarithms, levels that are nearly none hardly move.
 _SEED_SHARE = 0.05
@@ -52,13 +58,14 @@ class Scatter:
 
     Attributes
     ----------
-    levels : ndarray, shape (3,)
-        Posterior means: ``white`` in (deg/s)^2, ``flicker`` in (deg/s)^2 for each decade, ``jitter`` relative, squared.
-    level_covariance : ndarray, shape (3, 3)
+    levels : ndarray, shape (4,)
+        Posterior means: ``white`` in (deg/s)^2, ``flicker`` in (deg/s)^2 for each decade, ``jitter`` relative, squared,
+        ``walk`` in (deg/s)^2 a second, or a place in the order where times are unknown.
+    level_covariance : ndarray, shape (4, 4)
         How well they are known.
-    upper : ndarray, shape (3,)
+    upper : ndarray, shape (4,)
         95 % upper bounds.
-    seen : ndarray of bool, shape (3,)
+    seen : ndarray of bool, shape (4,)
         Whether the recording shows the level at all: the likelihood falls by 1.35 (5 %, one-sided) without it.
     matrix : ndarray, shape (n, n), (deg/s)^2
     parts : tuple of ndarray, shape (n, n) or (n,) for a diagonal
@@ -99,6 +106,11 @@ class Scatter:
         """Relative rate error from data set to data set."""
         return float(np.sqrt(self.levels[2]))
 
+    @property
+    def walk_dps(self) -> float:
+        """Standard deviation of what the bias walks in a second, or from one place in the order to the next."""
+        return float(np.sqrt(self.levels[3]))
+
 
 @dataclass(frozen=True)
 class _Likelihood:
@@ -116,9 +128,9 @@ class _Likelihood:
         levels = (self.scale * np.exp(log_levels)).astype(np.float64)
         value, slope = _restricted_likelihood(self.known, self.parts, levels, self.basis, self.error_dps)
         if self.rest is not None:
-            more, steeper = self.rest.cost(float(levels[1]))
+            more, *steeper = self.rest.cost(*levels[_DRIFTS])
             value += more
-            slope[1] += steeper
+            slope[_DRIFTS] += steeper
         return value, slope * levels
 
     def log_likelihood(self, share: Floats) -> float:
@@ -126,7 +138,7 @@ class _Likelihood:
         levels = (self.scale * share**2).astype(np.float64)
         matrix = _matrix(self.known, self.parts, levels)
         value = -0.5 * restricted_loss(matrix, self.basis, self.error_dps)
-        return value if self.rest is None else value - self.rest.cost(float(levels[1]))[0]
+        return value if self.rest is None else value - self.rest.cost(*levels[_DRIFTS])[0]
 
     def peak(self, start: Floats) -> tuple[Floats, float]:
         """``share^2`` of the highest likelihood, and the cost there."""
@@ -184,9 +196,10 @@ def scatter_of(
     if timed and rest is not None:
         both = replace(alone, rest=rest)
         joint, _ = both.peak(np.maximum(square, _SEED_SHARE))
-        # What the data sets alone would gain is chi-square with one degree of freedom, if rest speaks for them.
+        # What the data sets alone would gain is chi-square, a degree of freedom for each drift, if rest speaks for them.
         gain = 2.0 * (alone.cost(np.log(joint))[0] - least)
-        disagrees = bool(gain > stats.chi2.isf(_DISAGREEMENT, 1) and joint[1] < square[1])
+        less = float(joint[_DRIFTS].sum()) < float(square[_DRIFTS].sum())
+        disagrees = bool(less and gain > stats.chi2.isf(_DISAGREEMENT, len(_DRIFTS)))
         if not disagrees:
             square, likelihood = joint, both
     return _weighed(likelihood, square, design, timed, rest, disagrees)
@@ -211,7 +224,7 @@ def _weighed(
     seen[active] = top - np.array(without) > 0.5 * stats.chi2.isf(0.1, 1)
     levels, upper, spread = np.zeros(scale.size), np.zeros(scale.size), np.zeros((scale.size, scale.size))
     if likelihood.error_dps.size <= _MOST_INTEGRATED:
-        posterior = integrate(log_likelihood, mode)
+        posterior = integrate(log_likelihood, mode, _RARE[active])
         levels[active], upper[active] = scale[active] * posterior.mean, scale[active] * posterior.upper
         spread[np.ix_(active, active)] = posterior.covariance * np.outer(scale[active], scale[active])
         matrix = _matrix(likelihood.known, parts, levels)

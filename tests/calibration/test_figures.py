@@ -90,8 +90,9 @@ def test_an_asymmetry_and_hystereses_are_found() -> None:
     assert found["rate_hysteresis"].before.value == pytest.approx(60.0, rel=0.3)
     heating = found["thermal_hysteresis"].before
     assert heating.value == pytest.approx(8e-3 * 3600, rel=0.4)
-    assert heating.low is not None
-    assert heating.low > 0
+    # Heated in one half of the time and cooled in the other: a walk of the bias may do as much.
+    assert heating.interval is not None
+    assert heating.interval[1] <= 8e-3 * 3600 <= heating.interval[2]
     assert len(fit.sets) == 77
 
 
