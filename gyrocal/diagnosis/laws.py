@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, tells_of_scale
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
@@ -31,6 +31,8 @@ GAIN = 8.0
 _NOTHING = 1e-12
 #: The least share of its natural amplitude that a law may have.
 _LEAST_NATURAL = 1e-3
+#: Family of what time does.
+_TIME = BIAS_STEP.family
 #: Rounds in which the surface and the laws that act through it follow each other.
 _TIES = 2
 
@@ -72,6 +74,8 @@ class Laws:
     def trials(self, effect: Effect) -> list[Trial]:
         """All shapes of an effect that this record may show."""
         if not wanted(effect) or effect.why_not(self.offer) is not None:
+            return []
+        if _is_of_scale_in_time(effect) and not tells_of_scale(self.means):
             return []
         found = []
         for shape in effect.search.grid(self.offer):
@@ -146,11 +150,14 @@ def effects_of(block: str) -> list[Effect]:
         # scatters from rate to rate is taken for the peak of a resonance, where it is highest.
         if block == EACH_RATE and (not effect.runtime or effect.search.scatters):
             continue
-        by_rate = "rate_dps" in effect.needs
-        if own.family == "time" and by_rate != (block == "scale in time"):
+        if own.family == _TIME and _is_of_scale_in_time(effect) != (block == "scale in time"):
             continue
         found.append(effect)
     return found
+
+
+def _is_of_scale_in_time(effect: Effect) -> bool:
+    return effect.family == _TIME and "rate_dps" in effect.needs
 
 
 def untestable(series: Series, named: Collection[str] = ()) -> dict[str, Reason]:
