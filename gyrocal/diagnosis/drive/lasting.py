@@ -82,17 +82,19 @@ def events(
     least_gain : what a law has to gain for a name
     """
     tried = [n for n in named if n in columns and not n.startswith("wheel_")]
+    # A rest tells of the gyro as often as it has intervals: of these an event takes one.
+    moving = np.flatnonzero(~model.frame.nodes.resting)
     telling = {n: _telling(model, columns, n) for n in tried}
-    count = model.y.size
     single = {
-        k: [*range(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, count))]
-        for one in telling.values()
-        for k in one
+        k: {k, *moving[np.abs(moving - k) <= NEIGHBOURS].tolist()}
+        for intervals in telling.values()
+        for k in intervals
     }
     if not single:
         return np.zeros(0, dtype=np.int64)
     impulses = {
-        f"at:{j}": np.eye(1, count, j)[0] for j in sorted({j for near in single.values() for j in near})
+        f"at:{j}": np.eye(1, model.y.size, j)[0]
+        for j in sorted({j for near in single.values() for j in near})
     }
     beside = evidence(model, {**columns, **impulses}).knowing(known)
     found = []
