@@ -314,7 +314,7 @@ def _examine(
     frame = frame_of(series, nodes, ahead_s, window_s, rough_bias_dps(series))
     constant, laws, blocks = constant_laws(frame), candidate_laws(frame), strangers(frame)
     odd_before = [] if before is None else [x for c in before.odd if c in blocks for x in blocks[c].T]
-    model = yaw_model(frame, [*(law.column for law in (constant | laws).values()), *odd_before], aside)
+    model = yaw_model(frame, [*(x.column for x in (constant | laws).values()), *odd_before], aside)
     # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
     candidates = _of_groups(laws, laws if before is None else before.named)
     everything = constant | laws | settling_laws(frame)
@@ -340,9 +340,7 @@ def _examine(
     at_once = events(model, {n: columns[n] for n in (*chosen, *beside)}, known, named, GAIN)
     if at_once.size:
         return _examine(series, ahead_s, window_s, before, held, np.union1d(aside, at_once))
-    chosen = [
-        n for n in chosen if n in constant or n in ("delay", "jump") or n in named or _pair_of(n) in named
-    ]
+    chosen = [n for n in chosen if n in (*constant, "delay", "jump", *named) or _pair_of(n) in named]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
     values, covariance = told.own.solve([*chosen, *unnamed])
@@ -360,17 +358,16 @@ def _examine(
         window_s,
         told,
         known,
-        _unlike(changing, ahead_s)
-        | {n.removeprefix("time:") for n in jumping}
-        | (earned.keys() - named.keys()),
+        _unlike(changing, ahead_s, jumping) | (earned.keys() - named.keys()),
         changed,
         unnamed,
     )
 
 
-def _unlike(changing: Iterable[str], ahead_s: float) -> frozenset[str]:
-    """Laws that change; of a delay that was taken out beforehand it is what is left of it that does."""
-    return frozenset(n for n in changing if n != "delay" or ahead_s == 0.0)
+def _unlike(changing: Iterable[str], ahead_s: float, jumping: Iterable[str]) -> frozenset[str]:
+    """Laws that change, or at an instant; of a delay that was taken out beforehand it is what is left of it that does."""
+    at_once = {n.removeprefix("time:") for n in jumping}
+    return frozenset(at_once.union(n for n in changing if n != "delay" or ahead_s == 0.0))
 
 
 def _first(

@@ -55,6 +55,8 @@ _TOLD = 1e-9
 LEFT_OUT = 1.0
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, NEIGHBOURS = 5.0, 2
+#: Intervals at rest that tell how widely they scatter, and how often those that stand out are looked for anew.
+_FEWEST, _CLEARED = 10, 4
 #: Levels of 1/f noise at which laws are weighed, in standard deviations of their logarithm from what is usual, and how
 #: closely what lies between them is looked at.
 _LEVELS, _BETWEEN = np.linspace(-3.0, 3.0, 9), np.linspace(-3.0, 3.0, 241)
@@ -263,14 +265,18 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
     columns = _independent(np.column_stack(means), sources.field(usual, left_out))
     noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
-    outliers = np.union1d(_outliers(model, columns), events)
-    if not outliers.size:
-        return _with_usual_flicker(model)
-    near = np.clip(outliers[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, y.size - 1)
-    left_out[near.ravel()] = LEFT_OUT
-    # From the start again: with the outliers the fit may have gone astray for good.
-    noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
-    return _with_usual_flicker(YawModel(frame, y, noise, usual, left_out, outliers, log_std))
+    found = [events, _outliers(model, columns), _turned_by_hand(model, columns)]
+    for _ in range(_CLEARED):
+        outliers = np.unique(np.concatenate([model.outliers, *found]))
+        if outliers.size == model.outliers.size:
+            break
+        near = np.clip(outliers[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, y.size - 1)
+        left_out[near.ravel()] = LEFT_OUT
+        # From the start again: with the outliers the fit may have gone astray for good.
+        noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
+        model = YawModel(frame, y, noise, usual, left_out, outliers, log_std)
+        found = [_turned_by_hand(model, columns)]
+    return _with_usual_flicker(model)
 
 
 def _with_usual_flicker(model: YawModel) -> YawModel:
@@ -320,18 +326,37 @@ def _levels(
 
 
 def _outliers(model: YawModel, columns: Floats) -> Ints:
-    both = np.column_stack([columns, model.y])
-    given = model.given(both)
-    weighed, gram = given.inverse(), given.gram[:-1]
-    values = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
+    """Intervals in motion that stand out.
+
+    Those of several speeds have heavier tails than a normal law: the scale is their own.
+    """
     moving = ~model.frame.nodes.resting & (model.left_out == 0)
     if not moving.any():
         return np.zeros(0, dtype=np.int64)
-    score = weighed[:, -1] - weighed[:, :-1] @ values
-    score = score * np.sqrt(model.white)
-    # Intervals of several speeds have heavier tails than a normal law; the scale is that of the moving ones.
-    scale = STDS_PER_MAD * float(np.median(np.abs(score[moving])))
-    return np.flatnonzero(moving & (np.abs(score) > _FAR * scale))
+    score = _scores(model, columns)
+    return np.flatnonzero(moving & (score > _FAR * STDS_PER_MAD * float(np.median(score[moving]))))
+
+
+def _turned_by_hand(model: YawModel, columns: Floats) -> Ints:
+    """Intervals at rest in which the gyro turns as in no other, none less than half as much as the most.
+
+    A robot that is turned while its wheels stand has no gyro of another bias. What this does to the noise hides what is
+    less, and makes more of what is nothing: it is looked at again without.
+    """
+    resting = model.frame.nodes.resting & (model.left_out == 0)
+    if np.count_nonzero(resting) < _FEWEST:
+        return np.zeros(0, dtype=np.int64)
+    score = np.where(resting, _scores(model, columns), 0.0)
+    least = max(_FAR * STDS_PER_MAD * float(np.median(score[resting])), 0.5 * float(score.max()))
+    return np.flatnonzero(score > least)
+
+
+def _scores(model: YawModel, columns: Floats) -> Floats:
+    """How far each interval is from what all others say of it, in its white noise."""
+    given = model.given(np.column_stack([columns, model.y]))
+    weighed, gram = given.inverse(), given.gram[:-1]
+    values = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
+    return np.asarray(np.abs(weighed[:, -1] - weighed[:, :-1] @ values) * np.sqrt(model.white))
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ Floats = NDArray[np.float64]
 
 
 def test_a_delay_that_was_taken_out_is_uneven_by_what_is_left_of_it_only() -> None:
-    assert _unlike(["delay", "step"], -0.3) == {"step"}
-    assert _unlike(["delay", "step"], 0.0) == {"delay", "step"}
+    assert _unlike(["delay", "step"], -0.3, ["time:track"]) == {"step", "track"}
+    assert _unlike(["delay", "step"], 0.0, []) == {"delay", "step"}
 
 
 def test_instants_of_a_jump_are_within_the_drive() -> None:

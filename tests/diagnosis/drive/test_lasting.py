@@ -223,6 +223,22 @@ def test_what_happened_once_is_no_law(slip_deg: float, resting: Robot) -> None:
     assert any(468.0 < x.from_s < x.to_s < 476.0 for x in left_out(found.yaw)) == bool(slip_deg)
 
 
+def test_a_robot_that_a_hand_turns_has_no_other_bias(resting: Robot) -> None:
+    """Turned by 30 deg within 2 s while its wheels stand: the bias had jumped by some deg/s, and stayed there."""
+    log = drive(replace(PLAN, shape="rests", minutes=6.0), 3)
+    still = (log.left_m == 0.0) & (log.right_m == 0.0) & (log.t_s > log.t_s[0] + 60.0)
+    start = next(t for t in log.t_s[still] if np.all(still[(log.t_s >= t - 1.0) & (log.t_s < t + 4.0)]))
+    turning = (log.t_s >= start) & (log.t_s < start + 2.0)
+    plain, turned = (
+        examine("log", replace(log, gyro_dps=log.gyro_dps + dps * turning), resting, None)
+        for dps in (0.0, 15.0)
+    )
+    assert not {*turned.yaw.chosen} & {"jump"}
+    assert turned.yaw.estimate("bias")[0] == pytest.approx(plain.yaw.estimate("bias")[0], abs=2e-3)
+    since_s = start - log.t_s[0]
+    assert any(x.from_s < since_s + 2.0 and x.to_s > since_s for x in left_out(turned.yaw))
+
+
 def test_a_slip_in_the_last_row_is_left_out_too(resting: Robot) -> None:
     log = drive(PLAN, 6)
     found = examine("log", slipping(log, [log.t_s[-1]], [0.02]), resting, None)
