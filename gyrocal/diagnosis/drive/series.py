@@ -382,7 +382,7 @@ def averaged(t_s: Floats, cumulated: Floats, ahead_s: float, window_s: float) ->
 def rough_bias_dps(series: DriveSeries) -> float:
     """Bias of the gyro at its rests; of a drive without, by where the encoders' heading ends."""
     if series.resting.any():
-        return float(np.median(series.gyro_dps[series.resting]))
+        return float(np.mean(series.gyro_dps[series.resting]))
     if not series.differential:
         return 0.0
     return float(RAD_TO_DEG * (series.gyro_rad[-1] - series.encoder_rad[-1]) / series.duration_s)
