@@ -76,7 +76,7 @@ class OffInterval:
 
 
 def left_out(yaw: YawAnswer) -> list[OffInterval]:
-    """Slips of a wheel and spikes of the gyro, in order of time; turns of the encoders less those of the gyro."""
+    """Slips of a wheel, spikes of the gyro and turns by hand, in order of time; turns of the encoders less those of the gyro."""
     model, off_rad = yaw.model, yaw.left_rad
     nodes = model.frame.nodes
     # Times of nodes are those at which their intervals end.
