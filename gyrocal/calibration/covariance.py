@@ -24,14 +24,13 @@ def scatter_parts(sets: DataSets) -> tuple[Floats, tuple[Floats, ...], bool]:
     """Known variances, shape (n,), the parts of `PARTS` (1-d: a diagonal), and whether times are known."""
     known = sets.mean_variance_dps2
     known = np.where(np.isfinite(known), known, 0.0)
+    constants: tuple[float, ...]
     if sets.timed:
         duration = np.where(np.isfinite(sets.duration_s) & (sets.duration_s > 0), sets.duration_s, 1.0)
-        flicker = flicker_correlation(sets.t_s, duration, TIME_CONSTANTS_S)
-        walk = walk_covariance(sets.t_s, duration)
+        place, constants = sets.t_s, TIME_CONSTANTS_S
     else:
-        place, one = order_of(sets), np.ones(len(sets))
-        flicker = flicker_correlation(place, one, TIME_CONSTANTS_SETS)
-        walk = walk_covariance(place, one)
+        duration, place, constants = np.ones(len(sets)), order_of(sets), TIME_CONSTANTS_SETS
+    flicker, walk = flicker_correlation(place, duration, constants), walk_covariance(place, duration)
     return known, (np.ones(len(sets)), flicker, sets.rate_dps**2, walk), sets.timed
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from scipy import stats
 from gyrocal.diagnosis.drive.laws import KINDS, Law
 from gyrocal.diagnosis.drive.motions import settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
-from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, Evidence, YawModel, evidence, gram_of
+from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, Evidence, Gram, YawModel, evidence, weighed_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -82,16 +81,17 @@ def events(
     least_gain : what a law has to gain for a name
     """
     tried = [n for n in named if n in columns and not n.startswith("wheel_")]
+    if not tried:
+        return np.zeros(0, dtype=np.int64)
+    gram, weighed = weighed_of(model, columns)
     # A rest tells of the gyro as often as it has intervals: of these an event takes one.
     moving = np.flatnonzero(~model.frame.nodes.resting)
-    telling = {n: _telling(model, columns, n) for n in tried}
+    telling = {n: _telling(model, columns, gram, weighed, n) for n in tried}
     single = {
         k: {k, *moving[np.abs(moving - k) <= NEIGHBOURS].tolist()}
         for intervals in telling.values()
         for k in intervals
     }
-    if not single:
-        return np.zeros(0, dtype=np.int64)
     impulses = {
         f"at:{j}": np.eye(1, model.y.size, j)[0]
         for j in sorted({j for near in single.values() for j in near})
@@ -108,16 +108,14 @@ def events(
     return np.unique(np.array(found, dtype=np.int64))
 
 
-def _telling(model: YawModel, columns: Mapping[str, Floats], name: str) -> list[int]:
+def _telling(
+    model: YawModel, columns: Mapping[str, Floats], gram: Gram, weighed: Floats, name: str
+) -> list[int]:
     """The intervals in which a law says most beside the other columns."""
-    gram, weighed = gram_of(model, columns), model.given(np.column_stack([*columns.values()])).inverse()
     at, others = [*columns].index(name), [n for n in columns if n != name]
-    rest = [k for k in range(len(columns)) if k != at]
-    shares, _ = replace(gram, right=gram.matrix[:, at]).solve(others)
-    values, _ = gram.solve(others)
-    left = model.y - np.column_stack([columns[n] for n in others]) @ values
-    said = (weighed[:, at] - weighed[:, rest] @ shares) * left
-    return [int(k) for k in np.argsort(-np.abs(said))[:_TELLING]]
+    left = model.y - np.column_stack([columns[n] for n in others]) @ gram.solve(others)[0]
+    beyond = weighed[:, at] - np.delete(weighed, at, axis=1) @ gram.nearest(name, others)
+    return [int(k) for k in np.argsort(-np.abs(beyond * left))[:_TELLING]]
 
 
 def undenied(

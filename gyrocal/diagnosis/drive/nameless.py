@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +66,7 @@ def beside_means(
     lasting = [n for n in beside if n not in jumping]
     if not lasting:
         return free, {n: columns[n] for n in beside}
-    own = free.own
-    each = [replace(own, right=own.matrix[:, own.names.index(n)]).solve(wheels)[0] for n in lasting]
-    shares = np.stack(each, axis=1)
+    shares = np.stack([free.own.nearest(n, wheels) for n in lasting], axis=1)
     means = np.stack([columns[n] for n in wheels], axis=1) @ shares
     apart = {n: columns[n] - mean for n, mean in zip(lasting, means.T, strict=True)}
     return free.less(lasting, wheels, shares), {n: apart.get(n, columns[n]) for n in beside}

@@ -265,7 +265,8 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
     columns = _independent(np.column_stack(means), sources.field(usual, left_out))
     noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
-    found = [events, _outliers(model, columns), _turned_by_hand(model, columns)]
+    score = _scores(model, columns)
+    found = [events, _outliers(model, score), _turned_by_hand(model, score)]
     for _ in range(_CLEARED):
         outliers = np.unique(np.concatenate([model.outliers, *found]))
         if outliers.size == model.outliers.size:
@@ -275,7 +276,7 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
         # From the start again: with the outliers the fit may have gone astray for good.
         noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
         model = YawModel(frame, y, noise, usual, left_out, outliers, log_std)
-        found = [_turned_by_hand(model, columns)]
+        found = [_turned_by_hand(model, _scores(model, columns))]
     return _with_usual_flicker(model)
 
 
@@ -325,7 +326,7 @@ def _levels(
     return noise_of(logs), dict(zip(names, left.tolist(), strict=True))
 
 
-def _outliers(model: YawModel, columns: Floats) -> Ints:
+def _outliers(model: YawModel, score: Floats) -> Ints:
     """Intervals in motion that stand out.
 
     Those of several speeds have heavier tails than a normal law: the scale is their own.
@@ -333,11 +334,10 @@ def _outliers(model: YawModel, columns: Floats) -> Ints:
     moving = ~model.frame.nodes.resting & (model.left_out == 0)
     if not moving.any():
         return np.zeros(0, dtype=np.int64)
-    score = _scores(model, columns)
     return np.flatnonzero(moving & (score > _FAR * STDS_PER_MAD * float(np.median(score[moving]))))
 
 
-def _turned_by_hand(model: YawModel, columns: Floats) -> Ints:
+def _turned_by_hand(model: YawModel, score: Floats) -> Ints:
     """Intervals at rest in which the gyro turns as in no other, none less than half as much as the most.
 
     A robot that is turned while its wheels stand has no gyro of another bias. What this does to the noise hides what is
@@ -346,7 +346,7 @@ def _turned_by_hand(model: YawModel, columns: Floats) -> Ints:
     resting = model.frame.nodes.resting & (model.left_out == 0)
     if np.count_nonzero(resting) < _FEWEST:
         return np.zeros(0, dtype=np.int64)
-    score = np.where(resting, _scores(model, columns), 0.0)
+    score = np.where(resting, score, 0.0)
     least = max(_FAR * STDS_PER_MAD * float(np.median(score[resting])), 0.5 * float(score.max()))
     return np.flatnonzero(score > least)
 
@@ -397,6 +397,10 @@ class Gram:
         covariance = inverse * np.outer(scale, scale)
         return np.asarray(covariance @ self.right[at]), np.asarray(covariance, dtype=np.float64)
 
+    def nearest(self, name: str, of: Sequence[str]) -> Floats:
+        """Coefficients of other columns that come nearest to one, under the noise."""
+        return replace(self, right=self.matrix[:, self.names.index(name)]).solve(of)[0]
+
     def gain(self, chosen: Sequence[str]) -> float:
         """Twice the log likelihood that some columns gain over none."""
         if not chosen:
@@ -412,6 +416,12 @@ class Gram:
 def gram_of(model: YawModel, columns: Mapping[str, Floats], flicker_dps: float | None = None) -> Gram:
     """Inner products of columns, name -> (m,), under a model's noise."""
     return _gram(columns, model.given(_stacked(model, columns), flicker_dps))
+
+
+def weighed_of(model: YawModel, columns: Mapping[str, Floats]) -> tuple[Gram, Floats]:
+    """The same, and ``V^-1`` times the columns, shape (m, p)."""
+    given = model.given(_stacked(model, columns))
+    return _gram(columns, given), given.inverse()[:, :-1]
 
 
 def _stacked(model: YawModel, columns: Mapping[str, Floats]) -> Floats:
