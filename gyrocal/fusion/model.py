@@ -3,7 +3,8 @@
 One observation a node: encoder heading minus gyro heading (eq. 13), at nodes of fixed spacing, so that the rate of the
 log does not matter. Beside the nine errors of eq. 12 stand the encoders' tick and clock error, which does not
 accumulate; three Gauss-Markov parts of the gyro's bias, which make up its 1/f noise; and the wander of the effective
-track. Wheels slip in proportion to distance and turn. At rest only the gyro makes an error, so that its bias is seen.
+track and of one wheel against the other. Wheels slip in proportion to distance and turn. At rest only the gyro makes an
+error, so that its bias is seen.
 
 Without the filter the encoders' turn is used at rest only: heading from the gyro alone, with the bias of its rests.
 
@@ -27,7 +28,7 @@ from gyrocal.fusion.filter import (
 
 # isort: on
 from gyrocal.fusion.static_bias import TURNED_DPS
-from gyrocal.physics.drive import FLICKER_TAUS_S, TICK_WAITS_S, WANDER_TAU_S
+from gyrocal.physics.drive import FLICKER_TAUS_S, TICK_WAITS_S
 from gyrocal.physics.slip import widened
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
@@ -39,30 +40,28 @@ REST_NODE_S = 1.0
 _ROUNDING = 1e-12
 
 # Error states after the nine.
-TICK, FLICKER_1, FLICKER_2, FLICKER_3, WANDER = range(9, 14)
-_N = 14
+TICK, FLICKER_1, FLICKER_2, FLICKER_3, TRACK, WHEELS = range(9, 15)
+_N = 15
 # Their estimates, and what a node has gathered: time, distance, way of right over left wheel, turn by the gyro as it
-# came, turn as it was navigated, variance of turns without a gyro, rows that lack something; then time since the wheels moved, and by how much
-# the smoothed gyro heading is ahead of the plain one.
+# came, turn as it was navigated, variance of turns without a gyro, rows that lack something; then time since the
+# wheels moved, and by how much the smoothed gyro heading is ahead of the plain one.
 AHEAD = PAPER_SIZE
-E, G1, G2, G3, STRAY, SINCE, TRAVEL = range(AHEAD, AHEAD + 7)
-ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(AHEAD + 7, AHEAD + 14)
+E, G1, G2, G3, STRAY, PULL, SINCE, TRAVEL = range(AHEAD, AHEAD + 8)
+ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(AHEAD + 8, AHEAD + 15)
 # What heading and position change by for a gyro scale wrong by one; how far the temperature was from `TEMP`.
-HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C = range(AHEAD + 14, AHEAD + 18)
-MEMORY_SIZE = AHEAD + 18
+HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C, MEMORY_SIZE = range(AHEAD + 15, AHEAD + 20)
 
 # Figures after those of `filter`: spacing of the nodes, s; variance of the tick error, rad^2; of the clocks, s^2; of each
-# part of the flicker, (rad/s)^2; of the wander; of the bias step and of that while moving, (rad/s)^2; of its slope,
+# part of the flicker, (rad/s)^2; of what wanders, track and wheels, and its memories, s; of the bias step and of that while moving, (rad/s)^2; of its slope,
 # (rad/s/deg C)^2; of the scales of the gyro and of both wheels, which no heading difference shows; law of slip,
 # amplitude, shape.
 (
-    SPACING, TICKS, JITTER, FLICKER, WANDERING, STEP_VARIANCE, SHAKEN_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE,
+    SPACING, TICKS, JITTER, FLICKER, TRACK_VARIANCE, WHEELS_VARIANCE, TRACK_S, WHEELS_S, STEP_VARIANCE, SHAKEN_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE,
     WAY_VARIANCE, LAW, AMPLITUDE, SHAPE,
-) = range(18, 31)  # fmt: skip
+) = range(18, 34)  # fmt: skip
 
 # Rows of the matrix: the covariance, then scratch.
-_GAIN, _V = _N, _N + 1
-MATRIX_ROWS = _N + 2
+_GAIN, _V, MATRIX_ROWS = range(_N, _N + 3)
 
 _widened = part(widened)
 
@@ -123,24 +122,20 @@ def _row(
 
 @part
 def _transit(
-    p: Any, i: int, sin: float, cos: float, right: float, left: float, width: float, raw: float, dt: float,
-    keep: float, f1: float, f2: float, f3: float, f4: float,
+    p: Any, i: int, sin: float, cos: float, right: float, left: float, width: float, raw: float, dt: float, fade: Any,
 ) -> None:  # fmt: skip
     """The errors of one column of P over a node (eqs. 8, 9, 11), at the mid-point heading."""
     travel, turned = 0.5 * (right + left), (right - left) / width
     by_gyro = raw * p[SCALE, i] + dt * (p[BIAS, i] + p[FLICKER_1, i] + p[FLICKER_2, i] + p[FLICKER_3, i])
     across = right * p[RIGHT, i] - left * p[LEFT, i] - turned * p[WIDTH, i]
-    by_wheels = across / width + turned * p[WANDER, i]
+    by_wheels = across / width + turned * p[TRACK, i] + travel / width * p[WHEELS, i]
     heading, along = p[PHI, i] + 0.5 * by_gyro, 0.5 * (right * p[RIGHT, i] + left * p[LEFT, i])
     p[X, i] += cos * along - sin * travel * heading
     p[Y, i] += sin * along + cos * travel * heading
     p[PSI, i] += by_wheels - by_gyro
     p[PHI, i] += by_gyro
-    p[TICK, i] *= keep
-    p[FLICKER_1, i] *= f1
-    p[FLICKER_2, i] *= f2
-    p[FLICKER_3, i] *= f3
-    p[WANDER, i] *= f4
+    for j in range(TICK, _N):
+        p[j, i] *= fade[j - TICK]
 
 
 @part
@@ -155,7 +150,7 @@ def _noise(p: Any, variance: float, x: float, y: float, psi: float, phi: float) 
 @part
 def _spread(
     nav: Any, p: Any, figures: Any, sin: float, cos: float, right: float, left: float, width: float, rest: bool,
-    quiet: bool, f1: float, f2: float, f3: float, f4: float,
+    quiet: bool, fade: Any,
 ) -> None:  # fmt: skip
     """Process noise of a node."""
     dt, travel, turned = nav[SINCE], 0.5 * (right + left), nav[TURNED]
@@ -163,10 +158,9 @@ def _spread(
     if nav[BLIND] > 0.0:
         _noise(p, (2.0 * nav[BLIND] - 1.0) * travel * travel, cos, sin, 0.0, 0.0)
     p[BIAS, BIAS] += figures[BIAS_WALK] * dt
-    p[FLICKER_1, FLICKER_1] += figures[FLICKER] * (1.0 - f1 * f1)
-    p[FLICKER_2, FLICKER_2] += figures[FLICKER] * (1.0 - f2 * f2)
-    p[FLICKER_3, FLICKER_3] += figures[FLICKER] * (1.0 - f3 * f3)
-    p[WANDER, WANDER] += figures[WANDERING] * (1.0 - f4 * f4)
+    for j in range(FLICKER_1, _N):
+        level = figures[FLICKER if j < TRACK else TRACK_VARIANCE + j - TRACK]
+        p[j, j] += level * (1.0 - fade[j - TICK] * fade[j - TICK])
     if quiet and not rest:
         # Wheels that have just stopped may still turn by less than a tick, which the encoders do not see.
         p[TICK, TICK] += turned * turned
@@ -231,10 +225,12 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bo
     quiet = nav[STILL] >= (1.0 - 1e-9) * dt
     rate, speed = turned / dt * RAD_TO_DEG, nav[TRAVEL] / dt
     wider = 1.0 + figures[AMPLITUDE] * _widened(figures[LAW], rate, speed, width, figures[SHAPE])
-    nav[PSI] += nav[ACROSS] / (width * wider) * (1.0 + nav[STRAY])
-    f1, f2 = math.exp(-dt / FLICKER_TAUS_S[0]), math.exp(-dt / FLICKER_TAUS_S[1])
-    f3, f4 = math.exp(-dt / FLICKER_TAUS_S[2]), math.exp(-dt / WANDER_TAU_S)
-    keep = 1.0 if quiet else 0.0
+    nav[PSI] += nav[ACROSS] / (width * wider) * (1.0 + nav[STRAY]) + nav[PULL] * nav[TRAVEL] / width
+    fast, slow, slowest = FLICKER_TAUS_S
+    fade = (
+        1.0 if quiet else 0.0, math.exp(-dt / fast), math.exp(-dt / slow), math.exp(-dt / slowest),
+        math.exp(-dt / figures[TRACK_S]), math.exp(-dt / figures[WHEELS_S]),
+    )  # fmt: skip
     middle = nav[PHI] - 0.5 * turned
     sin, cos = math.sin(middle), math.cos(middle)
     # The wheels' errors act on the true turn. At rest that is none, and the gyro's noise in its place would look like
@@ -243,13 +239,13 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bo
     right, left = nav[TRAVEL] + half, nav[TRAVEL] - half
     for _ in range(2):  # F P F' is F (F P)', for P is symmetric
         for i in range(_N):
-            _transit(p, i, sin, cos, right, left, width, nav[BY_GYRO], dt, keep, f1, f2, f3, f4)
+            _transit(p, i, sin, cos, right, left, width, nav[BY_GYRO], dt, fade)
         for i in range(_N):
             for j in range(i):
                 p[i, j], p[j, i] = p[j, i], p[i, j]
-    _spread(nav, p, figures, sin, cos, right, left, width, rest, quiet, f1, f2, f3, f4)
-    nav[E], nav[STRAY] = keep * nav[E], f4 * nav[STRAY]
-    nav[G1], nav[G2], nav[G3] = f1 * nav[G1], f2 * nav[G2], f3 * nav[G3]
+    _spread(nav, p, figures, sin, cos, right, left, width, rest, quiet, fade)
+    for j in range(E, SINCE):
+        nav[j] *= fade[j - E]
     nu = expected = 0.0
     if nav[LOST] > 0.0 or not (filtering or rest):
         _forget(nav, p)
@@ -306,8 +302,7 @@ def initial_covariance(std: Any, figures: Any) -> Any:
     # The encoders cannot tell the gyro's scale from the track: the track is the one that agrees with this gyro, and
     # what the scale does to the pose is carried beside.
     p[SCALE, SCALE] = 0.0
-    p[(FLICKER_1, FLICKER_2, FLICKER_3), (FLICKER_1, FLICKER_2, FLICKER_3)] = figures[FLICKER]
-    p[WANDER, WANDER] = figures[WANDERING]
+    p[range(FLICKER_1, _N), range(FLICKER_1, _N)] = figures[[FLICKER] * 3 + [TRACK_VARIANCE, WHEELS_VARIANCE]]
     return p
 
 

@@ -291,9 +291,10 @@ def _figures(
     # A tick is rounded evenly, on both wheels.
     ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
     of_bias = (gyro.bias_motion_dps_std, gyro.bias_moving_dps_std, raw * gyro.bias_slope_dps_per_c_std)
-    spreads = [noise.flicker_dps * DEG_TO_RAD, noise.track_wander, *(DEG_TO_RAD * v for v in of_bias)]
-    spreads += [raw * robot.gyro_scale_std, robot.way_std]
-    model = [max(NODE_S, wheels.window_s), ticks, noise.jitter_s**2, *(v * v for v in spreads)]
+    wandering = [noise.track_wander**2, noise.wheel_wander**2, noise.track_wander_s, noise.wheel_wander_s]
+    spreads = [*(DEG_TO_RAD * v for v in of_bias), raw * robot.gyro_scale_std, robot.way_std]
+    model = [max(NODE_S, wheels.window_s), ticks, noise.jitter_s**2, (noise.flicker_dps * DEG_TO_RAD) ** 2]
+    model += [*wandering, *(v * v for v in spreads)]
     law = [float(SLIP_LAWS.index(slip.law)), slip.amplitude, slip.shape]
     return np.concatenate([squared, known, [robot.wheel_separation_m, *scales], model, law])
 

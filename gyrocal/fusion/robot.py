@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from gyrocal.errors import ProfileError
+from gyrocal.physics.drive import WANDER_TAU_S
 from gyrocal.physics.slip import SLIP_LAWS
 
 #: Default uncertainty of the wheel separation, of its value. That of a skid steer is hardly known beforehand:
@@ -91,6 +92,9 @@ class FilterNoise(_Figures):
     jitter_s: float = figure(0.002, 0.0, 10.0)  # time error between encoders and gyro, white
     flicker_dps: float = figure(0.001, 0.0, 100.0)  # of the gyro's bias, for each of FLICKER_TAUS_S
     track_wander: float = figure(0.02, 0.0, 1.0)  # of the effective track, of its value
+    track_wander_s: float = figure(WANDER_TAU_S, 0.01, 1e5)  # its memory
+    wheel_wander: float = figure(0.0, 0.0, 1.0)  # of one wheel's way against the other's: slip that lasts
+    wheel_wander_s: float = figure(WANDER_TAU_S, 0.01, 1e5)
 
 
 @dataclass(frozen=True)

@@ -109,39 +109,43 @@ class Given:
         return self.log_det + 2.0 * float(np.sum(np.log(np.diag(lower)[:-1]))) + float(lower[-1, -1] ** 2)
 
     def restricted_slope(self) -> MarkovSlope:
-        """Slope of `restricted_loss` along the logarithms of the field's variances.
+        """Slope of `restricted_loss` along the logarithms of the field's variances, and along what its states keep.
 
         Of each independent normal of variance v it is 1 less its mean square given the observations, in v (Fisher's
-        identity: Louis, J. R. Stat. Soc. B 44, 1982); the mean square is that of the mean, the variance beside known
-        coefficients, and what is not known of the coefficients.
+        identity: Louis, J. R. Stat. Soc. B 44, 1982); along a factor it is -2 times the mean product, given the
+        observations, of the push and the state before, over v. The means of squares and products are those of the means,
+        the variances beside known coefficients, and what is not known of the coefficients.
         """
         f, lower = self.field, np.linalg.cholesky(self.gram)
         # Columns of unit information, that have nothing in common, and what they leave of the last.
         mixed = np.linalg.inv(lower).T
         mixed[:, -1] *= lower[-1, -1]
         means = self._means(mixed)
-        of_start, of_push, of_noise = _spread(self.lower, self.below, f.keep, f.before, f.after)
+        of_start, of_push, of_keep, of_noise = _spread(self.lower, self.below, f.keep, f.before, f.after)
         of_start += np.sum(means[0] ** 2, axis=1)
-        of_push += np.sum((means[1:] - f.keep[:, :, None] * means[:-1]) ** 2, axis=2)
-        of_noise += np.sum(self._unexplained(means, self.columns @ mixed) ** 2, axis=1)
-        return MarkovSlope(1.0 - of_start / f.start, 1.0 - of_push / f.push, 1.0 - of_noise / f.noise)
+        _add_means(of_push, of_keep, of_noise, means, self.columns @ mixed, f.keep, f.before, f.after)
+        return MarkovSlope(
+            1.0 - of_start / f.start,
+            -2.0 * of_keep / f.push,
+            1.0 - of_push / f.push,
+            1.0 - of_noise / f.noise,
+        )
 
 
 @dataclass(frozen=True)
 class MarkovSlope:
-    """Slope along the logarithm of each variance of a field, shapes as in `MarkovField`."""
+    """Slope along the logarithm of each variance of a field, and along each factor; shapes as in `MarkovField`."""
 
     start: Floats
+    keep: Floats
     push: Floats
     noise: Floats
 
     def along(self, field: MarkovField, moved: MarkovField) -> float:
         """By how much it rises from a field to one near it, to first order."""
-        return float(
-            self.start @ (moved.start / field.start - 1.0)
-            + np.sum(self.push * (moved.push / field.push - 1.0))
-            + self.noise @ (moved.noise / field.noise - 1.0)
-        )
+        rises = _along(self.keep, self.push, field.keep, field.push, moved.keep, moved.push)
+        starts, noises = moved.start / field.start - 1.0, moved.noise / field.noise - 1.0
+        return float(self.start @ starts + rises + self.noise @ noises)
 
 
 @njit(cache=True, error_model="numpy")
@@ -230,14 +234,16 @@ def _substitute(lower: Floats, below: Floats, states: Floats) -> Floats:  # prag
 @njit(cache=True, error_model="numpy")
 def _spread(
     lower: Floats, below: Floats, keep: Floats, before: Floats, after: Floats
-) -> tuple[Floats, Floats, Floats]:  # pragma: no cover - compiled
+) -> tuple[Floats, Floats, Floats, Floats]:  # pragma: no cover - compiled
     """Variances of the states at node 0, of the pushes, and of what is seen of the states, given the observations.
+
+    Before the last one: covariances of the pushes and the states before them.
 
     They need no more of the inverse of the precision than its blocks beside the diagonal, which follow from the last one
     (Takahashi's recursion; Rue and Held, section 2.2.5).
     """
     n, s = keep.shape
-    of_push, of_seen = np.zeros((n, s)), np.zeros(n)
+    of_push, of_keep, of_seen = np.zeros((n, s)), np.zeros((n, s)), np.zeros(n)
     own, last, beside = np.zeros((s, s)), np.zeros((s, s)), np.zeros((s, s))
     inverse, gain = np.zeros((s, s)), np.zeros((s, s))
     for k in range(n, -1, -1):
@@ -274,13 +280,53 @@ def _spread(
             for a in range(s):
                 fades = keep[k, a]
                 of_push[k, a] = last[a, a] - 2.0 * fades * beside[a, a] + fades**2 * own[a, a]
+                of_keep[k, a] = beside[a, a] - fades * own[a, a]
                 for b in range(s):
                     of_seen[k] += (
                         after[k, a] * after[k, b] * last[a, b] + before[k, a] * before[k, b] * own[a, b]
                     )
                     of_seen[k] += 2.0 * after[k, a] * before[k, b] * beside[a, b]
         own, last = last, own
-    return np.diag(last).copy(), of_push, of_seen
+    return np.diag(last).copy(), of_push, of_keep, of_seen
+
+
+@njit(cache=True, error_model="numpy")
+def _add_means(
+    of_push: Floats,
+    of_keep: Floats,
+    of_noise: Floats,
+    means: Floats,
+    columns: Floats,
+    keep: Floats,
+    before: Floats,
+    after: Floats,
+) -> None:  # pragma: no cover - compiled
+    """Add what the means of the states, shape (n + 1, s, q), give to the variances and covariances of `_spread`."""
+    (n, s), q = keep.shape, columns.shape[1]
+    for k in range(n):
+        for j in range(q):
+            left = columns[k, j]
+            for a in range(s):
+                past, now = means[k, a, j], means[k + 1, a, j]
+                push = now - keep[k, a] * past
+                of_push[k, a] += push * push
+                of_keep[k, a] += push * past
+                left -= after[k, a] * now + before[k, a] * past
+            of_noise[k] += left * left
+
+
+@njit(cache=True, error_model="numpy")
+def _along(
+    of_keep: Floats, of_push: Floats, keep: Floats, push: Floats, kept: Floats, pushed: Floats
+) -> float:  # pragma: no cover - compiled
+    """What factors and pushes that are others, `kept` and `pushed`, make of the slopes along them."""
+    rise = 0.0
+    for k in range(keep.shape[0]):
+        for a in range(keep.shape[1]):
+            rise += of_keep[k, a] * (kept[k, a] - keep[k, a]) + of_push[k, a] * (
+                pushed[k, a] / push[k, a] - 1.0
+            )
+    return rise
 
 
 def restricted_maximum(

@@ -33,6 +33,7 @@ USUAL: Mapping[str, tuple[float, float]] = {
     "tick_m": (5e-4, 2.0),
     "jitter_s": (2e-3, 2.0),
     "track_wander": (0.01, 2.0),
+    "wheel_wander": (5e-4, 2.0),
     "flicker_dps": (math.nan, 0.7),  # by the angle random walk
 }
 #: A gyro's flicker in deg/h for each deg/sqrt(h) of its angle random walk (drive-report.md, section 1).

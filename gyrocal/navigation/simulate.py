@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.navigation.path import Motion, TruePath, drive, square_via_points
+from gyrocal.physics.drive import WANDER_TAU_S
 from gyrocal.physics.gyro import GyroModel, GyroStream
 from gyrocal.records.drive import DriveBlock
 from gyrocal.units import DEG_TO_RAD, DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG, S_PER_MIN
@@ -212,5 +213,8 @@ def robot_figures(
             "jitter_s": 0.0,
             "flicker_dps": _PER_DECADE * bias_instability_deg_per_h * DPH_TO_DPS,
             "track_wander": 0.0,
+            "track_wander_s": WANDER_TAU_S,
+            "wheel_wander": 0.0,
+            "wheel_wander_s": WANDER_TAU_S,
         },
     }

@@ -20,12 +20,13 @@ from gyrocal.fusion import (
     SlipFigures,
     Trajectory,
 )
-from gyrocal.physics.drive import FLICKER_TAUS_S, WANDER_TAU_S, tick_wait_s
+from gyrocal.physics.drive import FLICKER_TAUS_S, tick_wait_s
 from gyrocal.physics.slip import slip_shape
 
 Floats = NDArray[np.float64]
 DT, WIDTH = 0.1, 0.5
 NOISE = FilterNoise(0.002, 0.1, 0.2, tick_m=0.001, jitter_s=0.002, flicker_dps=0.002, track_wander=0.02)
+NOISE = replace(NOISE, track_wander_s=6.0, wheel_wander=0.003, wheel_wander_s=12.0)
 PRIOR = InitialStd(
     right_scale=0.002, left_scale=0.002, wheel_separation_m=0.005, gyro_scale=0.0, gyro_bias_dps=0.02
 )
@@ -82,7 +83,8 @@ def draw(
     spin = np.radians(noise.turn_slip_deg_per_rt_deg * np.sqrt(np.degrees(np.abs(turned)))) * rng.normal(
         size=n
     )
-    spin = spin - markov(rng, n, WANDER_TAU_S, noise.track_wander) * turned
+    spin = spin - markov(rng, n, noise.track_wander_s, noise.track_wander) * turned
+    spin = spin - markov(rng, n, noise.wheel_wander_s, noise.wheel_wander) * travel / WIDTH
     e = np.hypot(noise.tick_m / np.sqrt(6.0) / WIDTH, noise.jitter_s * omega) * rng.normal(size=n)
     held = np.zeros(n)
     for k in range(n):
@@ -159,7 +161,8 @@ def test_innovations_are_white_and_of_the_size_that_the_filter_expects() -> None
         normalised = out.innovation_deg / out.innovation_sigma_deg
         z.append(normalised[np.isfinite(normalised)])
     whole = np.concatenate(z)
-    assert stats.chi2.ppf(1e-3, whole.size) < float(whole @ whole) < stats.chi2.ppf(1 - 1e-3, whole.size)
+    # One sigma is 0.6 %; that a log begins and stops between nodes makes the filter expect 0.8 % too much.
+    assert float(whole @ whole) / whole.size == pytest.approx(0.992, abs=0.02)
     pairs = np.concatenate([v[1:] * v[:-1] for v in z])
     assert abs(float(pairs.sum())) < 3.3 * np.sqrt(pairs.size)
 

@@ -85,6 +85,17 @@ def test_slope_is_that_of_differences() -> None:
             assert both_ways == pytest.approx(rise, rel=1e-3, abs=1e-9)
 
 
+def test_slope_along_what_states_keep_is_that_of_differences() -> None:
+    both = np.random.default_rng(7).normal(size=(30, 3))
+    field = some_field(30, 8)
+    slope = field.given(both).restricted_slope()
+    for k, step in enumerate(1e-5 * np.eye(field.keep.size)):
+        up, down = (replace(field, keep=field.keep + sign * step.reshape(30, 3)) for sign in (1.0, -1.0))
+        rise = up.given(both).restricted_loss() - down.given(both).restricted_loss()
+        assert np.ravel(slope.keep)[k] == pytest.approx(rise / 2e-5, abs=1e-5)
+        assert slope.along(field, up) - slope.along(field, down) == pytest.approx(rise, rel=1e-3, abs=1e-9)
+
+
 def test_levels_are_found() -> None:
     """White noise and a walk, drawn 40 times: the mean of the found logarithms is the truth's."""
     n, truth = 300, np.log([0.5, 0.1])

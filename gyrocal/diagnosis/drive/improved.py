@@ -427,5 +427,8 @@ def _noise_keys(yaw: YawAnswer) -> dict[str, float]:
         # The rounding of two wheels, each of a step over the square root of twelve.
         "noise.tick_m": noise.tick_m * float(np.sqrt(6.0)),
         "noise.jitter_s": noise.jitter_s,
-        "noise.track_wander": noise.wander,
+        "noise.track_wander": noise.track_wander,
+        "noise.track_wander_s": noise.track_wander_s,
+        "noise.wheel_wander": noise.wheel_wander,
+        "noise.wheel_wander_s": noise.wheel_wander_s,
     }

@@ -11,13 +11,15 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import Frame, Law, jump
 from gyrocal.diagnosis.drive.series import Nodes
-from gyrocal.diagnosis.drive.yaw import YawModel, evidence
+from gyrocal.diagnosis.drive.yaw import Evidence, YawModel, evidence
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 
 Floats = NDArray[np.float64]
 
 #: Instants of a drive at which the bias may jump, and how many about the likeliest are looked at again.
 _INSTANTS, _CLOSER = 40, 16
+#: What a wheel that is another one changes.
+_OF_WHEELS = ("track", "asymmetry")
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ def _likeliest(
 
 def jump_of(
     model: YawModel,
+    free: Evidence,
     laws: Mapping[str, Law],
     chosen: Sequence[str],
     known: Mapping[str, tuple[float, float]],
@@ -89,12 +92,13 @@ def jump_of(
     """A bias that jumps and stays, at the likeliest instant, if it is less likely to be chance than `least`.
 
     Where track or wheels that are others from some instant on are likelier, these instead, at theirs: a law of no name, for
-    no robot file holds it, beside which whatever might have stood for it is to be weighed.
+    no robot file holds it, beside which whatever might have stood for it is to be weighed. They are asked where the bias may
+    jump, or `free` shows that something goes with the time.
 
     Returns
     -------
     dict of str to Law
-        One by the name ``jump``, one by ``time:`` and the name of a wheel's law, or none.
+        One by the name ``jump``, or one or two by ``time:`` and the name of a wheel's law, or none.
     """
     ends_s = model.frame.nodes.t_s
     columns = {n: laws[n].column for n in chosen}
@@ -111,15 +115,26 @@ def jump_of(
 
         return _likeliest(*within_motion(model.frame.nodes), gains, least)
 
-    bias = likeliest("bias")
-    if bias is None:
+    with_time = [n for n in free.own.names if n.startswith("time:")]
+    changing = bool(stats.chi2.sf(free.added(chosen, with_time), len(with_time)) < least)
+    found = {"bias": likeliest("bias")}
+    if found["bias"] is not None or changing:
+        found |= {n: likeliest(n) for n in _OF_WHEELS if n in laws}
+    likely = {n: x for n, x in found.items() if x is not None}
+    if not likely:
         return {}
-    wheels = {n: likeliest(n) for n in ("track", "asymmetry") if n in laws}
-    likelier = {n: x for n, x in wheels.items() if x is not None and x.gain > bias.gain}
-    if not likelier:
-        return {"jump": law_at(model.frame, bias)}
-    name, instant = max(likelier.items(), key=lambda item: item[1].gain)
-    return {f"time:{name}": replace(laws[name], shape=instant.shape, column=until(name, instant.at_s))}
+    name, instant = max(likely.items(), key=lambda item: item[1].gain)
+    if name == "bias":
+        return {"jump": law_at(model.frame, instant)}
+    both = {n: until(n, instant.at_s) for n in _OF_WHEELS}
+    told = evidence(model, columns | {f"time:{n}": x for n, x in both.items()})
+    # A wheel that is another one turns the robot further, too.
+    more = [
+        n
+        for n in both
+        if n != name and stats.chi2.sf(told.added([*chosen, f"time:{name}"], [f"time:{n}"]), 1) < least
+    ]
+    return {f"time:{n}": replace(laws[n], shape=instant.shape, column=both[n]) for n in (name, *more)}
 
 
 def less(known: Mapping[str, tuple[float, float]], name: str) -> dict[str, tuple[float, float]]:

@@ -20,6 +20,9 @@ Ints = NDArray[np.int64]
 _PARTS = 24
 #: Intervals that are looked at for an event, of those in which a law says most.
 _TELLING = 6
+#: By what share of itself a delay must grow within a drive to be that of a clock, and no gyro's; the mean square of a line
+#: from -1/2 to 1/2.
+_GROWS, _OF_LINE = 0.5, 1.0 / 12.0
 
 
 def uneven(
@@ -133,7 +136,8 @@ def undenied(
     mean are of the ground: on another path their mean is another.
     """
     denied = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
-    if "delay" in named and odd["delay"][2] < STRANGER_P:
+    grown = "delay" in named and odd["delay"][2] < STRANGER_P
+    if grown and odd["delay"][0] > _OF_LINE * _GROWS**2 * named["delay"]:
         denied["delay"] = ("delay", odd["delay"])
     for name in (n for n in named if KINDS[n].group == "motion" or n == "slope"):
         if settling_beats(told, [n for n in fitted if n != name], name):
@@ -142,7 +146,7 @@ def undenied(
     if any(n in named for n in of_turns):
         values = dict(zip(fitted, told.own.solve(fitted)[0], strict=True))
         slipped = np.sum([values[n] * laws[n].column for n in of_turns], axis=0)
-        if np.linalg.norm(slipped) < model.noise.wander * np.linalg.norm(laws["track"].column):
+        if np.linalg.norm(slipped) < model.noise.track_wander * np.linalg.norm(laws["track"].column):
             denied |= {n: ("turn_rate", _test(named[n])) for n in of_turns if n in named}
     left = dict(odd)
     for coordinate, test in denied.values():

@@ -53,6 +53,8 @@ _TEMP_SMOOTH_S, _TEMP_SMOOTH_SHARE = 10.0, 0.1
 #: Cells of the ground across the path, those looked at, after how long a robot has come back to one (five memories of the
 #: track's wander), s, and how much it must turn in one, deg.
 _ACROSS, _MOST_CELLS, _BACK_S, _TURNED_DEG = 6, 12, 20.0, 60.0
+#: Waves over a drive in which wheels and track may change: what lasts for less of it is slip.
+_SLOW = 4
 #: Speeds for the shape of a law are means over this time, s: in a turn the outer wheel goes further and slips more, so
 #: that a node's speed shares noise with the difference of its turns, and a slow robot's looks like slip by speed.
 SPEED_SMOOTH_S = 0.5
@@ -339,6 +341,15 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     found = {name: frame.nodes.between(np.cumsum(np.stack(v, axis=1), axis=0)) for name, v in rows.items()}
     at = (frame.nodes.t_s - c.t_s[0]) / series.duration_s - 0.5
     return found | {"delay": (delay * at)[:, None]}
+
+
+def slow_changes(frame: Frame) -> list[Floats]:
+    """Wheels and track that are others from one part of a drive to the next: too slowly for noise, and of no name."""
+    c, series = frame.conditions, frame.series
+    share = (c.t_s - c.t_s[0]) / series.duration_s
+    waves = [np.cos(np.pi * k * share) for k in range(1, _SLOW + 1)]
+    rows = [x * wave for x in (c.gyro_yaw_rad, c.distance_m) for wave in waves]
+    return [frame.nodes.between(np.cumsum(row)) for row in rows] if series.differential else []
 
 
 def by_place(t_s: Floats, heading_rad: Floats, way_m: Floats, turn_rad: Floats) -> list[Floats]:

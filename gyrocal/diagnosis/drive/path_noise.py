@@ -172,7 +172,8 @@ def _unseen(path: Reckoned, edges_s: Floats, noise: YawNoise) -> Floats:
     variance = turned**2
     if path.track_m > 0.0:
         by_way = noise.slip_m_per_rt_m**2 * 2.0 * np.abs(path.way_m) + noise.tick_m**2
-        variance = noise.turn**2 * np.abs(turned) + noise.wander**2 * variance + by_way / path.track_m**2
+        by_turn = noise.turn**2 * np.abs(turned) + noise.track_wander**2 * variance
+        variance = by_turn + by_way / path.track_m**2
     cell = np.clip(np.searchsorted(edges_s, path.t_s, side="left") - 1, 0, edges_s.size - 2)
     return np.asarray(np.bincount(cell[path.gap], variance[path.gap], edges_s.size - 1), dtype=np.float64)
 

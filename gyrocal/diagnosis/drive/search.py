@@ -321,7 +321,7 @@ def _examine(
     free = evidence(model, columns := _columns_of(everything, blocks))
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
-    jumping = jump_of(model, everything, chosen, known, STRANGER_P)
+    jumping = jump_of(model, free, everything, chosen, known, STRANGER_P)
     beyond = wheel_out_of_true(frame, model, everything, chosen, known)
     beyond |= {n: x for n, x in jumping.items() if n in KINDS}
     if beyond or jumping:

@@ -2,11 +2,12 @@
 
 An interval's difference of turns is, with the states of `_Sources.field`,
 
-    y_k = e_k - e_(k-1) - (g_1 + g_2 + g_3 + r) dt + o dphi + laws + w_k
+    y_k = e_k - e_(k-1) - (g_1 + g_2 + g_3 + r) dt + o dphi + q ds / D + laws + w_k
 
 e is the error of ticks and clock, which does not accumulate; g are three Gauss-Markov biases of equal strength (1/f
-noise), r a random walk of the bias, o the wandering of the effective track; w is what accumulates: angle random walk,
-wheel slip, slip in turns. At rest nothing but the gyro speaks, so rests are rows like all others.
+noise), r a random walk of the bias, o the wandering of the effective track, q that of the wheels' difference (slip that
+lasts); w is what accumulates: angle random walk, wheel slip, slip in turns. At rest nothing but the gyro speaks, so rests
+are rows like all others.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
 
-from gyrocal.diagnosis.drive.laws import Frame, difference
+from gyrocal.diagnosis.drive.laws import Frame, difference, slow_changes
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.inference.markov import Given, MarkovField, restricted_maximum
 from gyrocal.inference.spread import white_at_rest
@@ -40,11 +41,12 @@ _WALK_PER_FLICKER = 0.3
 #: Standard deviations of the levels' logarithms beforehand: of most no more is known than their size, while 1/f noise seldom
 #: is far from what is usual.
 _SPREAD = dict.fromkeys(
-    ("slip_m_per_rt_m", "turn", "tick_m", "flicker_dps", "wander", "jitter_s", "arw_dps_per_rt_hz"), 1.5
-) | {"flicker_dps": 0.7}
+    ("slip_m_per_rt_m", "turn", "tick_m", "track_wander", "wheel_wander", "jitter_s", "arw_dps_per_rt_hz"),
+    1.5,
+) | {"flicker_dps": 0.7, "track_wander_s": 1.0, "wheel_wander_s": 1.0}
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Where the search for the levels begins: wander of the track, jitter of the clock, and an encoder without ticks.
-_USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 2e-4, 2e-4
+_USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = (0.003, 3e-4), 2e-4, 2e-4
 #: Standard deviations above what is usual at which the search begins for levels that others may hide.
 _SEEN = 1.5
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
@@ -73,7 +75,8 @@ class YawNoise:
     turn : slip in turns, rad per sqrt(rad)
     tick_m : standard deviation of the difference of the two distances that does not accumulate
     flicker_dps : of each of the three Gauss-Markov biases; the walk follows it
-    wander : of the effective track, relative
+    track_wander, track_wander_s : of the effective track, relative, and its memory
+    wheel_wander, wheel_wander_s : slip of one wheel against the other that lasts, of the way, and its memory
     jitter_s : of the clock between encoders and gyro
     """
 
@@ -82,7 +85,10 @@ class YawNoise:
     turn: float
     tick_m: float
     flicker_dps: float
-    wander: float
+    track_wander: float
+    track_wander_s: float
+    wheel_wander: float
+    wheel_wander_s: float
     jitter_s: float
 
     @property
@@ -110,7 +116,10 @@ def usual_noise(series: DriveSeries) -> YawNoise:
         max(given["turn_slip_deg_per_rt_deg"] * np.sqrt(DEG_TO_RAD), 1e-5),
         tick if tick > 0 else _USUAL_TICK_M,
         usual_flicker_dps(max(arw, 1e-6)),
-        _USUAL_WANDER,
+        _USUAL_WANDER[0],
+        WANDER_TAU_S,
+        _USUAL_WANDER[1],
+        WANDER_TAU_S,
         _USUAL_JITTER_S,
     )
 
@@ -127,14 +136,14 @@ def _white_is_open(series: DriveSeries) -> bool:
 
 @dataclass(frozen=True)
 class _Sources:
-    """What noise of each level does in the intervals of a log, whatever the levels are; arrays of shape (m,) and (m, 4).
+    """What noise of each level does in the intervals of a log, whatever the levels are; arrays of shape (m,) and (m, 3).
 
     Attributes
     ----------
     turn, turned : turn of the robot, and its turns to either side together, rad
-    way : of both wheels, m
+    way, ahead : of both wheels together, and of the robot, m
     unseen : square of what the gyro turns meanwhile, rad^2
-    fade : what is left of the Gauss-Markov parts
+    fade : what is left of the parts of the 1/f noise
     """
 
     separation_m: float
@@ -143,6 +152,7 @@ class _Sources:
     turn: Floats
     turned: Floats
     way: Floats
+    ahead: Floats
     unseen: Floats
     fade: Floats
 
@@ -159,21 +169,17 @@ class _Sources:
             # From left to right and back within an interval is a way, too.
             nodes.between(np.cumsum(np.abs(yaw_rad))),
             nodes.between(np.cumsum(np.abs(series.left_m) + np.abs(series.right_m))),
+            nodes.between(np.cumsum(0.5 * (series.left_m + series.right_m))),
             nodes.between(series.gyro_rad) ** 2,
-            np.exp(-nodes.dt_s[:, None] / [*FLICKER_TAUS_S, WANDER_TAU_S]),
+            np.exp(-nodes.dt_s[:, None] / FLICKER_TAUS_S),
         )
-
-    @cached_property
-    def _keep(self) -> Floats:
-        fade = self.fade
-        return np.column_stack([self._waiting, fade[:, :3], np.ones_like(self.dt_s), fade[:, 3:]])
 
     @cached_property
     def _seen(self) -> tuple[Floats, Floats]:
         """Weights of the states before and after an interval in its observation."""
         one, zero, dt = np.ones_like(self.dt_s), np.zeros_like(self.dt_s), self.dt_s
-        before = np.column_stack([-one, zero, zero, zero, zero, zero])
-        return before, np.column_stack([one, -dt, -dt, -dt, -dt, self.turn])
+        before = np.column_stack([-one, zero, zero, zero, zero, zero, zero])
+        return before, np.column_stack([one, -dt, -dt, -dt, -dt, self.turn, self.ahead / self.separation_m])
 
     @cached_property
     def _waiting(self) -> NDArray[np.bool_]:
@@ -190,21 +196,24 @@ class _Sources:
         return np.asarray(rate**2)
 
     def field(self, noise: YawNoise, left_out: Floats) -> MarkovField:
-        """The states e, g_1, g_2, g_3, r, o of the log at these levels."""
+        """The states e, g_1, g_2, g_3, r, o, q of the log at these levels."""
         tick = (max(noise.tick_m, _LEAST_TICK_M) / self.separation_m) ** 2
         unsteady = tick + noise.jitter_s**2 * self._rate_square
         flicker, walk = ((DEG_TO_RAD * x) ** 2 for x in (noise.flicker_dps, noise.walk_dps_per_rt_s))
-        levels = np.array([flicker, flicker, flicker, noise.wander**2])
-        drawn = levels * (1.0 - self.fade**2)
+        levels = np.array([flicker] * 3 + [noise.track_wander**2, noise.wheel_wander**2])
+        wandering = np.exp(-self.dt_s[:, None] / [noise.track_wander_s, noise.wheel_wander_s])
+        fade = np.hstack([self.fade, wandering])
+        keep = np.column_stack([self._waiting, fade[:, :3], np.ones_like(self.dt_s), wandering])
+        drawn = levels * (1.0 - fade**2)
         held = _STILL * unsteady + self.moving * self.unseen
         push = np.column_stack(
-            [np.where(self._waiting, held, unsteady), drawn[:, :3], walk * self.dt_s, drawn[:, 3]]
+            [np.where(self._waiting, held, unsteady), drawn[:, :3], walk * self.dt_s, drawn[:, 3:]]
         )
         white = (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * self.dt_s
         slipping = (noise.slip_m_per_rt_m / self.separation_m) ** 2 * self.way + noise.turn**2 * self.turned
-        start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, levels[3]])
+        start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, *levels[3:]])
         whole = white + slipping * self.moving + left_out + 1e-18
-        return MarkovField(start, self._keep, np.maximum(push, 1e-24), *self._seen, whole)
+        return MarkovField(start, keep, np.maximum(push, 1e-24), *self._seen, whole)
 
 
 @dataclass(frozen=True)
@@ -262,7 +271,7 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
     sources = _Sources.of(frame)
-    columns = _independent(np.column_stack(means), sources.field(usual, left_out))
+    columns = _independent(np.column_stack([*means, *slow_changes(frame)]), sources.field(usual, left_out))
     noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
     model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
     score = _scores(model, columns)
@@ -315,7 +324,7 @@ def _levels(
     prior = np.log([getattr(usual, n) for n in names])
     spread = np.array([_SPREAD[n] for n in names])
     # From a level that is lost beneath the others the search sees no slope.
-    first = prior + spread * [_SEEN * (n in ("wander", "jitter_s")) for n in names]
+    first = prior + spread * [_SEEN * (n in ("track_wander", "wheel_wander", "jitter_s")) for n in names]
     logs, left = restricted_maximum(
         lambda logs: sources.field(noise_of(logs), left_out), y, columns, prior, spread, first
     )

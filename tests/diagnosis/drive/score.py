@@ -91,6 +91,9 @@ def _sigma(effect: str, plan: Plan, seed: int) -> float:
         plan.tick_m * math.sqrt(2.0 / 12.0),
         plan.flicker_dps,
         1e-4,
+        4.0,
+        1e-5,
+        4.0,
         1e-5,
     )
     if effect in _NEEDS_TRUTH:

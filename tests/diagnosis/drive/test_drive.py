@@ -288,15 +288,15 @@ def test_half_a_track_is_a_slip_or_a_mix_up(tmp_path: Path) -> None:
     assert "unit_or_sign" in [a.effect for a in slip.alternatives]
 
 
-def test_a_law_that_holds_in_places_only_leaves_structure_over_the_drive(resting: Robot) -> None:
+def test_a_law_that_holds_in_places_only_is_slip_that_lasts(resting: Robot) -> None:
     log = drive(Plan("lawn", minutes=5.0), 3)
     way_m = np.cumsum(0.5 * (log.left_m + log.right_m))
     rough = replace(log, right_m=log.right_m * np.where(way_m % 20.0 < 5.0, 1.02, 1.0))
     result = diagnose_drive("drive.csv", rough, resting)
     # What its parts differ by is more than its mean.
     assert names(result) == []
-    assert result.diagnosis.verdict == "unexplained"
-    assert "time" in [place.coordinate for place in result.diagnosis.located if place.remains]
+    # The wheels differ by 2 % for a quarter of the way: a standard deviation of 0.9 %.
+    assert 0.006 < result.yaw.model.noise.wheel_wander < 0.013
 
 
 def test_a_ratio_of_the_headings_is_not_explained_while_the_log_cannot_tell_whose_it_is(

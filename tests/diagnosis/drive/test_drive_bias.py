@@ -328,8 +328,12 @@ def test_a_wheel_that_changes_is_no_bias(shape: str, truth_m: float) -> None:
     assert [
         (p.target, abs(float(p.low or 0.0) - from_s) < 2.0) for p in found.diagnosis.located if p.low
     ] == [("wheels", True)]
-    told = next(n for n in found.diagnosis.notes if not isinstance(n, str) and n.said is Said.WHEELS_CHANGE)
+    notes = [n for n in found.diagnosis.notes if not isinstance(n, str)]
+    told = next(n for n in notes if n.said is Said.WHEELS_CHANGE)
     assert told.facts["least"] < -1.0 < told.facts["most"]
+    # Who goes further on the left turns further to the right.
+    track = next(n for n in notes if n.said is Said.TRACK_CHANGES)
+    assert 0.0 < track.facts["least"] < 0.5 < track.facts["most"]
     assert found.robot is None
     assert "the distance counted by the right wheel" in remark_words(told)
 

@@ -68,7 +68,7 @@ def test_each_part_is_what_draws_of_it_scatter_by() -> None:
     rng = np.random.default_rng(1)
     path = _path()
     knots = _knots(path)
-    quiet = YawNoise(_ARW_DPS, _SLIP, 0.0, 0.0, 0.0, 0.0, 0.0)
+    quiet = YawNoise(_ARW_DPS, _SLIP, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0)
     # A bias of the second half of the drive, and a law of the first half and the second: their errors are those of the path's
     # turns there.
     late = path.t_s > 60.0
@@ -93,7 +93,7 @@ def test_a_bias_that_wanders_turns_the_path_as_its_processes_do() -> None:
     rng = np.random.default_rng(2)
     path = _path()
     knots = _knots(path)
-    noise = YawNoise(0.0, _SLIP, 0.0, 0.0, _FLICKER_DPS, 0.0, 0.0)
+    noise = YawNoise(0.0, _SLIP, 0.0, 0.0, _FLICKER_DPS, 0.0, 1.0, 0.0, 1.0, 0.0)
     parts = path_noise(knots, path, noise, _known(path, np.zeros((_LAWS, _ROWS))), 60.0)
     lag = np.abs(path.t_s[:, None] - path.t_s[None, :])
     kernel = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * _FLICKER_DPS**2
