@@ -20,9 +20,8 @@ Ints = NDArray[np.int64]
 _PARTS = 24
 #: Intervals that are looked at for an event, of those in which a law says most.
 _TELLING = 6
-#: By what share of itself a delay must grow within a drive to be that of a clock, and no gyro's; the mean square of a line
-#: from -1/2 to 1/2.
-_GROWS, _OF_LINE = 0.5, 1.0 / 12.0
+#: By what share of itself a delay must grow within a drive to be that of a clock, and no gyro's.
+_GROWS = 0.5
 
 
 def uneven(
@@ -137,7 +136,8 @@ def undenied(
     """
     denied = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
     grown = "delay" in named and odd["delay"][2] < STRANGER_P
-    if grown and odd["delay"][0] > _OF_LINE * _GROWS**2 * named["delay"]:
+    # Gains go by mean squares, and that of a line from -1/2 to 1/2 is a twelfth.
+    if grown and 12.0 * odd["delay"][0] > _GROWS**2 * named["delay"]:
         denied["delay"] = ("delay", odd["delay"])
     for name in (n for n in named if KINDS[n].group == "motion" or n == "slope"):
         if settling_beats(told, [n for n in fitted if n != name], name):

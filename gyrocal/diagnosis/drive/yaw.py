@@ -45,8 +45,8 @@ _SPREAD = dict.fromkeys(
     1.5,
 ) | {"flicker_dps": 0.7, "track_wander_s": 1.0, "wheel_wander_s": 1.0}
 _WALK = "angle_random_walk_deg_per_rt_h"
-#: Where the search for the levels begins: wander of the track, jitter of the clock, and an encoder without ticks.
-_USUAL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = (0.003, 3e-4), 2e-4, 2e-4
+#: Where the search for the levels begins: wander of track and wheels, jitter of the clock, and an encoder without ticks.
+_USUAL_TRACK_WANDER, _USUAL_WHEEL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 3e-4, 2e-4, 2e-4
 #: Standard deviations above what is usual at which the search begins for levels that others may hide.
 _SEEN = 1.5
 #: No wheel is read closer than this, m; what is left of its error's variance where it stands. Less would drown in rounding.
@@ -116,9 +116,9 @@ def usual_noise(series: DriveSeries) -> YawNoise:
         max(given["turn_slip_deg_per_rt_deg"] * np.sqrt(DEG_TO_RAD), 1e-5),
         tick if tick > 0 else _USUAL_TICK_M,
         usual_flicker_dps(max(arw, 1e-6)),
-        _USUAL_WANDER[0],
+        _USUAL_TRACK_WANDER,
         WANDER_TAU_S,
-        _USUAL_WANDER[1],
+        _USUAL_WHEEL_WANDER,
         WANDER_TAU_S,
         _USUAL_JITTER_S,
     )
