@@ -7,7 +7,7 @@ Cholesky factor of the band gives ``log|V|``, ``Z' V^-1 Z`` and ``V^-1 y`` of th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -336,6 +336,7 @@ def restricted_maximum(
     prior: Floats,
     spread: Floats,
     first: Floats,
+    asked: Sequence[int] | None = None,
 ) -> tuple[Floats, Floats]:
     """Logarithms of the noise's levels that maximise the restricted likelihood times a normal prior.
 
@@ -346,15 +347,16 @@ def restricted_maximum(
     y, columns : ndarray, shapes (n,), (n, m)
     prior, spread, first : ndarray, shape (p,)
         Mean and standard deviation of each logarithm beforehand, and where the search begins.
+    asked : sequence of int, optional
+        Places of the levels whose standard deviation is asked for: each costs two more likelihoods. Default: all.
 
     Returns
     -------
-    logs, left : ndarray, shape (p,)
-        The logarithms, and the standard deviation that is left to each beside the others.
+    logs, left : ndarray, shapes (p,), (q,)
+        The logarithms, and the standard deviation that is left beside the others to each that is asked for.
     """
     # Columns of unit size: only their span matters, and the Gram matrix stays well conditioned.
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-
     both = np.column_stack([scaled, y])
 
     def loss(levels: Floats) -> float:
@@ -385,7 +387,16 @@ def restricted_maximum(
         bounds=limits,
         options={"maxiter": _ITERATIONS, "ftol": _CONVERGED / max(abs(loss(first)), 1.0)},
     )
-    steps = _LOOKED * np.diag(spread)
-    rises = [0.5 * (loss(found.x + h) + loss(found.x - h)) - found.fun for h in steps]
-    left = [min(_LOOKED * s / max(rise, 1e-9) ** 0.5, s) for s, rise in zip(spread, rises, strict=True)]
-    return np.asarray(found.x), np.array(left)
+    places = list(range(prior.size) if asked is None else asked)
+    return np.asarray(found.x), _widths(loss, found.x, found.fun, spread, places)
+
+
+def _widths(
+    loss: Callable[[Floats], float], at: Floats, least: float, spread: Floats, places: list[int]
+) -> Floats:
+    """Standard deviations of some levels beside the others, by how the loss rises to both sides of its least."""
+    steps = _LOOKED * np.diag(spread)[places]
+    rises = [0.5 * (loss(at + h) + loss(at - h)) - least for h in steps]
+    # No level is known worse than beforehand.
+    widths = _LOOKED * spread[places] / np.maximum(rises, 1e-9) ** 0.5
+    return np.asarray(np.minimum(widths, spread[places]))

@@ -17,8 +17,8 @@ from gyrocal.units import DEG_TO_RAD
 
 _PERCENT = 1e-2
 _SAME_TIME_S = 1e-6
-#: Memories of the gyro's 1/f noise on the robot, equally strong, and of the track's wandering, s: the state space of
-#: diagnosis and filter alike.
+#: Memories of the gyro's 1/f noise on the robot, equally strong, and the usual one of what wanders in track and wheels, s:
+#: the state space of diagnosis and filter alike.
 FLICKER_TAUS_S = (6.0, 60.0, 600.0)
 WANDER_TAU_S = 4.0
 #: A robot that comes to rest, or leaves it, passes its last tick at no less than this, m/s^2: the wait for a tick of 0.2 mm

@@ -44,6 +44,8 @@ _SPREAD = dict.fromkeys(
     ("slip_m_per_rt_m", "turn", "tick_m", "track_wander", "wheel_wander", "jitter_s", "arw_dps_per_rt_hz"),
     1.5,
 ) | {"flicker_dps": 0.7, "track_wander_s": 1.0, "wheel_wander_s": 1.0}
+#: Levels of which it is told how well the log knows them.
+_TOLD_LEVELS = ("slip_m_per_rt_m", "turn", "flicker_dps")
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Where the search for the levels begins: wander of track and wheels, jitter of the clock, and an encoder without ticks.
 _USUAL_TRACK_WANDER, _USUAL_WHEEL_WANDER, _USUAL_JITTER_S, _USUAL_TICK_M = 0.003, 3e-4, 2e-4, 2e-4
@@ -229,7 +231,8 @@ class YawModel:
     outliers : ndarray
         Intervals where a wheel spun or the gyro spiked.
     log_std : mapping
-        Standard deviation of the logarithm of each level that the log was asked for, by its field of `YawNoise`.
+        Standard deviation of the logarithm of wheel slip, slip in turns and 1/f noise, as far as the log was asked for
+        them, by their fields of `YawNoise`.
     """
 
     frame: Frame
@@ -310,7 +313,7 @@ def _independent(columns: Floats, field: MarkovField) -> Floats:
 def _levels(
     frame: Frame, sources: _Sources, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
 ) -> tuple[YawNoise, dict[str, float]]:
-    """Levels of the noise, and the standard deviation of the logarithm of each that was asked for."""
+    """Levels of the noise, and the standard deviation of the logarithm of each of `_TOLD_LEVELS`."""
     names = [n for n in _SPREAD if n != "arw_dps_per_rt_hz" or _white_is_open(frame.series)]
     if not frame.series.differential:
         names = ["flicker_dps"]
@@ -325,14 +328,21 @@ def _levels(
     spread = np.array([_SPREAD[n] for n in names])
     # From a level that is lost beneath the others the search sees no slope.
     first = prior + spread * [_SEEN * (n in ("track_wander", "wheel_wander", "jitter_s")) for n in names]
-    logs, left = restricted_maximum(
-        lambda logs: sources.field(noise_of(logs), left_out), y, columns, prior, spread, first
+    told = [n for n in _TOLD_LEVELS if n in names]
+    logs, stds = restricted_maximum(
+        lambda logs: sources.field(noise_of(logs), left_out),
+        y,
+        columns,
+        prior,
+        spread,
+        first,
+        [names.index(n) for n in told],
     )
+    left = dict(zip(told, stds.tolist(), strict=True))
     # A log cannot measure its 1/f noise, and the variance of a bias goes by the square: taken as its mean over all levels
     # that are possible, not as that of the likeliest one.
-    flicker = names.index("flicker_dps")
-    logs[flicker] += left[flicker] ** 2
-    return noise_of(logs), dict(zip(names, left.tolist(), strict=True))
+    logs[names.index("flicker_dps")] += left["flicker_dps"] ** 2
+    return noise_of(logs), left
 
 
 def _outliers(model: YawModel, score: Floats) -> Ints:

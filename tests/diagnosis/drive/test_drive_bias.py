@@ -212,7 +212,10 @@ def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(resting: Rob
 
 @pytest.mark.parametrize(
     ("slope", "seeds"),
-    [pytest.param(0.0, range(8), marks=pytest.mark.slow), (1.5, range(1))],
+    [
+        pytest.param(0.0, range(8), marks=pytest.mark.slow),
+        pytest.param(1.5, range(1), marks=pytest.mark.slow),
+    ],
 )
 def test_encoders_and_truth_together_show_a_bias_that_neither_shows(
     slope: float, seeds: range, tmp_path: Path
@@ -359,7 +362,8 @@ def test_what_errs_to_one_side_has_no_scale(resting: Robot) -> None:
     assert found.robot is None or found.robot.parameters.gyro.scale == 0.0
 
 
-@pytest.mark.parametrize("seeds", [range(4, 6), pytest.param(range(4, 14), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(4, 6), range(4, 14)])
 def test_a_wheel_that_changes_slowly_steers_no_bias(seeds: range) -> None:
     """Without a rest a bias is told by the wheels alone, and has to hold beside what goes with the time.
 
