@@ -90,18 +90,14 @@ class Given:
 
     def inverse(self) -> Floats:
         """``V^-1 columns``, shape (n, m)."""
-        return self._unexplained(self._means(), self.columns) / self.field.noise[:, None]
+        f, means = self.field, self._means()
+        seen = np.einsum("ks,ksm->km", f.after, means[1:]) + np.einsum("ks,ksm->km", f.before, means[:-1])
+        return np.asarray((self.columns - seen) / f.noise[:, None])
 
     def _means(self, mixed: Floats | None = None) -> Floats:
         """Means of the states given each of the columns, or each mixture of them (shape (m, q)): shape (n + 1, s, q)."""
         states = self.states if mixed is None else self.states @ mixed
         return np.asarray(_substitute(self.lower, self.below, states))
-
-    def _unexplained(self, means: Floats, columns: Floats) -> Floats:
-        """What the states leave of the observations, shape (n, q)."""
-        f = self.field
-        seen = np.einsum("ks,ksm->km", f.after, means[1:]) + np.einsum("ks,ksm->km", f.before, means[:-1])
-        return np.asarray(columns - seen)
 
     def restricted_loss(self) -> float:
         """-2 log of the likelihood of the last column with the coefficients of the others integrated out (REML)."""

@@ -25,8 +25,10 @@ from gyrocal.physics.slip import slip_shape
 
 Floats = NDArray[np.float64]
 DT, WIDTH = 0.1, 0.5
-NOISE = FilterNoise(0.002, 0.1, 0.2, tick_m=0.001, jitter_s=0.002, flicker_dps=0.002, track_wander=0.02)
-NOISE = replace(NOISE, track_wander_s=6.0, wheel_wander=0.003, wheel_wander_s=12.0)
+NOISE = FilterNoise(
+    0.002, 0.1, 0.2, tick_m=0.001, jitter_s=0.002, flicker_dps=0.002,
+    track_wander=0.02, track_wander_s=6.0, wheel_wander=0.003, wheel_wander_s=12.0,
+)  # fmt: skip
 PRIOR = InitialStd(
     right_scale=0.002, left_scale=0.002, wheel_separation_m=0.005, gyro_scale=0.0, gyro_bias_dps=0.02
 )

@@ -346,10 +346,12 @@ def strangers(frame: Frame) -> dict[str, Floats]:
 def slow_changes(frame: Frame) -> list[Floats]:
     """Wheels and track that are others from one part of a drive to the next: too slowly for noise, and of no name."""
     c, series = frame.conditions, frame.series
+    if not series.differential:
+        return []
     share = (c.t_s - c.t_s[0]) / series.duration_s
     waves = [np.cos(np.pi * k * share) for k in range(1, _SLOW + 1)]
     rows = [x * wave for x in (c.gyro_yaw_rad, c.distance_m) for wave in waves]
-    return [frame.nodes.between(np.cumsum(row)) for row in rows] if series.differential else []
+    return [frame.nodes.between(np.cumsum(row)) for row in rows]
 
 
 def by_place(t_s: Floats, heading_rad: Floats, way_m: Floats, turn_rad: Floats) -> list[Floats]:

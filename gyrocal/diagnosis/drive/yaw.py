@@ -205,7 +205,7 @@ class _Sources:
         levels = np.array([flicker] * 3 + [noise.track_wander**2, noise.wheel_wander**2])
         wandering = np.exp(-self.dt_s[:, None] / [noise.track_wander_s, noise.wheel_wander_s])
         fade = np.hstack([self.fade, wandering])
-        keep = np.column_stack([self._waiting, fade[:, :3], np.ones_like(self.dt_s), wandering])
+        keep = np.column_stack([self._waiting, self.fade, np.ones_like(self.dt_s), wandering])
         drawn = levels * (1.0 - fade**2)
         held = _STILL * unsteady + self.moving * self.unseen
         push = np.column_stack(
