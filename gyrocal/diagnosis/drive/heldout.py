@@ -9,7 +9,8 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import Bools, Floats, Ints
-from gyrocal.diagnosis.drive.yaw import LEFT_OUT, Gram, gram_of
+from gyrocal.diagnosis.drive.weighing import Gram, gram_of
+from gyrocal.diagnosis.drive.yaw import LEFT_OUT
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.staircase import LeftOut, improvement

@@ -11,7 +11,8 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import Frame, Law, jump
 from gyrocal.diagnosis.drive.series import Nodes
-from gyrocal.diagnosis.drive.yaw import Evidence, YawModel, evidence
+from gyrocal.diagnosis.drive.weighing import Evidence, evidence
+from gyrocal.diagnosis.drive.yaw import YawModel
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 
 Floats = NDArray[np.float64]

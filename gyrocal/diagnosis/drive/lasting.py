@@ -11,7 +11,8 @@ from scipy import stats
 from gyrocal.diagnosis.drive.laws import KINDS, Law
 from gyrocal.diagnosis.drive.motions import settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
-from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, Evidence, Gram, YawModel, evidence, weighed_of
+from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, weighed_of
+from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, YawModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

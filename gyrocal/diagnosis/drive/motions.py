@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, SETTLING
-from gyrocal.diagnosis.drive.yaw import Evidence
+from gyrocal.diagnosis.drive.weighing import Evidence
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.jumps import chance
 from gyrocal.diagnosis.drive.laws import KINDS, Law
-from gyrocal.diagnosis.drive.yaw import Evidence
+from gyrocal.diagnosis.drive.weighing import Evidence
 
 Floats = NDArray[np.float64]
 #: Gain, degrees of freedom and p-value of structure.

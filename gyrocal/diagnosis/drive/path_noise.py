@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class Knots:
 
     Positions, headings or both; what it lacks is None.
     `laws` are those of the bias, each as what one unit of it adds to the rate in each row; the encoders know the first `told`.
+    The gyro's noise makes one turn in each cell between `edges_s`, shape (c + 1,), which span the log.
     """
 
     rows: Ints
@@ -42,6 +43,20 @@ class Knots:
     heading: Floats | None
     laws: Mapping[str, Floats]
     told: int
+    edges_s: Floats
+
+    def first(self, count: int) -> Knots:
+        """The first of them."""
+        rows = int(np.searchsorted(self.at, count))
+        return replace(
+            self,
+            rows=self.rows[:rows],
+            at=self.at[:rows],
+            count=self.count[:count],
+            t_s=self.t_s[:count],
+            position=None if self.position is None else self.position[:count],
+            heading=None if self.heading is None else self.heading[:count],
+        )
 
     def mean(self, rows: NDArray) -> NDArray:  # type: ignore[type-arg]
         """Mean of a row-wise channel over each knot."""
@@ -90,26 +105,15 @@ class PathNoise:
             (self.kernel @ self.turned.T + self.unseen.T) @ np.linalg.solve(self.whole(logs), left)
         )
 
-    def cut(self, keep: NDArray[np.bool_]) -> PathNoise:
-        """For some of the rows."""
-        at = np.ix_(keep, keep)
-        heading, wander = (None if m is None else m[at] for m in (self.heading, self.heading_wander))
-        return PathNoise(
-            self.turned[keep],
-            self.kernel,
-            self.unseen[keep],
-            self.gyro[at],
-            self.way[at],
-            self.white[at],
-            self.wander[at],
-            heading,
-            wander,
-        )
+    def remembering(self, knots: Knots, wander_s: float) -> PathNoise:
+        """The same where what wanders in the truth has another memory."""
+        positions, headings = _wander(knots, wander_s)
+        return replace(self, wander=positions, heading_wander=headings)
 
 
-def cell_edges_s(knots: Knots, path: Reckoned) -> Floats:
-    """Times between which the gyro's noise is one turn each."""
-    return np.linspace(path.t_s[0], path.t_s[-1], min(_CELLS, 2 * knots.count.size) + 1)
+def cell_edges_s(t_s: Floats, knots: int) -> Floats:
+    """Edges of the cells for so many knots of a log."""
+    return np.linspace(t_s[0], t_s[-1], min(_CELLS, 2 * knots) + 1)
 
 
 def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, wander_s: float) -> PathNoise:
@@ -117,7 +121,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
 
     `wander_s` is the memory of what wanders in the truth.
     """
-    begin, edges = path.t_s[0], cell_edges_s(knots, path)
+    begin, edges = path.t_s[0], knots.edges_s
     width = float(edges[1] - edges[0])
     middle = 0.5 * (edges[1:] + edges[:-1])
     at_row = path.at_m
@@ -141,29 +145,42 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     gyro = turn @ kernel @ turn.T + unseen @ by_wheels.T
     # The path follows the same gyro: taken for independent, both would swear to one noise. What else the laws found are off
     # by is the encoders', of which the path has nothing.
-    k, told = knots.count.size, knots.told
+    told = knots.told
     gyro[-told:, -told:] = _at_least(known.covariance, (1.0 + _LEAST_REST) * gyro[-told:, -told:])
     one = 1.0 / knots.count
-    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / wander_s)
-    zero, last = np.zeros((k, k)), np.zeros((told, told))
-
-    def each(of_position: Floats, of_heading: Floats) -> Floats:
-        parts = [of_position] * 2 if knots.position is not None else []
-        return np.asarray(
-            linalg.block_diag(*parts, *([of_heading] if knots.heading is not None else []), last)
-        )
-
+    wander, heading_wander = _wander(knots, wander_s)
     return PathNoise(
         turn,
         kernel,
         unseen,
         gyro + 1e-12 * np.eye(gyro.shape[0]),
-        noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, last),
-        each(np.diag(one), zero),
-        each(fade, zero),
-        each(zero, np.diag(one)) if knots.heading is not None else None,
-        each(zero, fade) if knots.heading is not None else None,
+        noise.slip_m_per_rt_m**2 * linalg.block_diag(along @ along.T, np.zeros((told, told))),
+        _of_positions(knots, np.diag(one)),
+        wander,
+        _of_headings(knots, np.diag(one)) if knots.heading is not None else None,
+        heading_wander,
     )
+
+
+def _wander(knots: Knots, wander_s: float) -> tuple[Floats, Floats | None]:
+    """Covariance of what wanders in the truth's positions, and in its headings where there are any."""
+    fade = np.exp(-np.abs(knots.t_s[:, None] - knots.t_s[None, :]) / wander_s)
+    return _of_positions(knots, fade), _of_headings(knots, fade) if knots.heading is not None else None
+
+
+def _of_positions(knots: Knots, each: Floats) -> Floats:
+    return _square(knots, each, 0.0 * each)
+
+
+def _of_headings(knots: Knots, each: Floats) -> Floats:
+    return _square(knots, 0.0 * each, each)
+
+
+def _square(knots: Knots, of_position: Floats, of_heading: Floats) -> Floats:
+    """A covariance of each coordinate of the positions and one of the headings, and none of the known laws."""
+    parts = [of_position] * 2 if knots.position is not None else []
+    headings = [of_heading] if knots.heading is not None else []
+    return np.asarray(linalg.block_diag(*parts, *headings, np.zeros((knots.told, knots.told))))
 
 
 def _unseen(path: Reckoned, edges_s: Floats, noise: YawNoise) -> Floats:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.motions import AS_LIKELY
@@ -33,15 +32,6 @@ class PathProblem:
     columns: Mapping[str, Floats]
     known: Mapping[str, tuple[float, float]]
     noise: PathNoise
-
-    def cut(self, keep: NDArray[np.bool_]) -> PathProblem:
-        """For some of the rows."""
-        return PathProblem(
-            self.residual[keep],
-            {n: c[keep] for n, c in self.columns.items()},
-            self.known,
-            self.noise.cut(keep),
-        )
 
     @property
     def design(self) -> Floats:

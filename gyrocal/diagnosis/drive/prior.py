@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.yaw import Gram
+from gyrocal.diagnosis.drive.weighing import Gram
 from gyrocal.fusion.robot import BIAS_STD_DPS
 
 #: What the difference of the wheels changes by from one drive to the next, relative: standard deviation.

@@ -35,8 +35,9 @@ from gyrocal.diagnosis.drive.motions import (
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of, rough_bias_dps
+from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, gram_of
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
-from gyrocal.diagnosis.drive.yaw import Evidence, Gram, YawModel, evidence, gram_of, yaw_model
+from gyrocal.diagnosis.drive.yaw import YawModel, yaw_model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -129,7 +129,8 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, Floats], 
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, series.t_s, None, None, laws, told)
+    edges_s = cell_edges_s(series.t_s, count.size)
+    knots = Knots(rows, at, count, series.t_s, None, None, laws, told, edges_s)
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -180,7 +181,7 @@ def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
     if state.strayed is not None:
         turns = np.concatenate([[0.0], np.cumsum(state.strayed)])
-        heading = heading + np.interp(base.t_s, cell_edges_s(knots, base), turns)
+        heading = heading + np.interp(base.t_s, knots.edges_s, turns)
     # The truth is of an earlier time.
     at_s, whole = base.t_s - v["clock"], np.cumsum(base.way_m / (1.0 + v["wheel_scale"]))
     heading, whole = (np.interp(at_s, base.t_s, x) for x in (heading, whole))
@@ -308,13 +309,12 @@ def _laid(
         within = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
         if horizon == _HORIZONS[0]:
             state = replace(state, turn=_first_turn(knots, at, within))
-        keep = stacked(knots, within + 1j * within, within, np.ones(knots.told)) != 0.0
-        last = horizon == _HORIZONS[-1]
+        last, near_by = horizon == _HORIZONS[-1], knots.first(int(np.count_nonzero(within)))
         for round_ in range(4 if last else 2):
-            part = _problem(knots, base, state, laws, noise, wander_s).cut(keep)
+            part = _problem(near_by, base, state, laws, noise, wander_s)
             if last and round_ in rounds:
                 first = logs if round_ else _first_levels(knots)
-                tried = {w: _problem(knots, base, state, laws, noise, w) for w in wanders_s}
+                tried = {w: replace(part, noise=part.noise.remembering(knots, w)) for w in wanders_s}
                 fitted = {w: _levels(one, first) for w, one in tried.items()}
                 wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w]).loss)
                 part, logs = tried[wander_s], fitted[wander_s]

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from gyrocal.diagnosis.drive.laws import Frame, Law, wheel_laws
-from gyrocal.diagnosis.drive.yaw import YawModel, gram_of
+from gyrocal.diagnosis.drive.weighing import gram_of
+from gyrocal.diagnosis.drive.yaw import YawModel
 
 Floats = NDArray[np.float64]
 

@@ -13,12 +13,11 @@ are rows like all others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate
 
 from gyrocal.diagnosis.drive.laws import Frame, difference, slow_changes
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -40,7 +39,7 @@ _FLICKER_PER_FLOOR = float(np.sqrt(np.log(10.0) / (2.0 * np.log(2.0))))
 _WALK_PER_FLICKER = 0.3
 #: Standard deviations of the levels' logarithms beforehand: of most no more is known than their size, while 1/f noise seldom
 #: is far from what is usual.
-_SPREAD = dict.fromkeys(
+SPREAD = dict.fromkeys(
     ("slip_m_per_rt_m", "turn", "tick_m", "track_wander", "wheel_wander", "jitter_s", "arw_dps_per_rt_hz"),
     1.5,
 ) | {"flicker_dps": 0.7, "track_wander_s": 1.0, "wheel_wander_s": 1.0}
@@ -61,9 +60,6 @@ LEFT_OUT = 1.0
 _FAR, NEIGHBOURS = 5.0, 2
 #: Intervals at rest that tell how widely they scatter, and how often those that stand out are looked for anew.
 _FEWEST, _CLEARED = 10, 4
-#: Levels of 1/f noise at which laws are weighed, in standard deviations of their logarithm from what is usual, and how
-#: closely what lies between them is looked at.
-_LEVELS, _BETWEEN = np.linspace(-3.0, 3.0, 9), np.linspace(-3.0, 3.0, 241)
 
 
 @dataclass(frozen=True)
@@ -197,20 +193,22 @@ class _Sources:
         rate = np.divide(self.turn, self.dt_s, out=np.zeros_like(self.dt_s), where=self.dt_s > 0)
         return np.asarray(rate**2)
 
+    @cached_property
+    def _faded(self) -> Floats:
+        return 1.0 - self.fade**2
+
     def field(self, noise: YawNoise, left_out: Floats) -> MarkovField:
         """The states e, g_1, g_2, g_3, r, o, q of the log at these levels."""
         tick = (max(noise.tick_m, _LEAST_TICK_M) / self.separation_m) ** 2
         unsteady = tick + noise.jitter_s**2 * self._rate_square
         flicker, walk = ((DEG_TO_RAD * x) ** 2 for x in (noise.flicker_dps, noise.walk_dps_per_rt_s))
         levels = np.array([flicker] * 3 + [noise.track_wander**2, noise.wheel_wander**2])
-        wandering = np.exp(-self.dt_s[:, None] / [noise.track_wander_s, noise.wheel_wander_s])
-        fade = np.hstack([self.fade, wandering])
-        keep = np.column_stack([self._waiting, self.fade, np.ones_like(self.dt_s), wandering])
-        drawn = levels * (1.0 - fade**2)
+        keep, push = np.empty((2, self.dt_s.size, 7))
+        keep[:, 0], keep[:, 1:4], keep[:, 4] = self._waiting, self.fade, 1.0
+        keep[:, 5:] = np.exp(-self.dt_s[:, None] / [noise.track_wander_s, noise.wheel_wander_s])
         held = _STILL * unsteady + self.moving * self.unseen
-        push = np.column_stack(
-            [np.where(self._waiting, held, unsteady), drawn[:, :3], walk * self.dt_s, drawn[:, 3:]]
-        )
+        push[:, 0], push[:, 4] = np.where(self._waiting, held, unsteady), walk * self.dt_s
+        push[:, 1:4], push[:, 5:] = levels[:3] * self._faded, levels[3:] * (1.0 - keep[:, 5:] ** 2)
         white = (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * self.dt_s
         slipping = (noise.slip_m_per_rt_m / self.separation_m) ** 2 * self.way + noise.turn**2 * self.turned
         start = np.array([unsteady.max(), *levels[:3], 1e-4 * flicker + 1e-20, *levels[3:]])
@@ -314,7 +312,7 @@ def _levels(
     frame: Frame, sources: _Sources, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
 ) -> tuple[YawNoise, dict[str, float]]:
     """Levels of the noise, and the standard deviation of the logarithm of each of `_TOLD_LEVELS`."""
-    names = [n for n in _SPREAD if n != "arw_dps_per_rt_hz" or _white_is_open(frame.series)]
+    names = [n for n in SPREAD if n != "arw_dps_per_rt_hz" or _white_is_open(frame.series)]
     if not frame.series.differential:
         names = ["flicker_dps"]
 
@@ -325,7 +323,7 @@ def _levels(
         return replace(found, flicker_dps=times * found.flicker_dps)
 
     prior = np.log([getattr(usual, n) for n in names])
-    spread = np.array([_SPREAD[n] for n in names])
+    spread = np.array([SPREAD[n] for n in names])
     # From a level that is lost beneath the others the search sees no slope.
     first = prior + spread * [_SEEN * (n in ("track_wander", "wheel_wander", "jitter_s")) for n in names]
     told = [n for n in _TOLD_LEVELS if n in names]
@@ -376,123 +374,3 @@ def _scores(model: YawModel, columns: Floats) -> Floats:
     weighed, gram = given.inverse(), given.gram[:-1]
     values = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
     return np.asarray(np.abs(weighed[:, -1] - weighed[:, :-1] @ values) * np.sqrt(model.white))
-
-
-@dataclass(frozen=True)
-class Gram:
-    """All tests of a log: inner products of columns and difference under the noise.
-
-    Attributes
-    ----------
-    names : tuple of str
-    matrix : ndarray, shape (p, p)
-        ``X' V^-1 X``, plus the inverse variances of what is known beforehand.
-    right : ndarray, shape (p,)
-        ``X' V^-1 y``, plus the means of what is known over their variances.
-    """
-
-    names: tuple[str, ...]
-    matrix: Floats = field(repr=False)
-    right: Floats = field(repr=False)
-
-    def knowing(self, known: Mapping[str, tuple[float, float]]) -> Gram:
-        """The same with what is known of coefficients beforehand, as mean and standard deviation."""
-        means, stds = np.array([known.get(n, (0.0, np.inf)) for n in self.names]).T
-        return replace(self, matrix=self.matrix + np.diag(stds**-2), right=self.right + means * stds**-2)
-
-    def less(self, names: Sequence[str], of: Sequence[str], shares: Floats) -> Gram:
-        """The same with some columns less `shares`, one row for each of others, of these."""
-        apart = np.eye(len(self.names))
-        apart[np.ix_([self.names.index(n) for n in of], [self.names.index(n) for n in names])] = -shares
-        return replace(self, matrix=apart.T @ self.matrix @ apart, right=apart.T @ self.right)
-
-    def solve(self, chosen: Sequence[str]) -> tuple[Floats, Floats]:
-        """Coefficients of some columns, and their covariance."""
-        at = [self.names.index(n) for n in chosen]
-        part = self.matrix[np.ix_(at, at)]
-        # Coefficients of many units: scaled, so that only true dependence counts as such.
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inverse = np.linalg.pinv(part * np.outer(scale, scale), hermitian=True, rcond=1e-10)
-        covariance = inverse * np.outer(scale, scale)
-        return np.asarray(covariance @ self.right[at]), np.asarray(covariance, dtype=np.float64)
-
-    def nearest(self, name: str, of: Sequence[str]) -> Floats:
-        """Coefficients of other columns that come nearest to one, under the noise."""
-        return replace(self, right=self.matrix[:, self.names.index(name)]).solve(of)[0]
-
-    def gain(self, chosen: Sequence[str]) -> float:
-        """Twice the log likelihood that some columns gain over none."""
-        if not chosen:
-            return 0.0
-        at = [self.names.index(n) for n in chosen]
-        return float(self.right[at] @ self.solve(chosen)[0])
-
-    def added(self, chosen: Sequence[str], more: Sequence[str]) -> float:
-        """Twice the log likelihood that columns add to others."""
-        return self.gain([*chosen, *(n for n in more if n not in chosen)]) - self.gain(chosen)
-
-
-def gram_of(model: YawModel, columns: Mapping[str, Floats], flicker_dps: float | None = None) -> Gram:
-    """Inner products of columns, name -> (m,), under a model's noise."""
-    return _gram(columns, model.given(_stacked(model, columns), flicker_dps))
-
-
-def weighed_of(model: YawModel, columns: Mapping[str, Floats]) -> tuple[Gram, Floats]:
-    """The same, and ``V^-1`` times the columns, shape (m, p)."""
-    given = model.given(_stacked(model, columns))
-    return _gram(columns, given), given.inverse()[:, :-1]
-
-
-def _stacked(model: YawModel, columns: Mapping[str, Floats]) -> Floats:
-    return np.column_stack([*columns.values(), model.y])
-
-
-def _gram(columns: Mapping[str, Floats], given: Given) -> Gram:
-    return Gram(tuple(columns), given.gram[:-1, :-1].copy(), given.gram[:-1, -1])
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What laws gain where the 1/f noise of the bias may be whatever makes the log likeliest, with the laws and without.
-
-    One log hardly tells that noise, and all that a law of the bias explains it would explain too, if it were strong enough:
-    so it is found anew for each set of laws, held by what is usual.
-
-    Attributes
-    ----------
-    own : Gram
-        At the model's own level: coefficients and their covariance.
-    levels : tuple of Gram
-        At each of `_LEVELS`.
-    loss : ndarray
-        Twice the negative log likelihood at each without any law, and of the level itself.
-    """
-
-    own: Gram
-    levels: tuple[Gram, ...]
-    loss: Floats
-
-    def knowing(self, known: Mapping[str, tuple[float, float]]) -> Evidence:
-        """The same with what is known of coefficients beforehand, as mean and standard deviation."""
-        return Evidence(self.own.knowing(known), tuple(g.knowing(known) for g in self.levels), self.loss)
-
-    def less(self, names: Sequence[str], of: Sequence[str], shares: Floats) -> Evidence:
-        """The same with some columns less `shares`, one row for each of others, of these."""
-        levels = tuple(g.less(names, of, shares) for g in self.levels)
-        return Evidence(self.own.less(names, of, shares), levels, self.loss)
-
-    def added(self, chosen: Sequence[str], more: Sequence[str]) -> float:
-        """Twice the log likelihood that columns add to others."""
-        return self._least(chosen) - self._least([*chosen, *(n for n in more if n not in chosen)])
-
-    def _least(self, chosen: Sequence[str]) -> float:
-        loss = self.loss - np.array([g.gain(chosen) for g in self.levels])
-        return float(np.min(interpolate.CubicSpline(_LEVELS, loss)(_BETWEEN)))
-
-
-def evidence(model: YawModel, columns: Mapping[str, Floats]) -> Evidence:
-    """Inner products of columns, name -> (m,), at all levels of 1/f noise that are possible."""
-    stacked, spread = _stacked(model, columns), _SPREAD["flicker_dps"]
-    found = [model.given(stacked, model.usual.flicker_dps * float(np.exp(spread * k))) for k in _LEVELS]
-    loss = [g.log_det + float(g.gram[-1, -1]) + k**2 for g, k in zip(found, _LEVELS, strict=True)]
-    return Evidence(gram_of(model, columns), tuple(_gram(columns, g) for g in found), np.array(loss))

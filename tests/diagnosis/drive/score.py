@@ -29,7 +29,8 @@ from gyrocal.diagnosis.drive.places import places
 from gyrocal.diagnosis.drive.prior import known_before
 from gyrocal.diagnosis.drive.reckoning import laid_on
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
-from gyrocal.diagnosis.drive.yaw import YawModel, YawNoise, gram_of, usual_noise
+from gyrocal.diagnosis.drive.weighing import gram_of
+from gyrocal.diagnosis.drive.yaw import YawModel, YawNoise, usual_noise
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.navigation.equip import DriveSource, aligned, equip
 from gyrocal.records.drive import DriveBlock

@@ -14,7 +14,7 @@ from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.search import GAIN, _gain
 from gyrocal.diagnosis.drive.series import drive_series
-from gyrocal.diagnosis.drive.yaw import evidence
+from gyrocal.diagnosis.drive.weighing import evidence
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot, robot_of

@@ -16,7 +16,8 @@ from gyrocal.diagnosis.drive.laws import SETTLING
 from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import left_out
-from gyrocal.diagnosis.drive.yaw import Evidence, Gram, usual_flicker_dps
+from gyrocal.diagnosis.drive.weighing import Evidence, Gram
+from gyrocal.diagnosis.drive.yaw import usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.drive_source import read_drive
@@ -135,6 +136,12 @@ def test_a_gyro_that_warms_up_by_itself_does_not_follow_the_temperature(settles:
     assert (found.robot.parameters.gyro.bias_slope_dps_per_c != 0.0) != settles
 
 
+def at_any_level(gram: Gram) -> Evidence:
+    """The same whatever the level of 1/f noise."""
+    levels = Gram(gram.names, np.tile(gram.matrix, (9, 1, 1)), np.tile(gram.right, (9, 1)))
+    return Evidence(gram, levels, np.zeros(9))
+
+
 @pytest.mark.parametrize(
     ("gain", "settling", "least", "rather"),
     [
@@ -151,7 +158,7 @@ def test_a_bias_that_settles_has_to_be_there_and_to_be_likelier_at_any_time_cons
     """Odds of 20 to 1 are a gain of 6.0; of the likeliest of four time constants alone it is 2.8 more."""
     names = ("slope", *SETTLING)
     gram = Gram(names, np.eye(len(names)), np.sqrt([gain, *settling]))
-    told = Evidence(gram, (gram,) * 9, np.zeros(9))
+    told = at_any_level(gram)
     assert settling_beats(told, [], "slope", least) is rather
 
 
@@ -167,7 +174,7 @@ def test_a_bias_in_motion_stands_for_wheels_that_differ_where_it_is_20_times_as_
     precision = np.eye(4)
     precision[1, 3] = precision[3, 1] = both / np.sqrt(moving * wheels)
     gram = Gram(names, precision, np.array([0.0, np.sqrt(wheels), 1.0, np.sqrt(moving)]))
-    told = Evidence(gram, (gram,) * 9, np.zeros(9))
+    told = at_any_level(gram)
     motions = ["step", "moving_0"]
     assert motion_beats_wheels(told, ["bias", "asymmetry"], motions, 15.0) is rather
     assert not motion_beats_wheels(told, ["bias"], motions, 15.0)

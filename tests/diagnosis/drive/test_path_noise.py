@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.laws import BiasLaws
-from gyrocal.diagnosis.drive.path_noise import Knots, path_noise, stacked
+from gyrocal.diagnosis.drive.path_noise import Knots, cell_edges_s, path_noise, stacked
 from gyrocal.diagnosis.drive.reckoning import Reckoned
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
@@ -33,17 +35,9 @@ def _knots(path: Reckoned) -> Knots:
     rows = np.r_[0:300, 300:_ROWS:4]
     at = (path.t_s[rows] // 10.0).astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), {}, _LAWS)
-    return Knots(
-        rows,
-        at,
-        count,
-        knots.mean(path.t_s),
-        knots.mean(path.at_m),
-        np.zeros(count.size),
-        {},
-        _LAWS,
-    )
+    edges_s = cell_edges_s(path.t_s, count.size)
+    knots = Knots(rows, at, count, path.t_s, path.at_m, np.zeros(count.size), {}, _LAWS, edges_s)
+    return replace(knots, t_s=knots.mean(path.t_s), position=knots.mean(path.at_m))
 
 
 def _known(path: Reckoned, weights: NDArray[np.float64]) -> BiasLaws:
