@@ -108,7 +108,7 @@ def names(result: DriveDiagnosis) -> list[str]:
     ("hidden", "effect", "truth"),
     [
         (Hidden(delay_s=0.12), "gyro_delay", 0.12),
-        (Hidden(delay_s=1.3), "gyro_delay", 1.3),
+        pytest.param(Hidden(delay_s=1.3), "gyro_delay", 1.3, marks=pytest.mark.slow),
         (Hidden(slip=0.06), "skid_slip", 6.0),
         (Hidden(slip=-0.08), "skid_slip", -8.0),
         (Hidden(slip=0.1, slip_exponent=1.0), "skid_slip", 10.0),
@@ -164,7 +164,7 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
     assert (told_dps != 0.0) == kept
 
 
-@pytest.mark.parametrize("share", [0.01, 0.0025])
+@pytest.mark.parametrize("share", [0.01, pytest.param(0.0025, marks=pytest.mark.slow)])
 def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot, share: float) -> None:
     log = drive(Plan("eights", 3.0, 10.0, tick_m=4e-4, truth_m=0.02, truth_every_s=1.0, wheel_noise=0.001), 5)
     heading = np.cumsum(np.radians(log.gyro_dps) / 10.0)

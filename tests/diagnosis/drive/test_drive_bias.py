@@ -73,7 +73,7 @@ def test_motion_ends_with_the_last_row_that_moves(hz: float, resting: Robot) -> 
     np.testing.assert_array_equal(series.moving(0.0), speed > 0)
 
 
-@pytest.mark.parametrize("of_gyro", [True, False])
+@pytest.mark.parametrize("of_gyro", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_truth_tells_a_bias_in_motion_from_what_wheels_do(of_gyro: bool, resting: Robot) -> None:
     log = drive(replace(RESTS, truth_m=0.02), 8)
     moving = np.abs(log.left_m) + np.abs(log.right_m) > 0
@@ -290,6 +290,7 @@ def test_a_gyro_that_lacks_turns_in_one_place_has_no_scale(resting: Robot) -> No
     assert [e.effect for e in scaled.diagnosis.effects] == ["gyro_scale"]
 
 
+@pytest.mark.slow
 def test_a_slip_that_one_curvature_shows_is_no_structure_without_a_name(resting: Robot) -> None:
     """All turns of squares are alike, so that columns without a name do what the law does."""
     plan = replace(RESTS, shape="square", minutes=10.0)
@@ -386,6 +387,7 @@ def test_a_wheel_that_changes_slowly_steers_no_bias(seeds: range) -> None:
     assert np.abs(off).sum() < (0.8 if len(seeds) > 2 else 0.7) * np.abs(steered).sum()
 
 
+@pytest.mark.slow
 def test_a_wheel_that_sticks_when_slow_leaves_a_bias_without_a_rest_open() -> None:
     """Its bias is known no better than what goes over the speed leaves it; track and wheels keep their mean over the drive."""
     plan = Plan(

@@ -221,7 +221,7 @@ def circle(slip_deg: float) -> DriveBlock:
     return DriveBlock(1, t_s, way_m - half_m, way_m + half_m, gyro_dps, nothing, at.real, at.imag, nothing)
 
 
-@pytest.mark.parametrize("slip_deg", [0.0, 2.0, -5.0])
+@pytest.mark.parametrize("slip_deg", [0.0, pytest.param(2.0, marks=pytest.mark.slow), -5.0])
 def test_what_happened_once_is_no_law(slip_deg: float, resting: Robot) -> None:
     """On a circle bias, scale and wheels differ by the stop alone: a slip there had been all three, a bias of 112 in place of 15."""
     found = examine("log", circle(slip_deg), resting, None)
@@ -274,7 +274,7 @@ def test_the_mean_of_a_law_is_weighed_by_what_its_parts_differ() -> None:
     assert not outlasts(15.0, (46.0, 23, 1e-4))
 
 
-@pytest.mark.parametrize("one_way", [False, True])
+@pytest.mark.parametrize("one_way", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_scale_of_the_turns_one_way_is_none_of_all_turns(one_way: bool, resting: Robot) -> None:
     """On figures of eight it looks like half of it and a bias in motion."""
     log = drive(replace(PLAN, shape="eights", truth_m=0.02), 5)
