@@ -201,6 +201,7 @@ def test_headings_alone_tell_the_scale_of_the_gyro(resting: Robot) -> None:
     assert "wheel_scale" not in [e.name for e in told.estimates]
 
 
+@pytest.mark.slow
 def test_a_patch_of_ground_is_told_by_its_place(resting: Robot) -> None:
     # Fifteen laps of a square, and ground that slips in one of its corners.
     rng = np.random.default_rng(12)

@@ -158,6 +158,7 @@ def test_a_bias_that_jumps_and_stays_is_located_and_no_robot_file_holds_it(resti
     assert "jump" not in examine("log", log, resting, None).yaw.chosen
 
 
+@pytest.mark.slow
 def test_a_jump_that_encoders_cannot_show_is_seen_by_the_truth(resting: Robot) -> None:
     plan = replace(RESTS, shape="random", wheel_noise=0.01, turn_noise=0.05, truth_m=0.01)
     log = drive(plan, 8)

@@ -105,6 +105,7 @@ def test_a_track_that_wanders_is_seen_beneath_the_slip_in_turns(resting: Robot) 
     assert not found.odd
 
 
+@pytest.mark.slow
 def test_wheels_that_err_by_heading_make_no_gyro_noisy(resting: Robot) -> None:
     """As of a slope that loads one side: what lives over the heading is in the mean, not in the noise of the gyro."""
     log = drive(replace(PLAN, rest_s=0.0), 8)
