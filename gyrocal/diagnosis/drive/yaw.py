@@ -1,4 +1,4 @@
-"""The heading by the encoders against that by the gyro: noise levels, laws and their gains, in one state space.
+"""The heading by the encoders against that by the gyro: its difference, and the levels of its noise, in one state space.
 
 An interval's difference of turns is, with the states of `_Sources.field`,
 
