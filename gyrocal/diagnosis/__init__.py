@@ -14,8 +14,8 @@ Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest``
             ``in_place`` (laws that stand for a block), ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
             ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).
 Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
-            ``correction`` (with what stays, averaged over ``rivals`` of the laws; ``rising`` leaves out what no robot can undo), both as coefficient
-            files, the latter weighed by ``fresh_run``;
+            ``correction`` (with what stays, averaged over ``rivals`` of the laws, and with what passes as it is ``standing``; ``rising`` leaves out
+            what no robot can undo), both as coefficient files, the latter weighed by ``fresh_run``;
             ``residual`` (what is left row by row), ``locate`` (where), ``answer`` and ``untimed`` (names as records).
 Records     ``result`` (all that is answered, and its JSON), ``remarks`` (what is said beside the numbers).
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,10 +26,10 @@ from gyrocal.diagnosis.parts import (
 from gyrocal.diagnosis.rising import dead_zone, rising
 from gyrocal.diagnosis.rivals import may_wander, with_rivals
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.diagnosis.standing import state_of_laws, state_of_walks
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import MDPS
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE
 from gyrocal.physics.smooth import SmoothTerm
@@ -103,9 +103,12 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     Parameters
     ----------
     without : blocks that are left out of it
+        What they explained falls to the surface of the whole record, and what that leaves of it to the uncertainty.
     """
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
-    near = near or with_rivals(_less(found.naming.fitted, without), found.naming.named, found.laws)
+    beside = _less(found.naming.fitted, without)
+    fallen = set(beside.model.components) - set(found.naming.fitted.model.components)
+    near = near or with_rivals(beside, found.naming.named, found.laws)
     near = _over_peaks(near, found.laws)
     zone = dead_zone(near[0][1], found.laws)
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
@@ -115,7 +118,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     # What may come again or not is known no better than the two states differ.
     states = [(again, True), (1.0 - again, False)] if again >= _SURELY_NOT else [(1.0, False)]
     each = [
-        (w * chance, _estimate(f.model, s, items, total, comes))
+        (w * chance, _estimate(f.model, s, items, total, comes, fallen))
         for w, f, s in solved
         for chance, comes in states
         if chance > 0.0
@@ -124,7 +127,8 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     first, comes = models[0][1], again > 0.5
     # What the variances add is much the same in models so near to each other, and in either state.
     plain, widened = (
-        _estimate(first.model, s, items, total, comes) for s in (solved[0][2], first.solve(widened=True))
+        _estimate(first.model, s, items, total, comes, fallen)
+        for s in (solved[0][2], first.solve(widened=True))
     )
     covariance += widened.covariance - plain.covariance
     mean, covariance = _with_sine(first.model, items, mean, covariance)
@@ -280,12 +284,15 @@ def _lasting(model: Model) -> dict[str, list[tuple[Law, float]]]:
     }
 
 
-def _estimate(model: Model, solution: Solution, items: Sequence[_Item], total: int, again: bool) -> _Estimate:
+def _estimate(
+    model: Model, solution: Solution, items: Sequence[_Item], total: int, again: bool, fallen: Collection[str]
+) -> _Estimate:
     """Parameters of the file from the amplitudes of one model: linear, so that the covariance follows.
 
     Parameters
     ----------
     again : whether what follows the time since power-on comes again; else it is held where it was last
+    fallen : components of which the surface takes what it can
     """
     amplitudes = np.concatenate([solution.flat, *(solution.amplitudes[n] for n in solution.order)])
     starts = solution.starts
@@ -324,14 +331,17 @@ def _estimate(model: Model, solution: Solution, items: Sequence[_Item], total: i
         mine = slice(starts[name], starts[name] + columns.shape[1])
         to_file[_TERMS:, mine] = 0.0
         to_file[0, mine] += columns[-1]
-    for name, (constant, share) in _held(model).items():
+    for name, (constant, share) in state_of_laws(model).items():
         to_file[0, starts[name]] += constant
         to_file[SHAPE[1], starts[name]] += share
     if model.direction == "output" and DIRECTION in place:
         values[place[DIRECTION]] = 1.0
+    stood, left_dps2 = state_of_walks(model, solution, fallen)
     values += to_file @ amplitudes
-    values[:_TERMS] += _end_of_walks(model, solution)
-    return _Estimate(values, to_file @ solution.covariance @ to_file.T)
+    values[:_TERMS] += stood
+    covariance = to_file @ solution.covariance @ to_file.T
+    covariance[0, 0] += left_dps2
+    return _Estimate(values, covariance)
 
 
 def _since_power_on(model: Model) -> dict[str, Floats]:
@@ -343,36 +353,6 @@ def _since_power_on(model: Model) -> dict[str, Floats]:
     }
     laws = {law.name: law.columns for law in model.laws if law.effect == WARM_UP.id and not law.from_end}
     return laws | {n: columns for n, columns in parts.items() if columns is not None}
-
-
-def _held(model: Model) -> dict[str, tuple[float, float]]:
-    """Laws of time as they stand at the end of the record, at an amplitude of one: a constant and a share of the rate."""
-    means, scale = model.means, model.basis.frame.rate_scale_dps
-    t = np.full(2, means.to_s[-1])
-    temp = np.full(2, means.temp_c[-1])
-    c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.series.began_s)
-    found = {}
-    for law in model.laws:
-        effect = CATALOGUE[law.effect]
-        if law.from_end or effect.runtime or BLOCKS["bias in time"].family != effect.family:
-            continue
-        standing, turning = effect.unit_dps(c, law.shape, None).tolist()
-        found[law.name] = standing, turning - standing
-    return found
-
-
-def _end_of_walks(model: Model, solution: Solution) -> Floats:
-    """Where bias and scale factor have walked to at the end of the record: a constant and a share of the rate, shape (12,)."""
-    means, scale = model.means, model.basis.frame.rate_scale_dps
-    constant = float(solution.random["bias walk"][-1]) if "bias walk" in solution.random else 0.0
-    share = 0.0
-    walk = solution.random.get("scale walk")
-    if walk is not None:
-        turning = np.flatnonzero(means.rate_dps != 0.0)
-        share += float(walk[turning[-1]] / means.rate_dps[turning[-1]] * scale)
-    found = np.zeros(_TERMS)
-    found[0], found[SHAPE[1]] = constant, share
-    return found
 
 
 def _linear(law: Law) -> tuple[str, ...]:

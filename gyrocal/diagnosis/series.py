@@ -397,9 +397,6 @@ def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: 
         untestable["time_since_power_on"] = Lack(Why.NO_POWER_ON)
     else:
         since_on = _since_power_on(run, c["t_s"])
-    kinds = {record.kind for record in run.segments}
-    if "ramp" not in kinds:
-        untestable["temperature_rate"] = Lack(Why.NO_RAMP)
     if supply is not None and np.ptp(supply) < LEAST_SUPPLY_V:
         untestable["supply"] = Lack(Why.STEADY_SUPPLY)
     averaging = c["count"] * c["sample_s"]

@@ -27,7 +27,6 @@ class Why(Enum):
     SUPPLY_NOT_LOGGED = auto()
     STEADY_SUPPLY = auto()
     NO_POWER_ON = auto()
-    NO_RAMP = auto()
     # What a table of data sets does not carry.
     TABLE_NO_ANGLE = auto()
     TABLE_NO_SUPPLY = auto()

@@ -23,7 +23,6 @@ WORDS: Mapping[Why, str] = {
     Why.SUPPLY_NOT_LOGGED: "the supply voltage was not logged with every segment",
     Why.STEADY_SUPPLY: "the supply voltage did not change",
     Why.NO_POWER_ON: "run.json does not say when the gyro was powered on",
-    Why.NO_RAMP: "no temperature ramp was logged",
     Why.TABLE_NO_ANGLE: "a table of data sets carries no table angle",
     Why.TABLE_NO_SUPPLY: "a table of data sets carries no supply voltage",
     Why.TABLE_NO_POWER_ON: "a table of data sets does not say when the gyro was powered on",

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis import correction as module
 from gyrocal.diagnosis.coil import Candidate
-from gyrocal.diagnosis.correction import _estimate, _held, _items, correction, doubtful, mixed
+from gyrocal.diagnosis.correction import _estimate, _items, correction, doubtful, mixed
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.standing import state_of_laws
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import left_by
 from gyrocal.fusion.coefficients import parse_coefficients
@@ -75,6 +76,28 @@ def test_what_a_walk_explains_as_well_is_not_beyond_doubt(wanders: bool) -> None
     assert doubtful(found) == (["temperature"] if wanders else [])
 
 
+def test_what_is_left_out_falls_to_the_surface_of_the_whole_record() -> None:
+    """A bias that rises at the end of the one ramp of a record: where it ended is no state that the next run has."""
+    rng = np.random.default_rng(4)
+    n = 160
+    temp_c, rate_dps = np.linspace(20.0, 40.0, n), np.tile([-50.0, -20.0, 20.0, 50.0], n // 4)
+    rise = 0.02 * np.exp((temp_c - 40.0) / 2.0)
+    gyro_dps = rate_dps + rise + 2e-4 * rng.standard_normal(n)
+    t_s = 60.0 * np.arange(n, dtype=np.float64)
+    table = DataSetTable(Path("rise.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)
+    model = full_model(means_of(series_of_table(table)))
+    stays = {p.name for p in model.parts if p.block in ("surface", "temperature")}
+    fitted = fit_model(model.without([n for n in model.components if n not in {*stays, "white"}]))
+    naming = SimpleNamespace(fitted=fitted, named=(), unnamed={"temperature": 30.0})
+    found = cast(Examination, SimpleNamespace(candidates=(), naming=naming, laws=None, comes_again=0.0))
+    file = correction(found, ["temperature"])
+    columns = np.column_stack([np.ones(n), temp_c, rate_dps, rate_dps * temp_c, rate_dps**2, rate_dps**3])
+    error_dps = gyro_dps - rate_dps
+    plain_dps = error_dps - columns @ np.linalg.lstsq(columns, error_dps, rcond=None)[0]
+    left_dps = Compensator(file).correct(t_s, gyro_dps, temp_c, t_s, None) - rate_dps
+    assert np.sqrt(np.mean(left_dps**2)) < 1.1 * np.sqrt(np.mean(plain_dps**2))
+
+
 @pytest.mark.parametrize(("effect", "of_scale"), [(BIAS_DRIFT, False), (SCALE_DRIFT, True)])
 def test_a_drift_is_held_where_it_ends_in_what_it_is_a_drift_of(effect: Effect, of_scale: bool) -> None:
     rate_dps, t_s = np.tile([-50.0, 0.0, 50.0, 80.0], 10), 90.0 * np.arange(40.0)
@@ -83,7 +106,9 @@ def test_a_drift_is_held_where_it_ends_in_what_it_is_a_drift_of(effect: Effect, 
     law = Law(effect.id, {}, np.zeros((40, 1)))
     per_h, scale_dps = (PPM, 80.0) if of_scale else (MDPS, 1.0)
     held = per_h * scale_dps * t_s[-1] / 3600.0
-    assert _held(model.with_laws(law)) == {law.name: pytest.approx((0.0, held) if of_scale else (held, 0.0))}
+    assert state_of_laws(model.with_laws(law)) == {
+        law.name: pytest.approx((0.0, held) if of_scale else (held, 0.0))
+    }
 
 
 def test_where_a_drift_has_come_to_is_known_no_better_than_the_drift() -> None:
@@ -101,7 +126,7 @@ def test_where_a_drift_has_come_to_is_known_no_better_than_the_drift() -> None:
         kept = {"white", *(p.name for p in model.parts if p.block == "surface")}
         fitted = fit_model(model.without([n for n in model.components if n not in kept]).with_laws(law))
         items, total = _items([(fitted.model, fitted.solve())], 0.0)
-        found = _estimate(fitted.model, fitted.solve(), items, total, False)
+        found = _estimate(fitted.model, fitted.solve(), items, total, False, ())
         off.append((found.values[0] - 3e-3) / np.sqrt(found.covariance[0, 0]))
     assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.5
 

@@ -1,0 +1,66 @@
+"""Where bias and scale factor stand in the file, of what passes: at the end of the record, or in the mean over it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.layers import Model
+from gyrocal.diagnosis.parts import BLOCKS, SURFACE, legendre_to_powers
+from gyrocal.inference.additive import Solution
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.surface import SHAPE
+
+Floats = NDArray[np.float64]
+
+
+def state_of_laws(model: Model) -> dict[str, tuple[float, float]]:
+    """Laws of time as they stand at the end of the record, at an amplitude of one: a constant and a share of the rate."""
+    means, scale = model.means, model.basis.frame.rate_scale_dps
+    t = np.full(2, means.to_s[-1])
+    temp = np.full(2, means.temp_c[-1])
+    c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.series.began_s)
+    found = {}
+    for law in model.laws:
+        effect = CATALOGUE[law.effect]
+        if law.from_end or effect.runtime or BLOCKS["bias in time"].family != effect.family:
+            continue
+        standing, turning = effect.unit_dps(c, law.shape, None).tolist()
+        found[law.name] = standing, turning - standing
+    return found
+
+
+def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) -> tuple[Floats, float]:
+    """Terms of the surface from where bias and scale factor have walked to, shape (12,), and the variance that they leave, deg/s squared.
+
+    Parameters
+    ----------
+    fallen : components that stand for what the gyro has and the file lacks
+        Their end is no state of the gyro: the surface takes what it can of them over the whole record.
+    """
+    walked = dict(solution.random)
+    for name in fallen:
+        if (columns := model.components[name].columns) is not None:
+            walked[name] = columns @ solution.amplitudes[name]
+    whole = sum((walked[name] for name in fallen), np.zeros(len(model.means)))
+    free = list(model.flat)
+    onto = np.zeros(len(SURFACE))
+    onto[free] = np.linalg.lstsq(model.design[:, free], whole, rcond=None)[0]
+    ends = {name: values for name, values in walked.items() if name not in fallen}
+    left_dps2 = float(np.mean((whole - model.design @ onto) ** 2))
+    return legendre_to_powers() @ onto + _at_end(model, ends), left_dps2
+
+
+def _at_end(model: Model, walks: dict[str, Floats]) -> Floats:
+    """A constant and a share of the rate at the end of the record, as terms of the surface, shape (12,)."""
+    means, scale = model.means, model.basis.frame.rate_scale_dps
+    found = np.zeros(len(SURFACE))
+    if "bias walk" in walks:
+        found[0] = walks["bias walk"][-1]
+    if (walk := walks.get("scale walk")) is not None:
+        last = np.flatnonzero(means.rate_dps != 0.0)[-1]
+        found[SHAPE[1]] = walk[last] / means.rate_dps[last] * scale
+    return found
