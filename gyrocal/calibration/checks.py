@@ -157,7 +157,7 @@ def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...
 
 def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
     """Refuse a value that nothing measured, and columns that are not what they say."""
-    copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c)
+    copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c, sets.t_s)
     table = recording.run is None
     odds = odd_columns(sets.rate_dps, sets.gyro_dps, sets.temp_c, copied, sets.segment, lines=table)
     if odds and not force:

@@ -98,7 +98,7 @@ def series_of_table(table: DataSetTable) -> Series:
         notes=(*table.notes, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
         has_time=table.t_s is not None,
         is_table=True,
-        copies=copies(table.rate_dps, table.gyro_dps, table.temp_c),
+        copies=copies(table.rate_dps, table.gyro_dps, table.temp_c, table.t_s),
         reach=reach_of(groups[~wild], table.gyro_dps[~wild], table.temp_c[~wild]),
     )
 

@@ -160,12 +160,22 @@ def gross_row(rate_dps: Floats, gyro_dps: Floats) -> int | None:
     return row if off[row] > _GROSS * largest * max(1.0, abs(scale)) else None
 
 
-def copies(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats) -> int:
-    """Rows that repeat an earlier one to the last digit; none of a record at one rate, whose steps are coarse."""
+def copies(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats, t_s: Floats | None = None) -> int:
+    """Rows that repeat an earlier one to the last digit; none of a record at one rate, whose steps are coarse.
+
+    Of other times a row is another measurement, which coarse steps make equal by chance: unless so many are.
+    """
     if np.ptp(rate_dps) == 0:
         return 0
     rows = np.column_stack([rate_dps, gyro_dps, temp_c])
-    return int(rate_dps.size - np.unique(rows, axis=0).shape[0])
+    count = _repeated(rows)
+    if t_s is None or not np.isfinite(t_s).all() or count >= _MOST_COPIES * rate_dps.size:
+        return count
+    return _repeated(np.column_stack([rows, t_s]))
+
+
+def _repeated(rows: Floats) -> int:
+    return int(len(rows) - np.unique(rows, axis=0).shape[0])
 
 
 def copied_text(count: int, rows: int) -> str:

@@ -80,13 +80,13 @@ def interval_text(e: Estimate) -> str:
 
 
 def _of_sign(value: float, e: Estimate) -> str:
-    """A number to the digits of the interval, and never as 0 where the interval leaves zero out."""
+    """A number to the digits of the interval, and never as 0 where the interval has numbers of one sign."""
     low, high = e.interval_95
     # Of an interval that is open on one side the other one tells.
     places = decimals(
         abs(e.value - (low if math.isinf(high) else high)) if e.at_bound else 0.5 * (high - low)
     )
-    if low * high > 0 and math.isfinite(value) and round(value, places) == 0:
+    if low * high >= 0 and math.isfinite(value) and value and round(value, places) == 0:
         return f"{value:.2g}"
     return fixed(value, places)
 

@@ -52,6 +52,13 @@ def test_what_rounding_may_make_is_not_found(warming: Examination) -> None:
     assert (found.naming.named, found.model.laws) == ((), ())
 
 
+def test_what_no_noise_hides_less_than_is_not_said(warming: Examination) -> None:
+    """Of an output whose noise covers its steps rounding leaves some 1e-9 of a step: a dead part is no larger."""
+    fine = replace(warming.series, raw=replace(raw(0.0), lattice_dps=1e-8))
+    dead = replace(warming.naming, unnamed={"temperature": 12.0})
+    assert beyond_rounding(replace(warming, series=fine, naming=dead))[1] == []
+
+
 def test_what_is_larger_stays(warming: Examination) -> None:
     assert [n.law.effect for n in warming.naming.named] == ["warm_up"]
     fine = replace(warming.series, raw=replace(raw(0.0), lattice_dps=0.015))

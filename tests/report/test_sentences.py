@@ -296,6 +296,7 @@ def test_amplitude_traded_for_a_shape_is_said_with_what_is_known() -> None:
             "ppm",
             "at least 100000 ppm, the bound of the catalogue (95 %: from 99942 on)",
         ),
+        (0.0031, 0.0, 0.92, "1", "0.0031 (95 %: 0.00 to 0.92)"),
         (
             -10.0,
             -math.inf,
