@@ -220,8 +220,11 @@ def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
     return tuple(parts)
 
 
-def layers_of(found: Examination) -> list[Step]:
-    """Steps of the staircase, the strongest first: laws, the lag of a coil, blocks without a name, errors of each rate."""
+def layers_of(found: Examination, level: float) -> list[Step]:
+    """Steps of the staircase, the strongest first: laws, the lag of a coil, blocks without a name, errors of each rate.
+
+    What the answer does not tell of, since it may be chance at the rate `level`, is none.
+    """
     model = found.naming.fitted.model
     searched = {s.effect: s for s in sorted(_searched(found), key=lambda s: s.nats)}
     steps = [_step_of_table(found, s) for s in searched.values()]
@@ -239,7 +242,8 @@ def layers_of(found: Examination) -> list[Step]:
         names = [n for n, b in model.blocks.items() if b == block]
         owners = [n.law.effect for n in found.naming.named if n.block == block and not model.holds(n.law)]
         title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == EACH_RATE else block
-        if names and (BLOCKS[block].stays or block == EACH_RATE):
+        told = owners or block_p_value(nats, len(BLOCKS)) <= level
+        if names and told and (BLOCKS[block].stays or block == EACH_RATE):
             steps.append(Step(title, nats, partial(Model.without, names=names)))
     return sorted(steps, key=lambda step: -step.nats)
 

@@ -42,12 +42,13 @@ Floats = NDArray[np.float64]
 #: Time constants that are tried for a coil, s. Where a table hardly tells, a lag of a quarter of an hour would move a coil by
 #: ten degrees for nothing, were it not for those that coils have (`THERMAL_LAG`).
 LAG_BOUNDS_S = (30.0, 1500.0)
-#: Shares of the whole lag; what lies between them is told by its posterior (`lag_posterior`).
-_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
+#: Shares of the whole lag, negative where the sensor lags behind the coil; what lies between them is told by its posterior
+#: (`lag_posterior`).
+_SHARES = (-0.85, -0.7, -0.55, -0.4, -0.25, -0.1, 0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
 #: Time constants between the bounds, each a quarter longer than the one before.
 _LAGS_S = tuple(np.geomspace(*LAG_BOUNDS_S, 18).round(1).tolist())
 #: Of these, with which a search begins.
-_FIRST_SHARES, _FIRST_LAGS_S = _SHARES[1::2] + _SHARES[-1:], _LAGS_S[3:16:3]
+_FIRST_SHARES, _FIRST_LAGS_S = (-0.25, 0.25, 0.55, 0.85, 1.0), _LAGS_S[3:16:3]
 #: The coil has been through this share of the range of temperatures: of the rest nobody knows what it would do.
 _REACHED = 0.7
 #: What is the surface's, or is freed of it.
@@ -351,7 +352,7 @@ class TableSearch:
         surface = candidate.fitted.model.legendre(candidate.fitted.solve())
         x = np.column_stack([lagging @ surface for lagging in self._lagging.values()])
         along, information = x.T @ score, np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
-        gain = np.where(along > 0.0, along**2 / information, 0.0)
+        gain = along**2 / information
         k = int(np.argmax(gain))
         share = min(_SHARES, key=lambda a: abs(a - float(along[k] / information[k])))
         coil = share, _LAGS_S[k]

@@ -13,6 +13,7 @@ from gyrocal.diagnosis.blocks import around_itself, evidence
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.in_place import is_passing
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, Fitted, Law, Model
 from gyrocal.diagnosis.open_loop import given_back
@@ -106,7 +107,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
         What they explained falls to the surface of the whole record, and what that leaves of it to the uncertainty.
     """
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
-    beside = _less(found.naming.fitted, without)
+    beside = _less(found, without)
     fallen = set(beside.model.components) - set(found.naming.fitted.model.components)
     near = near or with_rivals(beside, found.naming.named, found.laws)
     near = _over_peaks(near, found.laws)
@@ -176,10 +177,18 @@ def mixed(each: Sequence[tuple[float, Floats, Floats]]) -> tuple[Floats, Floats]
     return mean, np.sum(covariance, axis=0)
 
 
-def _less(fitted: Fitted, blocks: Sequence[str]) -> Fitted:
-    """Without some blocks, whose place what may wander takes: the surface alone would be bent by what they explained."""
+def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
+    """Without some blocks, whose place what may wander takes: the surface alone would be bent by what they explained.
+
+    What a law of time explains is that law's: a walk beside it would take it along.
+    """
+    fitted = found.naming.fitted
     names = [n for n, b in fitted.model.blocks.items() if b in blocks]
-    return around_itself(fitted.refit(may_wander(fitted.model.without(names), blocks))) if names else fitted
+    if not names:
+        return fitted
+    passing = [CATALOGUE[n.law.effect] for n in found.naming.named if is_passing(n)]
+    taken = ["scale in time" if "rate_dps" in effect.needs else "bias in time" for effect in passing]
+    return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
 
 
 def _over_peaks(near: Sequence[tuple[float, Fitted]], laws: Laws) -> list[tuple[float, Fitted]]:
@@ -419,7 +428,7 @@ def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:
         if candidate.coil is not None:
             share, tau = candidate.coil
             shares[tau] = shares.get(tau, 0.0) + weight * share
-    whole = sum(shares.values())
+    whole, sizes = sum(shares.values()), sum(map(abs, shares.values()))
     spread = sum(w * ((c.coil[0] if c.coil else 0.0) - whole) ** 2 for w, c in candidates)
     unit = {p.name: p.unit for p in THERMAL_LAG.parameters}
     return [
@@ -429,7 +438,7 @@ def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:
                 "amplitude": {
                     "value": share,
                     # Taken for independent of each other, so that their variances add up to that of the whole.
-                    "std": float(np.sqrt(spread * share / whole)),
+                    "std": float(np.sqrt(spread * abs(share) / sizes)),
                     "unit": unit["amplitude"],
                 },
                 "tau_s": {"value": tau, "std": 0.0, "unit": unit["tau_s"]},
@@ -437,5 +446,5 @@ def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:
             True,
         )
         for tau, share in sorted(shares.items())
-        if share > 0.0
+        if share != 0.0
     ]

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import with_misfit
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import Effect
 from gyrocal.physics.thermal import SHUPE
 from gyrocal.physics.timewise import BIAS_DRIFT
 
@@ -55,10 +56,14 @@ class Named:
     trials: int
 
 
-def is_passing(named: Named) -> bool:
-    """Whether a law is of what passes: its state at the end is held, and it does not begin anew."""
-    effect = CATALOGUE[named.law.effect]
+def passes(effect: Effect) -> bool:
+    """Whether it is of what passes: its state at the end is held, and it does not begin anew."""
     return effect.family == BLOCKS["bias in time"].family and not effect.runtime
+
+
+def is_passing(named: Named) -> bool:
+    """Whether a law is of what passes."""
+    return passes(CATALOGUE[named.law.effect])
 
 
 @dataclass(frozen=True)

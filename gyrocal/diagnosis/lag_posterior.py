@@ -21,7 +21,7 @@ from gyrocal.physics.thermal import THERMAL_LAG
 Floats = NDArray[np.float64]
 
 #: Grid of the posterior: several times closer than that of the search.
-_SHARES, _LAGS_S = np.linspace(0.02, 1.0, 50), np.geomspace(*LAG_BOUNDS_S, 60)
+_SHARES, _LAGS_S = np.linspace(-1.0, 1.0, 81), np.geomspace(*LAG_BOUNDS_S, 60)
 #: Of a 95 % interval.
 _TAILS = (0.025, 0.975)
 

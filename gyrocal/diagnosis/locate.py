@@ -183,9 +183,10 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
     passed = () if found.comes_again > 0.5 else ("warm-up",)
+    told = {*named, WANDERING, *([EACH_RATE] if found.rate_errors_nats else [])}
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
-        if block in named or block in (EACH_RATE, WANDERING) or block_p_value(nats, len(BLOCKS)) > level:
+        if block in told or block_p_value(nats, len(BLOCKS)) > level:
             continue
         place = stretch(found, block, block_curve(fitted, solution, block))
         parts.append(

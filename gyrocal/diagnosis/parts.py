@@ -407,6 +407,7 @@ def remembering(means: Means) -> list[Part]:
             _part("lag on scale", "memory", tuple(Column(_LINEAR, one, d) for d in lags)),
             _part("lag on scale by temperature", "memory", tuple(Column(_LINEAR, slope, d) for d in lags)),
             _part("band on scale", "memory", tuple(Column(_LINEAR, one, d) for d in bands)),
+            _part("temperature rate on scale", "memory", (Column(_LINEAR, one, Factor("temperature_rate")),)),
             _part("play on scale", "memory", tuple(Column(_LINEAR, one, d) for d in plays)),
         ]
     return [p for p in found if p.columns]

@@ -31,6 +31,8 @@ class Said(Enum):
     LAW_NOT_WRITTEN = auto()
     SINE_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
+    STATE_AT_END = auto()
+    INPUT_ALREADY = auto()
     NO_SURE_GAIN = auto()
     NO_INVERSE = auto()
     TOO_FEW_TO_WRITE = auto()
@@ -98,6 +100,8 @@ OF_COEFFICIENTS = frozenset(
         Said.LAW_NOT_WRITTEN,
         Said.SINE_WRITTEN,
         Said.OPEN_SINCE_POWER_ON,
+        Said.STATE_AT_END,
+        Said.INPUT_ALREADY,
         Said.NO_SURE_GAIN,
         Said.NO_INVERSE,
         Said.TOO_FEW_TO_WRITE,

@@ -7,8 +7,9 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.in_place import passes
 from gyrocal.diagnosis.layers import Model
-from gyrocal.diagnosis.parts import BLOCKS, SURFACE, legendre_to_powers
+from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
@@ -26,7 +27,7 @@ def state_of_laws(model: Model) -> dict[str, tuple[float, float]]:
     found = {}
     for law in model.laws:
         effect = CATALOGUE[law.effect]
-        if law.from_end or effect.runtime or BLOCKS["bias in time"].family != effect.family:
+        if law.from_end or not passes(effect):
             continue
         standing, turning = effect.unit_dps(c, law.shape, None).tolist()
         found[law.name] = standing, turning - standing

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import hypergeom, kstest, rankdata
+from scipy.stats import hypergeom, kstest, norm, rankdata
 
 from gyrocal.calibration.groups import rate_groups
 from gyrocal.diagnosis.base import fit_surface
@@ -315,9 +315,7 @@ def stray_findings(series: Series, strays: Strays) -> list[Finding]:
     amplitude = Estimate.normal(
         1e3 * float(abs(strays.off_dps[most])), 1e3 * float(strays.std_dps[most]), "mdeg/s"
     )
-    place = Located("data_set_index", "mean", CERTAIN, 1.0, target="data sets", finding=BURSTS.id)
-    return [
-        Finding(
-            BURSTS.id, Remark(Said.STRANGE_SETS, {"sets": sets}), {"amplitude": amplitude}, CERTAIN, place
-        )
-    ]
+    sigmas = float(np.max(np.abs(strays.off_dps) / strays.std_dps))
+    p = max(CERTAIN, min(1.0, np.unique(series.set_index).size * 2.0 * float(norm.sf(sigmas))))
+    place = Located("data_set_index", "mean", p, 1.0, target="data sets", finding=BURSTS.id)
+    return [Finding(BURSTS.id, Remark(Said.STRANGE_SETS, {"sets": sets}), {"amplitude": amplitude}, p, place)]

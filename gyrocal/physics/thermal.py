@@ -195,9 +195,10 @@ THERMAL_LAG = Effect(
     id="thermal_lag",
     family="thermal transient",
     equation="e = a (S(T_c) - S(T)), tau dT_c/dt = T - T_c, S the error surface",
-    statement="The coil follows the temperature sensor with a lag, so that bias and scale factor belong to an earlier temperature.",
+    statement="The coil follows the temperature sensor with a lag, so that bias and scale factor belong to an earlier temperature "
+    "(to a later one, by a sensor that lags behind the coil, if the amplitude is negative).",
     parameters=(
-        amplitude("1", 3.0, 1.0, "share of the full lag", positive=True),
+        amplitude("1", 3.0, 1.0, "share of the full lag"),
         shape("tau_s", "s", 15.0, 1800.0, 300.0, "time constant of the coil"),
     ),
     needs=("t_s", "temp_c"),

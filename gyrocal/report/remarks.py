@@ -138,6 +138,11 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "checked on this table.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
+    Said.STATE_AT_END: lambda effects: (
+        f"Of {listed(effects)} the improved coefficients have the state at the end of the record: where that does not last to the next "
+        "run, as through a switch-off, they are off by it. Record again after one."
+    ),
+    Said.INPUT_ALREADY: "The surface is one of the true rate already: there is nothing to add to it, and no improved coefficients are written.",
     Said.NO_SURE_GAIN: _no_sure_gain,
     Said.NO_INVERSE: _no_inverse,
     Said.TOO_FEW_TO_WRITE: "It has {rows} data sets, in which one law may pass for another: what is found is told, but improved "

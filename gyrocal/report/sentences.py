@@ -47,7 +47,7 @@ _VERDICTS = {
     "consistent": "Beyond the error surface nothing stands out of the noise.",
     "explained": f"{_MORE}, and the physics named below explains it.",
     "partly_explained": f"{_MORE}; the physics named below explains a part of it.",
-    "unexplained": f"{_MORE}, and no physics of the catalogue explains it.",
+    "unexplained": f"{_MORE}, and no physics of the catalogue is sure to be behind it.",
 }
 
 

@@ -92,7 +92,8 @@ def _clock(clock: Clock) -> str:
 
 def _plus_minus(value: float, std: float) -> str:
     places = min(max(decimals(2.0 * std), 0), 3) if std > 0 else 3
-    return f"{fixed(value, places)} ± {fixed(std, places)}"
+    known = fixed(std, places)
+    return f"{fixed(value, places)} ± {known}" if float(known) else f"{fixed(value, places)}"
 
 
 def _gain(c: Comparison) -> str:
@@ -106,6 +107,11 @@ def _gain(c: Comparison) -> str:
         what += f" {c.beyond} more {plural(c.beyond, '[lies|lie] beyond the rates or temperatures of the others and [is|are] not judged')}."
     if c.helps:
         return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
+    if c.worse_at_dps:
+        rates = [f"{rate:g}" for rate in c.worse_at_dps[:_MOST_RATES]]
+        more = len(c.worse_at_dps) - len(rates)
+        where = f"{', '.join(rates)} and {more} more rates" if more else f"{listed(rates)} deg/s"
+        return f"{what} But at {where} it takes the simulation farther off, so no {LAW_PYTHON} is written."
     return f"{what} That is no sure gain, so no {LAW_PYTHON} is written."
 
 

@@ -172,6 +172,36 @@ def test_the_lag_that_gains_most_is_foreseen_without_a_fit() -> None:
     assert found[1] == pytest.approx(200.0, rel=0.5)
 
 
+def _read_late(course_c: np.ndarray, t_s: np.ndarray, seed: int) -> DataSetTable:
+    """A gyro whose thermometer is 20 s behind its coil, at times of a course of one value a second."""
+    behind, read_c = course_c[0], np.empty(course_c.size)
+    for k, coil_c in enumerate(course_c):
+        behind += (coil_c - behind) / 20.0
+        read_c[k] = behind
+    at = t_s.astype(np.int64)
+    rate = np.tile([0.0, 40.0, -40.0, 100.0, -100.0], t_s.size // 5 + 1)[: t_s.size]
+    own_c = course_c[at] - 30.0
+    noise = 4e-4 * np.random.default_rng(seed).standard_normal(t_s.size)
+    gyro = rate * (1.0 + 5e-5 * own_c) + 2e-3 * own_c + noise
+    return DataSetTable(Path("late.csv"), rate, gyro, read_c[at], t_s=t_s)
+
+
+def test_a_thermometer_that_lags_behind_the_coil_is_a_lag_the_other_way() -> None:
+    """A box in the rate of change of the temperature had been steps of the scale factor."""
+    ramp = np.linspace(15.0, 45.0, 1200)
+    course = np.concatenate([ramp, np.full(900, 45.0), ramp[::-1], np.full(900, 15.0), ramp])
+    t_s = np.arange(20.0, course.size, 40.0)
+    found = examine(series_of_table(_read_late(course, t_s, 3)), 1e-3)
+    named = {e.effect: e for e in named_effects(found)}
+    assert named.keys() == {"thermal_lag"}
+    assert named["thermal_lag"].parameters["amplitude"].interval_95[1] < 0.0
+    t_s = np.arange(200.0, 6000.0, 50.0)
+    other = _read_late(30.0 + 14.0 * np.sin(np.arange(6000.0) / 600.0), t_s, 4)
+    left = Compensator(correction(found)).correct(t_s, other.gyro_dps, other.temp_c) - other.rate_dps
+    # Where the late reading alone would leave some 5e-3 deg/s.
+    assert np.std(left) < 7e-4
+
+
 def test_what_a_narrow_peak_hid_is_looked_for_beside_it() -> None:
     """No smooth shape follows a peak of 2 deg/s, so that the noise does, and hides errors of each rate and a cubic bend."""
     rng = np.random.default_rng(3)

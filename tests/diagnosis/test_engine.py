@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import get_args
+from types import SimpleNamespace
+from typing import cast, get_args
 
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import Options, _laws_written, diagnose
-from gyrocal.diagnosis.remarks import Said
+from gyrocal.diagnosis.engine import Options, _laws_written, _written, diagnose
+from gyrocal.diagnosis.examine import Examination
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Verdict
 from gyrocal.errors import DataError
-from gyrocal.fusion.coefficients import Coefficients, Valid, parse_coefficients
+from gyrocal.fusion.coefficients import Coefficients, Noise, Valid, parse_coefficients
 from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.surface import Surface
 from gyrocal.physics.terms import Term
@@ -91,6 +93,29 @@ def test_what_a_robot_cannot_evaluate_leaves_its_last_state_in_the_surface() -> 
     # The robot comes after the jump.
     assert np.sqrt(np.mean(left[90:] ** 2)) < 1e-3
     assert np.mean(left[:90]) == pytest.approx(-0.02, abs=1e-3)
+    assert [n.facts for n in found.notes if isinstance(n, Remark) and n.said is Said.STATE_AT_END] == [
+        {"effects": ["bias_step"]}
+    ]
+
+
+def test_a_surface_that_is_of_the_true_rate_already_lacks_nothing() -> None:
+    """That it had been fitted as one of the output, and is known no better than it is large, had been the reasons."""
+    rate_dps = np.tile(np.linspace(-100.0, 100.0, 9), 5)
+    means = SimpleNamespace(rate_dps=rate_dps)
+    found = cast(
+        Examination,
+        SimpleNamespace(series=rate_dps, model=SimpleNamespace(means=means), candidates=(1,), ranked=(1,)),
+    )
+    named = NamedEffect("fit_direction", "rate shape", {}, 1e-12, (), None, True)
+    of_input = Coefficients(
+        sensor={},
+        surface=Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0, "input"),
+        covariance_dps2=np.zeros((12, 12)),
+        valid=Valid((-100.0, 100.0), (0.0, 40.0)),
+        noise=Noise(),
+        provenance={},
+    )
+    assert _written(found, of_input, of_input, None, ([named], ())) == (None, [Remark(Said.INPUT_ALREADY)])
 
 
 def test_a_surface_of_another_gyro_is_said_to_have_changed() -> None:
@@ -111,6 +136,7 @@ def test_a_mislabelled_data_set_is_left_out_and_said() -> None:
     found = diagnose(table, options=Options(heldout=False))
     assert [e.effect for e in found.effects] == ["bursts"]
     assert "number 41" in statement(found.effects[0])
+    assert found.effects[0].p_value < 1e-12
     low, high = found.effects[0].parameters["amplitude"].interval_95
     assert low < 100.0 < high
     assert high - low < 20.0

@@ -14,7 +14,7 @@ from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.strays import NO_STRAYS, Strays, gross_strays, strays_beside
+from gyrocal.diagnosis.strays import NO_STRAYS, Strays, gross_strays, stray_findings, strays_beside
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.remarks import WORDS
@@ -53,6 +53,14 @@ def test_a_stray_data_set_is_found_with_how_far_it_is_off(off_dps: float) -> Non
     found = found_in(make_sweeps(1, {40: off_dps}))
     assert found.numbers.tolist() == [40]
     assert abs(found.off_dps[0] - off_dps) < 4.0 * NOISE_DPS
+
+
+def test_how_sure_a_stray_is_goes_by_how_far_it_is_off_and_out_of_how_many() -> None:
+    series = series_of_table(make_sweeps(1, {}))
+    sets = np.unique(series.set_index).size
+    five = Strays(np.array([3]), np.array([5e-3]), np.array([1e-3]))
+    (found,) = stray_findings(series, five)
+    assert found.p_value == pytest.approx(sets * 5.733e-7, rel=1e-3)
 
 
 def test_of_so_many_rows_a_tenth_stray_is_none_of_a_few() -> None:

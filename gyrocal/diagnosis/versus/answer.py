@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import ttest_1samp
 
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
@@ -60,6 +61,8 @@ class Comparison:
     sets, beyond : int
         Data sets left out in turn, and those whose rate or temperature the others do not enclose: these are not
         judged, since no surface knows beyond its data.
+    worse_at_dps : tuple of float
+        Rates at which the simulation is surely farther from the recording with the law.
     """
 
     before_dps: float
@@ -67,11 +70,12 @@ class Comparison:
     interval_95: tuple[float, float]
     sets: int
     beyond: int
+    worse_at_dps: tuple[float, ...] = ()
 
     @property
     def helps(self) -> bool:
-        """Whether the simulation is nearer to the recording with the law, surely."""
-        return self.interval_95[0] > 0
+        """Whether the simulation is nearer to the recording with the law, surely, and at no rate surely farther."""
+        return self.interval_95[0] > 0 and not self.worse_at_dps
 
     def to_json(self) -> dict[str, Any]:
         """Entry ``left_out``."""
@@ -81,6 +85,7 @@ class Comparison:
             "drop_interval_95_dps": list(self.interval_95),
             "sets": self.sets,
             "sets_beyond": self.beyond,
+            "worse_at_dps": list(self.worse_at_dps),
             "helps": self.helps,
         }
 
@@ -298,7 +303,24 @@ def compare(matched: Match, options: Options) -> Comparison | None:
     rms = np.sqrt(block_means(squares, block[judged], _DRAWS, np.random.default_rng(options.seed)))
     low, high = np.quantile(rms[0] - rms[1], [0.025, 0.975])
     before, left = (float(np.sqrt(np.mean(x[judged] ** 2))) for x in (plain, after))
-    return Comparison(before, left, (float(low), float(high)), int(np.sum(judged)), int(np.sum(~judged)))
+    rate = set_means(difference, difference.rate_dps)[1][judged]
+    return Comparison(
+        before,
+        left,
+        (float(low), float(high)),
+        int(np.sum(judged)),
+        int(np.sum(~judged)),
+        _worse_at(rate, squares[1] - squares[0]),
+    )
+
+
+def _worse_at(rate_dps: Floats, grown_dps2: Floats) -> tuple[float, ...]:
+    """Rates at which squares of errors have grown, at `LEVEL` over all rates; what helps most at one rate may spoil others."""
+    rates = np.round(rate_dps, 2)
+    each = {float(r): grown_dps2[rates == r] for r in np.unique(rates)}
+    each = {r: grown for r, grown in each.items() if grown.size >= _FEWEST and np.ptp(grown) > 0.0}
+    tests = {r: float(ttest_1samp(grown, 0.0, alternative="greater").pvalue) for r, grown in each.items()}
+    return tuple(r for r, p in tests.items() if p < LEVEL / len(tests))
 
 
 def _valid_json(difference: Series) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import pytest
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.versus.answer import Comparison, Versus, left_by, versus
+from gyrocal.diagnosis.versus.answer import Comparison, Versus, _worse_at, left_by, versus
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.errors import DataError
 from gyrocal.report.versus import LAW_PYTHON, law_files
@@ -73,6 +73,18 @@ def warmed() -> Versus:
     found = diagnose(answer.match.difference)
     sure = Comparison(2e-3, 1e-3, (5e-4, 1.5e-3), 140, 16)
     return replace(answer, diagnosis=found, comparison=sure)
+
+
+def test_a_law_that_helps_most_at_one_rate_and_spoils_another_is_not_added() -> None:
+    """What no rate suffers from is worse at none in 98 of 100 trials at the least."""
+    rng = np.random.default_rng(6)
+    rate = np.tile([-50.0, -3.0, 3.0, 50.0], 40)
+    noise = rng.normal(0.0, 1e-6, (300, rate.size))
+    assert np.mean([bool(_worse_at(rate, grown)) for grown in noise]) < 0.02
+    grown = np.where(np.abs(rate) == 3.0, -0.05, 0.001) + noise[0]
+    assert _worse_at(rate, grown) == (-50.0, 50.0)
+    gains = Comparison(0.2, 0.1, (0.05, 0.15), 160, 0)
+    assert (gains.helps, replace(gains, worse_at_dps=(50.0,)).helps) == (True, False)
 
 
 def test_a_law_at_another_shape_than_the_search_found_gains_what_it_gains(warmed: Versus) -> None:
