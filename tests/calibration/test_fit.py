@@ -190,10 +190,10 @@ def coverage(
 
 
 def test_intervals_cover() -> None:
-    """Twelve intervals of 20 runs, correlated among themselves: an effective size of about 20 x 12 / 3."""
-    found = coverage(20, 8, "gls", "quick")[0].mean()
-    low, high = stats.binom(80, 0.95).interval(1 - FALSE_ALARM)
-    assert low / 80 <= found <= high / 80
+    """Twelve intervals of 12 runs, correlated among themselves: an effective size of about 12 x 12 / 3."""
+    found = coverage(12, 8, "gls", "quick")[0].mean()
+    low, high = stats.binom(48, 0.95).interval(1 - FALSE_ALARM)
+    assert low / 48 <= found <= high / 48
 
 
 def test_intervals_of_forty_small_tables_cover() -> None:

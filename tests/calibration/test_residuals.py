@@ -117,7 +117,7 @@ def structured_share(runs: int, seed: int) -> float:
 
 def test_pure_noise_is_not_called_structured() -> None:
     """Columns in the measured output, beside the rates, would reproduce the noise itself: F = 7e15, all structured."""
-    runs = 35
+    runs = 21
     assert structured_share(runs, 92) * runs <= stats.binom.isf(FALSE_ALARM, runs, ALARM_RATE)
 
 

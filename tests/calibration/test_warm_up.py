@@ -28,7 +28,7 @@ def course(rng: np.random.Generator, amplitude_dph: float, tau_s: float) -> Cour
     return Course(t_s, gyro_dps, np.full(t_s.size, np.nan), np.full(t_s.size, 100.0))
 
 
-@pytest.mark.parametrize("runs", [12, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [8, pytest.param(200, marks=pytest.mark.slow)])
 def test_its_interval_holds_the_truth(runs: int) -> None:
     rng = np.random.default_rng(31)
     found = [warm_up(course(rng, 40.0, 600.0), 0.0, "") for _ in range(runs)]
@@ -36,7 +36,7 @@ def test_its_interval_holds_the_truth(runs: int) -> None:
     assert held >= stats.binom.ppf(FALSE_ALARM, runs, 0.95)
 
 
-@pytest.mark.parametrize("runs", [20, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [10, pytest.param(300, marks=pytest.mark.slow)])
 def test_noise_is_no_warm_up(runs: int) -> None:
     rng = np.random.default_rng(32)
     found = [warm_up(course(rng, 0.0, 600.0), 0.0, "") for _ in range(runs)]

@@ -177,7 +177,11 @@ def test_what_follows_the_supply_is_corrected_on_another_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sizes", "center_dps"), [((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0), ((7, 21, 40, 68, 119, 155), 62.0)]
+    ("sizes", "center_dps"),
+    [
+        pytest.param((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0, marks=pytest.mark.slow),
+        ((7, 21, 40, 68, 119, 155), 62.0),
+    ],
 )
 def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
     sizes: tuple[float, ...], center_dps: float

@@ -43,7 +43,14 @@ def output(through: Callable[[Floats], Floats], rate_dps: Floats, temp_c: Floats
     return np.asarray(through(rate_dps) + scale * rate_dps + 0.02 * (rate_dps / 100.0) ** 3 + 0.01 + 4e-3 * v)
 
 
-@pytest.fixture(scope="module", params=GYROS.values(), ids=list(GYROS))
+@pytest.fixture(
+    scope="module",
+    params=[
+        # A band has its like in `test_rising`.
+        pytest.param(gyro, id=name, marks=[pytest.mark.slow] if name == "band" else [])
+        for name, gyro in GYROS.items()
+    ],
+)
 def diagnosed(request: pytest.FixtureRequest) -> tuple[Callable[[Floats], Floats], float, Coefficients]:
     """What comes through the gyro's zone, the zone's half width, and the file."""
     through, width_dps = request.param

@@ -127,12 +127,12 @@ QUICK: dict[str, Callable[[], dict[str, Any]]] = {
     "asymmetry": _asymmetry,
     "warm_up": _warm_up,
     "step": _step,
-    "resonance": _resonance,
     "another_gyro": _another_gyro,
     "drive": _drive,
     "drive_with_truth": _drive_with_truth,
 }
 SLOW: dict[str, Callable[[], dict[str, Any]]] = {
+    "resonance": _resonance,
     "run": _run,
     "trial_table": lambda: _trial("layers", 101, 0),
     "trial_run": lambda: _trial("layers", 102, 1),

@@ -102,7 +102,10 @@ def test_smooth_parts_are_free_of_the_surface() -> None:
     assert {p.block for p in staying(means, model.basis.frame, np.arange(12))} >= {"memory", "odd rate"}
 
 
-@pytest.mark.parametrize(("rates", "temperatures"), [(2, 2), (4, 4), (6, 5), (7, 5), (40, 40)])
+@pytest.mark.parametrize(
+    ("rates", "temperatures"),
+    [(2, 2), (4, 4), (6, 5), (7, 5), (12, 40), pytest.param(40, 40, marks=pytest.mark.slow)],
+)
 def test_shapes_are_those_that_the_visited_places_can_tell_apart(rates: int, temperatures: int) -> None:
     """Sizes of rate beside rest: a curve of more orders than places goes anywhere between them."""
     sizes = np.linspace(0.0, 100.0, rates + 1)
@@ -190,6 +193,7 @@ def test_a_steep_surface_of_the_output_leaves_nothing(seed: int) -> None:
     assert np.sqrt(np.mean(left_dps**2)) == pytest.approx(1e-3, rel=0.25)
 
 
+@pytest.mark.slow
 def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:
     """Four recordings of nothing but noise at a level of 0.01: two false alarms have a chance of 0.06 %."""
     alarms = 0

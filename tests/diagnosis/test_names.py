@@ -62,7 +62,7 @@ def test_a_warm_up_comes_again_as_surely_as_it_is_told_from_a_drift(
     assert Naming(cast(Fitted, None), (), nearest=nearest).comes_again == pytest.approx(again, abs=1e-3)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_warm_up_of_two_time_constants_is_no_drift(seed: int) -> None:
     """One that slows down is nearer to two exponentials than one of them is, but does not come again."""
     found = naming_of(1e-3 * np.exp(-_T_S / 177.0) + 1e-3 * np.exp(-_T_S / 3369.0), seed)
@@ -109,7 +109,8 @@ def heated_c() -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    ("width_c", "play", "tau_s", "gradient"), [(5.6, 0.46, 370.0, 0.57), (1.6, -0.44, 420.0, -0.41)]
+    ("width_c", "play", "tau_s", "gradient"),
+    [(5.6, 0.46, 370.0, 0.57), pytest.param(1.6, -0.44, 420.0, -0.41, marks=pytest.mark.slow)],
 )
 def test_thermal_transients_that_hide_each_other_are_named_together(
     width_c: float, play: float, tau_s: float, gradient: float

@@ -57,9 +57,9 @@ def _weight_of_sine(found: Examination) -> float:
     return sum(w for w, c in found.candidates if c.is_open_loop)
 
 
-@pytest.fixture(scope="module")
-def tables() -> list[Examination]:
-    return [examine(series_of_table(_sweeps(seed)), 1e-3) for seed in range(10, 12)]
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)])
+def tables(request: pytest.FixtureRequest) -> list[Examination]:
+    return [examine(series_of_table(_sweeps(seed)), 1e-3) for seed in range(10, 10 + request.param)]
 
 
 def test_the_phase_is_in_its_interval_and_the_file_is_better_than_one_with_shapes(
@@ -94,12 +94,14 @@ def test_what_is_not_known_of_the_phase_is_in_the_sigma_of_the_corrected_rate(
     assert 0.1 < float(np.mean(squares)) < 2.5
 
 
+@pytest.mark.slow
 def test_a_cubic_that_no_sine_has_is_none() -> None:
     found = examine(series_of_table(_sweeps(20, "expanding")), 1e-3)
     assert found.candidates
     assert _weight_of_sine(found) == 0.0
 
 
+@pytest.mark.slow
 def test_a_cubic_of_less_than_a_percent_is_not_taken_for_a_sines() -> None:
     found = examine(series_of_table(_sweeps(22, "cubic", own=-0.95)), 1e-3)
     assert found.candidates
@@ -111,6 +113,7 @@ def test_a_cubic_without_higher_orders_is_no_sine_where_the_table_is_exact() -> 
     assert _weight_of_sine(found) == 0.0
 
 
+@pytest.mark.slow
 def test_a_sine_without_a_name_is_said() -> None:
     answer = diagnose(_sweeps(10))
     assert answer.improved is not None

@@ -40,7 +40,13 @@ def table(sizes: list[float], seed: int) -> DataSetTable:
     return DataSetTable(Path("band.csv"), rate, gyro, temp, t_s=t_s)
 
 
-@pytest.mark.parametrize("sizes", [[6.0, 15.0, 57.0, 100.0], [0.01, 0.2, 6.0, 15.0, 57.0, 100.0]])
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        [6.0, 15.0, 57.0, 100.0],
+        pytest.param([0.01, 0.2, 6.0, 15.0, 57.0, 100.0], marks=pytest.mark.slow),
+    ],
+)
 def test_the_file_of_a_gyro_with_a_dead_band_is_right_beyond_it_and_calm_within(sizes: list[float]) -> None:
     found = diagnose(series_of_table(table(sizes, 1)), None, Options(heldout=False))
     assert found.improved is not None
@@ -69,7 +75,7 @@ def _locked(rate_dps: Floats, width_dps: float) -> Floats:
     return np.asarray(np.sign(rate_dps) * np.sqrt(np.maximum(rate_dps**2 - width_dps**2, 0.0)))
 
 
-@pytest.mark.parametrize("zone", [_hard, _locked])
+@pytest.mark.parametrize("zone", [_hard, pytest.param(_locked, marks=pytest.mark.slow)])
 def test_a_zone_under_noise_is_no_step_of_the_output_that_throws_a_standing_gyro(
     zone: Callable[[Floats, float], Floats],
 ) -> None:

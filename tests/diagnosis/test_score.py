@@ -26,7 +26,7 @@ def least_hits(goal: float, n: int) -> int:
     "case",
     [
         Case("null", (), 31, "even"),
-        Case("single", (("supply_voltage", 20.0),), 32, "even"),
+        pytest.param(Case("single", (("supply_voltage", 20.0),), 32, "even"), marks=pytest.mark.slow),
         Case("outside", (("three_per_rev", 20.0),), 33, "even"),
     ],
     ids=lambda c: c.key,

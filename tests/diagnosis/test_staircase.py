@@ -31,7 +31,7 @@ STEP = 400e-6
 @pytest.fixture(scope="module")
 def stepped() -> Diagnosis:
     """A table whose scale factor jumps by 400 ppm in the middle."""
-    t, rate, temp = plan(12)
+    t, rate, temp = plan(8)
     noise = np.random.default_rng(2).normal(0, NOISE_DPS, t.size)
     gyro = SURFACE.output_dps(rate, temp) + STEP * rate * (t > t[-1] / 2) + noise
     return diagnose(series_of_table(table("stepped.csv", t, rate, gyro, temp)), None, Options())
@@ -62,7 +62,7 @@ def test_a_hidden_step_of_the_scale_factor_is_a_step_of_the_staircase(stepped: D
     assert [layer.name for layer in stepped.layers][:2] == ["", "scale_step"]
     surface, step = stepped.layers[:2]
     # Half of the record is off by up to half of the jump; the other half by the rest.
-    rms_rate = float(np.sqrt(np.mean(plan(12)[1] ** 2)))
+    rms_rate = float(np.sqrt(np.mean(plan(8)[1] ** 2)))
     assert surface.heldout_rms_dps == pytest.approx(STEP / 2 * rms_rate, rel=0.15)
     assert step.heldout_rms_dps < 1.3 * step.noise_floor_dps
     effect = next(e for e in stepped.effects if e.effect == "scale_step")

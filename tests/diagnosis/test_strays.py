@@ -128,7 +128,7 @@ def test_a_stray_data_set_is_said_and_nothing_else_is_named() -> None:
     assert low < 20.0 < high
 
 
-@pytest.mark.parametrize("off_dps", [0.03, 0.06, 0.3])
+@pytest.mark.parametrize("off_dps", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.03, 0.06)), 0.3])
 def test_what_is_off_at_one_rate_whenever_it_is_visited_is_no_stray(off_dps: float) -> None:
     """Six sets at one of fifteen rates had been six disturbed ones; a disturbed one beside them still is."""
     rng = np.random.default_rng(1)
@@ -164,7 +164,7 @@ def here_and_there(seed: int, share: float) -> NDArray[np.int64]:
     return np.sort(np.random.default_rng(seed).choice(133, round(share * 133), replace=False))
 
 
-@pytest.mark.parametrize("share", [0.03, 0.08])
+@pytest.mark.parametrize("share", [pytest.param(0.03, marks=pytest.mark.slow), 0.08])
 def test_beside_disturbed_sets_a_law_is_named_and_nothing_else(share: float) -> None:
     off = here_and_there(1, share)
     found = diagnose(make_disturbed(1, off, asymmetry=2e-4), options=Options(heldout=False))

@@ -89,8 +89,8 @@ def coverage(sensor: Sensor, runs: int, seed: int) -> Floats:
 
 
 def test_intervals_cover() -> None:
-    """Twenty records: a correlation that is dropped, or an interval of half the length, is noticed."""
-    runs = 20
+    """Fifteen records: a correlation that is dropped, or an interval of half the length, is noticed."""
+    runs = 15
     found = coverage(FILTERED, runs, 11)
     assert np.all(found * runs >= stats.binom.ppf(FALSE_ALARM, runs, 0.95))
 

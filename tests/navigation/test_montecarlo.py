@@ -26,10 +26,10 @@ SMALL = World(runs=1)
 
 def test_the_processes_do_not_change_the_result() -> None:
     said: list[int] = []
-    alone = monte_carlo(SMALL, 3, 7, said.append, workers=1)
-    shared = monte_carlo(SMALL, 3, 7, said.append, workers=2)
+    alone = monte_carlo(SMALL, 2, 7, said.append, workers=1)
+    shared = monte_carlo(SMALL, 2, 7, said.append, workers=2)
     np.testing.assert_array_equal(alone.all_m, shared.all_m)
-    assert said == [1, 2, 3, 1, 2, 3]
+    assert said == [1, 2, 1, 2]
     assert set(alone.factors()) == set(FACTORS)
     assert cores() >= 1
 
@@ -47,7 +47,7 @@ list(montecarlo._map(time.sleep, [600] * 8, 2))
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGKILL])
 def test_no_process_outlives_its_parent(number: signal.Signals) -> None:
     parent = subprocess.Popen(
         [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

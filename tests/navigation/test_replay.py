@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,12 +13,18 @@ from gyrocal.errors import DataError
 from gyrocal.fusion import Valid
 from gyrocal.navigation import replay as module
 from gyrocal.navigation.montecarlo import World, simulate_and_replay
-from gyrocal.navigation.replay import replay_log
+from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.navigation.simulate import CW
 from gyrocal.navigation.table import make_table
 from gyrocal.navigation.track import CONDITIONS
 from gyrocal.records.drive import DriveBlock, cut
 from tests.navigation.drives import both_ways, calibration, drive, robot, source
+
+
+@cache
+def whole() -> LogReplay:
+    """The drive in one block with everything that is known; never change it."""
+    return replay_log(source(drive()), robot(), calibration())
 
 
 def without_truth(log: DriveBlock) -> DriveBlock:
@@ -37,12 +44,10 @@ def test_calibration_improves_the_return_by_an_order_of_magnitude() -> None:
         assert replay.notes == ()
 
 
-@pytest.mark.parametrize("chunk_rows", [100, 501])
+@pytest.mark.parametrize("chunk_rows", [100, pytest.param(501, marks=pytest.mark.slow)])
 def test_blocks_of_any_size_give_the_same_replay(chunk_rows: int) -> None:
-    log = drive()
-    whole = replay_log(source(log), robot(), calibration())
-    parts = replay_log(source(log, chunk_rows), robot(), calibration())
-    for a, b in zip(whole.tracks, parts.tracks, strict=True):
+    parts = replay_log(source(drive(), chunk_rows), robot(), calibration())
+    for a, b in zip(whole().tracks, parts.tracks, strict=True):
         np.testing.assert_allclose(b.states, a.states, atol=1e-9)
         np.testing.assert_allclose(b.std, a.std, atol=1e-9)
         assert b.counts == a.counts
@@ -53,10 +58,9 @@ def test_blocks_of_any_size_give_the_same_replay(chunk_rows: int) -> None:
 
 
 def test_few_rows_are_kept_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    log = drive()
-    full = replay_log(source(log), robot(), calibration())
+    full = whole()
     monkeypatch.setattr(module, "KEPT_ROWS", 100)
-    thin = replay_log(source(log, 300), robot(), calibration())
+    thin = replay_log(source(drive(), 300), robot(), calibration())
     assert thin.t_s.size <= 210
     assert thin.t_s[-1] == full.t_s[-1]
     for a, b in zip(full.tracks, thin.tracks, strict=True):
@@ -104,7 +108,8 @@ def test_a_temperature_at_every_tenth_row_serves_the_rows_between() -> None:
     log = drive()
     sparse = replace(log, gyro_temp_c=np.where(np.arange(len(log)) % 10 == 0, log.gyro_temp_c, np.nan))
     every, tenth = (
-        replay_log(source(b), robot(), calibration()).track("calibrated_filter") for b in (log, sparse)
+        found.track("calibrated_filter")
+        for found in (whole(), replay_log(source(sparse), robot(), calibration()))
     )
     assert every is not None
     assert tenth is not None
@@ -156,7 +161,7 @@ def test_truth_missing_leaves_the_return() -> None:
     assert all(np.isnan(v) for v in silent.rows[0].errors_m.values())
     table = make_table([replay_log(source(log), robot(), calibration(), returns=True)])
     assert table.measure == "return"
-    with_truth = make_table([replay_log(source(drive()), robot(), calibration())])
+    with_truth = make_table([whole()])
     assert table.rows[0].errors_m["calibrated"] == pytest.approx(
         with_truth.rows[0].errors_m["calibrated"], abs=0.05
     )
@@ -187,7 +192,7 @@ def test_lost_samples_are_bridged_and_counted() -> None:
     assert track.errors.end_m < 1.0
 
 
-@pytest.mark.parametrize("turned_deg", [0.0, 170.0])
+@pytest.mark.parametrize("turned_deg", [pytest.param(0.0, marks=pytest.mark.slow), 170.0])
 def test_headings_alone_tell_the_error_of_the_heading(
     turned_deg: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,11 +201,11 @@ def test_headings_alone_tell_the_error_of_the_heading(
     headings = nothing.copy()
     headings[3::7] = (log.truth_heading_deg[3::7] + turned_deg + 180.0) % 360.0 - 180.0
     alone = replace(log, truth_x_m=nothing, truth_y_m=nothing, truth_heading_deg=headings)
-    whole = replay_log(source(log), robot(), calibration())
+    complete = whole()
     # Rows with a heading are kept, whatever is thinned.
     monkeypatch.setattr(module, "KEPT_ROWS", len(log) // 7 + 1)
     found = replay_log(source(alone), robot(), calibration())
-    for track, known in zip(found.tracks, whole.tracks, strict=True):
+    for track, known in zip(found.tracks, complete.tracks, strict=True):
         assert track.errors is None
         assert track.alignment is not None
         assert track.alignment.method == "headings"

@@ -182,7 +182,7 @@ def attack(target: Target, folder: Path, seed: int, rounds: int) -> tuple[int, i
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_damaged_files_are_refused_or_read(tmp_path: Path, name: str) -> None:
-    refused, _ = attack(TARGETS[name], tmp_path, seed=1, rounds=60)
+    refused, _ = attack(TARGETS[name], tmp_path, seed=1, rounds=30)
     assert refused > 0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 * LARGEST_KIB
 

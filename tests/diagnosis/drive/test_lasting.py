@@ -61,7 +61,7 @@ def test_a_clock_that_drifts_is_no_delay(drifts: bool, resting: Robot) -> None:
     assert grown == ([pytest.approx(0.1 * since_s[-1], rel=0.05)] if drifts else [])
 
 
-@pytest.mark.parametrize("patchy", [False, True])
+@pytest.mark.parametrize("patchy", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ground_that_slips_in_places_is_no_slip_of_the_robot(patchy: bool, resting: Robot) -> None:
     """Where a third of the ground slips by 0.3 the turns differ by more than their mean of 0.1."""
     log = drive(PLAN, 4)
@@ -74,6 +74,7 @@ def test_ground_that_slips_in_places_is_no_slip_of_the_robot(patchy: bool, resti
     assert ("turn_rate" in [p.coordinate for p in found.located if p.remains]) == patchy
 
 
+@pytest.mark.slow
 def test_a_bias_that_rings_after_the_start_did_not_come_with_the_motion(resting: Robot) -> None:
     log = drive(replace(PLAN, rest_s=30.0, truth_m=0.1), 5)
     log = replace(log, gyro_temp_c=np.full(len(log), np.nan))
@@ -123,7 +124,7 @@ def test_wheels_that_err_by_heading_make_no_gyro_noisy(resting: Robot) -> None:
     assert 0.001 < found.robot.initial_std["left_scale"] < 0.003
 
 
-@pytest.mark.parametrize("settles", [False, True])
+@pytest.mark.parametrize("settles", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_gyro_that_warms_up_by_itself_does_not_follow_the_temperature(settles: bool) -> None:
     """Both rise all the time, the one within half a minute and the other within minutes."""
     log = drive(replace(PLAN, rest_s=0.0, bias_dps=0.0), 4)
@@ -222,7 +223,7 @@ def circle(slip_deg: float) -> DriveBlock:
     return DriveBlock(1, t_s, way_m - half_m, way_m + half_m, gyro_dps, nothing, at.real, at.imag, nothing)
 
 
-@pytest.mark.parametrize("slip_deg", [0.0, pytest.param(2.0, marks=pytest.mark.slow), -5.0])
+@pytest.mark.parametrize("slip_deg", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 2.0)), -5.0])
 def test_what_happened_once_is_no_law(slip_deg: float, resting: Robot) -> None:
     """On a circle bias, scale and wheels differ by the stop alone: a slip there had been all three, a bias of 112 in place of 15."""
     found = examine("log", circle(slip_deg), resting, None)
@@ -248,7 +249,7 @@ def test_a_robot_that_a_hand_turns_has_no_other_bias(resting: Robot) -> None:
 
 
 def test_a_slip_in_the_last_row_is_left_out_too(resting: Robot) -> None:
-    log = drive(PLAN, 6)
+    log = drive(replace(PLAN, minutes=4.0), 6)
     found = examine("log", slipping(log, [log.t_s[-1]], [0.02]), resting, None)
     last = left_out(found.yaw)[-1]
     assert last.to_s == pytest.approx(log.t_s[-1] - log.t_s[0], abs=0.1)
@@ -275,7 +276,8 @@ def test_the_mean_of_a_law_is_weighed_by_what_its_parts_differ() -> None:
     assert not outlasts(15.0, (46.0, 23, 1e-4))
 
 
-@pytest.mark.parametrize("one_way", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("one_way", [False, True])
 def test_a_scale_of_the_turns_one_way_is_none_of_all_turns(one_way: bool, resting: Robot) -> None:
     """On figures of eight it looks like half of it and a bias in motion."""
     log = drive(replace(PLAN, shape="eights", truth_m=0.02), 5)

@@ -29,7 +29,7 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> DriveDiagnosis:
     """Encoders and gyro 0.3 s apart."""
     path = tmp_path_factory.mktemp("robot") / "robot.toml"
     path.write_text(f"wheel_separation_m = {SEPARATION_M}\nstatic_s = 0.0\n")
-    return diagnose_drive("drive.csv", simulate(Hidden(delay_s=0.3), 11), read_robot(path))
+    return diagnose_drive("drive.csv", simulate(Hidden(delay_s=0.3), 13, 150.0), read_robot(path))
 
 
 @pytest.fixture(scope="module")

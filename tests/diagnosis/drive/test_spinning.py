@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.drive import findings
-from gyrocal.diagnosis.drive.engine import diagnose_drive
+from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.records.drive import DriveBlock
@@ -28,28 +28,40 @@ def spinning(log: DriveBlock, share_s2_per_m: float, *, braking: bool = False) -
     return replace(log, left_m=log.left_m * further, right_m=log.right_m * further)
 
 
-@pytest.mark.parametrize("truth_m", [0.0, pytest.param(0.01, marks=pytest.mark.slow)])
-def test_wheels_that_spin_while_the_speed_grows_are_named(resting: Robot, truth_m: float) -> None:
+#: Share, s²/m, whether as they brake, accuracy of the truth, m.
+SPINS = [
+    (share, braking, truth_m)
+    for truth_m in (0.0, 0.01)
+    for share, braking in ((0.1, False), (-0.1, False), (-0.1, True))
+]
+
+
+@pytest.mark.parametrize(
+    ("share", "braking", "truth_m"),
+    [pytest.param(*spin, marks=[] if spin in (SPINS[0], SPINS[2]) else [pytest.mark.slow]) for spin in SPINS],
+)
+def test_wheels_that_spin_while_the_speed_grows_are_named(
+    resting: Robot, share: float, braking: bool, truth_m: float
+) -> None:
     """By the way, where a truth shows it, and by turns that begin as the speed grows."""
     log = drive(replace(PLAN, truth_m=truth_m), 6)
-    for share, braking in ((0.1, False), (-0.1, False), (-0.1, True)):
-        found = diagnose_drive("log", spinning(log, share, braking=braking), resting)
-        named = [e.effect for e in found.diagnosis.effects]
-        assert (named == ["start_stop_slip"]) == ("start_stop_slip" in named) == (share > 0.0)
-        assert ("start_stop_slip" in found.diagnosis.not_testable) == (share < 0.0)
-        # What braking wheels slide has no name, but its place.
-        left = [p.coordinate for p in found.diagnosis.located if p.remains]
-        assert ("acceleration" in left) == (share < 0.0)
-        if share > 0.0:
-            amplitude = found.diagnosis.effects[0].parameters["amplitude"]
-            assert amplitude.value == pytest.approx(share, abs=max(3.0 * amplitude.std, 0.15 * share))
+    found = diagnose_drive("log", spinning(log, share, braking=braking), resting)
+    named = [e.effect for e in found.diagnosis.effects]
+    assert (named == ["start_stop_slip"]) == ("start_stop_slip" in named) == (share > 0.0)
+    assert ("start_stop_slip" in found.diagnosis.not_testable) == (share < 0.0)
+    # What braking wheels slide has no name, but its place.
+    left = [p.coordinate for p in found.diagnosis.located if p.remains]
+    assert ("acceleration" in left) == (share < 0.0)
+    if share > 0.0:
+        amplitude = found.diagnosis.effects[0].parameters["amplitude"]
+        assert amplitude.value == pytest.approx(share, abs=max(3.0 * amplitude.std, 0.15 * share))
 
 
 def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
     resting: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = drive(replace(PLAN, truth_m=0.01), 6)
-    found = diagnose_drive("log", spinning(log, 0.1), resting)
+    found = examine("log", spinning(log, 0.1), resting, None)
     assert found.truth is not None
     value, std = found.truth.values[SPINNING], found.truth.stds[SPINNING]
     weak = replace(found.truth, values={**found.truth.values, SPINNING: 3.0 * std}, stds={**found.truth.stds})

@@ -43,7 +43,7 @@ def test_floor_and_least_difference_are_those_of_drawn_truths() -> None:
 @pytest.fixture(scope="module")
 def by_satellite(tmp_path_factory: pytest.TempPathFactory) -> DriveDiagnosis:
     """Positions that are off by half a metre on each axis, and a gyro that is a tenth of a second late."""
-    plan = Plan("random", 5.0, 10.0, arw_dps_rt_s=0.001, truth_m=0.5, effects={"gyro_delay": 0.1})
+    plan = Plan("random", 2.0, 10.0, arw_dps_rt_s=0.001, truth_m=0.5, effects={"gyro_delay": 0.1})
     return diagnose_drive("log", drive(plan, 4), robot_file(plan))
 
 
