@@ -172,7 +172,6 @@ def test_the_lag_that_gains_most_is_foreseen_without_a_fit() -> None:
     assert found[1] == pytest.approx(200.0, rel=0.5)
 
 
-<<<<<<< HEAD
 def _read_late(course_c: np.ndarray, t_s: np.ndarray, seed: int) -> DataSetTable:
     """A gyro whose thermometer is 20 s behind its coil, at times of a course of one value a second."""
     behind, read_c = course_c[0], np.empty(course_c.size)
@@ -203,11 +202,8 @@ def test_a_thermometer_that_lags_behind_the_coil_is_a_lag_the_other_way() -> Non
     assert np.std(left) < 7e-4
 
 
-def test_what_a_narrow_peak_hid_is_looked_for_beside_it() -> None:
-=======
 @pytest.mark.parametrize("rates", [15, pytest.param(20, marks=pytest.mark.slow)])
 def test_what_a_narrow_peak_hid_is_looked_for_beside_it(rates: int) -> None:
->>>>>>> ci
     """No smooth shape follows a peak of 2 deg/s, so that the noise does, and hides errors of each rate and a cubic bend."""
     rng = np.random.default_rng(3)
     sizes = np.linspace(0.0, 100.0, rates + 1)[1:]
