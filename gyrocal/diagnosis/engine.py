@@ -153,11 +153,7 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [f.place for f in findings]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
-    told = [
-        *_of_file(found, withheld, parts, why_not),
-        *_laws_written(layered, written),
-        *_held(found, layered, written),
-    ]
+    told = _of_file(found, withheld, (layered, parts), written, why_not)
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -217,14 +213,19 @@ def _written(
 
 
 def _of_file(
-    found: Examination, withheld: list[str], parts: tuple[UnnamedPart, ...], why_not: list[Remark]
+    found: Examination,
+    withheld: list[str],
+    what: tuple[list[NamedEffect], tuple[UnnamedPart, ...]],
+    written: Coefficients | None,
+    why_not: list[Remark],
 ) -> list[Remark]:
-    """What is to be known of the correction: what is not in it, and what of it is open.
+    """What is to be known of the correction: what is not in it, in which state it is, and what of it is open.
 
     Parameters
     ----------
     why_not : why it is not written
     """
+    layered, parts = what
     remarks = [*temperature_alone(found)]
     if why_not:
         return [*remarks, *why_not]
@@ -235,13 +236,13 @@ def _of_file(
     warming = WARM_UP.seen_in in seen or WARM_UP.id in {n.law.effect for n in found.naming.named}
     if warming and _SURE < again < 1.0 - _SURE:
         remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))
-    return remarks
-
-
-def _laws_written(layered: Sequence[NamedEffect], written: Coefficients | None) -> list[Remark]:
-    """Named laws of the rate that a robot could evaluate and the correction lacks; the sine that it has and that has no name."""
     if written is None:
-        return []
+        return remarks
+    return [*remarks, *_laws_written(layered, written), *_held(found, layered)]
+
+
+def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list[Remark]:
+    """Named laws of the rate that a robot could evaluate and the correction lacks; the sine that it has and that has no name."""
     held = {term.name for term in written.terms}
     if written.surface.direction == "input":
         held.add(FIT_DIRECTION.id)
@@ -252,11 +253,11 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients | None) 
     return lacking if SAGNAC_SINE.id in mine else [*lacking, *_sines(written)]
 
 
-def _held(found: Examination, layered: Sequence[NamedEffect], written: Coefficients | None) -> list[Remark]:
+def _held(found: Examination, layered: Sequence[NamedEffect]) -> list[Remark]:
     """Named laws of what passes whose last state the correction has; of a drift of a table it has the mean."""
     passing = [e.effect for e in layered if passes(CATALOGUE[e.effect])]
     held = [e for e in passing if not (found.ranked and e in DRIFTS)]
-    return [Remark(Said.STATE_AT_END, {"effects": held})] if held and written is not None else []
+    return [Remark(Said.STATE_AT_END, {"effects": held})] if held else []
 
 
 def _sines(written: Coefficients) -> list[Remark]:

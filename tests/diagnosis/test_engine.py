@@ -304,7 +304,6 @@ def test_a_law_of_the_rate_that_is_named_and_not_written_is_told() -> None:
     file = Coefficients({}, surface, np.zeros((12, 12)), Valid((-1.0, 1.0), (0.0, 1.0)), terms=terms)
     told = _laws_written(named, file)
     assert [(r.said, r.facts["effect"]) for r in told] == [(Said.LAW_NOT_WRITTEN, "saturation")]
-    assert _laws_written(named, None) == []
 
 
 @pytest.mark.parametrize(("std", "said"), [(2e-4, 1), (0.0, 0)])
