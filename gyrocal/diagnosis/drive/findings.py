@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -251,17 +251,24 @@ def _turns_are_odd(yaw: YawAnswer, truth: TruthAnswer | None) -> bool:
     return _changes(GYRO_SCALE.id, yaw, truth)
 
 
-def _against(c: float, std: float, truth: TruthAnswer | None) -> dict[str, float]:
-    """Chi-square of the truth against each scale that could make the ratio of the headings, by name."""
+def _against(
+    c: float, std: float, truth: TruthAnswer | None, taken: Collection[str] = ()
+) -> dict[str, float]:
+    """Chi-square of the truth against each scale that could make a ratio of the headings, by name.
+
+    Those that are `taken` out of the ratio already, with what the truth says of them, are none that could make the rest.
+    """
     cases = {"track": (0.0, 0.0), "gyro_scale": (1 / (1 + c) - 1, 0.0), "wheel_scale": (0.0, c)}
+    cases = {name: expected for name, expected in cases.items() if name not in taken}
+    free = [k for k, name in enumerate(SCALES) if name not in taken]
     if truth is None or truth.mirrored:
         return dict.fromkeys(cases, 0.0)
     seen = np.array([truth.values[n] for n in SCALES])
     found = {}
     for name, expected in cases.items():
         spread = truth.covariance + np.diag([std**2 * (name == n) for n in SCALES])
-        away = seen - np.array(expected)
-        found[name] = float(away @ np.linalg.solve(spread, away))
+        away = (seen - np.array(expected))[free]
+        found[name] = float(away @ np.linalg.solve(spread[np.ix_(free, free)], away))
     return found
 
 
@@ -280,7 +287,7 @@ def named_effects(
         gains.append((gain, _of_law(name, gain, yaw, truth)))
     for name, scale in parts.items():
         gain = (scale.value / scale.std) ** 2
-        gains.append((gain, _of_scale(name, scale, series, yaw, truth)))
+        gains.append((gain, _of_scale(name, parts, series, yaw, truth)))
     bias = unexpected_bias(series, yaw, truth)
     if bias is not None and not any(e.effect == GYRO_BIAS.id for _, e in gains):
         gains.append(bias)
@@ -376,8 +383,9 @@ def _rivals(name: str, yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[Alter
 
 
 def _of_scale(
-    name: str, scale: OfTruth, series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+    name: str, parts: Mapping[str, OfTruth], series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> NamedEffect:
+    scale = parts[name]
     effect = {"track": SKID_SLIP.id, "slope": BIAS_TEMPERATURE.id, AT_ONCE: GYRO_BIAS.id}.get(name, name)
     seen, beside = _said(name, scale.value), None
     others: dict[str, float] = {}
@@ -388,16 +396,17 @@ def _of_scale(
         parameters = {"amplitude": estimate(effect, scale.value, scale.std)}
     if name == "track":
         parameters |= {"law": Estimate.exact(0.0, "1"), "shape": Estimate.exact(0.0, "1")}
-        ratio = max(1 + scale.value, 1e-9)
-        if any(abs(np.log(ratio / f)) < _MIXED_UP_BY for f in _MIXED_UP):
+        widened = max(1 + scale.value, 1e-9)
+        if any(abs(np.log(widened / f)) < _MIXED_UP_BY for f in _MIXED_UP):
             others[UNIT_OR_SIGN.id] = 1.0
             beside = Remark(Said.TRACK_MIXED_UP)
     if name == "track" or (name in SCALES and (truth is None or not truth.believed(name))):
-        against = _against(*yaw.estimate("track"), truth)
+        ratio = (scale.value, scale.std) if name == "track" else yaw.estimate("track")
+        against = _against(*ratio, truth, [n for n in SCALES if n in parts and n != name])
         for other, chi2 in against.items():
-            ratio = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
-            if other != name and ratio < OUT:
-                others[SKID_SLIP.id if other == "track" else other] = ratio
+            odds = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
+            if other != name and odds < OUT:
+                others[SKID_SLIP.id if other == "track" else other] = odds
     tilted = -_TILT_STDS * series.robot.initial_std["gyro_scale"]
     if name == "gyro_scale" and scale.value < tilted:
         others[ROBOT_TILT.id] = 1.0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from gyrocal.diagnosis.drive.laws import BiasLaws
+from gyrocal.diagnosis.drive.path_gaps import after_gaps, unknown
 from gyrocal.diagnosis.drive.reckoning import Complexes, Floats, Reckoned
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.physics.drive import FLICKER_TAUS_S
@@ -67,15 +68,17 @@ class Knots:
 
 def stacked(knots: Knots, positions: Complexes, headings: Floats, told: Floats | None = None) -> Floats:
     """Positions and headings, as far as the truth has them, one below the other; last the laws that the encoders tell."""
-    return np.append(_blocks(knots, positions, headings), np.zeros(knots.told) if told is None else told)
+    of_path = _blocks(knots, positions, headings)
+    return np.concatenate([of_path, np.zeros((knots.told, *of_path.shape[1:])) if told is None else told])
 
 
 @dataclass(frozen=True)
 class PathNoise:
     """Parts of the covariance of positions, headings and the laws that the encoders tell, stacked.
 
-    `turned` is what a turn within each cell between `edges_s` does to them, `kernel` the covariance of these turns, and
-    `unseen` the covariance of positions and headings with turns of the cells that the gyro has not seen: no law knows these.
+    `turned` is what a turn within each cell between `edges_s`, and then one in each gap, does to them, `kernel` the covariance
+    of the former, and `unseen` that of positions and headings with the latter: the gyro has not seen them, and no law knows
+    them.
     """
 
     turned: Floats
@@ -100,10 +103,10 @@ class PathNoise:
         return [np.exp(x) * part for x, part in zip(logs, of_levels, strict=True)]
 
     def strayed(self, left: Floats, logs: Floats) -> Floats:
-        """Turns of the cells that noise is likeliest to have made, from what is left of positions and headings."""
-        return np.asarray(
-            (self.kernel @ self.turned.T + self.unseen.T) @ np.linalg.solve(self.whole(logs), left)
-        )
+        """Turns of the cells and in the gaps that noise is likeliest to have made, from what is left of positions and headings."""
+        in_cells = self.turned[:, : self.kernel.shape[0]]
+        spread = np.vstack([self.kernel @ in_cells.T, self.unseen.T])
+        return np.asarray(spread @ np.linalg.solve(self.whole(logs), left))
 
     def remembering(self, knots: Knots, wander_s: float) -> PathNoise:
         """The same where what wanders in the truth has another memory."""
@@ -132,8 +135,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     turned = after * 1j * (at_knot[:, None] - at_cell[None, :])
     weights = known.weights_between(edges)
     of_path = _blocks(knots, turned, after)
-    turn, by_wheels = np.vstack([of_path, weights]), np.vstack([of_path, 0.0 * weights])
-    unseen = by_wheels * _unseen(path, edges, noise)
+    turn = np.vstack([of_path, weights])
     lag = np.abs(middle[:, None] - middle[None, :])
     since = middle - begin
     rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
@@ -142,7 +144,11 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
     ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
     along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
-    gyro = turn @ kernel @ turn.T + unseen @ by_wheels.T
+    turned_std, way_std = unknown(path, noise)
+    share, of_turn = after_gaps(path, knots.rows, knots.count)
+    by_turn = stacked(knots, of_turn, share)
+    unseen = by_turn * turned_std**2
+    gyro = turn @ kernel @ turn.T + unseen @ by_turn.T + _of_positions(knots, share * way_std**2 @ share.T)
     # The path follows the same gyro: taken for independent, both would swear to one noise. What else the laws found are off
     # by is the encoders', of which the path has nothing.
     told = knots.told
@@ -150,7 +156,7 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     one = 1.0 / knots.count
     wander, heading_wander = _wander(knots, wander_s)
     return PathNoise(
-        turn,
+        np.hstack([turn, by_turn]),
         kernel,
         unseen,
         gyro + 1e-12 * np.eye(gyro.shape[0]),
@@ -181,18 +187,6 @@ def _square(knots: Knots, of_position: Floats, of_heading: Floats) -> Floats:
     parts = [of_position] * 2 if knots.position is not None else []
     headings = [of_heading] if knots.heading is not None else []
     return np.asarray(linalg.block_diag(*parts, *headings, np.zeros((knots.told, knots.told))))
-
-
-def _unseen(path: Reckoned, edges_s: Floats, noise: YawNoise) -> Floats:
-    """Variance of the turns in each cell that the gyro has not seen, rad^2: of wheels, or of nobody."""
-    turned = np.diff(path.heading_rad, prepend=path.heading_rad[0])
-    variance = turned**2
-    if path.track_m > 0.0:
-        by_way = noise.slip_m_per_rt_m**2 * 2.0 * np.abs(path.way_m) + noise.tick_m**2
-        by_turn = noise.turn**2 * np.abs(turned) + noise.track_wander**2 * variance
-        variance = by_turn + by_way / path.track_m**2
-    cell = np.clip(np.searchsorted(edges_s, path.t_s, side="left") - 1, 0, edges_s.size - 2)
-    return np.asarray(np.bincount(cell[path.gap], variance[path.gap], edges_s.size - 1), dtype=np.float64)
 
 
 def _at_least(covariance: Floats, least: Floats) -> Floats:

@@ -66,6 +66,7 @@ class Reckoned:
     ----------
     gap : whether the turn of a row is one that the gyro has not seen
     track_m : distance of the wheels that have seen it in its place; 0 where they do not differ
+    counts_on : whether they have, and its way too, or both are lost
     """
 
     t_s: Floats
@@ -75,6 +76,7 @@ class Reckoned:
     steps_m: Complexes
     gap: Bools
     track_m: float
+    counts_on: bool
 
     @property
     def at_m(self) -> Complexes:
@@ -134,7 +136,7 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
         whole = np.interp(t - figures.delay_s, t, np.cumsum(way))
         way = np.diff(whole, prepend=0.0)
     track_m = series.robot.wheel_separation_m * (1.0 + figures.track) if series.differential else 0.0
-    return Reckoned(t, series.dt_s, heading, way, chords(way, heading), series.gap, track_m)
+    return Reckoned(t, series.dt_s, heading, way, chords(way, heading), series.gap, track_m, series.counts_on)
 
 
 def _by_wheels(series: DriveSeries, figures: Figures, across_m: Floats, way_m: Floats) -> Floats:

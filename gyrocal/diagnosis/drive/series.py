@@ -116,6 +116,16 @@ class DriveSeries:
         """Turn of each row by the encoders."""
         return (self.right_m - self.left_m) / self.robot.wheel_separation_m
 
+    @property
+    def counts_on(self) -> bool:
+        """Whether the wheels count on in gaps, rather than that their way is lost with the rows: by the speeds beside them."""
+        gaps, usual_s = np.flatnonzero(self.gap), usual_step_s(self.t_s)
+        speed_mps = np.abs(self.step_m) / np.where(self.dt_s > 0, self.dt_s, usual_s)
+        beside_mps = 0.5 * (speed_mps[gaps - 1] + speed_mps[np.minimum(gaps + 1, self.t_s.size - 1)])
+        # Half way between that of the whole time and that of one row.
+        half_way_m = beside_mps @ (0.5 * (self.dt_s[gaps] + usual_s))
+        return bool(np.sum(np.abs(self.step_m[gaps])) > half_way_m)
+
     def over_gaps(self, gyro_rad: Floats, wheels_rad: Floats) -> Floats:
         """Turns of the rows by the gyro, over gaps in time by the wheels, which count there, too; as replay does."""
         return np.where(self.gap, wheels_rad, gyro_rad) if self.differential else gyro_rad

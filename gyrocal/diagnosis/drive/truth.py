@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.laws import (
     AT_ONCE,
@@ -22,6 +21,7 @@ from gyrocal.diagnosis.drive.laws import (
     temperature_c,
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_gaps import first_turns
 from gyrocal.diagnosis.drive.path_noise import (
     WANDERS_S,
     Knots,
@@ -31,7 +31,7 @@ from gyrocal.diagnosis.drive.path_noise import (
 )
 from gyrocal.diagnosis.drive.path_problem import PathProblem, oddities, one_sided, spins
 from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
-from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, chords, reckon
+from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, chords, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -161,7 +161,7 @@ def _rates(series: DriveSeries, laws: Iterable[str], jump_s: float) -> dict[str,
 
 @dataclass(frozen=True)
 class _State:
-    """Where the linearisation stands: parameters, direction of the frame, and turns that the gyro's noise has made.
+    """Where the linearisation stands: parameters, direction of the frame, and turns that the gyro's noise and gaps have made.
 
     Without the latter every path of a noisy gyro would be too long: a heading that strays by 2 deg shortens by 0.06 %.
     `held` are scales that the truth does not tell from its lever arm: they had run away.
@@ -169,7 +169,7 @@ class _State:
 
     values: Mapping[str, float]
     turn: float
-    strayed: Floats | None = None
+    strayed: Floats
     held: frozenset[str] = frozenset()
 
 
@@ -179,9 +179,11 @@ def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     for name, rate in knots.laws.items():
         turned = turned + v[name] * np.cumsum(rate * base.dt_s)
     heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
-    if state.strayed is not None:
-        turns = np.concatenate([[0.0], np.cumsum(state.strayed)])
-        heading = heading + np.interp(base.t_s, knots.edges_s, turns)
+    cells = knots.edges_s.size - 1
+    turns = np.concatenate([[0.0], np.cumsum(state.strayed[:cells])])
+    in_gaps = np.zeros(base.t_s.size)
+    in_gaps[base.gap] = state.strayed[cells:]
+    heading = heading + np.interp(base.t_s, knots.edges_s, turns) + np.cumsum(in_gaps)
     # The truth is of an earlier time.
     at_s, whole = base.t_s - v["clock"], np.cumsum(base.way_m / (1.0 + v["wheel_scale"]))
     heading, whole = (np.interp(at_s, base.t_s, x) for x in (heading, whole))
@@ -243,9 +245,8 @@ def _problem(
     }
     spread = path_noise(knots, path, noise, laws, wander_s)
     residual = stacked(knots, apart, headings, -np.array([v[name] for name in laws.names]))
-    if state.strayed is not None:
-        # As noise about zero again; what is known beforehand has not been moved.
-        residual[: -knots.told] += spread.turned[: -knots.told] @ state.strayed
+    # As noise about zero again; what is known beforehand has not been moved.
+    residual[: -knots.told] += spread.turned[: -knots.told] @ state.strayed
     return PathProblem(residual, _columns(knots, path), known, spread)
 
 
@@ -302,14 +303,14 @@ def _laid(
     begun = near or _Levels(_first_levels(knots), WANDERS_S[1])
     logs, wander_s = begun.logs, begun.wander_s
     wanders_s, rounds = ((wander_s,), (2,)) if near else (WANDERS_S, (0, 2))
-    state = _State(dict.fromkeys((*SCALES, "clock", *knots.laws), 0.0), 0.0, held=held)
     reach = knots.t_s - knots.t_s[0]
-    at = knots.mean(base.at_m)
-    for horizon in _HORIZONS:
-        within = reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])
-        if horizon == _HORIZONS[0]:
-            state = replace(state, turn=_first_turn(knots, at, within))
-        last, near_by = horizon == _HORIZONS[-1], knots.first(int(np.count_nonzero(within)))
+    counts = [
+        int(np.count_nonzero(reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])))
+        for horizon in _HORIZONS
+    ]
+    state = replace(_first_state(knots, base, noise, counts[0]), held=held)
+    for horizon, count in zip(_HORIZONS, counts, strict=True):
+        last, near_by = horizon == _HORIZONS[-1], knots.first(count)
         for round_ in range(4 if last else 2):
             part = _problem(near_by, base, state, laws, noise, wander_s)
             if last and round_ in rounds:
@@ -322,7 +323,7 @@ def _laid(
             step = dict(zip(part.columns, solved.values, strict=True))
             sought = {n: v + step[n] for n, v in state.values.items()}
             moved = {n: float(np.clip(v, -0.5, 0.5)) for n, v in sought.items()}
-            state = _State(moved, state.turn + step["turn"], held=held)
+            state = replace(state, values=moved, turn=state.turn + step["turn"])
             if last:
                 state = replace(state, strayed=part.noise.strayed(part.left(solved.values), logs))
     astray = held | {n for n in SCALES if moved[n] != sought[n]}
@@ -332,12 +333,19 @@ def _laid(
     return _Laid(state, _problem(knots, base, state, laws, noise, wander_s), levels, solved.loss)
 
 
-def _first_turn(knots: Knots, at: Complexes, near: NDArray[np.bool_]) -> float:
-    """Direction of the frame by the first part of a drive."""
-    if knots.position is None:
-        return 0.0 if knots.heading is None else float(np.mean(knots.heading[near]))
-    a, b = at[near] - at[near].mean(), knots.position[near] - knots.position[near].mean()
-    return float(np.angle(np.vdot(a, b)))
+def _first_state(knots: Knots, base: Reckoned, noise: YawNoise, count: int) -> _State:
+    """Direction of the frame by the first knots of a drive, and turns in its gaps by the parts between them."""
+    turn, in_gaps = 0.0, np.zeros(np.count_nonzero(base.gap))
+    if knots.position is not None:
+        at = knots.mean(base.at_m)
+        a, b = at[:count] - at[:count].mean(), knots.position[:count] - knots.position[:count].mean()
+        turn = float(np.angle(np.vdot(a, b)))
+        white_m2 = float(np.exp(_first_levels(knots)[1]))
+        in_gaps = first_turns(base, knots.rows, knots.count, (at, knots.position), turn, white_m2, noise)
+    elif knots.heading is not None:
+        turn = float(np.mean(knots.heading[:count]))
+    values = dict.fromkeys((*SCALES, "clock", *knots.laws), 0.0)
+    return _State(values, turn, np.concatenate([np.zeros(knots.edges_s.size - 1), in_gaps]))
 
 
 def ask_truth(

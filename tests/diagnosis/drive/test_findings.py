@@ -108,12 +108,23 @@ def test_a_truth_that_knows_a_scale_poorly_is_said_to_be_poor(std: float, known:
 def test_a_gyro_that_reads_far_too_little_may_be_tilted(scale: float, tilted: bool) -> None:
     found = findings._of_scale(
         "gyro_scale",
-        findings.OfTruth(scale, 1e-3),
+        {"gyro_scale": findings.OfTruth(scale, 1e-3)},
         series(initial_std={"gyro_scale": 4e-3}),
         yaw(estimate=lambda name: (0.0, 1e-3)),
         cast(TruthAnswer, SimpleNamespace(**vars(truth(scale, 0.0, 1e-3)), believed=lambda name: True)),
     )
     assert ("robot_tilt" in [a.effect for a in found.alternatives]) == tilted
+
+
+@pytest.mark.parametrize(("std", "rivals"), [(1e-4, []), (1e-2, ["wheel_scale"])])
+def test_a_scale_that_is_named_is_no_rival_of_the_track_beside_it(std: float, rivals: list[str]) -> None:
+    """It had been 'likelier: more than 1,000,000 to 1' than what is left without it; wheels that the truth knows poorly are one."""
+    told = truth(0.01, 0.0, 1e-4)
+    told = replace(told, covariance=np.diag([1e-8, std**2]))
+    parts = {"gyro_scale": findings.OfTruth(0.01, 1e-4), "track": findings.OfTruth(0.005, 3e-4)}
+    robot = series(initial_std={"gyro_scale": 4e-3})
+    found = findings._of_scale("track", parts, robot, yaw(estimate=lambda name: (-0.005, 3e-4)), told)
+    assert [a.effect for a in found.alternatives] == rivals
 
 
 def test_a_law_is_the_one_that_encoders_and_truth_tell_together() -> None:

@@ -9,24 +9,28 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.drive.engine import examine
+from gyrocal.diagnosis.drive.findings import named_effects
+from gyrocal.diagnosis.drive.path_gaps import after_gaps, first_turns
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
+from gyrocal.diagnosis.drive.yaw import usual_noise
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot
+from gyrocal.units import NORMAL_95
 from tests.diagnosis.drive.fleet import drive
 from tests.diagnosis.drive.test_lasting import PLAN, turned
 
 
-def without(log: DriveBlock, from_s: float, to_s: float) -> DriveBlock:
-    """The log less some rows, whose way the wheels count in the row after them."""
+def without(log: DriveBlock, from_s: float, to_s: float, *, counted: bool = True) -> DriveBlock:
+    """The log less some rows, whose way the wheels count in the row after them, or it is lost with them."""
     keep = (log.t_s <= from_s) | (log.t_s >= to_s)
     changed: dict[str, Any] = {}
     for one in fields(log):
         channel = getattr(log, one.name)
         if isinstance(channel, np.ndarray):
-            wheel = one.name in ("left_m", "right_m")
+            wheel = counted and one.name in ("left_m", "right_m")
             changed[one.name] = np.diff(np.cumsum(channel)[keep], prepend=0.0) if wheel else channel[keep]
     return replace(log, **changed)
 
@@ -69,3 +73,59 @@ def test_a_gap_leaves_a_scale_of_the_gyro_its_name(resting: Robot) -> None:
     assert found.truth is not None
     assert min(found.truth.odd.values()) > 1e-3
     assert found.parts["gyro_scale"].value == pytest.approx(0.03, abs=2e-3)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_after_a_gap_the_path_begins_anew(counted: bool, resting: Robot) -> None:
+    """The scale had been 0.0095 +- 0.0039 where ticks count on and -0.04 +- 0.14 where they are lost, beside structure everywhere."""
+    log = drive(replace(PLAN, truth_m=0.02, truth_every_s=0.1, minutes=4.0, hz=10.0), 7)
+    log = replace(log, gyro_dps=1.004 * log.gyro_dps)
+    holed = log
+    for from_s in (62.0, 132.0, 202.0):
+        holed = without(holed, from_s, from_s + 8.0, counted=counted)
+    for one in (log, holed):
+        found = examine("log", one, resting, None)
+        assert found.truth is not None
+        scale = found.parts["gyro_scale"]
+        assert abs(scale.value - 0.004) < NORMAL_95 * scale.std < 1e-3
+        assert min(found.truth.odd.values()) > 1e-3
+        effects = named_effects(found.series, found.yaw, found.truth, found.parts, found.checks)
+        assert {e.effect for e in effects} - {"dropped_samples"} == {"gyro_scale"}
+
+
+def test_a_turn_and_a_way_in_a_gap_move_what_follows(resting: Robot) -> None:
+    """Against paths that are turned and shifted at the gap, of which a knot holds a part."""
+    log = without(drive(PLAN, 4), 100.0, 103.0)
+    path = reckon(drive_series("d", log, resting, None), Figures())
+    rows = np.arange(0, path.t_s.size, 3)
+    at = np.floor(path.t_s[rows] / 7.0).astype(np.int64)
+    count = np.bincount(at).astype(np.float64)
+    share, turned = after_gaps(path, rows, count)
+    later, still = np.cumsum(path.gap).astype(np.float64), np.zeros(path.t_s.size)
+    for found, each in ((share, later), (turned, path.moved_by(later, still))):
+        mean = np.bincount(at, each[rows].real) + 1j * np.bincount(at, each[rows].imag)
+        np.testing.assert_allclose(found[:, 0], mean / count, atol=1e-9)
+    assert np.any((share > 0.0) & (share < 1.0))
+
+
+@pytest.mark.parametrize("counted", [True, False])
+@pytest.mark.parametrize(("from_s", "to_s"), [(100.0, 103.0), (60.0, 60.4)])
+def test_wheels_that_count_on_are_told_from_lost_ones(
+    counted: bool, from_s: float, to_s: float, resting: Robot
+) -> None:
+    log = without(drive(PLAN, 4), from_s, to_s, counted=counted)
+    assert drive_series("d", log, resting, None).counts_on == counted
+
+
+def test_parts_that_lie_askew_are_laid_on_the_truth(resting: Robot) -> None:
+    """However far a robot has turned in a gap; one that has not moved after it is not known to have turned."""
+    log = without(without(drive(PLAN, 4), 100.0, 103.0, counted=False), 200.0, 203.0, counted=False)
+    series = drive_series("d", log, resting, None)
+    path, noise = reckon(series, Figures()), usual_noise(series)
+    truth = np.cumsum(path.steps_m * np.exp(1j * (0.3 + 2.9 * (np.cumsum(path.gap) == 1))))
+    rows, count = np.arange(path.t_s.size), np.ones(path.t_s.size)
+    found = first_turns(path, rows, count, (path.at_m, truth), 0.3, 1e-4, noise)
+    np.testing.assert_allclose(found, [2.9, -2.9], atol=1e-3)
+    standing = replace(path, steps_m=np.where(np.cumsum(path.gap) > 0, 0.0, path.steps_m))
+    found = first_turns(standing, rows, count, (standing.at_m, truth), 0.3, 1e-4, noise)
+    np.testing.assert_allclose(found, 0.0, atol=1e-6)
