@@ -93,7 +93,7 @@ def _clock(clock: Clock) -> str:
 def _plus_minus(value: float, std: float) -> str:
     places = min(max(decimals(2.0 * std), 0), 3) if std > 0 else 3
     known = fixed(std, places)
-    return f"{fixed(value, places)} ± {known}" if float(known) else f"{fixed(value, places)}"
+    return f"{fixed(value, places)} ± {known if float(known) else f'less than {fixed(0.1**places, places)}'}"
 
 
 def _gain(c: Comparison) -> str:
