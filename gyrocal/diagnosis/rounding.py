@@ -22,11 +22,12 @@ def beyond_rounding(found: Examination) -> tuple[Examination, list[Remark]]:
     Rounding is one error for each output, whatever that depends on: it can follow any law that is not surely larger than itself.
     """
     fitted = found.naming.fitted
-    solution, model = fitted.solve(), fitted.model
+    model = fitted.model
     bound = 0.0 if found.ranked else found.series.raw.rounding_dps
     if bound**2 * len(model.means) < fitted.fit.variance["white"]:
         # What all data sets together would not show takes nothing from anybody.
         return found, []
+    solution = fitted.solve()
 
     def beneath(curve_dps: Floats, surely: float = 1.0) -> bool:
         return bool(0.5 * np.ptp(curve_dps) * surely < bound)

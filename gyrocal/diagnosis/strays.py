@@ -16,7 +16,7 @@ from gyrocal.diagnosis.coil import TOLL_NATS, Candidate
 from gyrocal.diagnosis.layers import Fitted, contrasts_of
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.diagnosis.scatter import CERTAIN, Finding, dead_finding, dead_sets
+from gyrocal.diagnosis.scatter import Finding, dead_finding, dead_sets
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.inference.additive import Component, precision
 from gyrocal.physics.sampling import BURSTS
@@ -316,6 +316,6 @@ def stray_findings(series: Series, strays: Strays) -> list[Finding]:
         1e3 * float(abs(strays.off_dps[most])), 1e3 * float(strays.std_dps[most]), "mdeg/s"
     )
     sigmas = float(np.max(np.abs(strays.off_dps) / strays.std_dps))
-    p = max(CERTAIN, min(1.0, np.unique(series.set_index).size * 2.0 * float(norm.sf(sigmas))))
+    p = min(1.0, np.unique(series.set_index).size * 2.0 * float(norm.sf(sigmas)))
     place = Located("data_set_index", "mean", p, 1.0, target="data sets", finding=BURSTS.id)
     return [Finding(BURSTS.id, Remark(Said.STRANGE_SETS, {"sets": sets}), {"amplitude": amplitude}, p, place)]

@@ -72,14 +72,18 @@ def _partners(m: Match) -> list[str]:
             "with that."
         )
     if m.lonely_temp_c:
-        rates = [f"{rate:g}" for rate in m.lonely_rates_dps[:_MOST_RATES]]
-        more = len(m.lonely_rates_dps) - len(rates)
-        names = f"{', '.join(rates)} and {more} more" if more else listed(rates)
         sentences.append(
-            f"{m.sets - m.matched_sets - m.bridged_sets} have none, at {names} deg/s and {range_text(*m.lonely_temp_c)} °C: there the "
+            f"{m.sets - m.matched_sets - m.bridged_sets} have none, at {_rates(m.lonely_rates_dps)} deg/s and {range_text(*m.lonely_temp_c)} °C: there the "
             "simulation does not overlap, and nothing is said."
         )
     return sentences
+
+
+def _rates(rates_dps: Sequence[float]) -> str:
+    """The first of some rates, and how many there are more."""
+    rates = [f"{rate:g}" for rate in rates_dps[:_MOST_RATES]]
+    more = len(rates_dps) - len(rates)
+    return f"{', '.join(rates)} and {more} more" if more else listed(rates)
 
 
 def _clock(clock: Clock) -> str:
@@ -108,10 +112,7 @@ def _gain(c: Comparison) -> str:
     if c.helps:
         return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
     if c.worse_at_dps:
-        rates = [f"{rate:g}" for rate in c.worse_at_dps[:_MOST_RATES]]
-        more = len(c.worse_at_dps) - len(rates)
-        where = f"{', '.join(rates)} and {more} more rates" if more else f"{listed(rates)} deg/s"
-        return f"{what} But at {where} it takes the simulation farther off, so no {LAW_PYTHON} is written."
+        return f"{what} But at {_rates(c.worse_at_dps)} deg/s it takes the simulation farther off, so no {LAW_PYTHON} is written."
     return f"{what} That is no sure gain, so no {LAW_PYTHON} is written."
 
 

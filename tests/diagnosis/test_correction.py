@@ -17,7 +17,7 @@ from gyrocal.diagnosis.correction import _estimate, _items, correction, doubtful
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.standing import state_of_laws
 from gyrocal.diagnosis.table_series import series_of_table
@@ -57,6 +57,13 @@ def test_a_part_without_a_name_must_be_beyond_doubt_also_where_the_gyro_may_wand
     assert doubtful(found) == expected
 
 
+def _of_temperature(table: DataSetTable) -> Fitted:
+    """A surface, shapes in temperature and white noise, and nothing that wanders."""
+    model = full_model(means_of(series_of_table(table)))
+    stays = {p.name for p in model.parts if p.block in ("surface", "temperature")}
+    return fit_model(model.without([n for n in model.components if n not in {*stays, "white"}]))
+
+
 @pytest.mark.parametrize("wanders", [True, False])
 def test_what_a_walk_explains_as_well_is_not_beyond_doubt(wanders: bool) -> None:
     """A bias that climbs with the temperature of the one ramp that a record has, and one that follows it down again."""
@@ -67,10 +74,7 @@ def test_what_a_walk_explains_as_well_is_not_beyond_doubt(wanders: bool) -> None
     bump = 0.02 * np.exp(-(((temp_c - 30.0) / 3.0) ** 2))
     gyro_dps = rate_dps + bump + 1e-3 * rng.standard_normal(n)
     t_s = 60.0 * np.arange(n, dtype=np.float64)
-    table = DataSetTable(Path("bump.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)
-    model = full_model(means_of(series_of_table(table)))
-    stays = {p.name for p in model.parts if p.block in ("surface", "temperature")}
-    fitted = fit_model(model.without([n for n in model.components if n not in {*stays, "white"}]))
+    fitted = _of_temperature(DataSetTable(Path("bump.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s))
     naming = SimpleNamespace(fitted=fitted, named=[], unnamed={"temperature": 30.0})
     found = cast(Examination, SimpleNamespace(candidates=(), naming=naming, model=fitted.model))
     assert doubtful(found) == (["temperature"] if wanders else [])
@@ -84,10 +88,7 @@ def test_what_is_left_out_falls_to_the_surface_of_the_whole_record() -> None:
     rise = 0.02 * np.exp((temp_c - 40.0) / 2.0)
     gyro_dps = rate_dps + rise + 2e-4 * rng.standard_normal(n)
     t_s = 60.0 * np.arange(n, dtype=np.float64)
-    table = DataSetTable(Path("rise.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)
-    model = full_model(means_of(series_of_table(table)))
-    stays = {p.name for p in model.parts if p.block in ("surface", "temperature")}
-    fitted = fit_model(model.without([n for n in model.components if n not in {*stays, "white"}]))
+    fitted = _of_temperature(DataSetTable(Path("rise.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s))
     naming = SimpleNamespace(fitted=fitted, named=(), unnamed={"temperature": 30.0})
     found = cast(Examination, SimpleNamespace(candidates=(), naming=naming, laws=None, comes_again=0.0))
     file = correction(found, ["temperature"])
