@@ -14,7 +14,7 @@ from gyrocal.diagnosis.blocks import ODD, plain
 from gyrocal.diagnosis.coil import averaged
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.in_place import Named
+from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Law, Model, beyond_input
@@ -31,16 +31,12 @@ from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
 
-#: A law that the search of a table chose has a name only where the best model without it is worse by this, nats, with what laws
-#: pay there counted in: odds of 12 to 1. Of seven laws with less on 48 recordings five were there.
-_NAMED_BEYOND_TOLL = 2.5
-
 
 def named_effects(found: Examination) -> list[NamedEffect]:
     """All that has a name, the strongest first."""
     named = [(n.gain, _law(found, n)) for n in found.naming.named]
     named += [(-np.log(max(p.p_value, 1e-300)), _pattern(found, p)) for p in found.patterns]
-    named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.nats > _NAMED_BEYOND_TOLL]
+    named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.p_value <= NAMED_LEVEL]
     gain = found.rate_errors_nats
     if gain > 0.0:
         size = estimates.of_draws(found.naming.fitted, EACH_RATE, found.model.basis.frame.rate_scale_dps)
@@ -119,9 +115,8 @@ def _law(found: Examination, named: Named) -> NamedEffect:
     blocks = found.model.blocks
     own = [n for n, b in blocks.items() if b == named.block]
     known = estimates.of_law(found.naming.fitted.granting_noise, named.law, found.laws, own)
-    p = min(1.0, named.trials * float(chi2.sf(2.0 * max(named.gain, 0.0), named.law.columns.shape[1])))
     share = min(named.share, 1.0) if own else 1.0
-    return _effect(found, named.law.effect, known.parameters, p, named.rivals, share, known.adds)
+    return _effect(found, named.law.effect, known.parameters, named.p_value, named.rivals, share, known.adds)
 
 
 def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:
@@ -164,6 +159,11 @@ class _Searched:
     law: Law | None
     rivals: dict[str, float]
 
+    @property
+    def p_value(self) -> float:
+        """Probability that it gains as much by chance, beyond what laws pay there."""
+        return float(chi2.sf(2.0 * max(self.nats, 0.0), 2 if self.law is None else 1))
+
 
 def _searched(found: Examination) -> list[_Searched]:
     if not found.ranked:
@@ -185,18 +185,18 @@ def _searched(found: Examination) -> list[_Searched]:
 def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     """The coil's lag or a law of time of a table."""
     if searched.law is None:
-        p = float(chi2.sf(2.0 * searched.nats, 2))
         # Of models as near one side of a warm-up may have none.
         near = [(weight, c) for weight, c in averaged(found.ranked) if c.coil is not None]
         coils = near or [(1.0, found.ranked[0])]
-        return _effect(found, searched.effect, lag_estimates(coils), p, {})
-    p = float(chi2.sf(2.0 * searched.nats, 1))
+        return _effect(found, searched.effect, lag_estimates(coils), searched.p_value, {})
     # The search goes from one shape of its grid to the next.
     fitted = found.ranked[0].fitted
     shaped = estimates.reshaped(fitted, found.laws)
     law = shaped.model.laws[fitted.model.laws.index(searched.law)]
     known = estimates.of_law(shaped.granting_noise, law, found.laws, [])
-    return _effect(found, searched.effect, known.parameters, p, searched.rivals, adds=known.adds)
+    return _effect(
+        found, searched.effect, known.parameters, searched.p_value, searched.rivals, adds=known.adds
+    )
 
 
 def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
@@ -206,7 +206,7 @@ def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
     fitted = found.ranked[0].fitted
     parts = []
     for s in _searched(found):
-        if s.law is None or s.nats > _NAMED_BEYOND_TOLL:
+        if s.law is None or s.p_value <= NAMED_LEVEL:
             continue
         nats = fitted.refit(fitted.model.without_laws([s.law.name])).nll - fitted.nll
         if block_p_value(nats, len(BLOCKS)) > level:

@@ -25,7 +25,7 @@ from gyrocal.diagnosis.parts import (
     polynomials,
 )
 from gyrocal.diagnosis.rising import dead_zone, rising
-from gyrocal.diagnosis.rivals import may_wander, with_rivals
+from gyrocal.diagnosis.rivals import may_wander, of_one_surface, with_rivals
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.diagnosis.standing import state_of_laws, state_of_walks
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
@@ -109,7 +109,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
     beside = _less(found, without)
     fallen = set(beside.model.components) - set(found.naming.fitted.model.components)
-    near = near or with_rivals(beside, found.naming.named, found.laws)
+    near = of_one_surface(near or with_rivals(beside, found.naming.named, found.laws))
     near = _over_peaks(near, found.laws)
     zone = dead_zone(near[0][1], found.laws)
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
@@ -136,7 +136,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     place, hidden_dps = _hidden(items, mean)
     covariance[np.ix_(place, place)] = np.outer(hidden_dps, hidden_dps)
     frame = first.model.basis.frame
-    direction: Direction = "output" if all(f.model.direction == "output" for _, f in models) else "input"
+    direction: Direction = "output" if first.model.direction == "output" else "input"
     surface = Surface(
         mean[:_TERMS].reshape(SHAPE),
         0.0,
@@ -250,11 +250,6 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
     found: list[_Item] = []
     place = _TERMS
     known: set[str] = set()
-    if len({model.direction == "output" for model, _ in models}) > 1:
-        # Surfaces of the output have a mean with those of the input only as what the latter lack of the former.
-        known.add(DIRECTION)
-        found.append(_Item(DIRECTION, None, None, place, 1))
-        place += 1
     for model, solution in models:
         least = NEGLIGIBLE * float(np.std(solution.left))
         laws = _lasting(model)
@@ -343,8 +338,6 @@ def _estimate(
     for name, (constant, share) in state_of_laws(model).items():
         to_file[0, starts[name]] += constant
         to_file[SHAPE[1], starts[name]] += share
-    if model.direction == "output" and DIRECTION in place:
-        values[place[DIRECTION]] = 1.0
     stood, left_dps2 = state_of_walks(model, solution, fallen)
     values += to_file @ amplitudes
     values[:_TERMS] += stood

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from gyrocal.diagnosis.blocks import BENT, ODD, REPLACED
 from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law, best_pair, best_together, mechanism
@@ -19,6 +20,9 @@ from gyrocal.physics.effect import Effect
 from gyrocal.physics.thermal import SHUPE
 from gyrocal.physics.timewise import BIAS_DRIFT
 
+#: A law that chance would make with more than this probability has no name. On 222 recordings by two other authors 8 of 15 names
+#: with 0.005 to 0.05 were wrong, of those with less 35 of 445.
+NAMED_LEVEL = 0.005
 #: A further law of another kind leaves nothing of the block or takes this share of its evidence, and no other law is like
 #: it: else it is the first one's misfit. On 69 recordings four were refused so, none of which was there.
 _SECOND = 0.2
@@ -54,6 +58,11 @@ class Named:
     share: float
     rivals: dict[str, float]
     trials: int
+
+    @property
+    def p_value(self) -> float:
+        """Probability that the best of as many shapes gains as much by chance."""
+        return min(1.0, self.trials * float(chi2.sf(2.0 * max(self.gain, 0.0), self.law.columns.shape[1])))
 
 
 def passes(effect: Effect) -> bool:

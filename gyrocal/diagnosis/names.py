@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from scipy.stats import chi2
 
 from gyrocal.diagnosis.blocks import (
     BENT,
@@ -26,7 +27,7 @@ from gyrocal.diagnosis.blocks import (
 )
 from gyrocal.diagnosis.contest import Winner, best_law
 from gyrocal.diagnosis.estimates import reshaped
-from gyrocal.diagnosis.in_place import Named, beyond_chance, is_passing, simplest
+from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, beyond_chance, is_passing, simplest
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
@@ -41,9 +42,6 @@ from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 #: A law that takes most of a block's evidence names it, lack of fit and all. On the same recordings right ones took 0.69 and
 #: more, and none was refused; on 136 others an asymmetry with a soft knee took 0.57.
 _NAMED_SHARE = 0.5
-#: A law worth less at the end is dropped, nats. On the same recordings three were, worth 1.8 at the most, none of which was
-#: there.
-_DROPPED = 4.0
 #: A walk follows a drift nearly as well as the drift itself does: it has to be this much worse, nats. Of 100 data sets
 #: at rest walks of 2.5 and of 6 times the noise were called a drift in 2 of 100 (1 to 7 %; 8 without this bound), drifts of
 #: d' 12 in 19 of 24, none of which the bound had refused.
@@ -323,7 +321,10 @@ def _of_robot(named: Named) -> bool:
 
 
 def _least_worth(named: Named) -> float:
-    return _LINE if named.law.effect == BIAS_DRIFT.id else _DROPPED
+    """What a law has to be worth at the end to stay, nats."""
+    if named.law.effect == BIAS_DRIFT.id:
+        return _LINE
+    return 0.5 * float(chi2.isf(NAMED_LEVEL / named.trials, named.law.columns.shape[1]))
 
 
 def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named], list[Named]]:

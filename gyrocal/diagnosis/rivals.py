@@ -6,16 +6,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import around_itself
 from gyrocal.diagnosis.coil import AVERAGED_NATS, TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.in_place import Named, is_passing
 from gyrocal.diagnosis.laws import Laws, tied_anew
-from gyrocal.diagnosis.layers import Fitted, Law, Model
+from gyrocal.diagnosis.layers import NEGLIGIBLE, Fitted, Law, Model, beyond_input
 from gyrocal.diagnosis.parts import EACH_RATE, PASSING, passing
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
+
+Floats = NDArray[np.float64]
 
 
 def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tuple[float, Fitted]]:
@@ -26,11 +30,53 @@ def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tupl
     """
     near = [(0.0, fitted)]
     for one in named:
-        near += [other for loss, model in near for other in _instead(loss, model, one, laws)]
+        near += [other for loss, model in near for other in _with_rival(loss, model, one, laws)]
         least = min(loss for loss, _ in near)
         near = [(loss - least, model) for loss, model in near if loss < least + AVERAGED_NATS]
     weights = np.exp([-loss for loss, _ in near])
     return [*zip((weights / weights.sum()).tolist(), (model for _, model in near), strict=True)]
+
+
+def of_one_surface(near: Sequence[tuple[float, Fitted]]) -> list[tuple[float, Fitted]]:
+    """Models with their weights, whose surfaces have a mean: all of the input, or of the output with one bend.
+
+    Beside a sine the surface may be what it is not beside a knee; over the output their mean is neither's.
+    """
+    settled = [_instead(np.log(weight), model, around_itself(model)) for weight, model in near]
+    chosen = [(log, model) for log, model in settled if _same_bend(model, settled[0][1])]
+    if len(chosen) < len(near):
+        straight = [_instead(log, model, _straight(model)) for log, model in settled]
+        chosen = max(chosen, straight, key=lambda models: np.logaddexp.reduce([log for log, _ in models]))
+    logs = np.array([log for log, _ in chosen])
+    weights = np.exp(logs - np.logaddexp.reduce(logs))
+    return [*zip(weights.tolist(), (model for _, model in chosen), strict=True)]
+
+
+def _instead(log_weight: float, model: Fitted, other: Fitted) -> tuple[float, Fitted]:
+    return log_weight + model.nll - other.nll, other
+
+
+def _straight(fitted: Fitted) -> Fitted:
+    """The same with a surface of the input."""
+    if fitted.model.direction == "input":
+        return fitted
+    return fitted.refit(fitted.model.directed("input", _bend(fitted)))
+
+
+def _bend(fitted: Fitted) -> Floats:
+    return fitted.model.bend_of(fitted.solve())
+
+
+def _same_bend(fitted: Fitted, other: Fitted) -> bool:
+    """Whether two surfaces have the same mean as their parameters have, at every row."""
+    if fitted.model.direction != other.model.direction:
+        return False
+    if fitted.model.direction == "input":
+        return True
+    bends = [_bend(f) for f in (fitted, other)]
+    own, its = (beyond_input(fitted.model.basis, bend) for bend in bends)
+    least_dps = NEGLIGIBLE * float(np.std(fitted.solve().left))
+    return bool(np.max(np.abs((own - its) @ (bends[0] - bends[1]))) < least_dps)
 
 
 def or_lasting(
@@ -66,7 +112,7 @@ def may_wander(model: Model, without: Sequence[str] = ()) -> Model:
     return replace(model, components={**wander, **model.components})
 
 
-def _instead(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator[tuple[float, Fitted]]:
+def _with_rival(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator[tuple[float, Fitted]]:
     """Models with each of its rivals in place of a law, with their losses, nats; of what passes with a walk, too."""
     if not fitted.model.holds(one.law):
         return

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis import correction as module
+from gyrocal.diagnosis.blocks import around_itself
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.correction import _estimate, _items, correction, doubtful, mixed
 from gyrocal.diagnosis.engine import Options, diagnose
@@ -25,6 +26,7 @@ from gyrocal.diagnosis.versus.answer import left_by
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.effect import MDPS, PPM, Effect
+from gyrocal.physics.rate import RATE_ORDER, SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.timewise import BIAS_DRIFT, SCALE_DRIFT
 from gyrocal.records.datasets import DataSetTable
@@ -224,6 +226,16 @@ def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
         assert np.mean(off**2) < 0.5 * np.mean((alone - unseen) ** 2)
 
 
+def _of_two(models: tuple[tuple[float, Fitted], ...]) -> Examination:
+    """A table that is about as well explained by either of some models."""
+    fitted = models[0][1]
+    laws = laws_of(fitted.model.means, surface_of(fitted.model, fitted.solve()))
+    naming = SimpleNamespace(fitted=fitted, named=[], unnamed={})
+    near = tuple((w, Candidate(None, (), f, 0.0)) for w, f in models)
+    found = SimpleNamespace(candidates=near, naming=naming, laws=laws, comes_again=1.0, model=fitted.model)
+    return cast(Examination, found)
+
+
 def test_models_of_the_output_and_of_the_input_have_one_file() -> None:
     """Coefficients of the one are not those of the other: mixed as they stood, the file left five times what either left."""
     c = np.zeros(SHAPE)
@@ -237,14 +249,33 @@ def test_models_of_the_output_and_of_the_input_have_one_file() -> None:
     of_input = fit_model(model)
     of_output = of_input.refit(model.directed("output", model.bend_of(of_input.solve())))
     rest = np.std(of_output.solve().left)
-    both = tuple((w, Candidate(None, (), f, 0.0)) for w, f in ((0.6, of_input), (0.4, of_output)))
-    naming = SimpleNamespace(fitted=of_input, named=[], unnamed={})
-    laws = laws_of(of_input.model.means, surface_of(of_input.model, of_input.solve()))
-    found = cast(
-        Examination,
-        SimpleNamespace(candidates=both, naming=naming, laws=laws, comes_again=1.0, model=of_input.model),
-    )
-    file = correction(found)
-    assert [getattr(term, "effect", "") for term in file.terms].count("fit_direction") == 1
+    file = correction(_of_two(((0.6, of_input), (0.4, of_output))))
+    assert file.surface.direction == "input"
     left = left_by(file, series)
     assert np.std(left) < 1.2 * max(rest, np.std(of_input.solve().left))
+
+
+def test_laws_beside_which_the_surface_is_another_have_one_file() -> None:
+    """Beside a sine of a small phase the cubic is a degree per second: over the output the file left ten times the noise."""
+    rng = np.random.default_rng(5)
+    sizes = np.array([0.4, 1.5, 4.5, 15.0, 45.0, 90.0, 135.0])
+    rates = np.concatenate([-sizes[::-1], [0.0], sizes])
+    rate, temp = (x.ravel() for x in np.meshgrid(rates, np.linspace(-10.0, 50.0, 5)))
+    gyro = 150.0 * np.tanh(rate / 150.0) * 2e-4 + rate * (1.0 - 2e-4) + 2e-5 * rng.standard_normal(rate.size)
+    series = series_of_table(DataSetTable(Path("tanh.csv"), rate, gyro, temp))
+    full = full_model(means_of(series), memory=False)
+    kept = {"white", *(p.name for p in full.parts if p.block == "surface")}
+    plain = fit_model(full.without([n for n in full.components if n not in kept]))
+    laws = laws_of(plain.model.means, surface_of(plain.model, plain.solve()))
+    models = []
+    for effect, shape in (
+        (SAGNAC_SINE, {"phase_rad_per_dps": 1.6e-3}),
+        (RATE_ORDER, {"order": 5.0, "scale_dps": 135.0}),
+    ):
+        fitted = plain.refit(plain.model.with_laws(Law(effect.id, shape, laws.at(effect, shape))))
+        bend = fitted.model.bend_of(fitted.solve())
+        models.append(around_itself(fitted.refit(fitted.model.directed("output", bend))))
+    files = [correction(_of_two(((1.0, fitted),))) for fitted in models]
+    assert all(file.surface.direction == "output" for file in files)
+    both = left_by(correction(_of_two(((0.5, models[0]), (0.5, models[1])))), series)
+    assert np.std(both) < 1.2 * max(np.std(left_by(file, series)) for file in files)
