@@ -27,9 +27,12 @@ from gyrocal.diagnosis.staircase import Step
 from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
-from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR
+from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR, SAGNAC_SINE
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
+
+#: Of the fifth order of a cubic of the output, what a sine has.
+_SINE_FIFTH = 0.1
 
 
 def named_effects(found: Examination) -> list[NamedEffect]:
@@ -50,7 +53,8 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         share = _input_share(found)
         p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
         # What leaves as little of what is odd in the rate explains it as well.
-        near = found.naming.nearest.get(ODD, {})
+        near = dict(found.naming.nearest.get(ODD, {}))
+        near[SAGNAC_SINE.id] = min(near.get(SAGNAC_SINE.id, np.inf), _of_a_sine(share))
         rivals = {e: max(near[e], 0.0) for e in FIT_DIRECTION.looks_like if e in near}
         named.append(
             (found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, rivals))
@@ -132,6 +136,16 @@ def _input_share(found: Examination) -> Estimate:
     score, p = of_input.contrasts.precision(of_input.model.all, of_input.fit.log_variance)
     information = float(column @ p @ column)
     return Estimate.normal(1.0 - float(column @ score) / information, float(information**-0.5), "1")
+
+
+def _of_a_sine(share: Estimate) -> float:
+    """How much worse a sine of a small phase explains where the surface lies than a cubic of the input does, nats.
+
+    Of the fifth order that a cubic of the output has, one of the input has nothing, and a sine with the same third order
+    a tenth: ``K**4 / 120`` of ``3 (K**2 / 6)**2``.
+    """
+    cubic, sine = ((share.value - where) / share.std for where in (1.0, 1.0 - _SINE_FIFTH))
+    return float(0.5 * (sine**2 - cubic**2))
 
 
 def _of_the_input(found: Examination) -> bool:

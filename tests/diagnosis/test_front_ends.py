@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis import blocks
+from gyrocal.diagnosis.answer import _SINE_FIFTH
 from gyrocal.diagnosis.blocks import evidence, present
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.engine import diagnose
@@ -114,3 +115,18 @@ def test_how_much_of_the_input_a_surface_is_has_an_interval_that_is_none_of_a_va
     share = named.parameters["amplitude"]
     assert 0.05 < share.std < 0.2
     assert share.interval_95[0] < 1.0 < share.interval_95[1]
+    # A sine of a small phase lies at 0.9.
+    assert [other.effect for other in named.alternatives] == ["sagnac_sine"]
+
+
+def test_of_what_a_cubic_of_the_output_has_beyond_one_of_the_input_a_sine_has_a_tenth() -> None:
+    """Closed form of `answer._SINE_FIFTH`, from a sine and from a gyro whose error is a cubic of its own output."""
+    w = np.linspace(-100.0, 100.0, 401)
+    k = 1e-3
+    cubics = np.column_stack([w, w**3])
+    output = w
+    for _ in range(20):
+        output = w - k**2 / 6.0 * output**3
+    beyond = [e - cubics @ np.linalg.lstsq(cubics, e)[0] for e in (np.sin(k * w) / k, output)]
+    share = float(beyond[0] @ beyond[1] / (beyond[1] @ beyond[1]))
+    assert share == pytest.approx(_SINE_FIFTH, rel=0.02)
