@@ -32,7 +32,7 @@ from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS
-from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE, SATURATION
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
@@ -46,6 +46,8 @@ _TERMS = SHAPE[0] * SHAPE[1]
 #: Evidence from which on a part without a name is written, nats. Of 20 weaker ones in made-up runs 8 would have made another
 #: run better and 9 worse, whether or not they surely predicted what was left out.
 _BEYOND_DOUBT = 10.0
+#: Laws of which a few rates leave open what they do between them.
+_BETWEEN_RATES = (MECHANICAL_RESONANCE.id, SATURATION.id)
 #: What comes again with less probability than this has no term in the file.
 _SURELY_NOT = 0.01
 
@@ -110,7 +112,8 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     beside = _less(found, without)
     fallen = set(beside.model.components) - set(found.naming.fitted.model.components)
     near = of_one_surface(near or with_rivals(beside, found.naming.named, found.laws))
-    near = _over_peaks(near, found.laws)
+    for effect in _BETWEEN_RATES:
+        near = _over_shapes(near, effect, found.laws)
     zone = dead_zone(near[0][1], found.laws)
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
@@ -191,21 +194,21 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
     return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
 
 
-def _over_peaks(near: Sequence[tuple[float, Fitted]], laws: Laws) -> list[tuple[float, Fitted]]:
-    """Models with the peaks that they may have in place of one: between the rates of a plan nobody knows how high it is."""
-    own = [next((x for x in f.model.laws if x.effect == MECHANICAL_RESONANCE.id), None) for _, f in near]
-    first = next(((f, peak) for (_, f), peak in zip(near, own, strict=True) if peak is not None), None)
+def _over_shapes(near: Sequence[tuple[float, Fitted]], effect: str, laws: Laws) -> list[tuple[float, Fitted]]:
+    """Models with the shapes that a law of the rate may have in place of one: between the rates of a plan nobody knows it."""
+    own = [next((x for x in f.model.laws if x.effect == effect), None) for _, f in near]
+    first = next(((f, law) for (_, f), law in zip(near, own, strict=True) if law is not None), None)
     if first is None:
         return [*near]
     shapes = likely_shapes(*first, laws)
     found: list[tuple[float, Fitted]] = []
-    for (weight, fitted), peak in zip(near, own, strict=True):
-        if peak is None:
+    for (weight, fitted), law in zip(near, own, strict=True):
+        if law is None:
             found.append((weight, fitted))
         elif fitted is first[0]:
             found += [(weight * share, model) for share, _, model in shapes]
         else:
-            found += [(weight * share, moved(fitted, peak, shape, laws)) for share, shape, _ in shapes]
+            found += [(weight * share, moved(fitted, law, shape, laws)) for share, shape, _ in shapes]
     return found
 
 

@@ -16,7 +16,7 @@ from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.fresh_run import chance_of_gain, need_rates, no_file
+from gyrocal.diagnosis.fresh_run import gain_on_a_fresh_run, need_rates, no_file
 from gyrocal.diagnosis.given import (
     simulated_residual,
     surface_change,
@@ -71,12 +71,6 @@ Floats = NDArray[np.float64]
 _WALK_LEVEL = 1e-6
 #: What is less probable than this is not said to be open.
 _SURE = 0.05
-#: A file that makes another run of the gyro better with less probability than this is not written. The probability is one
-#: under the model: of 36 tables by the project's own generator none that was written was worse; of 25 by another hand,
-#: whose laws are others, 4 were, all of which had been given more than 0.99, before smooth parts stood beside the laws.
-#: Of 126 files from runs by three authors 14 had less, of which 8 made another run worse and 5 better; of the 112 others 7
-#: did, all of one author.
-_SURELY_BETTER = 0.8
 #: A file is written from so many rows on. Of 12 files from made-up tables of 12 to 29 rows with one effect 3 made another run
 #: worse, each with a probability of gain of more than 0.99.
 _ENOUGH_ROWS = 30
@@ -208,8 +202,8 @@ def _written(
         and surface.surface.direction == "input"
     ):
         return None, [Remark(Said.INPUT_ALREADY)]
-    better = chance_of_gain(improved, surface, means)
-    return (improved, []) if better > _SURELY_BETTER else (None, [no_file(improved, means, better, left_out)])
+    gain = gain_on_a_fresh_run(improved, surface, means)
+    return (improved, []) if gain.is_enough else (None, [no_file(improved, means, gain.chance, left_out)])
 
 
 def _of_file(

@@ -151,12 +151,12 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
 
 
 def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Mapping[str, float], Fitted]]:
-    """Shapes that a law of two parameters may have, with their weights and the model with each: one where its size is known.
+    """Shapes that a law of the rate may have, with their weights and the model with each: one where its size is known.
 
     Shapes far apart may be as likely, each beside other variances.
     """
     free = _free(law)
-    if len(free) != 2:
+    if not free:
         return [(1.0, law.shape, fitted)]
     beside = _beside(fitted, law, laws, [])
     modes = _modes(beside, law.shape, free)

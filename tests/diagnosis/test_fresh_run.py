@@ -15,7 +15,7 @@ from gyrocal.diagnosis.changes import Change
 from gyrocal.diagnosis.coil import TableSearch
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.fresh_run import chance_of_gain, no_file, without_rate
+from gyrocal.diagnosis.fresh_run import Gain, gain_on_a_fresh_run, no_file, without_rate
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import Means, means_of
 from gyrocal.diagnosis.parts import polynomials
@@ -45,10 +45,19 @@ def surface(constant_dps: float, variance_dps2: float = 1e-12) -> Coefficients:
 
 def test_the_chance_of_gain_is_that_of_the_stated_uncertainty(means: Means) -> None:
     """A bias that was found to be 2 deviations off is better corrected wherever it is more than half of that."""
-    assert chance_of_gain(surface(0.02), surface(0.0), means) == pytest.approx(1.0)
-    assert chance_of_gain(surface(0.02, 0.01**2), surface(0.0), means) == pytest.approx(0.841, abs=2e-3)
-    assert chance_of_gain(surface(0.02, 1.0), surface(0.0), means) == pytest.approx(0.504, abs=2e-3)
-    assert chance_of_gain(surface(0.0), surface(0.0), means) == 0.5
+    for improved, chance, ratio in (
+        (surface(0.02), 1.0, 0.0),
+        (surface(0.02, 0.01**2), 0.841, 5.0**-0.5),
+        (surface(0.02, 1.0), 0.504, 1.0),
+        (surface(0.0), 0.5, 1.0),
+    ):
+        gain = gain_on_a_fresh_run(improved, surface(0.0), means)
+        assert gain.chance == pytest.approx(chance, abs=2e-3)
+        assert gain.error_ratio == pytest.approx(ratio, abs=2e-3)
+
+
+def test_a_file_is_written_that_is_surely_or_much_better() -> None:
+    assert [Gain(*of).is_enough for of in ((0.9, 0.95), (0.7, 0.6), (0.7, 0.9))] == [True, True, False]
 
 
 @pytest.mark.parametrize(
