@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from gyrocal.calibration.checks import MOST_DATA_SETS
-from gyrocal.calibration.choice import BIAS, PAPER, fit_chosen
+from gyrocal.calibration.choice import PAPER, bias_model, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.corrected import Examined, Floats, Timeline, read_course
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
@@ -98,14 +98,15 @@ def examine(
     compensator = Compensator(coefficients)
     corrected, timeline, more = _corrected(recording, sets, compensator)
     progress(0.2, "scatter and outliers")
-    terms = int((BIAS if one_rate else PAPER).terms.sum())
+    bias = bias_model(sets) if one_rate else None
+    terms = int((bias or PAPER).terms.sum())
     if len(sets) <= terms:
         raise DataError(
             f"{source}: holds {len(sets)} data sets, too few to judge {terms} terms by. "
             "Report the recording that the coefficients were fitted to, or record more rates and temperatures; what a record "
             f"at rest says of noise and bias is gyrocal noise {source}."
         )
-    scatter = known or fit_chosen(sets, recording.rest, model=BIAS if one_rate else None).fit.scatter
+    scatter = known or fit_chosen(sets, recording.rest, model=bias).fit.scatter
     reasons = _reasons(sets, scatter)
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True
