@@ -9,7 +9,7 @@ from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
 from gyrocal.calibration.groups import determined_order, distinct
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER
-from gyrocal.records.scale import copied_text, copies, gross_row, odd_columns
+from gyrocal.records.scale import copied_text, copies, gross_row, odd_columns, odd_rates
 from gyrocal.units import plural
 
 #: Least span of temperature, °C, that a calibration over temperature means anything for.
@@ -172,6 +172,7 @@ def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str,
     copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c, sets.t_s)
     table = recording.run is None
     odds = odd_columns(sets.rate_dps, sets.gyro_dps, sets.temp_c, copied, sets.segment, lines=table)
+    odds = odds or tuple(filter(None, [odd_rates(sets.rate_dps)]))
     if odds and not force:
         raise DataError(f"{recording.source}: {odds[0].what}. {odds[0].remedy}, or say --force.")
     row = gross_row(sets.rate_dps, sets.gyro_dps)

@@ -180,7 +180,7 @@ def coordinate_words(coordinate: str) -> str:
 
 def parameter_words(name: str) -> str:
     """A parameter without the unit in its name, which stands behind its value."""
-    for unit in ("_rad_per_dps", "_dps", "_rad", "_hz", "_s", "_c"):
+    for unit in ("_rad_per_dps", "_data_sets", "_dps", "_rad", "_hz", "_s", "_c"):
         if name.endswith(unit):
             return name.removesuffix(unit).replace("_", " ")
     return name.replace("_", " ")

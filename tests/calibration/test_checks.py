@@ -123,6 +123,13 @@ def test_another_unit_or_sign_is_refused_and_forced(tmp_path: Path, factor: floa
     )
 
 
+def test_rate_and_output_both_in_radians_are_refused_and_forced(tmp_path: Path) -> None:
+    rate, temp = grid()
+    path = table(tmp_path / "t.csv", np.deg2rad(rate), temp, np.deg2rad(SURFACE.output_dps(rate, temp)))
+    assert "seem to be in rad/s. Convert both" in str(refusal(path))
+    assert any("rad/s; used because of --force" in n for n in calibrate(path, FitConfig(force=True)).notes)
+
+
 def test_kelvin_copies_and_a_copy_of_the_rate_are_refused(tmp_path: Path) -> None:
     rate, temp = grid()
     assert "no gyro works so hot. Convert them if they are in kelvin" in str(
