@@ -67,11 +67,7 @@ def check_surface(
             "Average neighbouring rows of the same rate and temperature into one data set."
         )
     _check_rates(recording, sets, rates)
-    of_temperatures = _check_temperatures(recording, sets, "surface")
-    if paper and of_temperatures:
-        raise DataError(
-            f"{source}: {of_temperatures[0]}. Leave out --paper, which asks for them all the same."
-        )
+    of_temperatures = _check_temperatures(recording, sets, "surface", paper=paper)
     if float(np.ptp(sets.gyro_dps)) == 0:
         raise DataError(
             f"{source}: the gyro says {sets.gyro_dps[0]:.6g} at every rate: it is stuck. "
@@ -110,8 +106,10 @@ def _of_rests(recording: Recording) -> str:
     return f"; what its rests say of noise, bias and drift is gyrocal noise {recording.source.as_posix()}"
 
 
-def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> tuple[str, ...]:
-    """Refuse one temperature; of two, say what they do not tell."""
+def _check_temperatures(
+    recording: Recording, sets: DataSets, what: str, *, paper: bool = False
+) -> tuple[str, ...]:
+    """Refuse one temperature, and two where all terms are asked for; else say what two do not tell."""
     span = float(np.ptp(sets.temp_c))
     if span < 1e-3 and recording.run is not None:
         chamber = [r.chamber_c for r in recording.run.segments]
@@ -128,11 +126,14 @@ def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> tupl
         )
     if determined_order(sets.temp_c) == TEMPERATURE_ORDER:
         return ()
-    return (
+    said = (
         f"all data sets lie at two temperatures (about {sets.temp_c.min():.1f} and {sets.temp_c.max():.1f} °C), which tell a straight "
         "line over temperature and no bend between them: record at least one temperature more for terms of order "
-        f"{TEMPERATURE_ORDER}",
+        f"{TEMPERATURE_ORDER}"
     )
+    if paper:
+        raise DataError(f"{recording.source}: {said}. Leave out --paper, which asks for them all the same.")
+    return (said,)
 
 
 def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:

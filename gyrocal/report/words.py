@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.units import S_PER_H
+from gyrocal.units import S_PER_H, decimals
 
 #: Below this a p-value is a matter of the tail that was assumed, not of the data.
 LEAST_P = 1e-12
@@ -43,11 +43,6 @@ _TARGETS = {
     "sample times": "arrival times of all samples",
     "rest": "the table at rest",
 }
-
-
-def decimals(half_width: float) -> int:
-    """Decimals that show two digits of a half width; negative: tens, hundreds."""
-    return 1 - math.floor(math.log10(half_width)) if half_width > 0 and math.isfinite(half_width) else 3
 
 
 def fixed(value: float, places: int) -> str:

@@ -190,7 +190,7 @@ def test_rates_and_outputs_both_in_radians_are_told_by_round_rates(plan: list[fl
     rate = np.tile([*(-r for r in plan), 0.0, *plan], 3).astype(float)
     wobble = rate * (1.0 + 2e-5 * rng.standard_normal(rate.size))
     for told in (np.round(np.deg2rad(rate), 6), np.deg2rad(wobble)):
-        odd = odd_rates(told)
+        odd = odd_rates(np.asarray(told, dtype=np.float64))
         assert odd is not None
         assert "rad/s" in odd.what
     # As they were planned, and as a table reports them.
@@ -202,7 +202,7 @@ def test_slow_rates_in_degrees_are_no_radians() -> None:
     for step in (0.25, 0.1, 1.0 / 3.0, 0.125, 0.7, 2.5):
         for most in (3, 4, 5, 8):
             rate = step * np.arange(-most, most + 1)
-            assert odd_rates(rate) is None
-            assert odd_rates(np.round(rate, 2)) is None
+            assert odd_rates(np.asarray(rate, dtype=np.float64)) is None
+            assert odd_rates(np.asarray(np.round(rate, 2), dtype=np.float64)) is None
     rng = np.random.default_rng(9)
     assert sum(odd_rates(rng.uniform(-10.0, 10.0, 7)) is not None for _ in range(2000)) == 0
