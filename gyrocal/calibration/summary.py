@@ -156,7 +156,16 @@ def _scatter_line(c: Calibration) -> str:
         elif upper > 0:
             bounds.append(f"{np.sqrt(upper) * unit:.3g} {what}")
     unseen = f"; not seen, and less than this with 95 %: {', '.join(bounds)}" if bounds else ""
-    return f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}"
+    at_rest = c.noise.figures.get("rate_random_walk")
+    # Two numbers of one thing stand in what is printed: a reader must know why they differ.
+    both = at_rest is not None and at_rest.high is not None and s.timed and s.upper[-1] > 0
+    why = (
+        "; the rate random walk among the figures is what the samples at rest say by themselves, within the averaging times "
+        "of a rest, and this random walk what all data sets say, over the whole recording"
+    )
+    return (
+        f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}{why * both}"
+    )
 
 
 def _rest_line(c: Calibration) -> list[str]:
