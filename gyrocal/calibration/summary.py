@@ -163,9 +163,7 @@ def _scatter_line(c: Calibration) -> str:
         "; the rate random walk among the figures is what the samples at rest say by themselves, within the averaging times "
         "of a rest, and this random walk what all data sets say, over the whole recording"
     )
-    return (
-        f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}{why * both}"
-    )
+    return f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}{why if both else ''}"
 
 
 def _rest_line(c: Calibration) -> list[str]:
