@@ -374,8 +374,8 @@ def odd_temperature(temp_c: Floats) -> Odd | None:
 def odd_rates(rate_dps: Floats) -> Odd | None:
     """Rates in rad/s, with an output that follows them: they are round in deg/s and not as they stand; else None.
 
-    Multiples of one odd rate are round together by chance: of 200,000 made-up plans that are not round as they stand 1 in
-    1,000 is. Of those as people make them, none.
+    Multiples of one odd rate are round together by chance: of 200,000 made-up plans in deg/s, most of them of odd rates, 315
+    were refused.
     """
     times, largest = 180.0 / np.pi, float(np.max(np.abs(rate_dps)))
     if not 0.0 < largest * times < _FASTEST_PLAN_DPS:
