@@ -1,5 +1,6 @@
-"""Constants with their units, and how a count is said. One definition each, used everywhere."""
+"""Constants with their units, and how counts and uncertain numbers are said. One definition each, used everywhere."""
 
+import math
 import re
 
 #: Seconds in an hour, minutes in an hour, seconds in a minute.
@@ -35,3 +36,8 @@ _FORMS = re.compile(r"\[([^][|]*)\|([^][|]*)\]")
 def plural(count: int, text: str) -> str:
     """`text` said of so many: of each ``[one|more]`` the part that fits."""
     return _FORMS.sub(r"\1" if count == 1 else r"\2", text)
+
+
+def decimals(half_width: float) -> int:
+    """Decimals that show two digits of a half width; negative: tens, hundreds."""
+    return 1 - math.floor(math.log10(half_width)) if half_width > 0 and math.isfinite(half_width) else 3

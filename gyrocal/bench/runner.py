@@ -48,6 +48,7 @@ class Runner:
         self._bench, self._clock, self._profile, self._plan = bench, clock, profile, plan
         self._writer, self._requests, self._watch = writer, requests, SteadyWatch(watch, self._note)
         self._sealed = sealed or {}
+        self._planned = {step.id for step in plan.steps}
         self._next_extra_id = max(highest_id, len(plan.steps)) + 1
         self._contact = Contact()
         self._interlocks = Interlocks(profile, plan.limits)
@@ -55,7 +56,10 @@ class Runner:
         self._tally = StreamTally(profile.sensor.sample_rate_hz)
         #: Rates of the table in the segment at hand.
         self._turned_dps: list[float] = []
-        self.summary = Summary(seed=profile.virtual.seed if bench.describe == "virtual" else None)
+        self.summary = Summary(
+            brought_back=len(self._sealed.keys() - self._planned),
+            seed=profile.virtual.seed if bench.describe == "virtual" else None,
+        )
         # where the bench is
         self._rate_dps = 0.0
         self._ramped_to_c: float | None = None
@@ -284,7 +288,9 @@ class Runner:
     def _count(self, step: Step, outcome: str, reason: str | None = None) -> None:
         s = self.summary
         text = f"{step.describe()}: {reason}" if reason else step.describe()
-        if outcome == "ok":
+        if step.id not in self._planned:
+            s.brought_back += 1
+        elif outcome == "ok":
             s.recorded += 1
         else:
             (s.unsettled if outcome == "unsettled" else s.failed).append(text)

@@ -34,6 +34,8 @@ class Status:
         Why it stopped.
     steps, recorded, unsettled, failed, retried : int
         Steps of the plan, and what became of those that were sealed; attempts done again.
+    brought_back : int
+        Segments beside the plan, in which a start brought the bench back to a temperature.
     now : str or None
         What is being recorded.
     left_s : float
@@ -53,6 +55,7 @@ class Status:
     unsettled: int
     failed: int
     retried: int
+    brought_back: int
     now: str | None
     left_s: float
     chamber_c: float
@@ -83,15 +86,17 @@ def read_status(path: Path, now: datetime | None = None) -> Status:
     changed_s = max(p.stat().st_mtime for p in (path / "run.json", path / "journal.jsonl", last) if p)
     quiet_s = (now or datetime.now(UTC)).timestamp() - changed_s
     state, reason = _state(events, held=_is_held(path / "journal.jsonl"))
-    steps, left_s = _plan_left(run.profile, sealed, events)
+    steps, left_s, planned = _plan_left(run.profile, sealed, events)
+    outcomes = [outcome for number, outcome in sealed.items() if number in planned]
     return Status(
         state=state,
         reason=reason,
         steps=steps,
-        recorded=sum(o == "ok" for o in sealed.values()),
-        unsettled=sum(o == "unsettled" for o in sealed.values()),
-        failed=sum(o == "failed" for o in sealed.values()),
+        recorded=outcomes.count("ok"),
+        unsettled=outcomes.count("unsettled"),
+        failed=outcomes.count("failed"),
         retried=sum(e.get("event") == "attempt_failed" for e in events),
+        brought_back=len(sealed) - len(outcomes),
         now=part.name.removesuffix(".csv.part") if part and state == "running" else None,
         left_s=0.0 if state in ("complete", "incomplete") else left_s,
         chamber_c=readings.get("chamber_temp_c", math.nan),
@@ -152,20 +157,19 @@ def _last_readings(segment: Path) -> dict[str, float]:
 
 def _plan_left(
     raw: Mapping[str, Any] | None, sealed: Mapping[int, str], events: list[dict[str, Any]]
-) -> tuple[int, float]:
-    """Number of steps, and the expected bench time of those that are left."""
+) -> tuple[int, float, frozenset[int]]:
+    """Number of steps, the expected bench time of those that are left, and the segments that are of the plan."""
     said = next((e for e in events if e.get("event") == "start"), {})
     try:
         profile = profile_from_dict(raw or {}, "run.json")
         steps = make_plan(profile, _no_limits(), _start_c(profile)).steps
     except GyrocalError:
-        return int(said.get("steps", len(sealed))), math.nan
+        return int(said.get("steps", len(sealed))), math.nan, frozenset(sealed)
     expected_s = sum(step.expected_s for step in steps)
     left_s = sum(step.expected_s for step in steps if step.id not in sealed)
     # What was said at the start also knows how fast the table speeds up.
-    return len(steps), left_s * (
-        float(said.get("expected_s", expected_s)) / expected_s if expected_s else 1.0
-    )
+    longer = float(said.get("expected_s", expected_s)) / expected_s if expected_s else 1.0
+    return len(steps), left_s * longer, frozenset(step.id for step in steps)
 
 
 def _start_c(profile: Profile) -> float:

@@ -84,8 +84,9 @@ class SteadyWatch:
 
 @dataclass
 class Summary:
-    """What came of a run, this start and those before it. Entries are the steps in words, with the reason where known.
+    """What came of a run's plan, this start and those before it. Entries are the steps in words, with the reason where known.
 
+    `brought_back` are the segments beside the plan in which a start brought the bench back to a temperature.
     `seed` is that of the virtual bench's noise; None on a real bench.
     """
 
@@ -95,6 +96,7 @@ class Summary:
     skipped: list[str] = field(default_factory=list)
     retried: list[str] = field(default_factory=list)
     before: int = 0
+    brought_back: int = 0
     samples: int = 0
     bench_time_s: float = 0.0
     turns_ccw: float = 0.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import gyrocal
 from gyrocal.calibration.checks import MOST_DATA_SETS, check_bias, check_rounding, check_surface, no_rate_text
-from gyrocal.calibration.choice import BIAS, PAPER, Choice, ChosenFit, fit_chosen
+from gyrocal.calibration.choice import PAPER, Choice, ChosenFit, bias_model, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.crossval import CrossValidation
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
@@ -153,16 +153,16 @@ def calibrate(path: Path, config: FitConfig) -> Calibration:
     if config.bias_only:
         sets, more = _at_one_rate(recording, sets)
         notes += more
-        check_bias(recording, sets)
+        notes += check_bias(recording, sets)
     else:
         sets, block = coarsen(sets, MOST_DATA_SETS)
         notes += [_averaged_note(len(recording.sets), block)] if block > 1 else []
-        notes += check_surface(recording, sets, force=config.force)
+        notes += check_surface(recording, sets, force=config.force, paper=config.paper)
     try:
         chosen = fit_chosen(
             sets,
             recording.rest,
-            model=BIAS if config.bias_only else PAPER if config.paper else None,
+            model=bias_model(sets) if config.bias_only else PAPER if config.paper else None,
             direction=config.direction,
             weights=config.weights,
         )

@@ -6,10 +6,10 @@ import numpy as np
 
 from gyrocal.calibration.datasets import DataSets, Recording
 from gyrocal.calibration.fit import TERMS, SurfaceFit, rms, scaled_surface
-from gyrocal.calibration.groups import distinct
+from gyrocal.calibration.groups import determined_order, distinct
 from gyrocal.errors import DataError
-from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER
-from gyrocal.records.scale import copied_text, copies, gross_row, odd_columns
+from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER
+from gyrocal.records.scale import copied_text, copies, gross_row, odd_columns, odd_rates
 from gyrocal.units import plural
 
 #: Least span of temperature, °C, that a calibration over temperature means anything for.
@@ -25,8 +25,10 @@ MOST_DATA_SETS = 3000
 _LISTED = 6
 
 
-def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) -> tuple[str, ...]:
-    """Refuse data that cannot carry a surface of twelve terms.
+def check_surface(
+    recording: Recording, sets: DataSets, *, force: bool = False, paper: bool = False
+) -> tuple[str, ...]:
+    """Refuse data that cannot carry a surface over rate and temperature.
 
     Parameters
     ----------
@@ -34,6 +36,8 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
         Those that go into the fit.
     force : bool
         Turn what is doubtful (saturated, stuck) into notes. What is missing stays an error.
+    paper : bool
+        All twelve terms are asked for.
 
     Returns
     -------
@@ -63,14 +67,15 @@ def check_surface(recording: Recording, sets: DataSets, *, force: bool = False) 
             "Average neighbouring rows of the same rate and temperature into one data set."
         )
     _check_rates(recording, sets, rates)
-    _check_temperatures(recording, sets, "surface")
+    of_temperatures = _check_temperatures(recording, sets, "surface", paper=paper)
     if float(np.ptp(sets.gyro_dps)) == 0:
         raise DataError(
             f"{source}: the gyro says {sets.gyro_dps[0]:.6g} at every rate: it is stuck. "
             "Check its power and its cable, and record again."
         )
-    notes = _check_unit(recording, sets, force)
-    condition = np.linalg.cond(scaled_surface(sets).design(sets.gyro_dps, sets.temp_c))
+    notes = of_temperatures + _check_unit(recording, sets, force)
+    determined = np.arange(TERMS) % SHAPE[1] <= determined_order(sets.temp_c)
+    condition = np.linalg.cond(scaled_surface(sets).design(sets.gyro_dps, sets.temp_c)[:, determined])
     if not condition < _WORST_CONDITION:
         raise DataError(
             f"{source}: rates and temperatures do not vary independently (condition {condition:.2g} of the scaled "
@@ -101,8 +106,11 @@ def _of_rests(recording: Recording) -> str:
     return f"; what its rests say of noise, bias and drift is gyrocal noise {recording.source.as_posix()}"
 
 
-def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> None:
-    span, levels = float(np.ptp(sets.temp_c)), distinct(sets.temp_c)
+def _check_temperatures(
+    recording: Recording, sets: DataSets, what: str, *, paper: bool = False
+) -> tuple[str, ...]:
+    """Refuse one temperature, and two where all terms are asked for; else say what two do not tell."""
+    span = float(np.ptp(sets.temp_c))
     if span < 1e-3 and recording.run is not None:
         chamber = [r.chamber_c for r in recording.run.segments]
         if max(chamber) - min(chamber) >= LEAST_TEMPERATURE_SPAN_C:
@@ -116,11 +124,16 @@ def _check_temperatures(recording: Recording, sets: DataSets, what: str) -> None
             f"{recording.source}: every data set is at one temperature ({within} °C), which carries no {what} over temperature. "
             f"Record at least {TEMPERATURE_ORDER + 1} temperatures, spread over the range of use."
         )
-    if levels < TEMPERATURE_ORDER + 1:
-        raise DataError(
-            f"{recording.source}: {levels} distinct temperatures do not carry order {TEMPERATURE_ORDER} in "
-            f"temperature. Record at least {TEMPERATURE_ORDER + 1}, spread over the range of use."
-        )
+    if determined_order(sets.temp_c) == TEMPERATURE_ORDER:
+        return ()
+    said = (
+        f"all data sets lie at two temperatures (about {sets.temp_c.min():.1f} and {sets.temp_c.max():.1f} °C), which tell a straight "
+        "line over temperature and no bend between them: record at least one temperature more for terms of order "
+        f"{TEMPERATURE_ORDER}"
+    )
+    if paper:
+        raise DataError(f"{recording.source}: {said}. Leave out --paper, which asks for them all the same.")
+    return (said,)
 
 
 def _doubts(recording: Recording, sets: DataSets, force: bool) -> tuple[str, ...]:
@@ -160,6 +173,7 @@ def _check_unit(recording: Recording, sets: DataSets, force: bool) -> tuple[str,
     copied = copies(sets.rate_dps, sets.gyro_dps, sets.temp_c, sets.t_s)
     table = recording.run is None
     odds = odd_columns(sets.rate_dps, sets.gyro_dps, sets.temp_c, copied, sets.segment, lines=table)
+    odds = odds or tuple(filter(None, [odd_rates(sets.rate_dps)]))
     if odds and not force:
         raise DataError(f"{recording.source}: {odds[0].what}. {odds[0].remedy}, or say --force.")
     row = gross_row(sets.rate_dps, sets.gyro_dps)
@@ -181,8 +195,8 @@ def no_rate_text(count: int, rate_dps: float, temp_c: float) -> str:
     )
 
 
-def check_bias(recording: Recording, sets: DataSets) -> None:
-    """Refuse data that cannot carry a bias over temperature.
+def check_bias(recording: Recording, sets: DataSets) -> tuple[str, ...]:
+    """Refuse data that cannot carry a bias over temperature; notes as `check_surface`.
 
     Raises
     ------
@@ -195,7 +209,7 @@ def check_bias(recording: Recording, sets: DataSets) -> None:
             f"{TEMPERATURE_ORDER} in temperature. Record at least {TEMPERATURE_ORDER + 2}, spread over temperature; what a "
             f"record at rest says of noise and bias is gyrocal noise {recording.source}."
         )
-    _check_temperatures(recording, sets, "bias")
+    return _check_temperatures(recording, sets, "bias")
 
 
 def check_rounding(recording: Recording, fit: SurfaceFit, *, force: bool = False) -> tuple[str, ...]:

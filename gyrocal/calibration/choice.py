@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gyrocal.calibration.crossval import CrossValidation, cross_validate
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.fit import SurfaceFit, Weights, fit_surface, rms, scaled_surface
-from gyrocal.calibration.groups import left_out_groups
+from gyrocal.calibration.groups import determined_order, left_out_groups
 from gyrocal.inference.flicker import Rest
-from gyrocal.physics.surface import RATE_ORDER, TEMPERATURE_ORDER, Direction
+from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Direction
 from gyrocal.units import DPS_TO_DPH
 
 Floats = NDArray[np.float64]
@@ -59,7 +59,11 @@ class Model:
 #: Orders in temperature that are tried: full, scale factor and bias more than what is of higher order, linear.
 _ORDERS = ((2, 2, 2, 2), (2, 2, 1, 1), (2, 2, 0, 0), (2, 1, 1, 1), (1, 1, 1, 1), (2, 1, 0, 0), (1, 1, 0, 0))
 PAPER = Model("output", (TEMPERATURE_ORDER,) * (RATE_ORDER + 1))
-BIAS = Model("output", (TEMPERATURE_ORDER,) + (-1,) * RATE_ORDER)
+
+
+def bias_model(sets: DataSets) -> Model:
+    """A bias over temperature, of the order that the temperatures determine."""
+    return Model("output", (determined_order(sets.temp_c),) + (-1,) * RATE_ORDER)
 
 
 @dataclass(frozen=True)
@@ -140,10 +144,12 @@ def fit_chosen(
 
 
 def tried(sets: DataSets, direction: Direction | None = None) -> tuple[Candidate, ...]:
-    """Every model with its errors on what was left out, by equal weights."""
+    """Every model that the temperatures determine, with its errors on what was left out, by equal weights."""
     groups = left_out_groups(sets)
     directions: tuple[Direction, ...] = ("output", "input") if direction is None else (direction,)
-    models = [Model(d, orders) for d in directions for orders in _ORDERS]
+    most = determined_order(sets.temp_c)
+    determined = dict.fromkeys(tuple(min(order, most) for order in orders) for orders in _ORDERS)
+    models = [Model(d, orders) for d in directions for orders in determined]
     return tuple(Candidate(m, {name: _error(sets, m, g) for name, g in groups.items()}) for m in models)
 
 
@@ -189,12 +195,22 @@ def _better(weighted: tuple[CrossValidation, ...], equal: tuple[CrossValidation,
 
 
 def _with_undetermined(fit: SurfaceFit, left_out: tuple[CrossValidation, ...]) -> SurfaceFit:
-    """The covariance with what the left-out terms may be: of the size of the error left out, as far as the data allow."""
+    """The covariance with what the left-out terms may be: of the size of the error left out, as far as the data allow.
+
+    At two temperatures nothing that was left out tells of a bend between them, which may be as large as what differs from
+    the one to the other. A bias is silent about the rate.
+    """
     known = [v.rms_dps for v in left_out if v.rms_dps]
-    if fit.terms.all() or not fit.terms[-1 - TEMPERATURE_ORDER :].any() or not known:
+    terms = fit.terms.reshape(SHAPE)
+    unfitted = (~terms & terms.any(axis=1, keepdims=True)).ravel()
+    if not unfitted.any() or not known:
         return fit
     own = fit.own_dps
-    outside = fit.surface.design(own, fit.sets.temp_c)[:, ~fit.terms]
+    columns = fit.surface.design(own, fit.sets.temp_c)
+    outside = columns[:, unfitted]
+    if determined_order(fit.sets.temp_c) < TEMPERATURE_ORDER:
+        by_temperature = np.arange(fit.terms.size) % SHAPE[1] > 0
+        known.append(rms(columns[:, by_temperature] @ fit.surface.coefficients_dps.ravel()[by_temperature]))
     precision = np.linalg.inv(fit.scatter.matrix)
     inside = precision @ fit.design
     explained = inside @ np.linalg.solve(fit.design.T @ inside, inside.T)
@@ -204,7 +220,7 @@ def _with_undetermined(fit: SurfaceFit, left_out: tuple[CrossValidation, ...]) -
     gain = np.linalg.lstsq(fit.design, outside, rcond=None)[0]
     shift = np.zeros((fit.terms.size, outside.shape[1]))
     shift[fit.terms] = gain
-    shift[~fit.terms] = -np.eye(outside.shape[1])
+    shift[unfitted] = -np.eye(outside.shape[1])
     return replace(fit, covariance_dps2=fit.covariance_dps2 + shift @ spread @ shift.T)
 
 
@@ -214,7 +230,7 @@ def _model_reason(candidates: tuple[Candidate, ...], chosen: Model) -> str:
     by = {c.model: c for c in candidates}
     best, paper = by[chosen], by.get(PAPER)
     if paper is None:
-        return f"{chosen}: best of those tried in that direction"
+        return f"{chosen}: best of those tried"
     if chosen == PAPER:
         return f"{chosen}: the paper's, and nothing else does better by {_AS_GOOD:.0%} on what was left out"
     gains = ", ".join(

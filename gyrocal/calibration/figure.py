@@ -6,12 +6,24 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from gyrocal.units import decimals
+
+#: Beyond so many decimals people write an exponent.
+_MOST_DECIMALS = 6
+
 #: Value, and both ends of its 95 % interval.
 Interval = tuple[float, float, float]
 
 
-def number(value: float) -> str:
-    """Four digits or more, without an exponent where people write none."""
+def number(value: float, half_width: float = 0.0) -> str:
+    """To the digits that its interval has, two of the half width; four or more of a figure that is exact. No exponent where people write none."""
+    if half_width > 0.0:
+        places = decimals(half_width)
+        rounded = round(value, places)
+        # A number that its interval tells from zero is not written as zero.
+        if rounded == 0.0 != value or places > _MOST_DECIMALS:
+            return f"{value:.2g}"
+        return f"{rounded + 0.0:,.{max(places, 0)}f}"
     if value == 0.0 or not 1e-4 <= abs(value) < 1e8:
         return f"{value:.4g}"
     return f"{value:,.{max(3 - math.floor(math.log10(abs(value))), 0)}f}"
@@ -19,7 +31,18 @@ def number(value: float) -> str:
 
 def interval_said(low: float, high: float) -> str:
     """Both ends of an interval."""
-    return f"{number(low)} to {number(high)}"
+    half = 0.5 * (high - low)
+    return f"{number(low, half)} to {number(high, half)}"
+
+
+def value_said(value: float, low: float, high: float) -> str:
+    """A value and its interval."""
+    return f"{number(value, 0.5 * (high - low))} ({interval_said(low, high)})"
+
+
+def bound_said(bound: float) -> str:
+    """What something is less than: known no better than by itself."""
+    return f"< {number(bound, abs(bound))}"
 
 
 @dataclass(frozen=True)

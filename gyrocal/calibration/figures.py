@@ -21,7 +21,7 @@ from scipy import stats
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.figure import Figure
 from gyrocal.calibration.fit import SurfaceFit, gls_gain
-from gyrocal.calibration.groups import distinct, temperature_groups
+from gyrocal.calibration.groups import determined_order, distinct, temperature_groups
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE
 from gyrocal.units import DPS_TO_DPH
@@ -289,7 +289,7 @@ def _curves(fit: SurfaceFit, left_out_dps: Floats | None, span: Span) -> Curves:
     rates = np.linspace(*span.rate_dps, _RATES)
     rates[np.argmin(np.abs(rates))] = 0.0 if rates[0] <= 0 <= rates[-1] else rates[np.argmin(np.abs(rates))]
     temps = np.linspace(*span.temp_c, _TEMPS)
-    orders = (_order(sets.rate_dps, SHAPE[0]), _order(sets.temp_c, SHAPE[1]))
+    orders = _orders(sets)
     design = _columns(sets.rate_dps, sets.temp_c, sets, orders)
     gain = gls_gain(fit.scatter.matrix, design)
     covariance = gain @ fit.scatter.matrix @ gain.T
@@ -317,9 +317,9 @@ def _known(fit: SurfaceFit, rate_dps: Floats, temp_c: Floats) -> Floats:
         return np.zeros(rate_dps.size)
 
 
-def _order(values: Floats, most: int) -> int:
-    """Coefficients that the levels of a variable determine."""
-    return min(most, distinct(values)) if np.ptp(values) > 0 else 1
+def _orders(sets: DataSets) -> tuple[int, int]:
+    """Coefficients over rate and over temperature that the levels visited determine."""
+    return min(SHAPE[0], distinct(sets.rate_dps)), 1 + determined_order(sets.temp_c)
 
 
 def _columns(rate_dps: Floats, temp_c: Floats, sets: DataSets, orders: tuple[int, int]) -> Floats:
@@ -413,7 +413,7 @@ def _beside(fit: SurfaceFit, rest_dps: Floats, column: Floats, blank: Figure, un
     both = [int(np.count_nonzero(column * sign > 1e-3 * np.max(np.abs(column)))) for sign in (1, -1)]
     if min(both) < _LEAST_WAYS:
         return replace(blank, reason=f"it was not reached both ways by {_LEAST_WAYS} data sets or more")
-    orders = (_order(sets.rate_dps, SHAPE[0]), _order(sets.temp_c, SHAPE[1]))
+    orders = _orders(sets)
     design = np.column_stack([_columns(sets.rate_dps, sets.temp_c, sets, orders), column])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         return replace(

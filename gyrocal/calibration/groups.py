@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import DataSets
+from gyrocal.physics.surface import TEMPERATURE_ORDER
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,6 +31,21 @@ def distinct(values: Floats) -> int:
         if value - last > apart:
             number, last = number + 1, value
     return number
+
+
+def temperature_levels(temp_c: Floats) -> int:
+    """Temperatures that a recording visited: the levels of a chamber, however its readings scatter about them.
+
+    Where gaps do not make most of the span it drifted freely, and `distinct` counts.
+    """
+    gaps = np.diff(np.sort(temp_c))
+    wide = gaps > _LEVEL_GAP * float(np.ptp(temp_c))
+    return int(wide.sum()) + 1 if 2.0 * gaps[wide].sum() > np.ptp(temp_c) else distinct(temp_c)
+
+
+def determined_order(temp_c: Floats) -> int:
+    """Order in temperature that the temperatures visited determine, at most that of the surface."""
+    return min(TEMPERATURE_ORDER, temperature_levels(temp_c) - 1)
 
 
 def rate_groups(rate_dps: Floats) -> Ints:

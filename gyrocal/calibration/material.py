@@ -10,10 +10,11 @@ import numpy as np
 from scipy import linalg
 
 from gyrocal.calibration.checks import MOST_DATA_SETS
-from gyrocal.calibration.choice import BIAS, PAPER, fit_chosen
+from gyrocal.calibration.choice import bias_model, fit_chosen
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.corrected import Examined, Floats, Timeline, read_course
 from gyrocal.calibration.datasets import DataSets, Recording, load_recording
+from gyrocal.calibration.fit import TERMS
 from gyrocal.calibration.noise import NoiseFigures, noise_figures
 from gyrocal.calibration.provenance import check_sensor, naming, refuse_compensated
 from gyrocal.calibration.residuals import ScatterByRate, find_outliers, scatter_by_rate
@@ -21,6 +22,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, load_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.inference.scatter import Scatter
+from gyrocal.physics.surface import TEMPERATURE_ORDER
 
 #: Share done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]
@@ -98,14 +100,16 @@ def examine(
     compensator = Compensator(coefficients)
     corrected, timeline, more = _corrected(recording, sets, compensator)
     progress(0.2, "scatter and outliers")
-    terms = int((BIAS if one_rate else PAPER).terms.sum())
+    terms = TEMPERATURE_ORDER + 1 if one_rate else TERMS
     if len(sets) <= terms:
         raise DataError(
             f"{source}: holds {len(sets)} data sets, too few to judge {terms} terms by. "
             "Report the recording that the coefficients were fitted to, or record more rates and temperatures; what a record "
             f"at rest says of noise and bias is gyrocal noise {source}."
         )
-    scatter = known or fit_chosen(sets, recording.rest, model=BIAS if one_rate else None).fit.scatter
+    scatter = (
+        known or fit_chosen(sets, recording.rest, model=bias_model(sets) if one_rate else None).fit.scatter
+    )
     reasons = _reasons(sets, scatter)
     marked = np.zeros(len(sets), dtype=bool)
     marked[list(reasons)] = True

@@ -9,17 +9,17 @@ import numpy as np
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
-from gyrocal.calibration.figure import Figure, interval_said, number
+from gyrocal.calibration.figure import Figure, bound_said, number, value_said
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import stray_rows
-from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, plural
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
 _LISTED = 12
 #: A surface that makes the error smaller by less does not follow what is wrong; then up to this share of the data sets may be off.
 _NO_HELP, _MOST_STRAY = 2.0, 0.4
-_PPM = 1e6
+_PPM, _MDPS = 1e6, 1e3
 
 #: Coordinates of the structure tests, in words.
 _WORDS = {
@@ -156,7 +156,14 @@ def _scatter_line(c: Calibration) -> str:
         elif upper > 0:
             bounds.append(f"{np.sqrt(upper) * unit:.3g} {what}")
     unseen = f"; not seen, and less than this with 95 %: {', '.join(bounds)}" if bounds else ""
-    return f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}"
+    at_rest = c.noise.figures.get("rate_random_walk")
+    # Two numbers of one thing stand in what is printed: a reader must know why they differ.
+    both = at_rest is not None and at_rest.high is not None and s.timed and s.upper[-1] > 0
+    why = (
+        "; the rate random walk among the figures is what the samples at rest say by themselves, within the averaging times "
+        "of a rest, and this random walk what all data sets say, over the whole recording"
+    )
+    return f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}{why if both else ''}"
 
 
 def _rest_line(c: Calibration) -> list[str]:
@@ -201,12 +208,13 @@ def _coefficient_table(c: Calibration) -> Table:
     s = c.fit.surface
     half = c.fit.half_width_dps()
     shown = c.fit.terms
+    places = {ij: max(decimals(float(half[ij]) * _MDPS), 0) for ij in np.ndindex(SHAPE)}
     rows = tuple(
         (
             f"u^{i} v^{j}",
-            f"{s.coefficients_dps[i, j] * 1e3:+.4f}",
-            f"{c.fit.std_dps[i, j] * 1e3:.4f}",
-            f"{half[i, j] * 1e3:.4f}",
+            f"{s.coefficients_dps[i, j] * _MDPS:+.{places[i, j]}f}",
+            f"{c.fit.std_dps[i, j] * _MDPS:.{places[i, j]}f}",
+            f"{half[i, j] * _MDPS:.{places[i, j]}f}",
         )
         for i, j in np.ndindex(SHAPE)
         if shown[i * SHAPE[1] + j]
@@ -252,8 +260,8 @@ def said(figure: Figure) -> str:
     """Value and interval, a bound, or a dash."""
     if figure.interval is not None:
         value, low, high = figure.interval
-        return f"{value:.4g}" if low == high else f"{number(value)} ({interval_said(low, high)})"
-    return "-" if figure.high is None else f"< {number(figure.high)}"
+        return number(value) if low == high else value_said(value, low, high)
+    return "-" if figure.high is None else bound_said(figure.high)
 
 
 def _left_out_table(c: Calibration) -> Table:

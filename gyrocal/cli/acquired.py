@@ -51,13 +51,26 @@ def show_plan(profile: Profile, plan: Plan, as_json: bool) -> None:
         click.echo(f"Note: {note}.")
 
 
+def brought_back(count: int) -> str:
+    """How many segments were recorded beside the plan, as a sentence that follows others; empty where there are none."""
+    from gyrocal.units import plural
+
+    return (
+        f" {count} more beside the plan, in which the bench {plural(count, '[was|were]')} brought back to a temperature."
+        if count
+        else ""
+    )
+
+
 def show_summary(out: Path, s: Summary) -> None:
     """What was recorded, and what was not."""
     from gyrocal.units import plural
 
     click.echo(
         f"{out}: {s.recorded} {plural(s.recorded, '[segment|segments]')} recorded, {len(s.unsettled)} unsettled, {len(s.failed)} failed, "
-        f"{len(s.skipped)} skipped" + (f" ({s.before} of them before this start)." if s.before else ".")
+        f"{len(s.skipped)} skipped"
+        + (f" ({s.before} of them before this start)." if s.before else ".")
+        + brought_back(s.brought_back)
     )
     click.echo(
         f"Bench time {duration(s.bench_time_s)}, {s.samples} gyro rows; the table made {s.turns_ccw:.1f} turns "

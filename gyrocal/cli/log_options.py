@@ -26,7 +26,8 @@ _DRIVE = (
     click.option(
         "--columns",
         type=click.Path(path_type=Path),
-        help="TOML that maps a foreign log's columns, units and signs, from one file or several.",
+        help="TOML that says which columns of another logger's drive log (one CSV or several) are t_s, gyro_dps, the wheels and so on, "
+        "with units and signs; the keys stand in gyrocal/records/columns.py. Not for tables of data sets.",
     ),
     click.option(
         "--topic",

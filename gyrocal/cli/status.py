@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from gyrocal.cli.acquired import brought_back
 from gyrocal.cli.console import emit_json, emit_table, json_option
 
 _H_S, _MIN_S = 3600.0, 60.0
@@ -14,7 +15,7 @@ _SEEN = {
     "running": "is running",
     "complete": "is complete",
     "incomplete": "has ended, and some segments failed or were skipped; --resume carries on",
-    "stopped": "was ended early; --resume carries on",
+    "stopped": "was ended early",
     "dead": "died without a word; make sure that the table stands, then carry on with --resume",
 }
 
@@ -36,11 +37,12 @@ def command(run: Path, as_json: bool) -> None:
     if as_json:
         emit_json({"run": str(run), **s.to_json()})
         return
-    click.echo(f"{run} {_SEEN[s.state]}" + (f" ({s.reason})" if s.reason else "") + ".")
+    click.echo(f"{run} {_SEEN[s.state]}{_why(s.reason)}.")
     done = s.recorded + s.unsettled + s.failed
     click.echo(
         f"{done} {plural(done, '[segment|segments]')} sealed, {s.steps} {plural(s.steps, '[step|steps]')} planned: {s.recorded} ok, "
         f"{s.unsettled} unsettled, {s.failed} failed; {s.retried} {plural(s.retried, '[attempt|attempts]')} failed."
+        + brought_back(s.brought_back)
     )
     if s.now:
         click.echo(f"Recording {s.now}.")
@@ -50,6 +52,13 @@ def command(run: Path, as_json: bool) -> None:
     known = [f"{name} {value:.2f} {unit}" for name, value, unit in readings if value == value]
     click.echo(f"Last recorded: {', '.join(known) or 'nothing'}; last change {_duration(s.quiet_s)} ago.\n")
     emit_table(["t, s", "event", "what"], [_row(e) for e in s.events], "Last events")
+
+
+def _why(reason: str | None) -> str:
+    """Why it was ended, which mostly says already what to do."""
+    if reason is None:
+        return ""
+    return f": {reason.removesuffix('.')}" + ("" if "--resume" in reason else "; --resume carries on")
 
 
 def _duration(seconds: float) -> str:

@@ -260,10 +260,12 @@ def _sized(point: Point) -> Point:
 def _shapes(
     effect: Effect, shape: Mapping[str, float], intervals: Mapping[str, Interval]
 ) -> dict[str, Estimate]:
-    """Parameters of a shape; one without an interval was chosen from a few."""
+    """Parameters of a shape; one that was chosen from a few has no interval."""
     units = {p.name: p.unit for p in effect.parameters}
     return {
-        name: Estimate.spanning(float(value), intervals.get(name, (value, value)), units[name])
+        name: Estimate.spanning(float(value), intervals[name], units[name])
+        if name in intervals
+        else Estimate.exact(float(value), units[name])
         for name, value in shape.items()
         if name in units
     }

@@ -20,6 +20,7 @@ from gyrocal.records.scale import (
     gross_row,
     odd_columns,
     odd_output,
+    odd_rates,
     scale_unclipped,
     stray_rows,
     unclipped,
@@ -77,6 +78,9 @@ def check_inputs(
         *_one_way_notes(series),
         *_few_temperatures_notes(series),
     )
+    in_radians = odd_rates(series.rate_dps) if series.is_table else None
+    if in_radians is not None:
+        notes += (f"{in_radians.what}. {in_radians.remedy}",)
     if series.copies and not ideal:
         notes += (copied_text(series.copies, len(series)),)
     if coefficients is not None:

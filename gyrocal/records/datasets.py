@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal.errors import InputError
 from gyrocal.records.csvio import Floats, format_columns, read_columns, read_header, require_columns
+from gyrocal.units import S_PER_H
 
 COLUMNS = ("rate_dps", "gyro_dps", "gyro_counts", "temp_c", "gyro_std_dps", "n", "t_s", "temp_rate_c_per_min")
 
@@ -20,6 +21,8 @@ _FASTEST_DPS = 1e5
 _LEAST_SPAN_C, _FASTEST_C_PER_S = 5.0, 1.0
 #: No record is longer: ten years, s.
 _LONGEST_S = 3.2e8
+#: A plan of several rates that stays longer at each, s, is one of days, or in milliseconds.
+_LONG_STEP_S = 1e4
 #: A plan of several rates whose fastest is slower, deg/s, is in another unit: the earth turns four times as fast.
 _SLOWEST_DPS = 1e-3
 
@@ -44,12 +47,21 @@ class DataSetTable:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is doubtful about the table, in words."""
-        if self.temp_c.size < 2 or np.ptp(self.temp_c) > 0:
-            return ()
-        return (
-            f"temp_c is {self.temp_c[0]:.4g} degC in every row: if no thermometer was read, what the temperature does passes "
-            "for a drift; log the gyro's temperature",
-        )
+        said = []
+        if self.temp_c.size > 1 and np.ptp(self.temp_c) == 0:
+            said.append(
+                f"temp_c is {self.temp_c[0]:.4g} degC in every row: if no thermometer was read, what the temperature does passes "
+                "for a drift; log the gyro's temperature"
+            )
+        if self.t_s is not None and np.ptp(self.rate_dps) > 0:
+            step_s = float(np.median(np.diff(self.t_s)))
+            if step_s > _LONG_STEP_S:
+                said.append(
+                    f"from one data set to the next t_s grows by {step_s:.6g} in the median, which is {step_s / S_PER_H:.3g} h if it is in "
+                    f"seconds; if it is in milliseconds, which makes it {step_s / 1e3:.4g} s, write it in seconds: all that is said of "
+                    "time, drift and random walk is off otherwise"
+                )
+        return tuple(said)
 
 
 def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTable:

@@ -66,6 +66,16 @@ _RAIL_SHARE, _RAIL_TIMES = 0.005, 6.0
 _LISTED = 3
 
 
+#: Rates of a plan are round: multiples of half a unit of their second digit, kept to this share of themselves.
+_KEPT = 1e-4
+#: Rates nearer to each other than this share are one, and those below this share of the largest are rest.
+_ONE_RATE, _REST_SHARE = 1e-3, 1e-3
+#: Rates of no plan are that round by chance in fewer recordings than this.
+_ROUND_BY_CHANCE = 1e-5
+#: Nobody turns a gyro faster, deg/s.
+_FASTEST_PLAN_DPS = 2000.0
+#: Decimals that tables are written with at most.
+_MOST_DECIMALS = 9
 #: No gyro works where it is colder or hotter; thermometers that broke say so.
 _COLDEST_C, _HOTTEST_C = -100.0, 200.0
 #: Coarse steps make rows equal by chance, as a tenth of one made-up table; where so many are, they were entered twice.
@@ -359,6 +369,50 @@ def odd_temperature(temp_c: Floats) -> Odd | None:
         return None
     much = "hot" if high_c > _HOTTEST_C else "cold"
     return Odd(f"temperatures run from {low_c:.4g} to {high_c:.4g} °C, and no gyro works so {much}", _KELVIN)
+
+
+def odd_rates(rate_dps: Floats) -> Odd | None:
+    """Rates in rad/s, with an output that follows them: they are round in deg/s and not as they stand; else None.
+
+    Multiples of one odd rate are round together by chance: of 200,000 made-up plans in deg/s, most of them of odd rates, 315
+    were refused.
+    """
+    times, largest = 180.0 / np.pi, float(np.max(np.abs(rate_dps)))
+    if not 0.0 < largest * times < _FASTEST_PLAN_DPS:
+        return None
+    if (
+        round_by_chance(rate_dps, times) > _ROUND_BY_CHANCE
+        or round_by_chance(rate_dps, 1.0) <= _ROUND_BY_CHANCE
+    ):
+        return None
+    return Odd(
+        f"the rates are round numbers of deg/s once they are multiplied by 180/pi, and not as they stand (the largest, {largest:.6g}, "
+        f"is then {largest * times:.6g}): rate and output seem to be in rad/s",
+        "Convert both to deg/s, and what else stands in rad/s",
+    )
+
+
+def round_by_chance(rate_dps: Floats, factor: float) -> float:
+    """How probable it is that arbitrary rates are as round as these are, multiplied by a factor; 1 where one of them is not."""
+    sizes = np.sort(np.abs(rate_dps))
+    sizes = sizes[sizes > _REST_SHARE * sizes[-1]]
+    if not sizes.size:
+        return 1.0
+    starts = np.flatnonzero(np.diff(sizes, prepend=0.0) > _ONE_RATE * sizes)
+    mean = np.add.reduceat(sizes, starts) / np.diff(np.append(starts, sizes.size)) * factor
+    decimals = next(
+        (
+            k
+            for k in range(_MOST_DECIMALS)
+            if np.allclose(rate_dps, np.round(rate_dps, k), rtol=0.0, atol=1e-12)
+        ),
+        _MOST_DECIMALS,
+    )
+    kept = np.maximum(_KEPT * mean, 0.5 * factor * 10.0**-decimals)
+    unit = 0.5 * 10.0 ** (np.floor(np.log10(mean) + _KEPT) - 1.0)
+    if np.any(np.abs(mean - unit * np.round(mean / unit)) > kept):
+        return 1.0
+    return float(np.prod(np.minimum(2.0 * kept / unit, 1.0)))
 
 
 def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Odd | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gyrocal.calibration.compare import ALARM_RATE, Change
-from gyrocal.calibration.figure import interval_said, number
+from gyrocal.calibration.figure import value_said
 from gyrocal.calibration.summary import said
 
 
@@ -49,7 +49,7 @@ def blank_sentences(changes: Sequence[Change], names: Sequence[str]) -> list[str
 def _change(change: Change) -> str:
     if change.change is None or change.low is None or change.high is None:
         return "-"
-    said_change = f"{number(change.change)} ({interval_said(change.low, change.high)})"
+    said_change = value_said(change.change, change.low, change.high)
     return f"{said_change} p = {change.p_value:.2g}" if change.changed else said_change
 
 

@@ -38,7 +38,6 @@ from gyrocal.report.sentences import (
     verdict_sentence,
 )
 from gyrocal.report.words import (
-    decimals,
     fixed,
     interval_text,
     listed,
@@ -47,6 +46,7 @@ from gyrocal.report.words import (
     region_words,
     value_text,
 )
+from gyrocal.units import decimals
 
 #: Fewer rows than this on a turning table are no picture of a turn.
 _LEAST_TURNING = 100

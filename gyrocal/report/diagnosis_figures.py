@@ -13,8 +13,8 @@ from gyrocal.report.diagnosis_marks import PALE, bars, legend_above, limit_aroun
 from gyrocal.report.folds import Floats, Fold, bin_rows, fold_of
 from gyrocal.report.levels import cell_edges, levels
 from gyrocal.report.sentences import counted, has_times
-from gyrocal.report.words import decimals, fixed
-from gyrocal.units import NORMAL_95, S_PER_H
+from gyrocal.report.words import fixed
+from gyrocal.units import NORMAL_95, S_PER_H, decimals
 
 _MDPS = 1e3
 _BIN_TIME_S = 60.0

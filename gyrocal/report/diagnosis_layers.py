@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.result import Diagnosis, Layer, Located, UnnamedPart
 from gyrocal.report import style
-from gyrocal.report.words import coordinate_words, decimals, fixed, listed, place_words, times_text
+from gyrocal.report.words import coordinate_words, fixed, listed, place_words, times_text
+from gyrocal.units import decimals
 
 _MDPS = 1e3
 _LARGE_DPS = 0.3

@@ -18,7 +18,6 @@ from gyrocal.report.reasons import reason_words
 from gyrocal.report.remarks import of_the_data, remark_words, statement
 from gyrocal.report.words import (
     coordinate_words,
-    decimals,
     estimate_text,
     fixed,
     listed,
@@ -30,6 +29,7 @@ from gyrocal.report.words import (
     region_words,
     times_text,
 )
+from gyrocal.units import decimals
 
 #: An amplitude that is so much less known than what the effect adds is traded for a shape.
 _TRADED = 4.0

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.corrected import Examined, Floats
-from gyrocal.calibration.figure import interval_said, number
+from gyrocal.calibration.figure import bound_said, interval_said, number, value_said
 from gyrocal.calibration.fit import rms
 from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.calibration.residuals import ScatterByRate
@@ -22,7 +22,7 @@ from gyrocal.records.datasets import DataSetTable, format_data_sets
 from gyrocal.report.levels import levels
 from gyrocal.report.page import Table
 from gyrocal.report.scatter import SignedScatter
-from gyrocal.units import DPS_TO_DPH, NORMAL_95
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, decimals
 
 #: What the intervals of the coefficients are, by whether the file states none.
 _INTERVALS = {
@@ -69,9 +69,10 @@ def coefficient_table(coefficients: Coefficients) -> Table:
     stated = coefficients.figures.get("fit", {}).get("half_width_95_dps")
     half = NORMAL_95 * sigma if stated is None else np.asarray(stated, dtype=np.float64).ravel()
     low, high = value - half, value + half
+    places = [max(decimals(width), 0) for width in half.tolist()]
     rows = [
-        (f"c{a}{b}", f"{v:+.7f}", f"{s:.7f}", f"{lo:+.7f} to {hi:+.7f}")
-        for a, b, v, s, lo, hi in zip(i, j, value, sigma, low, high, strict=True)
+        (f"c{a}{b}", f"{v:+.{p}f}", f"{s:.{p}f}", f"{lo:+.{p}f} to {hi:+.{p}f}")
+        for a, b, v, s, lo, hi, p in zip(i, j, value, sigma, low, high, places, strict=True)
     ]
     surface = coefficients.surface
     note = (
@@ -93,7 +94,7 @@ def noise_table(noise: Noise) -> Table:
         if interval is None:
             continue
         value, low, high = interval
-        rows.append((name, number(value), interval_said(low, high), unit))
+        rows.append((name, number(value, 0.5 * (high - low)), interval_said(low, high), unit))
         names.append(key)
         units.append(unit)
         values.append(interval)
@@ -133,8 +134,8 @@ def _stated(figure: Mapping[str, Any]) -> str:
     """Value and interval, a bound, or why there is neither."""
     if figure["value"] is not None:
         low, high = figure["interval_95"]
-        return f"{number(figure['value'])} ({interval_said(low, high)})"
-    return f"< {number(figure['at_most'])}" if figure["at_most"] is not None else f"none: {figure['reason']}"
+        return value_said(figure["value"], low, high)
+    return bound_said(figure["at_most"]) if figure["at_most"] is not None else f"none: {figure['reason']}"
 
 
 def data_set_table(source: Path, data: Examined) -> Table:

@@ -63,7 +63,7 @@ def count_sentence(found: TurnCalibration) -> str:
 
 
 def _said(figure: Figured) -> str:
-    return f"{number(figure.value)} {figure.unit} ({interval_said(figure.low, figure.high)})"
+    return f"{number(figure.value, 0.5 * (figure.high - figure.low))} {figure.unit} ({interval_said(figure.low, figure.high)})"
 
 
 def turn_rows(found: TurnCalibration) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

@@ -15,8 +15,8 @@ from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.diagnosis.versus.match import Clock, Match
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.smooth import SmoothTerm
-from gyrocal.report.words import decimals, estimate_text, fixed, listed, parameter_words, range_text
-from gyrocal.units import plural
+from gyrocal.report.words import estimate_text, fixed, listed, parameter_words, range_text
+from gyrocal.units import decimals, plural
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.units import S_PER_H
+from gyrocal.units import S_PER_H, decimals
 
 #: Below this a p-value is a matter of the tail that was assumed, not of the data.
 LEAST_P = 1e-12
@@ -43,11 +43,6 @@ _TARGETS = {
     "sample times": "arrival times of all samples",
     "rest": "the table at rest",
 }
-
-
-def decimals(half_width: float) -> int:
-    """Decimals that show two digits of a half width; negative: tens, hundreds."""
-    return 1 - math.floor(math.log10(half_width)) if half_width > 0 and math.isfinite(half_width) else 3
 
 
 def fixed(value: float, places: int) -> str:
@@ -180,7 +175,7 @@ def coordinate_words(coordinate: str) -> str:
 
 def parameter_words(name: str) -> str:
     """A parameter without the unit in its name, which stands behind its value."""
-    for unit in ("_rad_per_dps", "_dps", "_rad", "_hz", "_s", "_c"):
+    for unit in ("_rad_per_dps", "_data_sets", "_dps", "_rad", "_hz", "_s", "_c"):
         if name.endswith(unit):
             return name.removesuffix(unit).replace("_", " ")
     return name.replace("_", " ")

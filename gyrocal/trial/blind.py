@@ -7,6 +7,7 @@ recordings made by other code do.
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -309,6 +310,8 @@ def _coverage(secret: Secret, found: Diagnosis) -> dict[str, bool]:
             if name not in truth or not _comparable(CATALOGUE[effect.effect], name):
                 continue
             low, high = estimate.interval_95
+            if math.isnan(low):  # chosen from a few: nothing was stated
+                continue
             values = [truth[name], -truth[name]] if "phase_rad" in truth else [truth[name]]
             covered[f"{effect.effect}.{name}"] = any(low <= v <= high for v in values)
     return covered

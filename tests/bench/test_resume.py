@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from gyrocal.bench.session import AcquireConfig, acquire
+from gyrocal.bench.status import read_status
 from gyrocal.errors import InputError, InterruptedRunError, OutputError, ProfileError
 from gyrocal.records import files, journal
 from gyrocal.records.files import sha256_of_file
@@ -277,10 +278,18 @@ def test_interrupted_then_resumed_says_what_happened(profile: Path, tmp_path: Pa
         acquire(AcquireConfig(profile, tmp_path / "r"), Impatient(), requests)
     summary = acquire(AcquireConfig(profile, tmp_path / "r", resume=True), Silent())
     assert summary.before == 5
-    assert summary.recorded == 12 + 2  # with the extra ramp and soak
+    assert summary.recorded == 12
+    assert summary.brought_back == 2  # the extra ramp and soak
     (line,) = events(tmp_path / "r", "resume")
     assert line["left"] == 7
     assert line["virtual_world"] == "restarted at 21 deg C, table at rest"
+    # Another terminal counts the same, and so does a start that finds nothing left.
+    for other in (
+        read_status(tmp_path / "r"),
+        acquire(AcquireConfig(profile, tmp_path / "r", resume=True), Silent()),
+    ):
+        assert (other.recorded, other.brought_back) == (12, 2)
+    assert read_status(tmp_path / "r").steps == 12
 
 
 def test_the_same_seed_gives_the_same_bytes(profile: Path, tmp_path: Path) -> None:

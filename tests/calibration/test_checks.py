@@ -11,6 +11,7 @@ import pytest
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate
 from gyrocal.errors import DataError, GyrocalError, InputError
+from gyrocal.physics.surface import SHAPE
 from tests.calibration.runs import Part, parts_of, write_run
 from tests.calibration.simulation import SURFACE, Floats, simulate
 
@@ -42,7 +43,6 @@ def refusal(path: Path, config: FitConfig | None = None) -> GyrocalError:
     [
         (np.array([0.0]), np.linspace(0, 40, 30), "one rate", "--bias-only"),
         (np.linspace(-100, 100, 15), np.array([20.0]), "one temperature", "at least 3 temperatures"),
-        (RATES, np.array([0.0, 40.0]), "2 distinct temperatures", "at least 3"),
         (np.linspace(0, 100, 9), TEMPS, "one sign only", "the other direction"),
         (np.linspace(-10, 100, 12), TEMPS, "one sign only", "the other direction"),
         (np.array([-50.0, 0.0, 50.0]), np.linspace(0, 40, 6), "3 distinct rates", "at least 4"),
@@ -55,6 +55,30 @@ def test_missing_levels(tmp_path: Path, rates: Floats, temps: Floats, what: str,
     assert what in str(error)
     assert remedy in str(error)
     assert "t.csv" in str(error)
+
+
+@pytest.mark.parametrize("scatter_c", [0.0, 0.03, 0.4])
+def test_two_temperatures_carry_a_line_and_no_bend(tmp_path: Path, scatter_c: float) -> None:
+    rate, temp = (a.ravel() for a in np.meshgrid(np.tile(RATES, 2), [5.2, 38.7]))
+    rng = np.random.default_rng(3)
+    path = table(tmp_path / "t.csv", rate, temp + scatter_c * rng.uniform(-1.0, 1.0, rate.size))
+    fitted = calibrate(path, FitConfig())
+    assert not fitted.fit.terms.reshape(SHAPE)[:, 2:].any()
+    assert sum("two temperatures" in note for note in fitted.notes) == 1
+    # The truth bends between them, and the band says that it may.
+    middle = np.full(RATES.size, 22.0)
+    off = fitted.coefficients.surface.error_dps(RATES, middle) - SURFACE.error_dps(RATES, middle)
+    assert np.all(np.abs(off) < 3.0 * fitted.coefficients.sigma_dps(RATES, middle))
+    at_soaks = fitted.coefficients.sigma_dps(np.zeros(2), np.array([5.2, 38.7]))
+    assert np.all(at_soaks < 0.3 * fitted.coefficients.sigma_dps(np.zeros(1), middle[:1]))
+    assert "two temperatures" in str(refusal(path, FitConfig(paper=True)))
+
+
+def test_a_bias_at_two_temperatures_is_a_line(tmp_path: Path) -> None:
+    temp = np.repeat([5.2, 38.7], 8)
+    fitted = calibrate(table(tmp_path / "t.csv", np.zeros(16), temp), FitConfig(bias_only=True))
+    assert int(fitted.fit.terms.sum()) == 2
+    assert any("two temperatures" in note for note in fitted.notes)
 
 
 def test_a_run_of_few_rates_is_sent_to_noise(tmp_path: Path) -> None:
@@ -97,6 +121,13 @@ def test_another_unit_or_sign_is_refused_and_forced(tmp_path: Path, factor: floa
     assert any(
         "another unit or sign; used because" in n for n in calibrate(path, FitConfig(force=True)).notes
     )
+
+
+def test_rate_and_output_both_in_radians_are_refused_and_forced(tmp_path: Path) -> None:
+    rate, temp = grid()
+    path = table(tmp_path / "t.csv", np.deg2rad(rate), temp, np.deg2rad(SURFACE.output_dps(rate, temp)))
+    assert "seem to be in rad/s. Convert both" in str(refusal(path))
+    assert any("rad/s; used because of --force" in n for n in calibrate(path, FitConfig(force=True)).notes)
 
 
 def test_kelvin_copies_and_a_copy_of_the_rate_are_refused(tmp_path: Path) -> None:

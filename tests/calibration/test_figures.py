@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.crossval import cross_validate
 from gyrocal.calibration.datasets import DataSets
+from gyrocal.calibration.figure import bound_said, value_said
 from gyrocal.calibration.figures import (
     BeforeAfter,
     Span,
@@ -173,3 +174,23 @@ def test_a_figure_of_few_degrees_of_freedom_has_the_interval_of_students_law() -
         assert bias.high is not None
         widths.append(bias.high - bias.low)
     assert widths[0] / widths[1] == pytest.approx(2.571 / 1.960, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "said"),
+    [
+        (3001.44, 2994.8, 3007.8, "3,001.4 (2,994.8 to 3,007.8)"),
+        (-26.63, -84.03, 28.77, "-27 (-84 to 29)"),
+        (12345.6, 11000.0, 13000.0, "12,300 (11,000 to 13,000)"),
+        (0.0830123, 0.0801, 0.0859, "0.0830 (0.0801 to 0.0859)"),
+        (3.0, 0.02, 9.0, "3.0 (0.02 to 9.0)"),
+        (3.2e-9, 1.1e-9, 5.3e-9, "3.2e-09 (1.1e-09 to 5.3e-09)"),
+        (1.0, 1.0, 1.0, "1.000 (1.000 to 1.000)"),
+    ],
+)
+def test_a_figure_has_the_digits_of_its_interval(value: float, low: float, high: float, said: str) -> None:
+    assert value_said(value, low, high) == said
+
+
+def test_a_bound_has_two_digits() -> None:
+    assert [bound_said(x) for x in (31.9012, 0.0123456, 2897.6)] == ["< 32", "< 0.012", "< 2,900"]

@@ -292,3 +292,15 @@ def test_output_in_a_missing_directory(
 ) -> None:
     assert call(table, "-o", tmp_path / "no" / "c.json", "--counts-per-dps", -1000) == 7
     assert "cannot write" in capsys.readouterr().err
+
+
+def test_two_random_walks_of_one_run_are_told_apart(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(__file__).parents[2] / "sample_data" / "run"
+    for recording, said in ((run, True), (table, False)):
+        counts = () if said else ("--counts-per-dps", -1000)
+        assert call(recording, "-o", tmp_path / f"{said}.json", *counts) == 0
+        assert (
+            "rate random walk among the figures is what the samples at rest" in capsys.readouterr().out
+        ) is said

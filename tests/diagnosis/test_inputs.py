@@ -73,6 +73,15 @@ def test_a_scale_far_off_is_said_and_a_sound_one_is_not() -> None:
     assert "0.802 times the rate" in remark_words(note)
 
 
+def test_a_table_in_radians_is_said() -> None:
+    table = make_table()
+    rate_dps = np.tile([-50.0, -10.0, -1.0, 1.0, 10.0, 50.0], 50)[: table.rate_dps.size]
+    for unit, said in ((1.0, 0), (np.pi / 180.0, 1)):
+        gyro_dps = rate_dps * 1.01 + table.gyro_dps - table.rate_dps
+        one = series_of_table(replace(table, rate_dps=unit * rate_dps, gyro_dps=unit * gyro_dps))
+        assert sum("in rad/s" in str(note) for note in check_inputs(one, None)) == said
+
+
 def test_a_clipped_gyro_is_said_and_not_taken_for_one_of_another_unit() -> None:
     table = make_table()
     np.clip(table.gyro_dps, -70.0, 70.0, out=table.gyro_dps)

@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import series_of
-from gyrocal.diagnosis.estimates import of_pattern
+from gyrocal.diagnosis.estimates import _shapes, of_pattern
 from gyrocal.diagnosis.within import Pattern, jackknife, patterns
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions
@@ -80,3 +80,11 @@ def test_amplitude_and_phase_are_those_of_the_law() -> None:
         ("phase_rad", np.arctan2(-draws[:, 1], draws[:, 0])),
     ):
         assert found[name].std == pytest.approx(100.0 * each.std(), rel=0.03)
+
+
+def test_what_is_chosen_from_a_few_has_no_interval() -> None:
+    shape = {"knee_dps": 80.0, "softness_dps": 0.0}
+    stated = _shapes(find_effect("saturation"), shape, {"knee_dps": (70.0, 90.0)})
+    told = stated["softness_dps"].to_json()
+    assert told == {"value": 0.0, "std": None, "unit": "deg/s", "interval_95": [None, None]}
+    assert stated["knee_dps"].interval_95 == (70.0, 90.0)

@@ -99,3 +99,11 @@ def test_a_log_at_one_rate_may_share_times_and_values(tmp_path: Path) -> None:
     path = tmp_path / "rest.csv"
     path.write_text("rate_dps,gyro_dps,temp_c,gyro_std_dps,t_s\n" + "0,0,20,0,1\n" * 3 + "0,0,21,0,2\n")
     assert read_data_sets(path).notes == ()
+
+
+def test_days_between_data_sets_may_be_milliseconds(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    for step_s, said in ((60.0, 0), (7200.0, 0), (60_000.0, 1)):
+        rows = [f"{k * step_s},{10 * (k % 5 - 2)},{10.1 * (k % 5 - 2)},{20 + k}" for k in range(20)]
+        path.write_text("\n".join(["t_s,rate_dps,gyro_dps,temp_c", *rows]) + "\n")
+        assert sum("milliseconds" in note for note in read_data_sets(path).notes) == said

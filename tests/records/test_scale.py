@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gyrocal.records.scale import gross_row, odd_output, odd_part, output_scale, unclipped
+from gyrocal.records.scale import gross_row, odd_output, odd_part, odd_rates, output_scale, unclipped
 
 RATE = np.tile(np.linspace(-100.0, 100.0, 11), 4)
 
@@ -179,3 +179,30 @@ def _biased() -> np.ndarray:
 def test_what_a_gyro_does_is_no_change_of_unit(gyro: Callable[[], np.ndarray]) -> None:
     assert odd_part(RATES, gyro(), TEMPS, NUMBERS, lines=True) is None
     assert odd_part(np.full(55, 15.0), gyro(), TEMPS, NUMBERS, lines=True) is None
+
+
+PLANS = ([5, 20, 50, 100], [1, 2, 5, 10, 20, 50], [0.5, 1, 1.5, 2], [12.5, 25, 50, 75], [10, 60, 200, 400])
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_rates_and_outputs_both_in_radians_are_told_by_round_rates(plan: list[float]) -> None:
+    rng = np.random.default_rng(8)
+    rate = np.tile([*(-r for r in plan), 0.0, *plan], 3).astype(float)
+    wobble = rate * (1.0 + 2e-5 * rng.standard_normal(rate.size))
+    for told in (np.round(np.deg2rad(rate), 6), np.deg2rad(wobble)):
+        odd = odd_rates(np.asarray(told, dtype=np.float64))
+        assert odd is not None
+        assert "rad/s" in odd.what
+    # As they were planned, and as a table reports them.
+    assert odd_rates(rate) is None
+    assert odd_rates(wobble) is None
+
+
+def test_slow_rates_in_degrees_are_no_radians() -> None:
+    for step in (0.25, 0.1, 1.0 / 3.0, 0.125, 0.7, 2.5):
+        for most in (3, 4, 5, 8):
+            rate = step * np.arange(-most, most + 1)
+            assert odd_rates(np.asarray(rate, dtype=np.float64)) is None
+            assert odd_rates(np.asarray(np.round(rate, 2), dtype=np.float64)) is None
+    rng = np.random.default_rng(9)
+    assert sum(odd_rates(rng.uniform(-10.0, 10.0, 7)) is not None for _ in range(2000)) == 0

@@ -328,6 +328,7 @@ def test_unknown_numbers_are_words() -> None:
 def test_p_values_and_names_as_people_read_them() -> None:
     assert [p_text(p) for p in (0.0, 1e-12, 0.0123)] == ["< 1e-12", "1e-12", "0.012"]
     assert [p_equals(p) for p in (1e-40, 0.0054)] == ["p < 1e-12", "p = 0.0054"]
+    assert parameter_words("tau_data_sets") == "tau"
     assert [parameter_words(n) for n in ("tau_s", "knee_dps", "amplitude")] == ["tau", "knee", "amplitude"]
 
 

@@ -383,7 +383,7 @@ def _parameter_json(entry: Mapping[str, Any], estimate: Estimate | None, one_of:
     if estimate is not None:
         low, high = estimate.interval_95
         told = estimate.to_json()
-        if one_of or low <= value <= high:
+        if one_of or not (value < low or value > high):
             return told | ({} if one_of else {"value": value})
         # Smooth parts have the rest of it: the sum needs the share that this term has, and a reader what all of it is.
         return told | {"in_the_sum": value}

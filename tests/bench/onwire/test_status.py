@@ -89,6 +89,19 @@ def test_a_run_that_was_ended(tmp_path: Path) -> None:
     status = read_status(tmp_path / "r")
     assert (status.state, status.reason, status.retried) == ("stopped", "the cable fell out", 1)
     assert status.left_s > 0.0
+    text = CliRunner().invoke(gyrocal_command, ["status", str(tmp_path / "r")]).output
+    assert "was ended early: the cable fell out; --resume carries on.\n" in text
+
+
+def test_what_a_reason_says_is_not_said_twice(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+    with start(stand) as writer:
+        writer.event("start", 0.0, steps=12, expected_s=100.0)
+        writer.event(
+            "aborted", 1.0, reason="Ended by Ctrl-C; what was sealed is kept, and --resume carries on."
+        )
+    text = CliRunner().invoke(gyrocal_command, ["status", str(tmp_path / "r")]).output
+    assert "was ended early: Ended by Ctrl-C; what was sealed is kept, and --resume carries on.\n" in text
 
 
 def test_a_run_that_died(tmp_path: Path) -> None:
