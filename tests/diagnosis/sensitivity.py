@@ -40,7 +40,7 @@ from gyrocal.trial.made_up import MadeUp, make_up
 from gyrocal.trial.second import corrected_rms_dps
 from tests.diagnosis.drive.fleet import Plan, again, drive
 from tests.diagnosis.drive.score import diagnosed, metres, plans, robot_file
-from tests.diagnosis.test_frozen import QUICK, differences, rounded
+from tests.diagnosis.test_frozen import QUICK, SLOW, differences, rounded
 from tests.diagnosis.versus.tables import SURFACE, plan, table
 
 PACKAGE = Path(__file__).parents[2] / "gyrocal"
@@ -144,7 +144,7 @@ def _small(constant: Constant) -> Iterator[dict[str, Any]]:
         return
     names = SMALL_DRIVES if constant.file.startswith(ONLY_DRIVES) else SMALL
     for name in names:
-        yield rounded(QUICK[name]())
+        yield rounded((QUICK | SLOW)[name]())
 
 
 def _units_against_a_simulation(*, heldout: bool) -> dict[str, Any]:
