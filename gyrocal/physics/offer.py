@@ -19,6 +19,8 @@ _FEWEST_RATES = 6
 _FEWEST_SIZES = 4
 #: Nor, with rest, a peak, which is even in it: bias and square take two, the peak three, and one is left to check it.
 _FEWEST_FOR_PEAK = 6
+#: Of four a knee explains any errors of single rates: such a file made another run 3.8 times as bad.
+_FEWEST_FOR_KNEE = 5
 #: Rates below this are rest, deg/s.
 _REST_DPS = 0.01
 #: Dead zones are looked for among rates up to this, deg/s.
@@ -121,6 +123,13 @@ def many_sizes(offer: Offer) -> Reason | None:
     if offer.turning_sizes >= _FEWEST_SIZES:
         return None
     return Lack(Why.FEW_SIZES, {"count": offer.turning_sizes, "fewest": _FEWEST_SIZES})
+
+
+def sizes_for_knee(offer: Offer) -> Reason | None:
+    """Enough sizes of rate for a knee beside the cubic, which has a place and a height, and one to check them by."""
+    if offer.turning_sizes >= _FEWEST_FOR_KNEE:
+        return None
+    return Lack(Why.FEW_SIZES, {"count": offer.turning_sizes, "fewest": _FEWEST_FOR_KNEE})
 
 
 def sizes_for_peak(offer: Offer) -> Reason | None:

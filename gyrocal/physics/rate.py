@@ -32,6 +32,7 @@ from gyrocal.physics.offer import (
     data_at_rest,
     many_rates,
     many_sizes,
+    sizes_for_knee,
     sizes_for_peak,
 )
 from gyrocal.physics.search import Search, Shape, Unit
@@ -391,7 +392,7 @@ SATURATION = Effect(
     reference="limits of electronics and digitiser",
     runtime=True,
     error_dps=memoryless(_saturation),
-    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates, many_sizes)),
+    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates, sizes_for_knee)),
     c_text=CText(_saturation_c),
 )
 
