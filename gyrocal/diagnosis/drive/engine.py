@@ -354,8 +354,8 @@ def _asked(
     groups = {KINDS[n].group or n for n in laws.names}
     alone = [] if series.differential else [n for n in ALONE if (KINDS[n].group or n) not in groups]
     figures, noise = _taken_out(series, yaw), yaw.model.noise
-    # Whether it is the gyro's or the wheels'.
-    uneven = sides_of(yaw).likely
+    # Be it the gyro's or the wheels'.
+    uneven = sides_of(yaw).sure
     return ask_truth(
         series, figures, laws, noise, alone, near, bias_changes=bias_changes, uneven_turns=uneven
     )

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import strangers
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.truth import TruthAnswer
@@ -31,15 +33,17 @@ class Sides:
     one_sided: float
 
     @property
-    def likely(self) -> float:
-        """How far either is from their mean, less what noise makes of that."""
-        return 0.5 * float(np.sqrt(max(self.apart**2 - self.apart_std**2, 0.0)))
+    def sure(self) -> float:
+        """How far either is from their mean, where that is no chance: what noise allows besides would make a bias as uncertain."""
+        if stats.norm.sf(abs(self.apart), scale=self.apart_std) > 0.5 * STRANGER_P:
+            return 0.0
+        return 0.5 * abs(self.apart)
 
 
 def sides_of(yaw: YawAnswer) -> Sides:
     """Both sides by the encoders, whichever way this drive has turned more; nothing where the wheels have no track."""
     if "track" not in yaw.chosen:
-        return Sides(0.0, 0.0, 0.0, 0.0, 0.0)
+        return Sides(0.0, 1.0, 0.0, 1.0, 0.0)
     # In an answer columns of no name are less what track and wheels could be of them.
     to_left = strangers(yaw.model.frame)["turn_rate"][:, 0]
     columns = {n: yaw.laws[n].column for n in yaw.chosen} | {"to_left": to_left}

@@ -55,13 +55,17 @@ def looked_at(*drive: float, seed: int = 1) -> tuple[Examined, Robot | None]:
     return found, improved_robot(found.series, found.yaw, found.truth, found.parts, found.figures)
 
 
-def test_turns_to_one_side_are_no_scale_of_all_turns() -> None:
-    """Nine of ten bends go to the left, over which the gyro reads 5 % too much, and as much too little over the others."""
-    found, robot = looked_at(0.9, 0.05, 0.0, 0.5)
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_turns_to_one_side_are_no_scale_of_all_turns(seed: int) -> None:
+    """Nearly all bends go to the left, over which the gyro reads 2 % too much; too little over the others: named had been 2 %.
+
+    The truth is too coarse to tell these, the encoders do.
+    """
+    found, robot = looked_at(0.97, 0.02, 0.0, 10.0, seed=seed)
     sides = sides_of(found.yaw)
-    # Encoders over gyro: 1 / 1.05 against 1 / 0.95.
-    assert sides.apart == pytest.approx(1 / 1.05 - 1 / 0.95, abs=3.0 * sides.apart_std)
-    assert sides.even == pytest.approx(0.5 * (1 / 1.05 + 1 / 0.95) - 1.0, abs=3.0 * sides.even_std)
+    # Encoders over gyro: 1 / 1.02 against 1 / 0.98.
+    assert sides.apart == pytest.approx(1 / 1.02 - 1 / 0.98, abs=3.0 * sides.apart_std)
+    assert sides.even == pytest.approx(0.5 * (1 / 1.02 + 1 / 0.98) - 1.0, abs=3.0 * sides.even_std)
     assert sides.one_sided > 0.5
     assert ratio_of_turns(found.yaw, found.truth) == (sides.even, sides.even_std)
     assert "gyro_scale" not in found.parts
