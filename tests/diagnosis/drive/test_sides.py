@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.engine import Examined, examine
 from gyrocal.diagnosis.drive.findings import _turns_and_way
@@ -18,6 +19,7 @@ from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, robot_of
 from gyrocal.units import DEG_TO_RAD
 
+Floats = NDArray[np.float64]
 TRACK_M, ROW_S, FINE = 0.5, 0.1, 20
 ROBOT = robot_of({"wheel_separation_m": TRACK_M, "static_s": 9.0}, Path("robot.toml"))
 
@@ -33,25 +35,27 @@ def driven(to_left: float, by_side: float, wheels: float, truth_m: float, seed: 
     heading = np.cumsum(DEG_TO_RAD * turn_dps) * fine_s
     at = np.cumsum(speed * np.exp(1j * heading)) * fine_s
 
-    def by_row(x: np.ndarray) -> np.ndarray:
+    def by_row(x: Floats) -> Floats:
         return np.asarray(x.reshape(rows, FINE).mean(axis=1))
 
-    seen_dps = by_row(turn_dps * (1.0 + by_side * np.sign(turn_dps))) + 0.01 * rng.normal(size=rows)
+    seen_dps: Floats = by_row(turn_dps * (1.0 + by_side * np.sign(turn_dps))) + 0.01 * rng.normal(size=rows)
     way, half = by_row(speed) * ROW_S, 0.5 * TRACK_M * DEG_TO_RAD * by_row(turn_dps) * ROW_S
     sides = [(way + sign * half) * (1.0 + wheels) for sign in (-1.0, 1.0)]
     left, right = (x + 4e-4 * np.sqrt(np.abs(x)) * rng.normal(size=rows) for x in sides)
     every = np.where(np.arange(rows) % 2 == 0, 1.0, np.nan)
     east, north = (part[FINE - 1 :: FINE] + truth_m * rng.normal(size=rows) for part in (at.real, at.imag))
     nothing = np.full(rows, np.nan)
-    ends_s = ROW_S * np.arange(1, rows + 1)
+    ends_s = ROW_S * np.arange(1, rows + 1, dtype=np.float64)
     segment = np.zeros(rows, dtype=np.int64)
     return DriveBlock(
         2, ends_s, left, right, seen_dps, nothing, east * every, north * every, nothing, nothing, segment
     )
 
 
-def looked_at(*drive: float, seed: int = 1) -> tuple[Examined, Robot | None]:
-    found = examine("log", driven(*drive, seed=seed), ROBOT, None)
+def looked_at(
+    to_left: float, by_side: float, wheels: float, truth_m: float, seed: int = 1
+) -> tuple[Examined, Robot | None]:
+    found = examine("log", driven(to_left, by_side, wheels, truth_m, seed), ROBOT, None)
     return found, improved_robot(found.series, found.yaw, found.truth, found.parts, found.figures)
 
 
@@ -90,6 +94,6 @@ def test_a_scale_is_named_that_is_more_than_what_differs_by_the_side() -> None:
     found, _ = looked_at(0.5, 0.002, 0.0, 0.01)
     assert found.truth is not None
     for value, named in ((0.01, True), (0.001, False)):
-        values = found.truth.values | {"gyro_scale": value}
+        values = {**found.truth.values, "gyro_scale": value}
         truth = replace(found.truth, values=values)
         assert ("gyro_scale" in _turns_and_way(found.yaw, truth)) == named
