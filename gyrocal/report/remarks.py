@@ -181,8 +181,9 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.WHEEL_TURN: "The {side} wheel's distance is modulated every {way_m:.3g} m, once a turn of a wheel of radius "
     "{radius_m:.3g} m.",
     Said.ENCODERS_LATE: "The encoders' counts arrive later than the gyro's rate (a negative delay).",
-    Said.SAMPLES_OF_ROWS: "The gyro is early by half a row, as samples are: what it turned between them is lost. Log "
-    "the mean rate since the row before, or more rows.",
+    Said.SAMPLES_OF_ROWS: "The gyro is early by half a row, within a fifth of one: so it is where a row has its sample and not its "
+    "mean (what it turned between rows is lost then: log the mean rate since the row before, or more rows), and where the encoders "
+    "average or come late.",
     Said.TURNS_INWARD: "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer "
     "together than the robot file says.",
     Said.BIAS_IN_MOTION: "In motion the gyro's bias differs from that of the rest at the start.",

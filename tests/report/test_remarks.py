@@ -16,6 +16,13 @@ def test_every_remark_has_words() -> None:
     assert set(WORDS) == set(Said)
 
 
+def test_encoders_that_are_late_may_be_samples_of_the_gyro() -> None:
+    """Half a row is no proof: on a drive whose rows held means, encoders that average had been told as samples."""
+    words = remark_words(Remark(Said.SAMPLES_OF_ROWS))
+    assert "sample" in words
+    assert "encoders average or come late" in words
+
+
 def test_what_a_reader_said_stays_as_it_is() -> None:
     assert remark_words("row 7 is empty") == "row 7 is empty"
 

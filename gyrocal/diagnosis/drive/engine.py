@@ -38,6 +38,7 @@ from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
+from gyrocal.diagnosis.drive.sides import sides_of
 from gyrocal.diagnosis.drive.truth import ALONE, SCALES, TruthAnswer, ask_truth
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
@@ -353,7 +354,11 @@ def _asked(
     groups = {KINDS[n].group or n for n in laws.names}
     alone = [] if series.differential else [n for n in ALONE if (KINDS[n].group or n) not in groups]
     figures, noise = _taken_out(series, yaw), yaw.model.noise
-    return ask_truth(series, figures, laws, noise, alone, near, bias_changes=bias_changes)
+    # Be it the gyro's or the wheels'.
+    uneven = sides_of(yaw).sure
+    return ask_truth(
+        series, figures, laws, noise, alone, near, bias_changes=bias_changes, uneven_turns=uneven
+    )
 
 
 def _undenied(

@@ -12,10 +12,11 @@ from scipy import stats
 from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
-from gyrocal.diagnosis.drive.path_strangers import SPINNING
+from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
+from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, SCALES, UNEVEN, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import (
@@ -136,7 +137,7 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTru
         found[ROBOT_TILT.id] = tilt
     if "track" not in yaw.chosen:
         return found
-    c, std = yaw.estimate("track")
+    c, std = ratio_of_turns(yaw, truth)
     if abs(c) < _ANY_SCALE and _turns_are_odd(yaw, truth):
         return found
     if found:
@@ -149,7 +150,7 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTru
         left = (1 + c) * (1 + g) / (1 + w) - 1
         if left**2 >= GAIN * spread**2 and "track" not in yaw.uneven:
             found["track"] = OfTruth(left, spread)
-    elif "track" in yaw.named:
+    elif "track" in yaw.named and c**2 >= GAIN * std**2:
         against = _against(c, std, truth)
         best = min(against, key=lambda n: against[n])
         # Beside a slip law the constant is a part of that law's shape.
@@ -160,6 +161,8 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTru
         if rivals and not slipping and abs(c) < _ANY_SCALE:
             return found
         value = {"track": c, "wheel_scale": c, "gyro_scale": 1 / (1 + c) - 1}[best]
+        if best == GYRO_SCALE.id:
+            std = float(np.hypot(std, UNEVEN * sides_of(yaw).one_sided * value))
         found[best] = OfTruth(value, std)
     return found
 
@@ -225,9 +228,14 @@ def _lacks_by_heading(values: Floats, covariance: Floats, truth: TruthAnswer | N
 
 
 def _changes(scale: str, yaw: YawAnswer, truth: TruthAnswer) -> bool:
-    """Whether what misses the truth is of one way to turn, of some speeds or of some time only: another path has other shares."""
+    """Whether what misses the truth is of one way to turn, of some speeds or of some time only: another path has other shares.
+
+    A scale of all turns is none where they differ by as much from the one way to the other.
+    """
     if truth.odd.get(_CHANGES_BY[scale], 1.0) < STRANGER_P:
-        return True
+        even = scale == GYRO_SCALE.id and ONE_SIZE in truth.values
+        if not even or abs(truth.values[scale]) <= abs(truth.values[ONE_SIZE]):
+            return True
     if scale == WHEEL_SCALE.id and yaw.changed:
         return True
     return scale == GYRO_SCALE.id and _goes_by_place(yaw, truth)

@@ -11,6 +11,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given
 from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate, unexpected_bias
 from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
+from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
@@ -284,8 +285,11 @@ def improved_robot(
         keys["gyro.temp_c"] = figures.temp_c
     if yaw.window_s > 0:
         keys["encoders.window_s"] = yaw.window_s
+    # No robot file holds what turns to one side are off by, and the filter must not trust the gyro beyond it.
+    by_side = 0.0 if truth is None else truth.values.get(ONE_SIZE, 0.0)
     if "gyro_scale" in parts:
-        keys["gyro.scale"], keys["gyro.scale_std"] = parts["gyro_scale"].value, parts["gyro_scale"].std
+        keys["gyro.scale"] = parts["gyro_scale"].value
+        keys["gyro.scale_std"] = float(np.hypot(parts["gyro_scale"].std, by_side))
     if slip := _slip(yaw, lasting):
         keys |= {f"slip.{key}": getattr(slip, key) for key in ("law", "amplitude", "amplitude_std", "shape")}
     # A slope stays where it is.
@@ -303,7 +307,7 @@ def improved_robot(
             keys[f"encoders.{side}_scale_std"] = parts["wheel_scale"].std
     if truth is not None and not truth.mirrored and "gyro_scale" not in parts:
         # Not sure enough to be taken out, and yet better known than before.
-        left = float(np.hypot(truth.values["gyro_scale"], truth.stds["gyro_scale"]))
+        left = float(np.linalg.norm([truth.values["gyro_scale"], truth.stds["gyro_scale"], by_side]))
         keys["gyro.scale_std"] = min(left, series.robot.initial_std["gyro_scale"])
     keys |= _noise_keys(yaw)
     return asked_anew(series.robot).with_figures(beyond_given(series, keys))

@@ -12,7 +12,7 @@ from scipy import stats
 from gyrocal.diagnosis.drive.motions import AS_LIKELY
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_noise import PathNoise
-from gyrocal.diagnosis.drive.path_strangers import SPINNING
+from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
 from gyrocal.diagnosis.drive.reckoning import Floats
 from gyrocal.inference.gls import Levels, Regression, regress, restricted_levels
 from gyrocal.inference.newton import descend
@@ -114,6 +114,33 @@ def spins(
     others = min([STRANGER_P, *(p for c, p in odd.items() if c != "acceleration")])
     surest = stats.chi2.sf(spinning, 1) < others and spinning > max(gains.values(), default=0.0) + AS_LIKELY
     return bool(surest and problem.with_columns({SPINNING: of_speed[SPINNING]}).told(SPINNING, logs)[0] > 0.0)
+
+
+def beside_uneven(
+    problem: PathProblem,
+    blocks: dict[str, dict[str, Floats]],
+    odd: Mapping[str, float],
+    logs: Floats,
+    usual: float,
+) -> tuple[PathProblem, Mapping[str, float], Mapping[str, float]]:
+    """With turns that are off by one share to the left and by another to the right, p-values with these, and beside them.
+
+    Turns to one side do not tell it from a scale, and a path that it bends is odd over whatever it goes along with. Where the
+    truth shows it the surest of all that has no name it is free, and else within what is `usual` of it.
+    """
+    size = blocks.get("turn_rate", {}).get(ONE_SIZE)
+    if size is None:
+        return problem, odd, odd
+    wider = problem.with_columns({ONE_SIZE: size})
+    p = float(stats.chi2.sf(problem.solve(logs).left - wider.solve(logs).left, 1))
+    surest = p < min([STRANGER_P, *(p for c, p in odd.items() if c != "turn_rate")])
+    if not surest and odd["turn_rate"] < STRANGER_P:
+        return problem, odd, odd
+    del blocks["turn_rate"][ONE_SIZE]
+    if surest:
+        left = oddities(wider, blocks, logs)
+        return wider, {**left, "turn_rate": min(p, odd["turn_rate"])}, left
+    return replace(wider, known={**problem.known, ONE_SIZE: (0.0, usual)}), odd, odd
 
 
 def one_sided(

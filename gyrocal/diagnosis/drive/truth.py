@@ -29,7 +29,7 @@ from gyrocal.diagnosis.drive.path_noise import (
     path_noise,
     stacked,
 )
-from gyrocal.diagnosis.drive.path_problem import PathProblem, oddities, one_sided, spins
+from gyrocal.diagnosis.drive.path_problem import PathProblem, beside_uneven, oddities, one_sided, spins
 from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
 from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, chords, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -56,6 +56,8 @@ _FREE, _WAY_FREE = 4.0, 1.0
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
+#: What a gyro's turns to the one side are usually off by more than those to the other, of its scale's error: half the difference.
+UNEVEN = 0.2
 #: Scales that the truth alone tells apart.
 SCALES = ("gyro_scale", "wheel_scale")
 
@@ -77,7 +79,8 @@ class TruthAnswer:
     values, stds : mapping
         Laws of the bias by their names in `KINDS`, ``bias`` always (beyond what was taken out), ``gyro_scale``,
         ``wheel_scale`` (relative), ``lever_ahead``, ``lever_left`` (m), ``clock`` (s, the truth is late), and
-        ``mounting`` (rad, where there are headings), and `SPINNING` where there are positions.
+        ``mounting`` (rad, where there are headings), `SPINNING` where there are positions, and `ONE_SIZE` where turns to the
+        left and to the right are off by different shares: half the difference, right less left.
     covariance : ndarray, shape (2, 2)
         Of `SCALES`.
     of_laws : ndarray, shape (p, p)
@@ -357,6 +360,7 @@ def ask_truth(
     near: TruthAnswer | None = None,
     *,
     bias_changes: bool = False,
+    uneven_turns: float = 0.0,
 ) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
@@ -372,6 +376,8 @@ def ask_truth(
         Of nearly the same path: its levels of noise are begun from, and it is as mirrored.
     bias_changes : bool
         Whether the bias of each part of the drive is free.
+    uneven_turns : float
+        By what share the gyro's turns may be off to the one side and the other way to the other, as far as is known otherwise.
     """
     levels = None if near is None else near.levels
     base = reckon(series, figures)
@@ -380,9 +386,8 @@ def ask_truth(
     if knots is None:
         return None
     if knots.position is None:
-        return _answer(
-            knots, base, _laid(knots, base, laws, noise, levels), figures, bias_changes=bias_changes
-        )
+        laid = _laid(knots, base, laws, noise, levels)
+        return _answer(knots, base, laid, figures, uneven_turns, bias_changes=bias_changes)
     if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     laid = _laid(knots, base, laws, noise, levels)
@@ -393,30 +398,27 @@ def ask_truth(
         turned = _laid(other, base, laws, noise)
         plain = _laid(replace(knots, heading=None), base, laws, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
-    answer = _answer(knots, base, laid, figures, bias_changes=bias_changes)
+    answer = _answer(knots, base, laid, figures, uneven_turns, bias_changes=bias_changes)
     # What a path misses of its mirror image is no structure of the drive.
     return replace(answer, mirrored=True, odd={}) if mirrored else answer
 
 
 def _answer(
-    knots: Knots, base: Reckoned, laid: _Laid, figures: Figures, *, bias_changes: bool
+    knots: Knots, base: Reckoned, laid: _Laid, figures: Figures, uneven_turns: float, *, bias_changes: bool
 ) -> TruthAnswer:
     state, problem, logs = laid.state, laid.problem, laid.levels.logs
     blocks = path_strangers(knots, _reckoned(knots, base, state))
-    odd = oddities(problem, blocks, logs)
+    odd: Mapping[str, float] = oddities(problem, blocks, logs)
     if spins(problem, blocks, odd, logs):
         problem = problem.with_columns({SPINNING: blocks["acceleration"].pop(SPINNING)})
         odd = oddities(problem, blocks, logs)
-    one_way: dict[str, float] = {}
-    if "turn_rate" in blocks:
-        in_motion = {"step": figures.bias_motion_dps, **dict.fromkeys(MOVING, figures.bias_moving_dps)}
-        whole = {n: v + in_motion.get(n, 0.0) for n, v in state.values.items()}
-        tried = ("", *(n for n in knots.laws if n in in_motion))
-        size, std = blocks["turn_rate"][ONE_SIZE], ALONE[AT_ONCE]
-        one_way = {n: one_sided(problem, size, logs, whole, n, std if n else 1.0) for n in tried}
+    one_way = _one_way(problem, blocks, laid, figures)
+    usual = max(UNEVEN * abs(state.values["gyro_scale"]), uneven_turns, _MODEL_STD)
+    problem, odd, left = beside_uneven(problem, blocks, odd, logs, usual)
+    shown = [ONE_SIZE] if ONE_SIZE in problem.columns and ONE_SIZE not in problem.known else []
     beside: dict[str, Floats] = {}
     for coordinate, more in blocks.items():
-        beside |= more if odd[coordinate] < STRANGER_P else {}
+        beside |= more if left[coordinate] < STRANGER_P else {}
         if bias_changes:
             beside |= {n: column for n, column in more.items() if n in BIAS_PARTS}
     # A scale must hold beside whatever else is in the path.
@@ -435,11 +437,11 @@ def _answer(
         wider = problem.with_columns({SPINNING: spinning})
         found[SPINNING], stds[SPINNING] = wider.told(SPINNING, logs)
     # Parts that the truth does not show by itself are noise.
-    parts = [n for n in names if n in BIAS_PARTS and odd.get("time", 1.0) < STRANGER_P]
+    parts = [n for n in names if n in BIAS_PARTS and left.get("time", 1.0) < STRANGER_P]
     moves_dps = RAD_TO_DEG * bias_moves(*_of(parts, names, values, covariance)) if parts else 0.0
     told = [
         n
-        for n in (*knots.laws, *SCALES, SPINNING, "lever_ahead", "lever_left", "clock", "mounting")
+        for n in (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", "clock", "mounting")
         if n in found
     ]
     return TruthAnswer(
@@ -453,6 +455,20 @@ def _answer(
         bias_moves_dps=moves_dps,
         one_way=one_way,
     )
+
+
+def _one_way(
+    problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], laid: _Laid, figures: Figures
+) -> dict[str, float]:
+    """`TruthAnswer.one_way`; `figures` have what was taken out of the path."""
+    size = blocks.get("turn_rate", {}).get(ONE_SIZE)
+    if size is None:
+        return {}
+    in_motion = {"step": figures.bias_motion_dps, **dict.fromkeys(MOVING, figures.bias_moving_dps)}
+    whole = {n: v + in_motion.get(n, 0.0) for n, v in laid.state.values.items()}
+    tried = ("", *(n for n in whole if n in in_motion))
+    std, logs = ALONE[AT_ONCE], laid.levels.logs
+    return {n: one_sided(problem, size, logs, whole, n, std if n else 1.0) for n in tried}
 
 
 def _of(

@@ -1,0 +1,99 @@
+"""A gyro whose scale differs from turns to the left to those to the right, integrated finely and without a formula of the finder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.drive.engine import Examined, examine
+from gyrocal.diagnosis.drive.findings import _turns_and_way
+from gyrocal.diagnosis.drive.improved import improved_robot
+from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
+from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
+from gyrocal.records.drive import DriveBlock
+from gyrocal.records.robot import Robot, robot_of
+from gyrocal.units import DEG_TO_RAD
+
+Floats = NDArray[np.float64]
+TRACK_M, ROW_S, FINE = 0.5, 0.1, 20
+ROBOT = robot_of({"wheel_separation_m": TRACK_M, "static_s": 9.0}, Path("robot.toml"))
+
+
+def driven(to_left: float, by_side: float, wheels: float, truth_m: float, seed: int) -> DriveBlock:
+    """Ten seconds of rest and 230 s of bends of 3 s, so many of them to the left; the truth every second row."""
+    rng = np.random.default_rng(seed)
+    rows, fine_s = 2400, ROW_S / FINE
+    t = fine_s * np.arange(rows * FINE)
+    bends = np.where(rng.random(80) < to_left, 1.0, -1.0) * rng.uniform(0.0, 25.0, 80)
+    turn_dps = np.where(t > 10.0, bends[(t / 3.0).astype(int)], 0.0)
+    speed = np.where(t > 10.0, 0.8 + 0.2 * np.sin(t / 7.0), 0.0)
+    heading = np.cumsum(DEG_TO_RAD * turn_dps) * fine_s
+    at = np.cumsum(speed * np.exp(1j * heading)) * fine_s
+
+    def by_row(x: Floats) -> Floats:
+        return np.asarray(x.reshape(rows, FINE).mean(axis=1))
+
+    seen_dps: Floats = by_row(turn_dps * (1.0 + by_side * np.sign(turn_dps))) + 0.01 * rng.normal(size=rows)
+    way, half = by_row(speed) * ROW_S, 0.5 * TRACK_M * DEG_TO_RAD * by_row(turn_dps) * ROW_S
+    sides = [(way + sign * half) * (1.0 + wheels) for sign in (-1.0, 1.0)]
+    left, right = (x + 4e-4 * np.sqrt(np.abs(x)) * rng.normal(size=rows) for x in sides)
+    every = np.where(np.arange(rows) % 2 == 0, 1.0, np.nan)
+    east, north = (part[FINE - 1 :: FINE] + truth_m * rng.normal(size=rows) for part in (at.real, at.imag))
+    nothing = np.full(rows, np.nan)
+    ends_s = ROW_S * np.arange(1, rows + 1, dtype=np.float64)
+    segment = np.zeros(rows, dtype=np.int64)
+    return DriveBlock(
+        2, ends_s, left, right, seen_dps, nothing, east * every, north * every, nothing, nothing, segment
+    )
+
+
+def looked_at(
+    to_left: float, by_side: float, wheels: float, truth_m: float, seed: int = 1
+) -> tuple[Examined, Robot | None]:
+    found = examine("log", driven(to_left, by_side, wheels, truth_m, seed), ROBOT, None)
+    return found, improved_robot(found.series, found.yaw, found.truth, found.parts, found.figures)
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_turns_to_one_side_are_no_scale_of_all_turns(seed: int) -> None:
+    """Nearly all bends go to the left, over which the gyro reads 2 % too much; too little over the others: named had been 2 %.
+
+    The truth is too coarse to tell these, the encoders do.
+    """
+    found, robot = looked_at(0.97, 0.02, 0.0, 10.0, seed=seed)
+    sides = sides_of(found.yaw)
+    # Encoders over gyro: 1 / 1.02 against 1 / 0.98.
+    assert sides.apart == pytest.approx(1 / 1.02 - 1 / 0.98, abs=3.0 * sides.apart_std)
+    assert sides.even == pytest.approx(0.5 * (1 / 1.02 + 1 / 0.98) - 1.0, abs=3.0 * sides.even_std)
+    assert sides.one_sided > 0.5
+    assert ratio_of_turns(found.yaw, found.truth) == (sides.even, sides.even_std)
+    assert "gyro_scale" not in found.parts
+    assert robot is None or robot.parameters.gyro.scale == 0.0
+
+
+def test_wheels_are_named_beside_a_gyro_that_differs_by_the_side() -> None:
+    """Structure over the turn rate had hidden a scale of the way, which it hardly moves, and lived over every coordinate."""
+    found, robot = looked_at(0.5, 0.004, 0.01, 0.01)
+    assert found.truth is not None
+    assert [c for c, p in found.truth.odd.items() if p < STRANGER_P] == ["turn_rate"]
+    assert found.truth.values[ONE_SIZE] == pytest.approx(-0.004, abs=3.0 * found.truth.stds[ONE_SIZE])
+    assert [*found.parts] == ["wheel_scale"]
+    scale = found.parts["wheel_scale"]
+    assert scale.value == pytest.approx(0.01, abs=3.0 * scale.std)
+    assert robot is not None
+    # A filter must not trust the turns of such a gyro.
+    assert robot.parameters.gyro.scale_std >= 0.003
+
+
+def test_a_scale_is_named_that_is_more_than_what_differs_by_the_side() -> None:
+    found, _ = looked_at(0.5, 0.002, 0.0, 0.01)
+    assert found.truth is not None
+    for value, named in ((0.01, True), (0.001, False)):
+        values = {**found.truth.values, "gyro_scale": value}
+        truth = replace(found.truth, values=values)
+        assert ("gyro_scale" in _turns_and_way(found.yaw, truth)) == named
