@@ -298,7 +298,9 @@ def _creeping(frame: Frame) -> NDArray[np.bool_]:
     Slow wheels err by nothing, and by the shape of its edges alone a bias in motion would be sure.
     """
     nodes = frame.nodes
-    way_m = np.cumsum(np.abs(frame.steady.left_m) + np.abs(frame.steady.right_m))
+    # Wheels that jump by themselves creep no more than those of a robot that goes on do.
+    smooth, own = (np.abs(x.left_m) + np.abs(x.right_m) for x in (frame.steady, frame.series))
+    way_m = np.cumsum(np.maximum(smooth, own))
     speed_mps = nodes.between(way_m) / np.where(nodes.dt_s > 0, nodes.dt_s, np.inf)
     moving = ~nodes.resting
     usual_mps = float(np.median(speed_mps[moving])) if moving.any() else 0.0
