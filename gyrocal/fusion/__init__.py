@@ -25,6 +25,5 @@ from gyrocal.physics.terms import Term
 __all__ = [
     "STATES", "Aligner", "Coefficients", "Compensator", "Corrected", "Counts", "EncoderFigures", "FilterNoise",
     "GyroFigures", "InitialStd", "Navigator", "Noise", "RobotParameters", "Row", "Rows", "SlipFigures", "SmoothTerm",
-    "StaticBias", "Term", "Trajectory", "Valid", "load_coefficients", "parse_coefficients",
-    "static_bias",
+    "StaticBias", "Term", "Trajectory", "Valid", "load_coefficients", "parse_coefficients", "static_bias",
 ]  # fmt: skip

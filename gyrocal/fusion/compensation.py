@@ -51,13 +51,9 @@ class Compensator:
         self._courses: list[Memory] = [None] * len(self.terms)
 
     def correct(
-        self,
-        t_s: ArrayLike,
-        gyro_dps: ArrayLike,
-        temp_c: ArrayLike,
-        since_power_on_s: ArrayLike | None = None,
-        supply_v: ArrayLike | None = None,
-    ) -> Any:
+        self, t_s: ArrayLike, gyro_dps: ArrayLike, temp_c: ArrayLike,
+        since_power_on_s: ArrayLike | None = None, supply_v: ArrayLike | None = None,
+    ) -> Any:  # fmt: skip
         """Corrected rate, deg/s; scalars in, float out. NaN where there is no solution or no finite input.
 
         A supply that is not read (NaN) counts as that of the recording.
@@ -72,13 +68,9 @@ class Compensator:
         return float(rate[0]) if np.ndim(gyro_dps) == 0 else rate
 
     def evaluate(
-        self,
-        t_s: ArrayLike,
-        gyro_dps: ArrayLike,
-        temp_c: ArrayLike,
-        since_power_on_s: ArrayLike | None = None,
-        supply_v: ArrayLike | None = None,
-    ) -> Corrected:
+        self, t_s: ArrayLike, gyro_dps: ArrayLike, temp_c: ArrayLike,
+        since_power_on_s: ArrayLike | None = None, supply_v: ArrayLike | None = None,
+    ) -> Corrected:  # fmt: skip
         """`correct`, with standard deviations and the flags of `Coefficients.flags`.
 
         The standard deviation is that of the rate by the uncertainty of surface and terms: their joint covariance

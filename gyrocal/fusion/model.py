@@ -2,9 +2,9 @@
 
 One observation a node: encoder heading minus gyro heading (eq. 13), at nodes of fixed spacing, so that the rate of the
 log does not matter. Beside the nine errors of eq. 12 stand the encoders' tick and clock error, which does not
-accumulate; three Gauss-Markov parts of the gyro's bias, which make up its 1/f noise; and the wander of the effective
-track and of one wheel against the other. Wheels slip in proportion to distance and turn. At rest only the gyro makes an
-error, so that its bias is seen.
+accumulate; three Gauss-Markov parts of the gyro's bias, which make up its 1/f noise; the wander of the effective track
+and of one wheel against the other; and what the bias of a rest differs by from that in motion, as it may of a gyro that
+is shaken. Wheels slip in proportion to distance and turn. At rest only the gyro makes an error: its bias is seen.
 
 Without the filter the encoders' turn is used at rest only: heading from the gyro alone, with the bias of its rests.
 
@@ -22,7 +22,7 @@ import numpy as np
 # isort: off
 from gyrocal.fusion.filter import (
     BIAS, BIAS_WALK, BLIND, DRIFT, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
-    NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STOOD, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
+    MOVING, NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STEP, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
     MEMORY_SIZE as PAPER_SIZE, part, rate_of, usable, whole,
 )  # fmt: skip
 
@@ -40,16 +40,15 @@ REST_NODE_S = 1.0
 _ROUNDING = 1e-12
 
 # Error states after the nine.
-TICK, FLICKER_1, FLICKER_2, FLICKER_3, TRACK, WHEELS = range(9, 15)
-_N = 15
+TICK, FLICKER_1, FLICKER_2, FLICKER_3, TRACK, WHEELS, REST, _N = range(9, 17)
 # Their estimates, and what a node has gathered: time, distance, way of right over left wheel, turn by the gyro as it
-# came, turn as it was navigated, variance of turns without a gyro, rows that lack something; then time since the
-# wheels moved, and by how much the smoothed gyro heading is ahead of the plain one.
+# came, turn as it was navigated, variance of turns without a gyro, rows that lack something, time at rest once the robot
+# has moved; then time since the wheels moved, and by how much the smoothed gyro heading is ahead of the plain one.
 AHEAD = PAPER_SIZE
-E, G1, G2, G3, STRAY, PULL, SINCE, TRAVEL = range(AHEAD, AHEAD + 8)
-ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, STILL, SMOOTHED = range(AHEAD + 8, AHEAD + 15)
+E, G1, G2, G3, STRAY, PULL, AT_REST, SINCE, TRAVEL = range(AHEAD, AHEAD + 9)
+ACROSS, BY_GYRO, TURNED, UNSEEN, LOST, RESTED, STILL, SMOOTHED = range(AHEAD + 9, AHEAD + 17)
 # What heading and position change by for a gyro scale wrong by one; how far the temperature was from `TEMP`.
-HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C, MEMORY_SIZE = range(AHEAD + 15, AHEAD + 20)
+HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C, MEMORY_SIZE = range(AHEAD + 17, AHEAD + 22)
 
 # Figures after those of `filter`: spacing of the nodes, s; variance of the tick error, rad^2; of the clocks, s^2; of each
 # part of the flicker, (rad/s)^2; of what wanders, track and wheels, and its memories, s; of the bias step and of that while moving, (rad/s)^2; of its slope,
@@ -77,7 +76,8 @@ def _row(
     nav: Any, figures: Any, dt: float, left: float, right: float, rate: float, encoders: bool, gyro: bool
 ) -> None:
     """Dead reckoning over a row, and what the node gathers."""
-    bias = nav[BIAS] + nav[G1] + nav[G2] + nav[G3]
+    rested = nav[MOVED] - nav[MOVING]
+    bias = nav[BIAS] + nav[G1] + nav[G2] + nav[G3] + rested * nav[AT_REST]
     way_before, turn_before = nav[SPEED] * dt, (nav[SCALE] * nav[RATE] + bias) * dt
     if encoders:
         nav[BLIND] = 0.0
@@ -117,16 +117,18 @@ def _row(
     nav[ACROSS] += across
     nav[TURNED] += turned
     nav[BY_GYRO] += by_scale
+    nav[RESTED] += rested * dt
     nav[STILL] = 0.0 if _moves(left, right) or not encoders else nav[STILL] + dt
 
 
 @part
 def _transit(
-    p: Any, i: int, sin: float, cos: float, right: float, left: float, width: float, raw: float, dt: float, fade: Any,
+    p: Any, i: int, sin: float, cos: float, right: float, left: float, width: float, raw: float, dt: float, rested: float, fade: Any,
 ) -> None:  # fmt: skip
     """The errors of one column of P over a node (eqs. 8, 9, 11), at the mid-point heading."""
     travel, turned = 0.5 * (right + left), (right - left) / width
-    by_gyro = raw * p[SCALE, i] + dt * (p[BIAS, i] + p[FLICKER_1, i] + p[FLICKER_2, i] + p[FLICKER_3, i])
+    bias = p[BIAS, i] + p[FLICKER_1, i] + p[FLICKER_2, i] + p[FLICKER_3, i]
+    by_gyro = raw * p[SCALE, i] + dt * bias + rested * p[REST, i]
     across = right * p[RIGHT, i] - left * p[LEFT, i] - turned * p[WIDTH, i]
     by_wheels = across / width + turned * p[TRACK, i] + travel / width * p[WHEELS, i]
     heading, along = p[PHI, i] + 0.5 * by_gyro, 0.5 * (right * p[RIGHT, i] + left * p[LEFT, i])
@@ -134,7 +136,7 @@ def _transit(
     p[Y, i] += sin * along + cos * travel * heading
     p[PSI, i] += by_wheels - by_gyro
     p[PHI, i] += by_gyro
-    for j in range(TICK, _N):
+    for j in range(TICK, REST):
         p[j, i] *= fade[j - TICK]
 
 
@@ -158,7 +160,7 @@ def _spread(
     if nav[BLIND] > 0.0:
         _noise(p, (2.0 * nav[BLIND] - 1.0) * travel * travel, cos, sin, 0.0, 0.0)
     p[BIAS, BIAS] += figures[BIAS_WALK] * dt
-    for j in range(FLICKER_1, _N):
+    for j in range(FLICKER_1, REST):
         level = figures[FLICKER if j < TRACK else TRACK_VARIANCE + j - TRACK]
         p[j, j] += level * (1.0 - fade[j - TICK] * fade[j - TICK])
     if quiet and not rest:
@@ -239,12 +241,12 @@ def _node(nav: Any, p: Any, figures: Any, counts: Any, rest: bool, filtering: bo
     right, left = nav[TRAVEL] + half, nav[TRAVEL] - half
     for _ in range(2):  # F P F' is F (F P)', for P is symmetric
         for i in range(_N):
-            _transit(p, i, sin, cos, right, left, width, nav[BY_GYRO], dt, fade)
+            _transit(p, i, sin, cos, right, left, width, nav[BY_GYRO], dt, nav[RESTED], fade)
         for i in range(_N):
             for j in range(i):
                 p[i, j], p[j, i] = p[j, i], p[i, j]
     _spread(nav, p, figures, sin, cos, right, left, width, rest, quiet, fade)
-    for j in range(E, SINCE):
+    for j in range(E, AT_REST):
         nav[j] *= fade[j - E]
     nu = expected = 0.0
     if nav[LOST] > 0.0 or not (filtering or rest):
@@ -275,8 +277,7 @@ def _full(nav: Any, figures: Any, dt: float) -> Any:
 def _report(nav: Any, p: Any, figures: Any, out: Any, k: int) -> None:
     """States and standard deviations in the paper's order (eq. 12), degrees; errors of the assumed figures."""
     out[k, 0], out[k, 1], out[k, 2] = nav[X], nav[Y], nav[PSI] * RAD_TO_DEG
-    out[k, 3] = figures[FILE_RIGHT] / nav[RIGHT] - 1.0
-    out[k, 4] = figures[FILE_LEFT] / nav[LEFT] - 1.0
+    out[k, 3], out[k, 4] = figures[FILE_RIGHT] / nav[RIGHT] - 1.0, figures[FILE_LEFT] / nav[LEFT] - 1.0
     out[k, 5] = figures[FILE_WIDTH] - nav[WIDTH]
     out[k, 6], out[k, 7] = nav[PHI] * RAD_TO_DEG, figures[FILE_SCALE] - nav[SCALE]
     out[k, 8] = -(nav[BIAS] + nav[G1] + nav[G2] + nav[G3]) * RAD_TO_DEG
@@ -302,7 +303,8 @@ def initial_covariance(std: Any, figures: Any) -> Any:
     # The encoders cannot tell the gyro's scale from the track: the track is the one that agrees with this gyro, and
     # what the scale does to the pose is carried beside.
     p[SCALE, SCALE] = 0.0
-    p[range(FLICKER_1, _N), range(FLICKER_1, _N)] = figures[[FLICKER] * 3 + [TRACK_VARIANCE, WHEELS_VARIANCE]]
+    fading = range(FLICKER_1, REST)
+    p[fading, fading] = figures[[FLICKER] * 3 + [TRACK_VARIANCE, WHEELS_VARIANCE]]
     return p
 
 
@@ -329,21 +331,28 @@ def _warm(nav: Any, p: Any, figures: Any) -> None:
 
 
 @part
+def _set_off(p: Any, figures: Any) -> None:
+    """What motion adds to the bias is known to its deviations; whether a rest still has the step, rests tell."""
+    step, shaken = figures[STEP] * DEG_TO_RAD, figures[SHAKEN_VARIANCE]
+    p[BIAS, BIAS] += figures[STEP_VARIANCE] + shaken
+    p[REST, REST] += step * step + shaken
+    p[BIAS, REST] = p[REST, BIAS] = -shaken
+
+
+@part
 def _take(
     nav: Any, p: Any, figures: Any, counts: Any, dt: float, left: float, right: float, gyro: float, temp: float,
     smooth: float, out: Any, k: int, filtering: bool,
 ) -> None:  # fmt: skip
     """One row, the node that ends with it, and what is reported."""
-    moved, stood = nav[MOVED], nav[STOOD] >= STILL_S
+    moved = nav[MOVED]
     some, encoders, good = usable(nav, figures, counts, dt, left, right, gyro)
     out[k, NU] = out[k, NU + 1] = math.nan
     if some:
         nu = expected = 0.0
         rate = rate_of(nav, figures, dt, gyro, temp, left, right)
-        # A rest tells the bias without what motion adds to it.
-        begins = nav[MOVED] > moved
-        p[BIAS, BIAS] += figures[STEP_VARIANCE] if begins else 0.0
-        p[BIAS, BIAS] += figures[SHAKEN_VARIANCE] if begins or (stood and nav[STOOD] == 0.0) else 0.0
+        if nav[MOVED] > moved:
+            _set_off(p, figures)
         _warm(nav, p, figures)
         if _resting(nav) and _moves(left, right):
             nu, expected = _node(nav, p, figures, counts, False, filtering)

@@ -107,7 +107,7 @@ class GyroFigures(_Figures):
 
     bias_dps: float = figure(0.0, -1e3, 1e3)
     bias_dps_std: float = figure(0.0, 0.0, 1e3)
-    bias_motion_dps: float = figure(0.0, -100.0, 100.0)  # added once the robot has moved, and from then on
+    bias_motion_dps: float = figure(0.0, -100.0, 100.0)  # added once the robot has moved; rests may lack it
     bias_motion_dps_std: float = figure(0.0, 0.0, 100.0)
     bias_moving_dps: float = figure(0.0, -100.0, 100.0)  # added while it moves, of a gyro that is shaken
     bias_moving_dps_std: float = figure(0.0, 0.0, 100.0)

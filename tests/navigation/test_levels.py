@@ -13,7 +13,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion import Aligner, Navigator, RobotParameters, Rows
 from gyrocal.navigation import levels
 from gyrocal.navigation.equip import equip
-from gyrocal.navigation.judge import judge
+from gyrocal.navigation.judge import ERRS, judge
 from gyrocal.navigation.levels import LAG1_LIMIT, NIS_RANGE, Whiteness, rest_walk, whiteness
 from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.records.drive import DriveBlock
@@ -202,10 +202,26 @@ def test_a_filter_is_followed_where_it_moves_the_path_by_more_than_it_is_unsure_
         filtered, whiteness=Whiteness(1.0, 0.0, 1.0, 10), drift_m=3.0, x_m=alone.x_m, y_m=alone.y_m
     )
     alone = replace(alone, drift_m=5.0)
-    for apart_m, gain, left in ((0.0, 1.0, True), (1.0, 0.949, True), (4.0, 0.6, False)):
+    # What either path errs by, drawn: both by what the filter promises, the gyro by what the filter took off it as well, and the
+    # filter by what it does not know of itself.
+    rng, n = np.random.default_rng(4), 4_000_000
+    taken_m, own_m = 4.0 * rng.normal(size=n), 3.0 * math.sqrt(ERRS**2 - 1.0) * rng.normal(size=n)
+    for apart_m, left in ((0.0, True), (1.0, True), (4.0, False)):
+        seen = np.abs(taken_m - own_m - apart_m) < 0.1
+        filter_m, gyro_m = (math.sqrt(9.0 + np.mean(x[seen] ** 2)) for x in (own_m, taken_m))
         judged = judge(alone, replace(sure, y_m=alone.y_m + apart_m))
-        assert judged.gain == pytest.approx(gain, abs=1e-3)
+        assert judged.gain == pytest.approx(filter_m / gyro_m, abs=3e-3)
         assert judged.left_to_gyro == left
+
+
+def test_a_filter_that_hardly_betters_the_gyro_is_not_followed_however_far_it_moves_the_path() -> None:
+    """As where slip lasts for a turn, which no innovation shows: what it moves is then its own error as likely as the gyro's."""
+    found = replayed(draw(np.random.default_rng(3), rest_s=1.0))
+    alone, filtered = found.tracks
+    sure = replace(filtered, whiteness=Whiteness(1.0, 0.0, 1.0, 10), drift_m=1.7, x_m=alone.x_m)
+    judged = judge(replace(alone, drift_m=2.0), replace(sure, y_m=alone.y_m + 2.0))
+    assert judged.consistent
+    assert judged.left_to_gyro
 
 
 def test_a_filter_that_moves_the_path_by_more_than_both_deviations_allow_is_not_followed() -> None:

@@ -10,7 +10,8 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given
 from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate, unexpected_bias
-from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, reference_temp_c, strangers
+from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, SETTLING, reference_temp_c, strangers
+from gyrocal.diagnosis.drive.motions import of_motion
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
@@ -109,6 +110,20 @@ def _told(
 ) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of laws that the heading difference names, and of what the truth shows."""
     return {n: told_estimate(yaw, truth, n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
+
+
+def _foretold_motion(yaw: YawAnswer, name: str, told: tuple[float, float]) -> tuple[float, float]:
+    """A law of the motion for the next drive, with what a bias that settles beside it does in the mean.
+
+    A gyro that warms up on one drive does so on the next, which no robot file holds: without that, what cancels it would be
+    taken out alone.
+    """
+    lasting = {n: x for n, x in yaw.nameless.items() if n not in SETTLING}
+    if len(lasting) == len(yaw.nameless):
+        return told
+    alone = replace(yaw, nameless=lasting).less(["jump"])
+    away = alone.estimate(name)[0] - yaw.estimate(name)[0]
+    return told[0] + away, float(np.hypot(told[1], away))
 
 
 def _moving(told: Iterable[str]) -> str:
@@ -277,6 +292,7 @@ def improved_robot(
     if series.robot.static_s == 0:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
     told = _told(yaw, truth, parts, lasting)
+    told |= {n: _foretold_motion(yaw, n, told[n]) for n in of_motion(lasting)}
     for law in (n for n in told if n in KINDS and KINDS[n].figure):
         keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = told[law]
     if moving := _moving(told):

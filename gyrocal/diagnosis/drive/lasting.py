@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.drive.laws import KINDS, Law
-from gyrocal.diagnosis.drive.motions import settling_beats
+from gyrocal.diagnosis.drive.laws import KINDS, SETTLING, Law
+from gyrocal.diagnosis.drive.motions import settling_beats, settling_beside
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, weighed_of
 from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, YawModel
@@ -39,9 +39,12 @@ def uneven(
         column = laws[name].column
         weight = np.cumsum(column**2)
         part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
-        columns = {n: laws[n].column for n in chosen}
+        # A bias that settles does so at rest as well: it is no change of what the motion adds.
+        settling = [n for n in laws if n in SETTLING and KINDS[name].group == "motion"]
+        beside = [*chosen, *settling]
+        columns = {n: laws[n].column for n in beside}
         more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
-        gain = evidence(model, columns | more).added(chosen, list(more))
+        gain = evidence(model, columns | more).added(beside, list(more))
         p = len(tried) * float(stats.chi2.sf(gain, len(more)))
         if p < STRANGER_P:
             found[name] = (gain, len(more), p)
@@ -128,6 +131,7 @@ def undenied(
     fitted: Sequence[str],
     named: Mapping[str, float],
     odd: Mapping[str, Test],
+    least_gain: float,
 ) -> tuple[dict[str, float], dict[str, Test]]:
     """Named laws less those that the log itself speaks against, and tests by coordinate with what these gained there.
 
@@ -141,7 +145,11 @@ def undenied(
     if grown and 12.0 * odd["delay"][0] > _GROWS**2 * named["delay"]:
         denied["delay"] = ("delay", odd["delay"])
     for name in (n for n in named if KINDS[n].group == "motion" or n == "slope"):
-        if settling_beats(told, [n for n in fitted if n != name], name):
+        beside = [n for n in fitted if n != name]
+        # Beside one that is there, too, what came with the motion stays.
+        settling = settling_beside(told, fitted, least_gain)
+        stays = settling is not None and told.added([*beside, settling], [name]) >= least_gain
+        if settling_beats(told, beside, name) and not stays:
             denied[name] = ("time", _test(named[name]))
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]
     if any(n in named for n in of_turns):

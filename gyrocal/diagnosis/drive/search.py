@@ -29,6 +29,7 @@ from gyrocal.diagnosis.drive.motions import (
     may_be_another,
     motion_beats_wheels,
     of_motion,
+    settling_beside,
     temperature_for_motion,
     with_central_lag,
 )
@@ -266,7 +267,7 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
         ahead_s += float(rest_s)
     # What has no name would swell the noise, the gyro's as well as the wheels', as a law would that is not in the mean; but
     # for wheels that change at an instant, which are no columns of a coordinate.
-    again = answer.nameless and not answer.changed
+    again = not answer.changed and any(n not in SETTLING for n in answer.nameless)
     before = answer if again else None
     answer = answer if before is None else _examine(series, ahead_s, window_s, before)
     if "asymmetry" not in answer.named:
@@ -336,7 +337,7 @@ def _examine(
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     chosen, odd = _with_sure_jump(told, chosen, beside, odd)
     earned = _named(told, chosen, beside, ahead_s)
-    named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
+    named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd, GAIN)
     named, changing = outlasting(model, everything, chosen, named)
     at_once = events(model, {n: columns[n] for n in (*chosen, *beside)}, known, named, GAIN)
     if at_once.size:
@@ -344,6 +345,9 @@ def _examine(
     chosen = [n for n in chosen if n in (*constant, "delay", "jump", *named) or _pair_of(n) in named]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
+    settling = settling_beside(told, [*chosen, *unnamed], GAIN) if of_motion(named) else None
+    if settling is not None:
+        unnamed = {**unnamed, settling: columns[settling]}
     values, covariance = told.own.solve([*chosen, *unnamed])
     odd = odder(odd, "time", *changing.values())
     return YawAnswer(

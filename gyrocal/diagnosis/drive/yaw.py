@@ -56,6 +56,8 @@ _LEAST_TICK_M, _STILL = 1e-6, 1e-5
 _TOLD = 1e-9
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
 LEFT_OUT = 1.0
+#: Share of the usual speed below which wheels creep.
+_CREEPING = 0.1
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, NEIGHBOURS = 5.0, 2
 #: Intervals at rest that tell how widely they scatter, and how often those that stand out are looked for anew.
@@ -268,7 +270,7 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
     usual = usual_noise(frame.series)
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
     starting = ~frame.nodes.resting & ~frame.series.moved[frame.nodes.rows[:-1]]
-    left_out = np.where(frame.nodes.broken | starting, LEFT_OUT, 0.0)
+    left_out = np.where(frame.nodes.broken | starting | _creeping(frame), LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
     sources = _Sources.of(frame)
@@ -288,6 +290,21 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
         model = YawModel(frame, y, noise, usual, left_out, outliers, log_std)
         found = [_turned_by_hand(model, _scores(model, columns))]
     return _with_usual_flicker(model)
+
+
+def _creeping(frame: Frame) -> NDArray[np.bool_]:
+    """Intervals in which wheels set off or come to stand: what motion adds to a bias may begin and end at any speed of these.
+
+    Slow wheels err by nothing, and by the shape of its edges alone a bias in motion would be sure.
+    """
+    nodes = frame.nodes
+    # Wheels that jump by themselves creep no more than those of a robot that goes on do.
+    smooth, own = (np.abs(x.left_m) + np.abs(x.right_m) for x in (frame.steady, frame.series))
+    way_m = np.cumsum(np.maximum(smooth, own))
+    speed_mps = nodes.between(way_m) / np.where(nodes.dt_s > 0, nodes.dt_s, np.inf)
+    moving = ~nodes.resting
+    usual_mps = float(np.median(speed_mps[moving])) if moving.any() else 0.0
+    return np.asarray(moving & (speed_mps < _CREEPING * usual_mps))
 
 
 def _with_usual_flicker(model: YawModel) -> YawModel:

@@ -431,3 +431,37 @@ def test_a_bias_that_settles_is_no_step_that_the_next_drive_has(resting: Robot) 
         assert ("time" in [p.coordinate for p in found.diagnosis.located if p.remains]) != lasts
         written = found.robot is not None and found.robot.parameters.gyro.bias_motion_dps != 0.0
         assert written == lasts
+
+
+@pytest.mark.parametrize("warm_dps", [0.0, 0.3])
+def test_a_bias_in_motion_is_no_wheel_that_differs_where_it_ends_before_the_last_tick(
+    warm_dps: float, resting: Robot
+) -> None:
+    """A robot that creeps to a stand no longer shakes its gyro, and one that was just switched on warms up meanwhile."""
+    rng, hz = np.random.default_rng(5), 20.0
+    t = np.arange(0.0, 420.0, 1.0 / hz)
+    goal = np.zeros(t.size)
+    for begin_s, speed_mps in zip(range(30, 400, 30), [0.5, 1.0, 0.7, 1.2, 0.4, 0.9] * 3, strict=False):
+        goal[(t >= begin_s) & (t < begin_s + 26.0)] = speed_mps
+    # Wheels come to stand as a first-order lag has it, and the last millimetres take long.
+    speed_mps = lfilter([0.15], [1.0, -0.85], goal)
+    turn_dps = 12.0 * np.sin(t / 4.0) * (speed_mps > 0.3)
+    added_dps = 0.1 * (speed_mps > 0.05) + warm_dps * np.exp(-t / 80.0)
+    white_dps = 0.004 * np.sqrt(hz) * rng.normal(size=t.size)
+    half_m = 0.5 * resting.wheel_separation_m * np.radians(turn_dps) / hz
+    ways_m = []
+    for way_m in (speed_mps / hz - half_m, speed_mps / hz + half_m):
+        slipped_m = way_m + 6e-4 * np.sqrt(np.abs(way_m)) * rng.normal(size=t.size)
+        ways_m.append(2e-4 * np.diff(np.floor(np.cumsum(slipped_m) / 2e-4), prepend=0.0))
+    none = np.full(t.size, np.nan)
+    gyro_dps = turn_dps + added_dps + white_dps
+    log = DriveBlock(2, t, ways_m[0], ways_m[1], gyro_dps, none, none, none, none)
+    found = diagnose_drive("log", log, resting)
+    effects = {e.effect: e for e in found.diagnosis.effects}
+    assert "gyro_bias" in effects
+    assert "wheel_asymmetry" not in effects
+    amplitude = effects["gyro_bias"].parameters["amplitude"]
+    assert amplitude.value == pytest.approx(100.0, abs=3 * amplitude.std)
+    assert amplitude.std < 20.0
+    asymmetry = next(e for e in found.estimates if e.name == "wheel_asymmetry")
+    assert abs(asymmetry.value) < 3 * asymmetry.std
