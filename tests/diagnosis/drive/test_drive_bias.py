@@ -441,8 +441,8 @@ def test_a_bias_in_motion_is_no_wheel_that_differs_where_it_ends_before_the_last
     rng, hz = np.random.default_rng(5), 20.0
     t = np.arange(0.0, 420.0, 1.0 / hz)
     goal = np.zeros(t.size)
-    for begin_s, speed_mps in zip(range(30, 400, 30), [0.5, 1.0, 0.7, 1.2, 0.4, 0.9] * 3, strict=False):
-        goal[(t >= begin_s) & (t < begin_s + 26.0)] = speed_mps
+    for begin_s, cruise_mps in zip(range(30, 400, 30), [0.5, 1.0, 0.7, 1.2, 0.4, 0.9] * 3, strict=False):
+        goal[(t >= begin_s) & (t < begin_s + 26.0)] = cruise_mps
     # Wheels come to stand as a first-order lag has it, and the last millimetres take long.
     speed_mps = lfilter([0.15], [1.0, -0.85], goal)
     turn_dps = 12.0 * np.sin(t / 4.0) * (speed_mps > 0.3)
