@@ -148,7 +148,7 @@ def undenied(
         beside = [n for n in fitted if n != name]
         # Beside one that is there, too, what came with the motion stays.
         settling = settling_beside(told, fitted, least_gain)
-        stays = settling is not None and told.added([*beside, settling], [name]) >= least_gain
+        stays = bool(settling) and told.added([*beside, *settling], [name]) >= least_gain
         if settling_beats(told, beside, name) and not stays:
             denied[name] = ("time", _test(named[name]))
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]

@@ -94,16 +94,15 @@ def settling_beats(told: Evidence, beside: Sequence[str], name: str, least: floa
     return settling > max(least, told.added(beside, [name]) + AS_LIKELY)
 
 
-def settling_beside(told: Evidence, beside: Sequence[str], least: float) -> str | None:
-    """The likeliest law of a bias that settles by itself beside others; None where it is not there.
+def settling_beside(told: Evidence, beside: Sequence[str], least: float) -> tuple[str, ...]:
+    """The likeliest law of a bias that settles by itself beside others; none where it is not there.
 
     Parameters
     ----------
     least : gain from which on it is there
     """
     gains = {n: told.added(beside, [n]) for n in told.own.names if n in SETTLING}
-    best = max(gains, key=lambda n: gains[n], default=None)
-    return None if best is None or gains[best] < least else best
+    return tuple(n for n in sorted(gains, key=lambda n: -gains[n])[:1] if gains[n] >= least)
 
 
 def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Sequence[str]) -> bool:

@@ -345,17 +345,14 @@ def _examine(
     chosen = [n for n in chosen if n in (*constant, "delay", "jump", *named) or _pair_of(n) in named]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
-    settling = settling_beside(told, [*chosen, *unnamed], GAIN) if of_motion(named) else None
-    if settling is not None:
-        unnamed = {**unnamed, settling: columns[settling]}
-    values, covariance = told.own.solve([*chosen, *unnamed])
+    settling = settling_beside(told, [*chosen, *unnamed], GAIN) if of_motion(named) else ()
+    unnamed = {**unnamed, **{n: columns[n] for n in settling}}
     odd = odder(odd, "time", *changing.values())
     return YawAnswer(
         model,
         everything,
         tuple(chosen),
-        values,
-        covariance,
+        *told.own.solve([*chosen, *unnamed]),
         named,
         odd,
         tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P),

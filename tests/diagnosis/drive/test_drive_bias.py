@@ -113,7 +113,9 @@ def test_a_bias_that_comes_with_the_motion_is_named_and_goes_into_the_file(
     assert found.robot is not None
     gyro = found.robot.parameters.gyro
     assert gyro.bias_moving_dps == pytest.approx(0.03, abs=3 * gyro.bias_moving_dps_std)
-    assert (gyro.bias_motion_dps, gyro.bias_moving_s) == (0.0, lag_s)
+    assert gyro.bias_motion_dps == 0.0
+    # Intervals in which wheels set off or creep say nothing, and with them goes half of what tells the delay.
+    assert gyro.bias_moving_s == pytest.approx(lag_s, rel=0.35)
     told = [e.name for e in found.estimates]
     assert "gyro_bias_while_moving" in told
     assert "gyro_bias_in_motion" not in told
