@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
 from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.blocks import ODD, plain
 from gyrocal.diagnosis.coil import averaged
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named
+from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Law, Model, beyond_input
@@ -51,7 +50,7 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         named.append((gain, replace(found_as, beside=where)))
     if _of_the_input(found):
         share = _input_share(found)
-        p = float(chi2.sf(2.0 * found.naming.input_gain, 1))
+        p = by_chance(found.naming.input_gain, 1)
         # What leaves as little of what is odd in the rate explains it as well.
         near = dict(found.naming.nearest.get(ODD, {}))
         near[SAGNAC_SINE.id] = min(near.get(SAGNAC_SINE.id, np.inf), _of_a_sine(share))
@@ -176,7 +175,7 @@ class _Searched:
     @property
     def p_value(self) -> float:
         """Probability that it gains as much by chance, beyond what laws pay there."""
-        return float(chi2.sf(2.0 * max(self.nats, 0.0), 2 if self.law is None else 1))
+        return by_chance(self.nats, 2 if self.law is None else 1)
 
 
 def _searched(found: Examination) -> list[_Searched]:

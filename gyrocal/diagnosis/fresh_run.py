@@ -79,11 +79,11 @@ def gain_on_a_fresh_run(improved: Coefficients, surface: Coefficients, means: Me
         by_row, covariance = _uncertainty(improved, c)
         # An output that no rate gives has no derivative either.
         by_row = np.where((d != 0.0)[:, None] & np.isfinite(by_row), by_row, 0.0)
-        along = d @ by_row
+        along, square = d @ by_row, float(d @ d)
         spread = 2.0 * float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
-        chances.append(norm.cdf(float(d @ d) / spread) if spread > 0.0 else 0.5)
-        own += max(float(np.einsum("ij,jk,ik->", by_row, covariance, by_row)), 0.0)
-        its += float(d @ d)
+        chances.append(norm.cdf(square / spread) if spread > 0.0 else 0.5)
+        own += max(float(np.sum((by_row @ covariance) * by_row)), 0.0)
+        its += square
     return Gain(float(np.mean(chances)), float(np.sqrt(own / (own + its))) if its > 0.0 else 1.0)
 
 

@@ -34,6 +34,11 @@ _MISFIT = 0.05
 _MOST_LAWS = 3
 
 
+def by_chance(nats: float, amplitudes: int, trials: int = 1) -> float:
+    """Probability that the best of some trials, of so many amplitudes each, gains as much where nothing is."""
+    return min(1.0, trials * float(chi2.sf(2.0 * max(nats, 0.0), amplitudes)))
+
+
 @dataclass(frozen=True)
 class Named:
     """A law that was named.
@@ -62,7 +67,7 @@ class Named:
     @property
     def p_value(self) -> float:
         """Probability that the best of as many shapes gains as much by chance."""
-        return min(1.0, self.trials * float(chi2.sf(2.0 * max(self.gain, 0.0), self.law.columns.shape[1])))
+        return by_chance(self.gain, self.law.columns.shape[1], self.trials)
 
 
 def passes(effect: Effect) -> bool:

@@ -43,7 +43,7 @@ def of_one_surface(near: Sequence[tuple[float, Fitted]]) -> list[tuple[float, Fi
     Beside a sine the surface may be what it is not beside a knee; over the output their mean is neither's.
     """
     settled = [_instead(np.log(weight), model, around_itself(model)) for weight, model in near]
-    chosen = [(log, model) for log, model in settled if _same_bend(model, settled[0][1])]
+    chosen = [one for one, same in zip(settled, _as_the_first([m for _, m in settled]), strict=True) if same]
     if len(chosen) < len(near):
         straight = [_instead(log, model, _straight(model)) for log, model in settled]
         chosen = max(chosen, straight, key=lambda models: np.logaddexp.reduce([log for log, _ in models]))
@@ -67,16 +67,20 @@ def _bend(fitted: Fitted) -> Floats:
     return fitted.model.bend_of(fitted.solve())
 
 
-def _same_bend(fitted: Fitted, other: Fitted) -> bool:
-    """Whether two surfaces have the same mean as their parameters have, at every row."""
-    if fitted.model.direction != other.model.direction:
-        return False
-    if fitted.model.direction == "input":
-        return True
-    bends = [_bend(f) for f in (fitted, other)]
-    own, its = (beyond_input(fitted.model.basis, bend) for bend in bends)
-    least_dps = NEGLIGIBLE * float(np.std(fitted.solve().left))
-    return bool(np.max(np.abs((own - its) @ (bends[0] - bends[1]))) < least_dps)
+def _as_the_first(models: Sequence[Fitted]) -> list[bool]:
+    """Whether the surface of each has with that of the first the mean that their parameters have, at every row."""
+    direction, basis = models[0].model.direction, models[0].model.basis
+    alike = [fitted.model.direction == direction for fitted in models]
+    if direction == "input":
+        return alike
+    solution = models[0].solve()
+    bend, least_dps = models[0].model.bend_of(solution), NEGLIGIBLE * float(np.std(solution.left))
+    beyond = beyond_input(basis, bend)
+
+    def near(other: Floats) -> bool:
+        return bool(np.max(np.abs((beyond_input(basis, other) - beyond) @ (other - bend))) < least_dps)
+
+    return [same and near(_bend(fitted)) for same, fitted in zip(alike, models, strict=True)]
 
 
 def or_lasting(

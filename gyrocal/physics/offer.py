@@ -120,16 +120,18 @@ def many_rates(offer: Offer) -> Reason | None:
 
 def many_sizes(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a shape that is odd in it beyond the cubic."""
-    if offer.turning_sizes >= _FEWEST_SIZES:
-        return None
-    return Lack(Why.FEW_SIZES, {"count": offer.turning_sizes, "fewest": _FEWEST_SIZES})
+    return _turning_sizes(offer, _FEWEST_SIZES)
 
 
 def sizes_for_knee(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a knee beside the cubic, which has a place and a height, and one to check them by."""
-    if offer.turning_sizes >= _FEWEST_FOR_KNEE:
+    return _turning_sizes(offer, _FEWEST_FOR_KNEE)
+
+
+def _turning_sizes(offer: Offer, fewest: int) -> Reason | None:
+    if offer.turning_sizes >= fewest:
         return None
-    return Lack(Why.FEW_SIZES, {"count": offer.turning_sizes, "fewest": _FEWEST_FOR_KNEE})
+    return Lack(Why.FEW_SIZES, {"count": offer.turning_sizes, "fewest": fewest})
 
 
 def sizes_for_peak(offer: Offer) -> Reason | None:

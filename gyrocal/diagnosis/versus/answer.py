@@ -383,6 +383,7 @@ def _parameter_json(entry: Mapping[str, Any], estimate: Estimate | None, one_of:
     if estimate is not None:
         low, high = estimate.interval_95
         told = estimate.to_json()
+        # What has no interval is in none, and beyond none.
         if one_of or not (value < low or value > high):
             return told | ({} if one_of else {"value": value})
         # Smooth parts have the rest of it: the sum needs the share that this term has, and a reader what all of it is.
