@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.blocks import ODD
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.edges import with_edges
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of
@@ -157,6 +158,15 @@ class TableSearch:
     def beside(self, laws: Sequence[Law]) -> TableSearch:
         """The search over models that have some laws, which compare with these."""
         return TableSearch(self.base.with_laws(*laws), _contrasts={None: self._contrasts[None]})
+
+    def with_edges(self, candidate: Candidate) -> TableSearch | None:
+        """The search beside the edges over temperature that stand in the place of a model's laws that pass; None without any."""
+        stays = tuple(change for change in candidate.changes if change.effect not in (*STEPS, *DRIFTS))
+        edged = with_edges(self.fit(candidate.coil, stays, candidate).fitted).model
+        parts = [p for p in edged.parts if p not in self.base.parts]
+        if not parts:
+            return None
+        return TableSearch(self.base.with_parts(parts), _contrasts={None: self._contrasts[None]})
 
     def less_shapes(self) -> TableSearch:
         """The search over models without smooth shapes in temperature, which compare with these.

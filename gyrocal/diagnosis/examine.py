@@ -24,26 +24,39 @@ from gyrocal.diagnosis.coil import (
     averaged,
     best_of_each,
 )
-from gyrocal.diagnosis.in_place import Named
+from gyrocal.diagnosis.edges import with_edges
+from gyrocal.diagnosis.in_place import Named, is_passing
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
-from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Model, fit_model, full_model, surface_of
+from gyrocal.diagnosis.layers import (
+    WANDERING_BIAS,
+    WANDERING_SCALE,
+    Fitted,
+    Model,
+    fit_model,
+    full_model,
+    surface_of,
+)
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, name
 from gyrocal.diagnosis.open_loop import with_open_loop
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
+from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
 from gyrocal.diagnosis.within import Pattern, patterns
 from gyrocal.inference.additive import Component, Solution
+from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
 
 #: Blocks that follow the temperature, and with it the order of the plan.
 _FOLLOWING = ("memory", "temperature")
+#: Block of a scale factor that wanders.
+_SCALE_IN_TIME = "scale in time"
 #: Where variances start that are to be tried last.
 _LOW_START = -9.0
 
@@ -124,15 +137,58 @@ def examine(series: Series, level: float) -> Examination:
         return _table(left, found)
     full = full_model(means)
     full, fitted = with_tails(full, fit_anyhow(full))
+    first = _account(full, with_edges(fitted))
+    still = _without_what_passes(full, fitted, first)
+    best = first if still is None or first.cost <= still.cost else still
+    return Examination(left, found, best.whole, best.worth, best.naming, best.laws)
+
+
+@dataclass(frozen=True)
+class _Account:
+    """One account of a run; `cost` is its negative log evidence with what its laws pay, nats."""
+
+    whole: Fitted
+    worth: Mapping[str, float]
+    naming: Naming
+    laws: Laws
+    cost: float
+
+    @property
+    def passing(self) -> list[str]:
+        """Components of what wanders in it, or has a name that could be that."""
+        of_scale = ["rate_dps" in CATALOGUE[n.law.effect].needs for n in self.naming.named if is_passing(n)]
+        names = [*WANDERING_SCALE] if any(of_scale) or _SCALE_IN_TIME in self.naming.unnamed else []
+        return names if all(of_scale) else [*names, *WANDERING_BIAS]
+
+
+def _account(full: Model, fitted: Fitted) -> _Account:
+    """A run's layers and names.
+
+    Parameters
+    ----------
+    full : with all that passes, which may have died since
+    """
     whole = settle_direction(alive(fitted))
-    laws = laws_of(means, surface_of(whole.model, whole.solve()))
+    laws = laws_of(full.means, surface_of(whole.model, whole.solve()))
     passes = wandering(full)
     beside, jumps = _with_jumps(whole, passes, laws)
     if jumps:
         beside = settle_direction(beside)
     settled, worth = present(errors_of_each_rate(beside, draws_of(full)))
     naming, laws = name(settled, worth, laws, [*map(jumped, jumps)], passes)
-    return Examination(left, found, whole, worth, naming, laws)
+    paid = sum(paid_by(n) for n in naming.named if naming.fitted.model.holds(n.law))
+    return _Account(whole, worth, naming, laws, naming.fitted.nll + paid)
+
+
+def _without_what_passes(full: Model, fitted: Fitted, first: _Account) -> _Account | None:
+    """Another account of a run, in which nothing passes of what did in the first; None where nothing did.
+
+    A plan goes through temperatures in turn, and what wanders or jumps follows any shape in temperature.
+    """
+    if not (names := first.passing):
+        return None
+    model = full.without(names)
+    return _account(model, with_edges(fitted.refit(model)))
 
 
 @dataclass(frozen=True)
@@ -175,9 +231,8 @@ def _paid(named: Named) -> float:
 
 
 def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
-    base = full_model(means_of(series), memory=False)
-    search = TableSearch(base)
-    ranked = search.run()
+    search = TableSearch(full_model(means_of(series), memory=False))
+    search, ranked = _or_with_edges(search, search.run())
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
     before = _round(search, ranked)
@@ -202,6 +257,16 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
     models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
     return Examination(series, found, last.best, last.worth, naming, laws, *models, frozenset(mending), aside)
+
+
+def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
+    """A search and its models, or those beside edges over temperature that explain more than they do."""
+    found = search.with_edges(ranked[0])
+    if found is not None:
+        edged = found.run(best_of_each(ranked)[:BEGUN_WITH])
+        if edged[0].score < ranked[0].score:
+            return found, edged
+    return search, ranked
 
 
 def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] = ()) -> _Round:

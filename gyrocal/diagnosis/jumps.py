@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import GAIN, Laws
-from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.layers import WANDERING_BIAS, WANDERING_SCALE, Fitted, Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import tells_of_scale
 from gyrocal.inference.additive import Component
@@ -26,6 +26,8 @@ Ints = NDArray[np.int64]
 
 #: What each kind of jump is compared with, once it is found.
 _SLOW = {BIAS_STEP.id: BIAS_DRIFT, SCALE_STEP.id: SCALE_DRIFT}
+#: What wanders where each kind of jump may be.
+_WANDERS = {BIAS_STEP.id: WANDERING_BIAS, SCALE_STEP.id: WANDERING_SCALE}
 #: Rows on either side of a jump: fewer are a stray data set.
 _FEWEST_ROWS = 3
 #: Instants within the rows beside a boundary, and how often they are taken closer.
@@ -48,11 +50,13 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     Parameters
     ----------
     passes : what passes, that may have died in `fitted` and is to stand beside each jump
+        What does not wander does not jump either.
     """
     found: list[Jump] = []
+    kinds = [effect for effect, names in _WANDERS.items() if any(c.name in names for c in passes)]
     wide = fitted.refit(fitted.model.with_components(*passes))
     while True:
-        tried = [_best(wide, laws, effect) for effect in (BIAS_STEP.id, SCALE_STEP.id)]
+        tried = [_best(wide, laws, effect) for effect in kinds]
         gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
         gains = [g for g in gains if g[0] > GAIN + 0.5 * np.log(g[2])]
         if not gains:
@@ -88,12 +92,12 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
     unit = MDPS * np.ones(len(means)) if effect == BIAS_STEP.id else PPM * means.rate_dps
     most = CATALOGUE[effect].parameter("amplitude").high
     later = np.where(np.arange(len(means))[:, None] >= rows, unit[:, None], 0.0)
-    row = int(rows[int(np.argmax(_gains(later, score, p, most)))])
+    row = int(rows[int(np.argmax(gains(later, score, p, most)))])
     at_s, reach_s = float(means.from_s[row]), float(means.to_s[row] - means.from_s[row - 1]) / 2.0
     for _ in range(_ZOOMS):
         instants = np.concatenate([[at_s], np.linspace(at_s - reach_s, at_s + reach_s, _WITHIN)])
         near = [laws.at(CATALOGUE[effect], {"at_s": float(at)})[:, 0] for at in instants]
-        best = int(np.argmax(_gains(np.column_stack(near), score, p, most)))
+        best = int(np.argmax(gains(np.column_stack(near), score, p, most)))
         at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
     law = Law(effect, {"at_s": at_s}, near[best][:, None])
     found = fitted.refit(fitted.model.with_laws(law))
@@ -102,7 +106,7 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
     return (found, int(rows.size)) if possible else None
 
 
-def _gains(columns: Floats, score: Floats, p: Floats, most: float) -> Floats:
+def gains(columns: Floats, score: Floats, p: Floats, most: float = np.inf) -> Floats:
     """Twice the log-likelihood that each column gains by itself, shape (m,), with an amplitude of `most` at the most."""
     information = np.einsum("ij,ij->j", columns, p @ columns)
     enough = information > 1e-9 * np.max(information, initial=0.0)

@@ -38,8 +38,8 @@ Floats = NDArray[np.float64]
 _DEAD = -16.0
 #: What adds less than this share of the noise of a row anywhere is left out of the file.
 NEGLIGIBLE = 0.03
-#: Components of a scale factor that wanders.
-WANDERING_SCALE = ("scale line", "scale walk")
+#: Components of a scale factor, and of a bias, that wander.
+WANDERING_SCALE, WANDERING_BIAS = ("scale line", "scale walk"), ("bias walk",)
 #: Instants at which a long record is looked at for steps of the bias and the scale factor.
 _STEPS = 60
 #: Name of the component that bends a surface of the input to one of the output.

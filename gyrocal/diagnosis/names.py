@@ -32,7 +32,7 @@ from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import changing, without_mending
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING
 from gyrocal.diagnosis.rivals import or_lasting
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
@@ -176,6 +176,8 @@ def _unseen(
     found: list[Named] = []
     for block in (ODD, "bias in time"):
         if any(CATALOGUE[n.law.effect].family == BLOCKS[block].family for n in named):
+            continue
+        if passes and not BLOCKS[block].stays and not any(PASSING.get(c.name) == block for c in passes):
             continue
         beside = _beside(fitted, passes) if passes and not BLOCKS[block].stays else fitted
         # No smooth part would stand in the file for a law of two amplitudes, which a file cannot hold.

@@ -94,12 +94,15 @@ class Part:
         What it is taken out and kept together with, a key of `BLOCKS`.
     weights : tuple of float
         Expected size of each column's amplitude, relative to each other.
+    toll : float
+        What it costs to have been given the shape that it has, nats.
     """
 
     name: str
     block: str
     columns: tuple[Column, ...]
     weights: tuple[float, ...]
+    toll: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,8 @@ class Basis:
             own = self.surface()[:, [SURFACE.index(c) for c in part.columns]]
         else:
             own = self.at(part.columns) - self.surface() @ polynomials(part.columns, self.frame)
-        return Component(part.name, own * np.array(part.weights), expected=part.block == "surface")
+        columns = own * np.array(part.weights)
+        return Component(part.name, columns, expected=part.block == "surface", toll=part.toll)
 
 
 def legendre_to_powers() -> Floats:
@@ -366,11 +370,9 @@ def _near_visited(places: Floats) -> list[float]:
 def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
     """The same in temperature, of the bias and, at the temperatures at which it turned, of the scale factor."""
     found = []
-    spacing = 2.0 * frame.temp_scale_c / (_TEMP_BUMPS - 1.0)
     of_scale = (("scale", _LINEAR),) if turning and tells_of_scale(means) else ()
     for target, rate in (("bias", Factor()), *of_scale):
-        told = means.rate_dps != 0.0 if target == "scale" else np.ones(len(means), dtype=np.bool_)
-        visited = _apart(means.temp_c[told] - frame.temp_center_c, spacing)
+        visited = temperatures_apart(temperatures_telling(means, of_scale=target == "scale"), frame)
         powers = tuple(
             Column(rate, _legendre(n)) for n in range(SHAPE[1], min(SHAPE[1] + _TEMP_ORDERS, visited))
         )
@@ -383,6 +385,16 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
                 _part(f"temperature on {target}", "temperature", tuple(Column(rate, b) for b in bumps))
             )
     return [part for part in found if part.columns]
+
+
+def temperatures_telling(means: Means, *, of_scale: bool) -> Floats:
+    """The temperatures that tell of the bias, or at which it turned, of the scale factor, degC."""
+    return means.temp_c[means.rate_dps != 0.0] if of_scale else means.temp_c
+
+
+def temperatures_apart(temp_c: Floats, frame: Frame) -> int:
+    """How many of the places of bumps over the temperature were visited."""
+    return _apart(temp_c - frame.temp_center_c, 2.0 * frame.temp_scale_c / (_TEMP_BUMPS - 1.0))
 
 
 def remembering(means: Means) -> list[Part]:

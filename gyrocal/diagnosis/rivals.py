@@ -101,7 +101,7 @@ def or_lasting(
                 continue
             kept = tuple(law for law in fitted.model.laws if law.name != passes.law.name)
             other, _ = tied_anew(fitted.refit(replace(fitted.model, laws=(*kept, lasts.law))), laws)
-            behind = other.nll + _paid_by(lasts) - fitted.nll - _paid_by(passes)
+            behind = other.nll + paid_by(lasts) - fitted.nll - paid_by(passes)
             if behind < 0.0:
                 fitted, named[k] = other, replace(lasts, rivals={**lasts.rivals, passes.law.effect: -behind})
             else:
@@ -121,7 +121,7 @@ def _with_rival(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator
     if not fitted.model.holds(one.law):
         return
     model = replace(fitted.model, laws=tuple(law for law in fitted.model.laws if law.name != one.law.name))
-    own = fitted.nll + _paid_by(one)
+    own = fitted.nll + paid_by(one)
     if is_passing(one):
         wandering = fitted.refit(may_wander(model))
         yield loss + wandering.nll - own, wandering
@@ -134,7 +134,8 @@ def _with_rival(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator
             yield loss + shaped.nll + _paid(rival.effect, rival.law, rival.shapes) - own, shaped
 
 
-def _paid_by(named: Named) -> float:
+def paid_by(named: Named) -> float:
+    """What a named law pays for being there, nats."""
     return _paid(CATALOGUE[named.law.effect], named.law, named.trials)
 
 

@@ -119,7 +119,7 @@ RATE: dict[str, Shape] = {
     "odd_asinh_bump": _bump_of_asinh("-"),
 }
 
-#: Factors of the temperature, functions of ``v``.
+#: Factors of the temperature, functions of ``v``. An edge goes from -1 to 1, by 76 % of it within a width of its center.
 TEMPERATURE: dict[str, Shape] = {
     "one": _ONE,
     "legendre": Shape(
@@ -131,6 +131,11 @@ TEMPERATURE: dict[str, Shape] = {
         ("center_c", "width_c"),
         lambda v, f, center, width: _bump(v * f.temp_scale_c + f.temp_center_c, center, width),
         lambda n, f, center, width: f"PREFIX_bump@f@(temp_c, {n(center)}, {n(width)})",
+    ),
+    "edge": Shape(
+        ("center_c", "width_c"),
+        lambda v, f, center, width: np.tanh((v * f.temp_scale_c + f.temp_center_c - center) / width),
+        lambda n, f, center, width: f"tanh@f@((temp_c - ({n(center)})) / {n(width)})",
     ),
 }
 

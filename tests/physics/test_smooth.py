@@ -79,6 +79,7 @@ def test_factors_of_rate_and_temperature_are_their_formulas() -> None:
         "one": np.ones(w.size),
         "legendre": eval_legendre(5, v),
         "bump": gauss((c.temp_c - 10) / 9),
+        "edge": 2 / (1 + np.exp(-2 * (c.temp_c - 10) / 9)) - 1,
     }
     for factor in factors(TEMPERATURE):
         np.testing.assert_allclose(

@@ -226,10 +226,12 @@ def _smooth_source(term: SmoothTerm, number: int) -> str:
     if any("supply_v" in law for law in laws):
         lines.append("    supply_v = c.need('supply_v')")
     lines.append("    e = np.zeros(len(c))")
-    functions = {"exp": "np.exp", "fabs": "np.abs", "asinh": "np.arcsinh"}
+    functions = {"exp": "np.exp", "fabs": "np.abs", "asinh": "np.arcsinh", "tanh": "np.tanh"}
     for law in laws:
         text = law.replace("(@real@)", "").replace("PREFIX_", "").replace("s->", "")
-        text = re.sub(r"\b(exp|fabs|asinh)@f@", lambda found: functions[found[1]], text).replace("@f@", "")
+        text = re.sub(rf"\b({'|'.join(functions)})@f@", lambda found: functions[found[1]], text).replace(
+            "@f@", ""
+        )
         lines.append(f"    e = e + {text}")
     return "\n".join([*lines, "    return e\n"])
 

@@ -1,0 +1,73 @@
+"""Edges over temperature, which are told from what happens at an instant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.edges import with_edges
+from gyrocal.diagnosis.examine import examine, fit_anyhow
+from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
+
+_RATES_DPS = np.array([-80.0, -50.0, -20.0, 0.0, 20.0, 50.0, 80.0])
+_NOISE_DPS = 3e-4
+
+
+def logistic(temp_c: Floats) -> Floats:
+    """A scale factor that goes up by 300 ppm about 26 degC, within some tenths of a degree."""
+    return np.asarray(3e-4 / (1.0 + np.exp(-(temp_c - 26.0) / 0.25)))
+
+
+def warmed_and_cooled(seed: int, at_temp: bool, at_instant: bool) -> DataSetTable:
+    """Twenty sweeps of seven rates while a room warms up by five degrees and cools down again."""
+    rng = np.random.default_rng(seed)
+    rate = np.tile(_RATES_DPS, 20)
+    t = 20.0 * np.arange(rate.size, dtype=np.float64)
+    temp = 23.5 + 5.0 * np.sin(np.pi * t / t[-1])
+    scale = (
+        2e-4
+        + 1e-5 * (temp - 25.0)
+        + logistic(temp) * at_temp
+        + 3e-4 * (np.arange(rate.size) > 80) * at_instant
+    )
+    gyro = rate + 0.01 + rate * scale + _NOISE_DPS * rng.standard_normal(rate.size)
+    return DataSetTable(Path("room.csv"), rate, gyro, temp, t_s=t)
+
+
+def test_an_edge_that_is_passed_twice_is_no_pair_of_steps() -> None:
+    found = examine(series_of_table(warmed_and_cooled(1, at_temp=True, at_instant=False)), 0.01)
+    assert [n.law.effect for n in found.naming.named] == ["temperature_order"]
+    assert not found.ranked[0].effects
+    (edge,) = [p for p in found.model.parts if "edge" in p.name]
+    center_c, _ = edge.columns[0].temperature.numbers
+    assert center_c == pytest.approx(26.0, abs=0.15)
+    temp_c = np.linspace(23.5, 28.5, 200)
+    rate_dps = np.full(temp_c.size, 80.0)
+    true_dps = 0.01 + rate_dps * (2e-4 + 1e-5 * (temp_c - 25.0) + logistic(temp_c))
+    t = 20.0 * np.arange(temp_c.size)
+    corrected_dps = Compensator(correction(found)).correct(t, rate_dps + true_dps, temp_c)
+    # Two steps would leave 12 mdeg/s, and noise alone 0.1.
+    assert np.sqrt(np.mean((corrected_dps - rate_dps) ** 2)) < 1.2e-3
+
+
+def test_a_step_at_an_instant_is_no_edge() -> None:
+    found = examine(series_of_table(warmed_and_cooled(2, at_temp=False, at_instant=True)), 0.01)
+    assert found.ranked[0].effects == {"scale_step"}
+    assert not [p for p in found.model.parts if "edge" in p.name]
+
+
+def test_where_nothing_is_there_are_no_edges() -> None:
+    for seed in range(3):
+        model = full_model(means_of(series_of_table(warmed_and_cooled(10 + seed, False, False))))
+        fitted = fit_anyhow(model)
+        assert with_edges(fitted).nll > fitted.nll - 1.0
