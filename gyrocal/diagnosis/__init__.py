@@ -8,8 +8,8 @@ Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a tab
             ``scatter`` (bursts, steps, clocks and a dead gyro, that no mean shows), ``strays`` (data sets that are set aside).
 Layers      ``examine`` leads: ``within`` (patterns inside data sets), ``means`` (a row a data set),
             ``parts`` (what a calibration may contain), ``layers`` (all of it in one model, all variances at once),
-            ``rate_errors`` (of which a few may be large), ``blocks`` (which parts are there). A table of sweeps is searched
-            jointly: ``coil``, ``changes``, ``open_loop``.
+            ``rate_errors`` (of which a few may be large), ``edges`` (over temperature, which look like what happens at an instant),
+            ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil``, ``changes``, ``open_loop``.
 Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
             ``in_place`` (laws that stand for a block), ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
             ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).

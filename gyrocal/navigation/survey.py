@@ -146,7 +146,7 @@ class _Tally:
         self.t_start_s = self.t_end_s = np.nan
         self.temp_c = self.gyro_dps = (np.inf, -np.inf)
         self.fastest_line = 0
-        self.max_speed_mps = 0.0
+        self.max_speed_mps = self.max_way_m = 0.0
         self.run_dps, self.run_rows, self.run_since_s = np.nan, 0, np.nan
         self.longest_same_s = 0.0
         self.extreme_rows: dict[float, int] = {}
@@ -181,8 +181,9 @@ class _Tally:
             self.fastest_line = block.first_line + int(np.argmax(fastest))
         self.gyro_dps = _widen(self.gyro_dps, block.gyro_dps)
         moved = encoder & (dt_s > 0)
-        speed = 0.5 * np.abs(block.left_m + block.right_m)[moved] / dt_s[moved]
-        self.max_speed_mps = max(self.max_speed_mps, float(speed.max(initial=0.0)))
+        way = 0.5 * np.abs(block.left_m + block.right_m)[moved]
+        self.max_way_m = max(self.max_way_m, float(way.max(initial=0.0)))
+        self.max_speed_mps = max(self.max_speed_mps, float((way / dt_s[moved]).max(initial=0.0)))
         positive = dt_s[dt_s > 0]
         if self.first_steps.size < _STEPS:
             self.first_steps = np.concatenate((self.first_steps, positive[:_STEPS]))[:_STEPS]
@@ -243,7 +244,8 @@ class _Tally:
             self.temp_c,
             self.gyro_dps,
             self.fastest_line,
-            self.max_speed_mps,
+            # A stamp that comes early makes its row fast, whose way is an ordinary one.
+            min(self.max_speed_mps, self.max_way_m / usual_dt_s) if usual_dt_s else self.max_speed_mps,
             max(self.extreme_rows.get(value, 0) for value in self.gyro_dps)
             if self.rows > self.bad_gyro
             else 0,

@@ -21,6 +21,8 @@ _PPM = 1e6
 _TURN_DEG = 360.0
 #: The customary rate, and step of rate, to which an ordinate in proportion to it refers, deg/s.
 _RATE_DPS, _STEP_DPS = 100.0, 10.0
+#: Turns are slow below this share of the largest, and what adds less than this share to them is a scale factor's.
+_SLOW, _HARDLY = 0.1, 0.5
 #: A response is followed for so many of its time constants, and at least so long, s.
 _DECAYS, _LEAST_S, _USUAL_TAU_S = 6.0, 5.0, 3.0
 
@@ -94,6 +96,17 @@ def scale_on_time(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> F
     time = on_time(c, p, error_dps)
     turning = np.where(c.rate_dps != 0, time.x, np.nan)
     return FoldAxis(time.label, turning, c.rate_dps / _PPM, "ppm of rate", of_time=True)
+
+
+def temperature_or_scale(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
+    """Folded on the temperature, for an effect on the bias or the scale factor: on what it hardly adds to slow turns as the latter."""
+    sizes = np.abs(c.rate_dps)
+    slow = sizes <= _SLOW * sizes.max(initial=0.0)
+    whole, own = (np.mean(x**2) if x.size else 0.0 for x in (error_dps, error_dps[slow]))
+    if own >= _HARDLY**2 * whole:
+        return plain("Gyro temperature, °C", c.temp_c)
+    turning = np.where(slow, np.nan, c.temp_c)
+    return FoldAxis("Gyro temperature, °C", turning, c.rate_dps / _PPM, "ppm of rate")
 
 
 def since_step(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:

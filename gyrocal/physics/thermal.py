@@ -24,7 +24,7 @@ from gyrocal.physics.effect import (
     need_surface,
     shape,
 )
-from gyrocal.physics.fold import on_model, on_own
+from gyrocal.physics.fold import on_model, on_own, temperature_or_scale
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import lag, play
 from gyrocal.physics.offer import Offer, either, table_turns, temperature_changes
@@ -265,6 +265,7 @@ TEMPERATURE_ORDER = Effect(
         requires=(_SOME_CHANGE,),
     ),
     hiding=Hiding(_draw_order),
+    fold=temperature_or_scale,
     c_text=CText(_temperature_order_c, (POWER,)),
 )
 

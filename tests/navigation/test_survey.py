@@ -207,3 +207,15 @@ def test_a_rate_that_no_robot_has_is_refused_by_its_line() -> None:
     spoilt = replace(log, gyro_dps=np.where(np.arange(len(log)) == 1500, -9e5, log.gyro_dps))
     with pytest.raises(DataError, match=r"log, line 1502: gyro_dps is 900,000 deg/s in size"):
         replay_log(source(spoilt, chunk_rows=1000), robot())
+
+
+def test_an_early_stamp_is_no_speed() -> None:
+    """Of a row that is a fiftieth of the others long the way is an ordinary one; that of a hundred rows in one is not."""
+    log = drive()
+    stamps = log.t_s.copy()
+    stamps[1500] -= 0.98 * (stamps[1500] - stamps[1499])
+    fast_mps = survey("log", [log]).max_speed_mps
+    assert survey("log", [replace(log, t_s=stamps)]).max_speed_mps < 1.5 * fast_mps
+    far = np.where(np.arange(len(log)) == 1500, 100.0, 1.0)
+    leap = replace(log, left_m=log.left_m * far, right_m=log.right_m * far)
+    assert survey("log", [leap]).max_speed_mps > 50.0 * fast_mps
