@@ -20,6 +20,8 @@ _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
 _REACHES = (8.0, 64.0, 512.0)
 #: Share of means that stand where the one before stood, from which on these tell the steps of what was read.
 _STANDING = 0.3
+#: Places that stand so often, and so many of them, tell a step that all of them are multiples of; the least of such steps.
+_OFTEN, _PLACES_TOLD, _DIGIT = 3, 3, 0.01
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
 #: can be told from that rounding.
 _OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
@@ -77,8 +79,15 @@ def lattice_of_means(values: Floats) -> float | None:
     standing = values[1:][np.diff(values) == 0.0]
     if standing.size < max(_STANDING * values.size, _LATTICE_VALUES):
         return fine
-    coarse = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size))
-    return fine if coarse is None else max(coarse, fine or 0.0)
+    coarse = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size)) or _divisor(standing)
+    return max(coarse, fine or 0.0) or None
+
+
+def _divisor(standing: Floats) -> float:
+    """The largest step of which all values that stand often are multiples: of few places their distances tell none; 0 of too few."""
+    values, times = np.unique(np.round(standing / _DIGIT), return_counts=True)
+    often = values[times >= _OFTEN].astype(np.int64).tolist()
+    return _DIGIT * math.gcd(*often) if len(often) >= _PLACES_TOLD else 0.0
 
 
 @dataclass

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from gyrocal.inference.rounding import StepCounts, harmonic, lattice, least_noise, mean_error, slope_error
+from gyrocal.inference.rounding import (
+    StepCounts,
+    harmonic,
+    lattice,
+    lattice_of_means,
+    least_noise,
+    mean_error,
+    slope_error,
+)
+
+Floats = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("noise_steps", [0.05, 0.15, 0.3, 0.4, 0.5])
@@ -91,3 +102,29 @@ def test_steps_that_the_file_rounds_are_found_over_many_rates() -> None:
     values = np.round(np.round(rng.normal(rates, 0.01) / step) * step, 6)
     assert lattice(values) == pytest.approx(step, rel=1e-5)
     assert lattice(np.round(rng.normal(rates, 0.01), 6)) is None
+
+
+def soaks(resolution_c: float, places_c: list[float], seed: int) -> Floats:
+    """Means of sixty readings each, of a temperature that settles at some places in turn."""
+    rng = np.random.default_rng(seed)
+    settling = np.exp(-np.arange(12 * 60) / 400.0)
+    course = np.concatenate([c - 0.3 * settling for c in places_c])
+    readings = resolution_c * np.round((course + 0.002 * rng.standard_normal(course.size)) / resolution_c)
+    return np.asarray(np.round(readings.reshape(-1, 60).mean(axis=1), 3))
+
+
+@pytest.mark.parametrize("resolution_c", [0.25, 0.5, 1.0])
+def test_few_places_tell_the_steps_of_a_thermometer(resolution_c: float) -> None:
+    """Their distances, of ten degrees and more, have no step in common that says anything."""
+    for seed in range(5):
+        read_c = soaks(resolution_c, [3.6, 14.1, 26.3, 48.1, 26.4, 14.2], seed)
+        assert lattice_of_means(read_c) == pytest.approx(resolution_c)
+
+
+def test_places_of_a_fine_thermometer_tell_no_coarse_one() -> None:
+    for seed in range(20):
+        places = np.random.default_rng([9, seed]).uniform(-20.0, 60.0, 6)
+        step_c = lattice_of_means(soaks(0.01, places.tolist(), seed))
+        assert step_c is None or step_c <= 0.01 + 1e-9
+    # Set points are multiples of more than any thermometer's step.
+    assert lattice_of_means(np.repeat([-20.0, 0.0, 25.0, 60.0], 20)) == pytest.approx(5.0)
