@@ -160,13 +160,15 @@ class TableSearch:
         return TableSearch(self.base.with_laws(*laws), _contrasts={None: self._contrasts[None]})
 
     def with_edges(self, candidate: Candidate) -> TableSearch | None:
-        """The search beside the edges over temperature that stand in the place of a model's laws that pass; None without any."""
+        """The search beside edges over temperature, in the place of what passes in a model; None without any."""
         stays = tuple(change for change in candidate.changes if change.effect not in (*STEPS, *DRIFTS))
         edged = with_edges(self.fit(candidate.coil, stays, candidate).fitted).model
         parts = [p for p in edged.parts if p not in self.base.parts]
-        if not parts:
-            return None
-        return TableSearch(self.base.with_parts(parts), _contrasts={None: self._contrasts[None]})
+        return (
+            TableSearch(self.base.with_parts(parts), _contrasts={None: self._contrasts[None]})
+            if parts
+            else None
+        )
 
     def less_shapes(self) -> TableSearch:
         """The search over models without smooth shapes in temperature, which compare with these.

@@ -33,7 +33,7 @@ from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE, SATURATION
-from gyrocal.physics.smooth import SmoothTerm
+from gyrocal.physics.smooth import Factor, SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -191,6 +191,10 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
         return fitted
     passing = [CATALOGUE[n.law.effect] for n in found.naming.named if is_passing(n)]
     taken = ["scale in time" if "rate_dps" in effect.needs else "bias in time" for effect in passing]
+    # What acted on the bias alone leaves the scale factor as it was.
+    with_rate = {c.rate != Factor() for p in fitted.model.parts if p.name in names for c in p.columns}
+    if with_rate == {False}:
+        taken.append("scale in time")
     return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
 
 

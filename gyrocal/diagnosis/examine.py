@@ -24,6 +24,7 @@ from gyrocal.diagnosis.coil import (
     averaged,
     best_of_each,
 )
+from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.edges import with_edges
 from gyrocal.diagnosis.in_place import Named, is_passing
 from gyrocal.diagnosis.jumps import Jump, with_jumps
@@ -137,9 +138,9 @@ def examine(series: Series, level: float) -> Examination:
         return _table(left, found)
     full = full_model(means)
     full, fitted = with_tails(full, fit_anyhow(full))
-    first = _account(full, with_edges(fitted))
-    still = _without_what_passes(full, fitted, first)
-    best = first if still is None or first.cost <= still.cost else still
+    first = _account(full, fitted)
+    still = _at_temperatures(full, fitted, first)
+    best = first if still is None or first.cost < still.cost + ALIKE_NATS else still
     return Examination(left, found, best.whole, best.worth, best.naming, best.laws)
 
 
@@ -180,15 +181,17 @@ def _account(full: Model, fitted: Fitted) -> _Account:
     return _Account(whole, worth, naming, laws, naming.fitted.nll + paid)
 
 
-def _without_what_passes(full: Model, fitted: Fitted, first: _Account) -> _Account | None:
-    """Another account of a run, in which nothing passes of what did in the first; None where nothing did.
+def _at_temperatures(full: Model, fitted: Fitted, first: _Account) -> _Account | None:
+    """Another account of a run, beside edges over temperature and without what passes in the first; None where that is the same.
 
-    A plan goes through temperatures in turn, and what wanders or jumps follows any shape in temperature.
+    A plan goes through temperatures in turn: what wanders or jumps follows any shape in temperature, and such shapes most of
+    what passes. Of eight looked-at recordings in which this account was the better one it was true of both where by more than
+    20 to 1, and of one of six where by less.
     """
-    if not (names := first.passing):
-        return None
-    model = full.without(names)
-    return _account(model, with_edges(fitted.refit(model)))
+    model = full.without(first.passing)
+    still = fitted.refit(model) if first.passing else fitted
+    edged = with_edges(still)
+    return _account(model, edged) if edged is not fitted else None
 
 
 @dataclass(frozen=True)
@@ -260,11 +263,11 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
 
 
 def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
-    """A search and its models, or those beside edges over temperature that explain more than they do."""
+    """A search and its models, or those beside edges over temperature that explain surely more than what passes."""
     found = search.with_edges(ranked[0])
     if found is not None:
         edged = found.run(best_of_each(ranked)[:BEGUN_WITH])
-        if edged[0].score < ranked[0].score:
+        if edged[0].score < ranked[0].score - ALIKE_NATS:
             return found, edged
     return search, ranked
 

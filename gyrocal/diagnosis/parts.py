@@ -372,7 +372,7 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
     found = []
     of_scale = (("scale", _LINEAR),) if turning and tells_of_scale(means) else ()
     for target, rate in (("bias", Factor()), *of_scale):
-        visited = temperatures_apart(temperatures_telling(means, of_scale=target == "scale"), frame)
+        visited = temperatures_apart(temperatures_turned(means) if target == "scale" else means.temp_c, frame)
         powers = tuple(
             Column(rate, _legendre(n)) for n in range(SHAPE[1], min(SHAPE[1] + _TEMP_ORDERS, visited))
         )
@@ -387,9 +387,9 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
     return [part for part in found if part.columns]
 
 
-def temperatures_telling(means: Means, *, of_scale: bool) -> Floats:
-    """The temperatures that tell of the bias, or at which it turned, of the scale factor, degC."""
-    return means.temp_c[means.rate_dps != 0.0] if of_scale else means.temp_c
+def temperatures_turned(means: Means) -> Floats:
+    """The temperatures at which it turned, which tell of the scale factor, degC."""
+    return np.asarray(means.temp_c[means.rate_dps != 0.0])
 
 
 def temperatures_apart(temp_c: Floats, frame: Frame) -> int:

@@ -25,7 +25,7 @@ _NOISE_DPS = 3e-4
 
 def logistic(temp_c: Floats) -> Floats:
     """A scale factor that goes up by 300 ppm about 26 degC, within some tenths of a degree."""
-    return np.asarray(3e-4 / (1.0 + np.exp(-(temp_c - 26.0) / 0.25)))
+    return np.asarray(3e-4 / (1.0 + np.exp(-(temp_c - 26.0) / 0.1)))
 
 
 def warmed_and_cooled(seed: int, at_temp: bool, at_instant: bool) -> DataSetTable:

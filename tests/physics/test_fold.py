@@ -15,7 +15,7 @@ def test_a_shape_in_temperature_is_drawn_as_what_it_acts_on(of_scale: bool, unit
     temp = np.repeat(np.linspace(-10.0, 50.0, 40), 3)
     shape = 1e-4 * np.tanh((temp - 25.0) / 4.0)
     error_dps = shape * rate if of_scale else 30.0 * shape
-    axis = temperature_or_scale(Conditions(np.arange(rate.size), rate, temp), {}, error_dps)
+    axis = temperature_or_scale(Conditions(np.arange(float(rate.size)), rate, temp), {}, error_dps)
     assert axis.unit == unit
     here = np.isfinite(axis.x) & (axis.gain != 0.0)
     told = error_dps[here] / axis.gain[here]
