@@ -46,6 +46,8 @@ _TERMS = SHAPE[0] * SHAPE[1]
 #: Evidence from which on a part without a name is written, nats. Of 20 weaker ones in made-up runs 8 would have made another
 #: run better and 9 worse, whether or not they surely predicted what was left out.
 _BEYOND_DOUBT = 10.0
+#: Effects that are seen over the rate.
+_OF_RATE = frozenset(e.id for e in CATALOGUE.values() if e.seen_in == "rate")
 #: Laws of which a few rates leave open what they do between them.
 _BETWEEN_RATES = (MECHANICAL_RESONANCE.id, SATURATION.id)
 #: What comes again with less probability than this has no term in the file.
@@ -118,7 +120,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
     again = found.comes_again
-    items, total = _items([(f.model, s) for _, f, s in solved], again)
+    items, total = _items([(weight, f.model, s) for weight, f, s in solved], again)
     # What may come again or not is known no better than the two states differ.
     states = [(again, True), (1.0 - again, False)] if again >= _SURELY_NOT else [(1.0, False)]
     each = [
@@ -252,13 +254,14 @@ def _noise(fitted: Fitted) -> Noise:
     return Noise(angle_random_walk_deg_per_rt_h=(walk, walk * (1.0 - spread), walk * (1.0 + spread)))
 
 
-def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list[_Item], int]:
+def _items(models: Sequence[tuple[float, Model, Solution]], again: float) -> tuple[list[_Item], int]:
     """Terms that any of the models needs, and the number of all parameters; none that surely does not come again."""
     found: list[_Item] = []
     place = _TERMS
     known: set[str] = set()
-    for model, solution in models:
-        least = NEGLIGIBLE * float(np.std(solution.left))
+    for weight, model, solution in models:
+        # As far as a model is unlikely, what it alone holds widens the mean of all by little.
+        least = NEGLIGIBLE * float(np.std(solution.left)) / np.sqrt(weight)
         laws = _lasting(model)
         parts = {p.name: p for p in model.parts if p.block != "surface"}
         passed = set(_since_power_on(model)) if again < _SURELY_NOT else set()
@@ -267,10 +270,12 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
                 continue
             new: list[tuple[str, Part | None, Law | None, int]]
             if name in laws:
+                # What a law of the rate does between the rates of a plan does not show at its rows.
+                if laws[name][0][0].effect not in _OF_RATE and _most(model, solution, name) < least:
+                    continue
                 new = [(law.name, None, law, len(_linear(law))) for law, _ in laws[name]]
             elif name == DIRECTION or name in parts:
-                columns = model.components[name].columns if name in parts else None
-                if columns is not None and np.max(np.abs(columns @ solution.amplitudes[name])) < least:
+                if name in parts and _most(model, solution, name) < least:
                     continue
                 new = [(name, parts.get(name), None, len(solution.amplitudes[name]))]
             elif name == PHASE and model.open_loop is not None:
@@ -284,6 +289,12 @@ def _items(models: Sequence[tuple[Model, Solution]], again: float) -> tuple[list
                     found.append(_Item(term, part, law, place, size))
                     place += size
     return found, place
+
+
+def _most(model: Model, solution: Solution, name: str) -> float:
+    """The most that a component adds to a row, deg/s."""
+    columns = next(c.columns for c in model.all if c.name == name)
+    return float(np.max(np.abs(np.asarray(columns) @ solution.amplitudes[name])))
 
 
 def _lasting(model: Model) -> dict[str, list[tuple[Law, float]]]:

@@ -28,6 +28,7 @@ from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.effect import MDPS, PPM, Effect
 from gyrocal.physics.rate import RATE_ORDER, SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.physics.thermal import SHUPE
 from gyrocal.physics.timewise import BIAS_DRIFT, SCALE_DRIFT
 from gyrocal.records.datasets import DataSetTable
 
@@ -128,7 +129,7 @@ def test_where_a_drift_has_come_to_is_known_no_better_than_the_drift() -> None:
         model = full_model(means)
         kept = {"white", *(p.name for p in model.parts if p.block == "surface")}
         fitted = fit_model(model.without([n for n in model.components if n not in kept]).with_laws(law))
-        items, total = _items([(fitted.model, fitted.solve())], 0.0)
+        items, total = _items([(1.0, fitted.model, fitted.solve())], 0.0)
         found = _estimate(fitted.model, fitted.solve(), items, total, False, ())
         off.append((found.values[0] - 3e-3) / np.sqrt(found.covariance[0, 0]))
     assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.5
@@ -279,3 +280,21 @@ def test_laws_beside_which_the_surface_is_another_have_one_file() -> None:
     assert all(file.surface.direction == "output" for file in files)
     both = left_by(correction(_of_two(((0.5, models[0]), (0.5, models[1])))), series)
     assert np.std(both) < 1.2 * max(np.std(left_by(file, series)) for file in files)
+
+
+@pytest.mark.parametrize(("weight", "written"), [(0.5, True), (1e-6, False)])
+def test_what_an_unlikely_model_alone_holds_is_no_term(weight: float, written: bool) -> None:
+    """A law that adds several times the noise, in a model of half the weight and in one of a millionth."""
+    n = 120
+    temp_c, rate_dps = (
+        20.0 + 5.0 * np.sin(np.linspace(0.0, 12.0, n)),
+        np.tile([-50.0, -20.0, 20.0, 50.0], n // 4),
+    )
+    follows = MDPS * np.gradient(temp_c)
+    gyro_dps = rate_dps + 20.0 * follows + 1e-3 * np.random.default_rng(5).standard_normal(n)
+    table = DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c, t_s=60.0 * np.arange(n, dtype=np.float64))
+    plain = _of_temperature(table)
+    other = plain.refit(plain.model.with_laws(Law(SHUPE.id, {}, follows[:, None])))
+    models = [(1.0 - weight, plain.model, plain.solve()), (weight, other.model, other.solve())]
+    items, _ = _items(models, 0.0)
+    assert any(item.law is not None and item.law.effect == SHUPE.id for item in items) is written
