@@ -249,7 +249,8 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list
 
 def _held(found: Examination, layered: Sequence[NamedEffect]) -> list[Remark]:
     """Named laws of what passes whose last state the correction has; of a drift of a table it has the mean."""
-    passing = [e.effect for e in layered if passes(CATALOGUE[e.effect])]
+    lost = found.comes_again == 0.0
+    passing = [e.effect for e in layered if passes(CATALOGUE[e.effect]) or (lost and e.effect == WARM_UP.id)]
     held = [e for e in passing if not (found.ranked and e in DRIFTS)]
     return [Remark(Said.STATE_AT_END, {"effects": held})] if held else []
 

@@ -105,7 +105,13 @@ class Examination:
 
     @property
     def comes_again(self) -> float:
-        """Probability that what the bias did since power-on begins anew with the next one."""
+        """Probability that what the bias did since power-on begins anew with the next one.
+
+        Zero for a run of which nobody says when that was: its beginning is as good as any for a name, but not for a robot that
+        counts from its own.
+        """
+        if not self.series.is_table and self.series.since_power_on_s is None:
+            return 0.0
         if not self.ranked:
             return self.naming.comes_again
         every = [*self.ranked, *self.smooth]

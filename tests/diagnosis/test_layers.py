@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import around_itself, settle_direction
+from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.engine import diagnose, series_of
-from gyrocal.diagnosis.examine import fit_anyhow
+from gyrocal.diagnosis.examine import examine, fit_anyhow
 from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers, polynomials, staying
@@ -238,6 +239,22 @@ def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_aga
         since = later if found is warmed else None
         left = Compensator(file).evaluate(later, gyro, temp, since).rate_dps
         np.testing.assert_allclose(left, 0.0, atol=8e-4)
+
+
+def test_a_run_of_which_nobody_says_when_it_was_switched_on_needs_no_time_since_then() -> None:
+    """Whoever applies its file to another such run has no such time; what the bias came to is held."""
+    t: Floats = 60.0 * np.arange(120, dtype=np.float64)
+    gyro = 0.01 + 5e-3 * np.exp(-t / 900.0) + 4e-4 * np.random.default_rng(5).standard_normal(t.size)
+    temp = 25.0 + 0.1 * np.sin(t / 500.0)
+    series = series_of_table(DataSetTable(Path("rest.csv"), np.zeros(t.size), gyro, temp, t_s=t))
+    found = examine(series, 0.01)
+    unknown = replace(found, series=replace(series, is_table=False))
+    assert found.comes_again > 0.9
+    assert unknown.comes_again == 0.0
+    needs = [[c for term in correction(f).terms for c in term.channels] for f in (found, unknown)]
+    assert ["since_power_on_s" in n for n in needs] == [True, False]
+    left_dps = Compensator(correction(unknown)).correct(t[-1], 0.01, temp[-1])
+    assert abs(left_dps) < 8e-4
 
 
 def test_it_is_said_where_it_is_open_whether_a_change_since_power_on_comes_again() -> None:
