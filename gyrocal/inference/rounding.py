@@ -20,8 +20,8 @@ _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
 _REACHES = (8.0, 64.0, 512.0)
 #: Share of means that stand where the one before stood, from which on these tell the steps of what was read.
 _STANDING = 0.3
-#: Places that stand so often, and so many of them, tell a step that all of them are multiples of; the least of such steps.
-_OFTEN, _PLACES_TOLD, _DIGIT = 3, 3, 0.01
+#: Places that stand so often tell a step that all of them are multiples of, and the least of such steps.
+_OFTEN, _DIGIT = 3, 0.01
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
 #: can be told from that rounding.
 _OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
@@ -84,10 +84,14 @@ def lattice_of_means(values: Floats) -> float | None:
 
 
 def _divisor(standing: Floats) -> float:
-    """The largest step of which all values that stand often are multiples: of few places their distances tell none; 0 of too few."""
+    """The largest step of which all values that stand often are multiples: of few places their distances tell none; 0 of too few.
+
+    Two tell it where it is what they are apart: any two numbers have some divisor in common.
+    """
     values, times = np.unique(np.round(standing / _DIGIT), return_counts=True)
     often = values[times >= _OFTEN].astype(np.int64).tolist()
-    return _DIGIT * math.gcd(*often) if len(often) >= _PLACES_TOLD else 0.0
+    divisor = math.gcd(*often) if len(often) > 1 else 0
+    return _DIGIT * divisor if len(often) > 2 or (often and divisor == often[-1] - often[0]) else 0.0
 
 
 @dataclass

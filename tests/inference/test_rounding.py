@@ -121,6 +121,12 @@ def test_few_places_tell_the_steps_of_a_thermometer(resolution_c: float) -> None
         assert lattice_of_means(read_c) == pytest.approx(resolution_c)
 
 
+def test_two_steps_in_a_row_tell_it_too() -> None:
+    assert lattice_of_means(soaks(1.0, [28.8, 29.1, 30.2], 1)) == pytest.approx(1.0)
+    # Of two fine readings the common divisor says nothing.
+    assert lattice_of_means(np.repeat([28.5, 31.0], 30)) is None
+
+
 def test_places_of_a_fine_thermometer_tell_no_coarse_one() -> None:
     for seed in range(20):
         places = np.random.default_rng([9, seed]).uniform(-20.0, 60.0, 6)
