@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
-from gyrocal.diagnosis.layers import Fitted, Law, Model
+from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
 from gyrocal.diagnosis.parts import EACH_RATE, SURFACE
 from gyrocal.inference.additive import Component
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +54,17 @@ def settle_direction(fitted: Fitted, shaped: Callable[[Fitted], Fitted] = lambda
         ways["output"] = min(fitted, ways["output"], key=lambda f: f.nll)
     best = min(ways.values(), key=lambda f: f.nll)
     # What is between the two is neither: it takes evidence to be believed.
-    return best if best.nll < free.nll + GAIN else free
+    return free if free.nll + GAIN <= best.nll and _is_between(free) else best
+
+
+def _is_between(free: Fitted) -> bool:
+    """Whether its direction may be one between that of the input, 0, and that of the output, 1: what is far beyond bends otherwise."""
+    solution = free.solve()
+    if DIRECTION not in solution.amplitudes:
+        return False
+    at = solution.starts[DIRECTION]
+    share, std = float(solution.amplitudes[DIRECTION][0]), float(np.sqrt(solution.covariance[at, at]))
+    return -NORMAL_95 * std <= share <= 1.0 + NORMAL_95 * std
 
 
 def plain(model: Model, direction: str, bend: Floats) -> Model:

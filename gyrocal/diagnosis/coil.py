@@ -31,7 +31,7 @@ from gyrocal.diagnosis.parts import (
     passing,
     remembering,
 )
-from gyrocal.inference.additive import START, Component, Contrasts, Solution
+from gyrocal.inference.additive import START, Component, Contrasts, Solution, gains
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
@@ -353,10 +353,8 @@ class TableSearch:
         tried = self.changes.shapes(effect)
         if not tried:
             return []
-        score, p = self._precision(candidate)
-        x = self.changes.columns(effect)
-        gain = (x.T @ score) ** 2 / np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
-        return [tried[int(np.argmax(gain))]]
+        found = gains(self.changes.columns(effect), *self._precision(candidate))
+        return [tried[int(np.argmax(found))]]
 
     def best_coil(self, candidate: Candidate) -> Coil:
         """The lag of the coil that gains most beside a candidate without one, to first order; None where there is none."""

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.jumps import gains
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import Part, tells_of_scale, temperatures_apart, temperatures_turned
+from gyrocal.inference.additive import gains
 from gyrocal.physics.smooth import Column, Factor
 from gyrocal.physics.surface import SHAPE
 
@@ -30,6 +30,8 @@ _ZOOMS, _EITHER_SIDE = 3, np.linspace(-1.0, 1.0, 5)
 _MOST_EDGES = 2
 #: A height, a center and a width beside the surface's three terms go through any five temperatures.
 _LEAST_TEMPERATURES = SHAPE[1] + 3
+#: An edge is passed so often, or a step at an instant does the same.
+_PASSED = 2
 
 
 def with_edges(fitted: Fitted) -> Fitted:
@@ -44,14 +46,20 @@ def with_edges(fitted: Fitted) -> Fitted:
 
 
 def _shapes(model: Model) -> list[tuple[float, float]]:
-    """Centers and widths that are tried, degC: of edges whose two levels were seen; none where a record tells of no shape."""
+    """Centers and widths that are tried, degC; none where a record tells of no shape in temperature."""
     means, frame = model.means, model.basis.frame
     temp_c = temperatures_turned(means)
     if not tells_of_scale(means) or temperatures_apart(temp_c, frame) < _LEAST_TEMPERATURES:
         return []
     centers_c, widths_c = frame.temp_center_c + _CENTERS * frame.temp_scale_c, _WIDTHS * frame.temp_scale_c
-    low_c, high_c = temp_c.min(), temp_c.max()
-    return [(float(c), float(w)) for w in widths_c for c in centers_c if low_c + w <= c <= high_c - w]
+    shapes = [(float(c), float(w)) for w in widths_c for c in centers_c]
+    return [(c, w) for c, w in shapes if _passed(temp_c, c, w) >= _PASSED]
+
+
+def _passed(temp_c: Floats, center_c: float, width_c: float) -> int:
+    """How often temperatures, one after the other, went from one level of an edge to the other: once is as well an instant."""
+    side = np.sign(temp_c - center_c)[np.abs(temp_c - center_c) >= width_c]
+    return int(np.count_nonzero(np.diff(side)))
 
 
 def _best(fitted: Fitted, tried: Sequence[tuple[float, float]]) -> Part:

@@ -16,7 +16,7 @@ from gyrocal.diagnosis.laws import GAIN, Laws
 from gyrocal.diagnosis.layers import WANDERING_BIAS, WANDERING_SCALE, Fitted, Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import tells_of_scale
-from gyrocal.inference.additive import Component
+from gyrocal.inference.additive import Component, gains
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP
@@ -104,16 +104,6 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
     # At rates that hardly turn a scale factor could be anything, and take what another law leaves of them.
     possible = abs(float(found.solve().amplitudes[law.name][0])) < most
     return (found, int(rows.size)) if possible else None
-
-
-def gains(columns: Floats, score: Floats, p: Floats, most: float = np.inf) -> Floats:
-    """Twice the log-likelihood that each column gains by itself, shape (m,), with an amplitude of `most` at the most."""
-    information = np.einsum("ij,ij->j", columns, p @ columns)
-    enough = information > 1e-9 * np.max(information, initial=0.0)
-    information = np.where(enough, information, 1.0)
-    pull = columns.T @ score
-    amplitude = np.clip(pull / information, -most, most)
-    return np.where(enough, amplitude * (2.0 * pull - amplitude * information), 0.0)
 
 
 def _rivals(wide: Fitted, jumped: Fitted, laws: Laws) -> dict[str, float]:

@@ -46,6 +46,8 @@ _SAME_DIRECTION = 1e-9
 _BEYOND_FLAT = 1e-4
 #: Information on the logarithm of a variance that a record tells nothing of: a factor of e^2 either way.
 _VAGUE = 0.25
+#: A column of less than this share of the information of others is the model's own, but for rounding.
+_TELLS_NOTHING = 1e-9
 #: Columns that LAPACK turns at a time.
 _BLOCK = 64
 
@@ -362,6 +364,23 @@ def precision(
     """``(P y, P)`` of all rows at given variances, shapes (n,) and (n, n): what leaving rows out needs."""
     p = _freed(flat, components, variance)[0]
     return p @ y, p
+
+
+def gains(columns: Floats, score: Floats, p: Floats, most: float = np.inf) -> Floats:
+    """Twice the log-likelihood that each column gains by itself beside a model, shape (m,).
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, m)
+    score, p : of the model, as `Contrasts.precision` gives them
+    most : amplitude that a column has at the most
+    """
+    information = np.einsum("ij,ij->j", columns, p @ columns)
+    enough = information > _TELLS_NOTHING * np.max(information, initial=0.0)
+    information = np.where(enough, information, 1.0)
+    pull = columns.T @ score
+    amplitude = np.clip(pull / information, -most, most)
+    return np.where(enough, amplitude * (2.0 * pull - amplitude * information), 0.0)
 
 
 def _freed(

@@ -22,6 +22,8 @@ _REACHES = (8.0, 64.0, 512.0)
 _STANDING = 0.3
 #: Places that stand so often tell a step that all of them are multiples of, and the least of such steps.
 _OFTEN, _DIGIT = 3, 0.01
+#: Means in which a reading went from one step to the next, as a share of all, at the most.
+_BETWEEN = 0.2
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
 #: can be told from that rounding.
 _OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
@@ -79,19 +81,23 @@ def lattice_of_means(values: Floats) -> float | None:
     standing = values[1:][np.diff(values) == 0.0]
     if standing.size < max(_STANDING * values.size, _LATTICE_VALUES):
         return fine
-    coarse = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size)) or _divisor(standing)
+    coarse = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size)) or _divisor(values, standing)
     return max(coarse, fine or 0.0) or None
 
 
-def _divisor(standing: Floats) -> float:
+def _divisor(values: Floats, standing: Floats) -> float:
     """The largest step of which all values that stand often are multiples: of few places their distances tell none; 0 of too few.
 
-    Two tell it where it is what they are apart: any two numbers have some divisor in common.
+    Two tell it where it is what they are apart: any two numbers have some divisor in common. Where many others lie between,
+    as on ramps, places that stand are set points.
     """
-    values, times = np.unique(np.round(standing / _DIGIT), return_counts=True)
-    often = values[times >= _OFTEN].astype(np.int64).tolist()
+    places, times = np.unique(np.round(standing / _DIGIT), return_counts=True)
+    often = places[times >= _OFTEN].astype(np.int64).tolist()
     divisor = math.gcd(*often) if len(often) > 1 else 0
-    return _DIGIT * divisor if len(often) > 2 or (often and divisor == often[-1] - often[0]) else 0.0
+    if not divisor or (len(often) == 2 and divisor != often[1] - often[0]):
+        return 0.0
+    between = np.abs(np.remainder(values / _DIGIT + 0.5 * divisor, divisor) - 0.5 * divisor) > 0.5
+    return _DIGIT * divisor if float(np.mean(between)) <= _BETWEEN else 0.0
 
 
 @dataclass
