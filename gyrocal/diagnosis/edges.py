@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import Part, tells_of_scale, temperatures_apart, temperatures_turned
 from gyrocal.inference.additive import gains
+from gyrocal.physics.effect import PPM
 from gyrocal.physics.smooth import Column, Factor
 from gyrocal.physics.surface import SHAPE
+from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -26,12 +28,19 @@ _WIDTHS = np.array([0.05, 0.1, 0.2, 0.4])
 _CENTERS = np.linspace(-0.9, 0.9, 37)
 #: How often the best is looked for between its neighbours, and where on the way to either.
 _ZOOMS, _EITHER_SIDE = 3, np.linspace(-1.0, 1.0, 5)
+#: Shape of the temperature that an edge is.
+_EDGE = "edge"
+#: Shapes about the best of which it is told which are likely, each way: how many, how far in widths, and by which factor;
+#: how many tell the ends, and how often they are looked for closer.
+_ALL_OVER, _FARTHEST, _WIDEST, _TELLING, _CLOSER = 25, 2.0, 6.0, 9, 4
+#: Fall of the log-likelihood at the ends of a 95 % interval.
+_LIKELY = 0.5 * NORMAL_95**2
 #: Edges of one record.
 _MOST_EDGES = 2
+#: What is nearer to the center of an edge, in widths, may have passed it by noise.
+_ASIDE = 0.25
 #: A height, a center and a width beside the surface's three terms go through any five temperatures.
 _LEAST_TEMPERATURES = SHAPE[1] + 3
-#: An edge is passed so often, or a step at an instant does the same.
-_PASSED = 2
 
 
 def with_edges(fitted: Fitted) -> Fitted:
@@ -45,21 +54,68 @@ def with_edges(fitted: Fitted) -> Fitted:
     return fitted
 
 
+def told(fitted: Fitted) -> list[dict[str, float]]:
+    """Each edge of a model of a known sign: the change of the scale factor, ppm, its center and its width, degC, with 95 % intervals.
+
+    They are those of the profile likelihood, at the variances that all else has.
+    """
+    parts = [p for p in fitted.model.parts if p.name in fitted.model.components]
+    edges = [
+        _told(fitted.granting_noise, p) for p in parts if any(c.temperature.kind == _EDGE for c in p.columns)
+    ]
+    return [edge for edge in edges if edge["size_low"] * edge["size_high"] > 0.0]
+
+
+def _told(fitted: Fitted, part: Part) -> dict[str, float]:
+    model = fitted.model.without([part.name])
+    score, p = fitted.contrasts.precision(model.all, fitted.fit.log_variance)
+    center_c, width_c = part.columns[0].temperature.numbers
+    to_ppm = 2.0 / PPM / model.basis.frame.rate_scale_dps
+    reach, ratio = _FARTHEST * width_c, _WIDEST
+    for _ in range(_CLOSER):
+        centers = center_c + reach * np.linspace(-1.0, 1.0, _ALL_OVER)
+        widths = width_c * ratio ** np.linspace(-1.0, 1.0, _ALL_OVER)
+        shapes = [(float(c), float(w)) for c in centers for w in widths]
+        columns = np.column_stack([_column(model, *shape) for shape in shapes])
+        found = 0.5 * gains(columns, score, p)
+        above = found - found.max() + _LIKELY
+        likely = (above > 0.0).reshape(_ALL_OVER, _ALL_OVER)
+        center, width = centers[likely.any(axis=1)], widths[likely.any(axis=0)]
+        if min(center.size, width.size) >= _TELLING:
+            break
+        # Between two neighbours at the least.
+        reach = max(float(np.ptp(center)), 2.0 * reach / _ALL_OVER)
+        ratio = max(float(width[-1] / width[0]), ratio ** (2.0 / _ALL_OVER))
+    # The ends lie between what is likely and its neighbours.
+    beyond_c, factor = reach / (_ALL_OVER - 1), ratio ** (1.0 / (_ALL_OVER - 1))
+    kept = above > 0.0
+    information = np.einsum("ij,ij->j", columns[:, kept], p @ columns[:, kept])
+    sizes = to_ppm * (columns[:, kept].T @ score) / information
+    half = to_ppm * np.sqrt(2.0 * above[kept] / information)
+    return {
+        "size_ppm": float(sizes[np.argmax(above[kept])]),
+        "size_low": float(np.min(sizes - half)), "size_high": float(np.max(sizes + half)),
+        "center_c": center_c, "center_low": float(center[0]) - beyond_c, "center_high": float(center[-1]) + beyond_c,
+        "width_c": width_c, "width_low": float(width[0]) / factor, "width_high": float(width[-1]) * factor,
+    }  # fmt: skip
+
+
 def _shapes(model: Model) -> list[tuple[float, float]]:
-    """Centers and widths that are tried, degC; none where a record tells of no shape in temperature."""
+    """Centers and widths that are tried, degC: of edges whose two levels were seen; none where a record tells of no shape."""
     means, frame = model.means, model.basis.frame
     temp_c = temperatures_turned(means)
     if not tells_of_scale(means) or temperatures_apart(temp_c, frame) < _LEAST_TEMPERATURES:
         return []
     centers_c, widths_c = frame.temp_center_c + _CENTERS * frame.temp_scale_c, _WIDTHS * frame.temp_scale_c
-    shapes = [(float(c), float(w)) for w in widths_c for c in centers_c]
-    return [(c, w) for c, w in shapes if _passed(temp_c, c, w) >= _PASSED]
+    low_c, high_c = temp_c.min(), temp_c.max()
+    seen = [(float(c), float(w)) for w in widths_c for c in centers_c if low_c + w <= c <= high_c - w]
+    return [shape for shape in seen if _comes_again(temp_c, *shape)]
 
 
-def _passed(temp_c: Floats, center_c: float, width_c: float) -> int:
-    """How often temperatures, one after the other, went from one level of an edge to the other: once is as well an instant."""
-    side = np.sign(temp_c - center_c)[np.abs(temp_c - center_c) >= width_c]
-    return int(np.count_nonzero(np.diff(side)))
+def _comes_again(temp_c: Floats, center_c: float, width_c: float) -> bool:
+    """Whether temperatures, one after the other, pass an edge more than once: once it is as well an instant."""
+    away_c = temp_c - center_c
+    return bool(np.count_nonzero(np.diff(np.sign(away_c[np.abs(away_c) >= _ASIDE * width_c]))) > 1)
 
 
 def _best(fitted: Fitted, tried: Sequence[tuple[float, float]]) -> Part:
@@ -82,7 +138,7 @@ def _best(fitted: Fitted, tried: Sequence[tuple[float, float]]) -> Part:
 
 def _part(center_c: float, width_c: float, toll: float = 0.0) -> Part:
     label = f"temperature edge on scale at {center_c:.4g} degC within {width_c:.3g} degC"
-    column = Column(Factor("linear"), Factor("edge", (center_c, width_c)))
+    column = Column(Factor("linear"), Factor(_EDGE, (center_c, width_c)))
     return Part(label, "temperature", (column,), (1.0,), toll)
 
 

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.correction import correction, doubtful
+from gyrocal.diagnosis.edges import told
 from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.fresh_run import gain_on_a_fresh_run, need_rates, no_file
 from gyrocal.diagnosis.given import (
@@ -220,7 +221,8 @@ def _of_file(
     why_not : why it is not written
     """
     layered, parts = what
-    remarks = [*temperature_alone(found)]
+    edges = [Remark(Said.EDGE, facts) for facts in told(found.naming.fitted)]
+    remarks = [*temperature_alone(found), *edges]
     if why_not:
         return [*remarks, *why_not]
     seen = {p.coordinate for p in parts}

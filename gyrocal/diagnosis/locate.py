@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gyrocal.diagnosis.examine import Examination, block_curve
+from gyrocal.diagnosis.layers import NEGLIGIBLE
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.result import Located, UnnamedPart
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
@@ -183,12 +184,15 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
     passed = () if found.comes_again > 0.5 else ("warm-up",)
+    least_dps = NEGLIGIBLE * float(np.std(solution.left))
     told = {*named, WANDERING, *([EACH_RATE] if found.rate_errors_nats else [])}
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
         if block in told or block_p_value(nats, len(BLOCKS)) > level:
             continue
         place = stretch(found, block, block_curve(fitted, solution, block))
+        if place["rms_dps"] < least_dps:
+            continue
         parts.append(
             UnnamedPart(
                 coordinate_of(block, found.series),

@@ -31,6 +31,7 @@ class Said(Enum):
     LAW_NOT_WRITTEN = auto()
     SINE_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
+    EDGE = auto()
     STATE_AT_END = auto()
     INPUT_ALREADY = auto()
     NO_SURE_GAIN = auto()
