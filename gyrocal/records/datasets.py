@@ -21,6 +21,8 @@ _FASTEST_DPS = 1e5
 _LEAST_SPAN_C, _FASTEST_C_PER_S = 5.0, 1.0
 #: No record is longer: ten years, s.
 _LONGEST_S = 3.2e8
+#: Units that are taken for seconds, with how many make one: a data set takes a second at the least.
+_SHORTER = {"nanoseconds": 1e9, "microseconds": 1e6}
 #: A plan of several rates that stays longer at each, s, is one of days, or in milliseconds.
 _LONG_STEP_S = 1e4
 #: A plan of several rates whose fastest is slower, deg/s, is in another unit: the earth turns four times as fast.
@@ -103,7 +105,9 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
     _check_plan(path, columns)
     if "t_s" in columns:
         _check_times(path, columns["t_s"], several_rates=bool(np.ptp(columns["rate_dps"]) > 0))
-        _check_seconds(path, float(np.ptp(columns["t_s"])), float(np.ptp(columns["temp_c"])))
+        _check_seconds(
+            path, float(np.ptp(columns["t_s"])), float(np.ptp(columns["temp_c"])), len(columns["t_s"])
+        )
     gyro_dps = columns["gyro_counts"] / counts_per_dps if counts and counts_per_dps else columns["gyro_dps"]
     return DataSetTable(
         path,
@@ -189,13 +193,14 @@ def _check_times(path: Path, t_s: Floats, *, several_rates: bool) -> None:
         )
 
 
-def _check_seconds(path: Path, span_s: float, span_c: float) -> None:
+def _check_seconds(path: Path, span_s: float, span_c: float, sets: int) -> None:
     """Refuse times in another unit: the gyro would warm faster, or the record last longer, than any does."""
     what = ""
     if span_c > _LEAST_SPAN_C and span_c > _FASTEST_C_PER_S * span_s > 0.0:
         what = f"temp_c goes through {span_c:.3g} degC within {span_s:.3g} s of t_s (hours, days?)"
     elif span_s > _LONGEST_S:
-        what = f"t_s goes through {span_s:.3g} s, which is years (microseconds?)"
+        unit = next((name for name, each in _SHORTER.items() if span_s > each * sets), "milliseconds")
+        what = f"t_s goes through {span_s:.3g} s, which is years ({unit}?)"
     if what:
         raise InputError(f"{path}: {what}, which no record of a gyro does. Write t_s in seconds.")
 

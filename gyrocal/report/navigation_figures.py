@@ -76,7 +76,7 @@ def draw_trajectories(replays: Sequence[LogReplay], table: Table) -> Figure:
                 axes.plot(x[-1], y[-1], "o", color=colour, markersize=2.5)
         mean = table.means[-1].errors_m[condition.id]
         which = ("mean " if len(table.rows) > 1 else "") + ("return" if table.measure == "return" else "end")
-        said = "" if np.isnan(mean) else f"\n{which} error {_length(mean)}"
+        said = "" if np.isnan(mean) else f"\n{which} error\n{_length(mean)}"
         axes.set_title(condition.label.replace(", ", ",\n") + said, fontsize=6.5, fontweight="normal")
         axes.set_xlabel("x, m")
         axes.set_aspect("equal", adjustable="box")

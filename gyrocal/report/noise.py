@@ -117,10 +117,14 @@ def course_of(course: Course) -> Drawing:
     output_dph = np.insert(course.gyro_dps * DPS_TO_DPH, gaps, np.nan)
     axes.plot(hours, output_dph, color=style.BLUE, label="output", **drawn)
     axes.set_xlabel("Time, h")
-    axes.set_ylabel("Output, deg/h")
+    axes.set_ylabel("Output, deg/h", color=style.BLUE)
+    axes.tick_params(axis="y", labelcolor=style.BLUE)
     if np.isfinite(course.temp_c).any():
         beside = axes.twinx()
+        # A second grid belongs to no line that anybody could tell.
+        beside.grid(visible=False)
         temp_c = np.insert(course.temp_c, gaps, np.nan)
         beside.plot(hours, temp_c, color=style.ORANGE, label="temperature", **drawn)
-        beside.set_ylabel("Temperature, °C")
+        beside.set_ylabel("Temperature, °C", color=style.ORANGE)
+        beside.tick_params(axis="y", labelcolor=style.ORANGE)
     return figure

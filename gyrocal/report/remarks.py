@@ -138,7 +138,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "checked on this table.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
-    Said.EDGE: "The scale factor changes by {size_ppm:.3g} ppm (95 %: {size_low:.3g} to {size_high:.3g}) about {center_c:.4g} degC "
+    Said.EDGE: "The scale factor changes by {size_ppm:.0f} ppm (95 %: {size_low:.0f} to {size_high:.0f}) about {center_c:.4g} degC "
     "({center_low:.4g} to {center_high:.4g}), three quarters of it within {width_c:.2g} degC ({width_low:.2g} to {width_high:.2g}) of "
     "there: it goes with the temperature, which came by more than once, and not with time. It is a curve without a name.",
     Said.STATE_AT_END: lambda effects: (

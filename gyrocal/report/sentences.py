@@ -257,7 +257,7 @@ def _where(d: Diagnosis, place: Located) -> str:
 
 def _named(effect: NamedEffect) -> list[str]:
     """What an effect is, how large, and what else it could be."""
-    in_name_only = effect.share < _LEAST_PART
+    in_name_only = _in_name_only(effect)
     known = {} if in_name_only else effect.parameters
     values = [f"{parameter_words(n)} {estimate_text(e)}" for n, e in known.items() if e.std > 0]
     sure = "; ".join([*(v for v in [", ".join(values)] if v), p_equals(effect.p_value)])
@@ -272,6 +272,13 @@ def _named(effect: NamedEffect) -> list[str]:
         rivals = "; ".join(_other(a) for a in effect.alternatives)
         said.append(f"The same data could be {rivals}.")
     return said
+
+
+def _in_name_only(effect: NamedEffect) -> bool:
+    """Whether a law that only resembles what is there takes so little of it that its size says nothing."""
+    amplitude = effect.parameters.get("amplitude")
+    holds_zero = amplitude is not None and amplitude.interval_95[0] <= 0.0 <= amplitude.interval_95[1]
+    return effect.share < _LEAST_PART or (effect.share < 1.0 and holds_zero)
 
 
 def _shown(effect: NamedEffect, d: Diagnosis) -> list[str]:

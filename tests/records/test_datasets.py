@@ -71,6 +71,8 @@ def refused(path: Path, text: str, counts_per_dps: float | None = None) -> str:
             "6 degC within 0.5 s of t_s (hours, days?)",
         ),
         ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,0\n2,2,3,4e9\n", None, "through 4e+09 s, which is years"),
+        ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,0\n2,2,3,9e10\n", None, "which is years (nanoseconds?)"),
+        ("rate_dps,gyro_dps,temp_c,t_s\n1,2,3,0\n2,2,3,9e8\n", None, "which is years (microseconds?)"),
         ("rate_dps,gyro_dps,temp_c,gyro_std_dps\n1,2,3,-1\n", None, "line 2: gyro_std_dps is -1"),
         ("rate_dps,gyro_dps,temp_c\n1,2,-300\n", None, "line 2: temp_c is -300"),
         (
