@@ -140,6 +140,10 @@ def test_what_a_law_only_resembles_is_said_with_what_it_takes(shupe: Diagnosis) 
         for s in in_name
     )
     assert not any(s.startswith("shupe: ") and "Amplitude" in s for s in in_name)
+    # Beside what takes the rest its size may be zero, however sure it is that something is there.
+    open_size = replace(effect.parameters["amplitude"], interval_95=(-1.0, 3.0))
+    beside = replace(effect, share=0.1, parameters={**effect.parameters, "amplitude": open_size})
+    assert not any("Amplitude" in s for s in plain_sentences(replace(shupe, effects=(beside,))))
 
 
 def test_nothing_named_has_no_row_of_gain(shupe: Diagnosis) -> None:
