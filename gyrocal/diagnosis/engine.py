@@ -234,7 +234,24 @@ def _of_file(
         remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))
     if written is None:
         return remarks
-    return [*remarks, *_laws_written(layered, written), *_held(found, layered)]
+    return [
+        *remarks,
+        *_laws_written(layered, written),
+        *_also_written(layered, parts, written),
+        *_held(found, layered),
+    ]
+
+
+def _also_written(
+    layered: Sequence[NamedEffect], parts: Sequence[UnnamedPart], written: Coefficients
+) -> list[Remark]:
+    """Laws of the file that nothing was said of: those of models that are nearly as likely as the one that is told."""
+    mentioned = {e.effect for e in layered} | {a.effect for e in layered for a in e.alternatives}
+    mentioned |= {effect for part in parts for effect in part.nearest}
+    # A zone stands for a cut, and the sine of an open loop is told by itself.
+    mentioned |= {SAGNAC_SINE.id, FIT_DIRECTION.id, DEAD_ZONE.id}
+    more = dict.fromkeys(t.effect for t in written.terms if isinstance(t, Term) and t.effect not in mentioned)
+    return [Remark(Said.ALSO_WRITTEN, {"effects": [*more]})] if more else []
 
 
 def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list[Remark]:

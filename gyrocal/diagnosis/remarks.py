@@ -32,6 +32,7 @@ class Said(Enum):
     SINE_WRITTEN = auto()
     OPEN_SINCE_POWER_ON = auto()
     EDGE = auto()
+    ALSO_WRITTEN = auto()
     STATE_AT_END = auto()
     INPUT_ALREADY = auto()
     NO_SURE_GAIN = auto()
@@ -99,6 +100,7 @@ OF_COEFFICIENTS = frozenset(
     {
         Said.NOT_WRITTEN,
         Said.LAW_NOT_WRITTEN,
+        Said.ALSO_WRITTEN,
         Said.SINE_WRITTEN,
         Said.OPEN_SINCE_POWER_ON,
         Said.STATE_AT_END,

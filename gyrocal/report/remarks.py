@@ -133,6 +133,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.NOT_WRITTEN: _not_written,
     Said.LAW_NOT_WRITTEN: "The improved coefficients have no {effect}, though it is named: they are the mean of models that are about as "
     "likely, and those have other laws, curves or errors of single rates in its place.",
+    Said.ALSO_WRITTEN: lambda effects: (
+        f"The improved coefficients have {listed(effects)}, too, without a name: models that are nearly as likely do, and the file is the "
+        "mean of all, with that uncertainty."
+    ),
     Said.SINE_WRITTEN: "The improved coefficients have the sine of an open loop, whose phase at {rate_dps:.4g} deg/s is {phase_rad:.3f} "
     "± {std_rad:.2g} rad: its cubic is the one that the rates show, and its higher orders, which errors of single rates hide, cannot be "
     "checked on this table.",
