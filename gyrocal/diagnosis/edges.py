@@ -81,13 +81,13 @@ def _told(fitted: Fitted, part: Part) -> dict[str, float]:
         above = found - found.max() + _LIKELY
         likely = (above > 0.0).reshape(_ALL_OVER, _ALL_OVER)
         center, width = centers[likely.any(axis=1)], widths[likely.any(axis=0)]
+        # The ends lie between what is likely and its neighbours.
+        beyond_c, factor = reach / (_ALL_OVER - 1), ratio ** (1.0 / (_ALL_OVER - 1))
         if min(center.size, width.size) >= _TELLING:
             break
         # Between two neighbours at the least.
         reach = max(float(np.ptp(center)), 2.0 * reach / _ALL_OVER)
         ratio = max(float(width[-1] / width[0]), ratio ** (2.0 / _ALL_OVER))
-    # The ends lie between what is likely and its neighbours.
-    beyond_c, factor = reach / (_ALL_OVER - 1), ratio ** (1.0 / (_ALL_OVER - 1))
     kept = above > 0.0
     information = np.einsum("ij,ij->j", columns[:, kept], p @ columns[:, kept])
     sizes = to_ppm * (columns[:, kept].T @ score) / information
