@@ -189,11 +189,11 @@ def _account(full: Model, fitted: Fitted) -> _Account:
 
 
 def _at_temperatures(full: Model, fitted: Fitted, first: _Account) -> tuple[_Account | None, float]:
-    """Another account of a run, beside edges over temperature and without what passes in the first; None where that is the same.
+    """Another account of a run, beside edges over temperature and without what passes in the first; None where there are no edges.
 
     A plan goes through temperatures in turn: what wanders or jumps follows any shape in temperature, and such shapes most of
     what passes. Of eight looked-at recordings in which this account was the better one it was true of both where by more than
-    20 to 1, and of one of six where by less.
+    20 to 1, and of one of six where by less. Without edges it would be what remembers the temperature that stands for a step.
 
     Returns
     -------
@@ -202,13 +202,13 @@ def _at_temperatures(full: Model, fitted: Fitted, first: _Account) -> tuple[_Acc
     """
     model = full.without(first.passing)
     still = fitted.refit(model) if first.passing else fitted
-    account = _account(model, still) if first.passing else None
-    cost = np.inf if account is None else account.cost
     edged = with_edges(still)
-    if (more := len(edged.model.parts) - len(still.model.parts)) > 0:
-        account = _account(model, edged)
-        cost = min(cost, account.cost + TOLL_NATS * more)
-    return account, cost
+    more = len(edged.model.parts) - len(still.model.parts)
+    if not more:
+        return None, np.inf
+    account = _account(model, edged)
+    without = [_account(model, still).cost] if first.passing else []
+    return account, min([account.cost + TOLL_NATS * more, *without])
 
 
 @dataclass(frozen=True)
