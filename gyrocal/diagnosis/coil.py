@@ -164,11 +164,9 @@ class TableSearch:
         stays = tuple(change for change in candidate.changes if change.effect not in (*STEPS, *DRIFTS))
         edged = with_edges(self.fit(candidate.coil, stays, candidate).fitted).model
         parts = [p for p in edged.parts if p not in self.base.parts]
-        return (
-            TableSearch(self.base.with_parts(parts), _contrasts={None: self._contrasts[None]})
-            if parts
-            else None
-        )
+        if not parts:
+            return None
+        return TableSearch(self.base.with_parts(parts), _contrasts={None: self._contrasts[None]})
 
     def less_shapes(self) -> TableSearch:
         """The search over models without smooth shapes in temperature, which compare with these.

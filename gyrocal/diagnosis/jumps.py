@@ -57,11 +57,11 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     wide = fitted.refit(fitted.model.with_components(*passes))
     while True:
         tried = [_best(wide, laws, effect) for effect in kinds]
-        gains = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
-        gains = [g for g in gains if g[0] > GAIN + 0.5 * np.log(g[2])]
-        if not gains:
+        jumped = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
+        jumped = [j for j in jumped if j[0] > GAIN + 0.5 * np.log(j[2])]
+        if not jumped:
             break
-        gain, new, count = max(gains, key=lambda g: g[0])
+        gain, new, count = max(jumped, key=lambda j: j[0])
         found.append(Jump(new.model.laws[-1], gain, _rivals(wide, new, laws), count))
         wide = new
     if not found:
