@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 
 #: Points of the grid, which costs in proportion: a second each over eight hours, then longer ones.
 _MOST_POINTS = 30_000
+#: No thermometer has coarser steps, nor scatters more, degC: values farther apart are the set points of a plan, which hold as
+#: they are written.
+COARSEST_C = 2.0
 
 
 @dataclass(frozen=True)
@@ -91,14 +94,15 @@ def temperature_history(
     count : ndarray, shape (n,), optional
         How many readings each is a mean of.
     step_c : float, optional
-        Steps of the thermometer, where it has any.
+        Steps of the thermometer, where it has any; coarser ones than any has are none of it.
     all_along : bool
         Whether it was read all the time, and not with the data sets only.
     """
     known = np.isfinite(temp_c)
     t, read = t_s[known], temp_c[known]
     often = np.ones(t.size) if count is None else count[known]
-    course = smooth_course(t, read, often, step_c or 0.0, all_along=all_along)
+    steps_c = step_c if step_c and step_c <= COARSEST_C else 0.0
+    course = smooth_course(t, read, often, steps_c, all_along=all_along)
     span = max(float(t_s[-1] - t_s[0]), 1.0)
     step = max(1.0, span / _MOST_POINTS)
     grid = t_s[0] + step * np.arange(int(np.ceil(span / step)) + 1)

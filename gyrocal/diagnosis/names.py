@@ -219,13 +219,17 @@ def still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) 
 
 
 def _mechanisms(named: list[Named]) -> list[Named]:
-    """Less what is the misfit of another law: orders of the rate worth less than any, and the lesser of what swallows small rates."""
+    """Less what is the misfit of another law: orders of the rate worth less than any, and the lesser of what swallows small rates.
+
+    What is even in the rate is no misfit of what is odd in it, nor the other way round.
+    """
     gains = {e.id: sum(n.gain for n in named if n.law.effect == e.id) for e in (DEAD_ZONE, TRUNCATION)}
     if all(gains.values()):
         named = [n for n in named if n.law.effect != min(gains, key=lambda e: gains[e])]
     of_rate = [n for n in named if CATALOGUE[n.law.effect].family == RATE_ORDER.family]
-    strongest = max((n.gain for n in of_rate if n.law.effect != RATE_ORDER.id), default=0.0)
-    return [n for n in named if n.law.effect != RATE_ORDER.id or n.gain > strongest]
+    others = [n for n in of_rate if n.law.effect != RATE_ORDER.id]
+    strongest = {b: max((n.gain for n in others if n.block in (b, EACH_RATE)), default=0.0) for b in BENT}
+    return [n for n in named if n.law.effect != RATE_ORDER.id or n.gain > strongest.get(n.block, 0.0)]
 
 
 def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named]]:

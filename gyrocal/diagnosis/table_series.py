@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.history import TemperatureHistory, temperature_history
+from gyrocal.diagnosis.history import COARSEST_C, TemperatureHistory, temperature_history
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import (
@@ -36,9 +36,6 @@ FEWEST_ROWS = 12
 _LONG_LOG = 1000
 #: A mean is not known better, deg/s: files round to that.
 _LEAST_STD_DPS = 1e-7
-#: No thermometer has coarser steps, nor scatters more, degC: values farther apart are the set points of a plan, which hold as
-#: they are written.
-_COARSEST_C = 2.0
 #: Directions of a surface weaker than this are not carried.
 _CARRIED = 1e-9
 #: A course that misses readings by more than so many times what neighbours differ by is none of a thermometer: noise, which
@@ -110,7 +107,7 @@ def _history(
     history = temperature_history(t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
     noise_c = 0.0 if history.course is None else history.course.noise
-    as_read = max(step_c, noise_c) > _COARSEST_C or _missed(read_c, course_c, step_c)
+    as_read = max(step_c, noise_c) > COARSEST_C or _missed(read_c, course_c, step_c)
     as_read = as_read or _scatter_is_real(rate_dps, gyro_dps, read_c, course_c)
     return history.as_read(t_s, read_c) if as_read else history
 

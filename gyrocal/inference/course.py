@@ -25,8 +25,9 @@ Floats = NDArray[np.float64]
 
 #: Nodes of the course are this far apart at least, s, but there are some, and not many more than so many.
 _NODE_S, _FEWEST_NODES, _MOST_NODES = 5.0, 3, 4000
-#: Bounds of the noise: in degrees where there are no steps, else as a share of a step.
-_LEAST_NOISE, _LEAST_NOISE_STEPS = 1e-4, 0.05
+#: Bounds of the noise: in degrees where there are no steps, else as a share of a step. Where readings are far apart what it
+#: did between them is no less than that; where it was read all along, when it came to a step tells it.
+_LEAST_NOISE, _LEAST_NOISE_STEPS, _LEAST_NOISE_ALL_ALONG = 1e-4, 0.05, 0.01
 #: A pause between readings over which nothing is known: longer than this, s, and than so many usual ones.
 _GAP_S, _GAP_STEPS = 60.0, 20.0
 #: What is known of a slope, for each spacing, as a share of what a reading tells of its value.
@@ -235,7 +236,8 @@ def smooth_course(
     rough = np.column_stack([mean, np.gradient(mean)]).ravel()
     alike = np.bincount(run)[run].astype(np.float64)
     found = _Field(readings, spacing / typical, gap, rough, alike)
-    least = _LEAST_NOISE_STEPS * step if step else _LEAST_NOISE
+    of_step = _LEAST_NOISE_ALL_ALONG if all_along else _LEAST_NOISE_STEPS
+    least = of_step * step if step else _LEAST_NOISE
     # Means of nodes scatter as less than single readings do.
     often = float(np.sqrt(np.median(total)))
     scatter = max(_scatter(mean) * often, 2.0 * least)

@@ -16,6 +16,8 @@ Counts = NDArray[np.int64]
 
 #: Fewest samples and distinct values that tell a lattice, and the share of their distances that lie on it.
 _LATTICE_SAMPLES, _LATTICE_VALUES, _ON_LATTICE = 50, 5, 0.98
+#: Fewer values tell one where each comes so often on average, as no continuous value does.
+_OFTEN_EACH = 50
 #: Steps between values from which the step is found, nearer ones first.
 _REACHES = (8.0, 64.0, 512.0)
 #: Share of means that stand where the one before stood, from which on these tell the steps of what was read.
@@ -23,7 +25,7 @@ _STANDING = 0.3
 #: Places that stand so often tell a step that all of them are multiples of, and the least of such steps.
 _OFTEN, _DIGIT = 3, 0.01
 #: Means in which a reading went from one step to the next, as a share of all, at the most.
-_BETWEEN = 0.2
+_BETWEEN = 0.3
 #: A distance lies on the lattice within this share of a step, and within what files round to, deg/s; the least step that
 #: can be told from that rounding.
 _OFF_LATTICE, _ROUNDED, _LEAST_LATTICE = 0.02, 2e-6, 5e-6
@@ -54,11 +56,12 @@ def lattice(values: Floats) -> float | None:
     multiples of it, which continuous values would not do by chance.
     """
     distinct = np.unique(np.round(values, 9))
-    if distinct.size < _LATTICE_VALUES or values.size < _LATTICE_SAMPLES:
+    fewest = 2 if values.size >= _OFTEN_EACH * distinct.size else _LATTICE_VALUES
+    if distinct.size < fewest or values.size < _LATTICE_SAMPLES:
         return None
     gaps = np.diff(distinct)
     gaps = gaps[gaps > _NO_STEP * _ROUNDED]
-    if gaps.size < _LATTICE_VALUES - 1:
+    if gaps.size < fewest - 1:
         return None
     small = float(np.median(gaps[gaps < _ONE_STEP * gaps.min()]))
     # Files round the step as well: what that leaves open of it adds up over many steps.
@@ -81,8 +84,9 @@ def lattice_of_means(values: Floats) -> float | None:
     standing = values[1:][np.diff(values) == 0.0]
     if standing.size < max(_STANDING * values.size, _LATTICE_VALUES):
         return fine
-    coarse = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size)) or _divisor(values, standing)
-    return max(coarse, fine or 0.0) or None
+    # A mean in which one reading of a hundred was on the next step may stand, too.
+    stands = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size)) or 0.0
+    return max(stands, _divisor(values, standing), fine or 0.0) or None
 
 
 def _divisor(values: Floats, standing: Floats) -> float:

@@ -21,7 +21,7 @@ from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming, _mechanisms, still_there
-from gyrocal.diagnosis.parts import BLOCKS
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
@@ -284,6 +284,10 @@ def test_orders_of_the_rate_have_a_name_beside_a_law_that_is_worth_less() -> Non
     orders = named("rate_order", 200.0)
     assert _mechanisms([orders, peak]) == [orders, peak]
     assert _mechanisms([orders]) == [orders]
+    # What differs between left and right bends nothing that is odd in the rate.
+    sides = replace(named("scale_asymmetry", 900.0), block="even rate")
+    assert _mechanisms([sides, orders]) == [sides, orders]
+    assert _mechanisms([replace(sides, block=EACH_RATE), orders]) == [replace(sides, block=EACH_RATE)]
 
 
 def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:

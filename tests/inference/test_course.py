@@ -102,6 +102,19 @@ def test_a_poor_thermometer_is_seen_through(step: float, noise: float) -> None:
     assert 0.12 < np.mean(left) / np.mean(stated) < 1.5
 
 
+def test_whole_degrees_of_a_quiet_thermometer_are_seen_through_in_a_warming_room() -> None:
+    """When it goes to the next degree is told to a hundredth of it: with more noise granted the course was a staircase."""
+    t = np.arange(0.0, 6000.0, 0.5)
+    truth = 29.0 + 4.6 * np.sin(2.0 * np.pi * t / 9000.0) + 0.4 * np.sin(2.0 * np.pi * t / 2100.0)
+    read = np.round(truth + 0.005 * np.random.default_rng(4).standard_normal(t.size))
+    course = smooth_course(t, read, np.ones(t.size), 1.0, all_along=True)
+    rows = np.arange(15.0, 6000.0, 30.0)
+    off = course.at(rows)[0] - np.interp(rows, t, truth)
+    assert np.std(off) < 0.1
+    covariance = course.covariance(rows) + 1e-6 * np.eye(rows.size)
+    assert off @ np.linalg.solve(covariance, off) < 1.3 * rows.size
+
+
 def test_where_a_chamber_stands_still_only_the_step_is_known() -> None:
     """A smooth curve from ramp to ramp overshoots between them, by more than it said before: 0.5 degC with 0.2 stated."""
     ends = 20.0 + np.array([0.0, 9.86, 3.4, -4.3, 6.6, -8.1, 2.3, 10.4])

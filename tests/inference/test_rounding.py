@@ -134,3 +134,20 @@ def test_places_of_a_fine_thermometer_tell_no_coarse_one() -> None:
         assert step_c is None or step_c <= 0.01 + 1e-9
     # Set points are multiples of more than any thermometer's step.
     assert lattice_of_means(np.repeat([-20.0, 0.0, 25.0, 60.0], 20)) == pytest.approx(5.0)
+
+
+def test_few_values_that_come_again_and_again_are_steps() -> None:
+    """As of a thermometer of whole degrees in a room that hardly warms."""
+    rng = np.random.default_rng(6)
+    course = 25.0 + 1.4 * np.sin(np.linspace(0.0, 9.0, 4000))
+    assert lattice(np.round(course + 0.03 * rng.standard_normal(course.size))) == pytest.approx(1.0)
+    assert lattice(np.repeat([24.0, 25.0], 60)) == pytest.approx(1.0)
+    # Of a few values that come a few times nothing is said.
+    assert lattice(np.repeat([24.0, 25.0], 30)) is None
+
+
+def test_means_with_a_single_reading_on_the_next_degree_hide_no_step() -> None:
+    """Two such means in a row stand as those of one degree do, and had made steps of a hundredth."""
+    read_c = np.repeat([29.0, 29.01, 30.0, 27.0, 26.0, 28.0, 29.37, 29.46], [20, 2, 9, 9, 8, 8, 2, 2])
+    between_c = [29.06, 29.15, 28.83, 27.12, 26.48, 25.87, 26.91, 28.2, 29.64]
+    assert lattice_of_means(np.append(read_c, between_c)) == pytest.approx(1.0)
