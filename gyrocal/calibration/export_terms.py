@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gyrocal.physics.c_text import CMemory, Number
 from gyrocal.physics.inverse import FIRST_STEP, GROWTH, HALVINGS, SECANTS, STEPS
-from gyrocal.physics.surface import Surface
+from gyrocal.physics.surface import NEAR_ROUNDS, Surface
 from gyrocal.physics.terms import Part
 
 
@@ -39,12 +39,12 @@ typedef struct {
     double since_s, last_c@arrays@;
 } PREFIX_state;
 
-static inline void PREFIX_remember(PREFIX_state *s, double dt_s, double temp_c)
+static inline void PREFIX_remember(PREFIX_state *s, double dt_s, double temp_c@rate@)
 {
 @constants@
     int i;
     s->since_s += dt_s > 0 ? dt_s : 0;
-    if (!(temp_c - temp_c <= 0)) {
+@heat@    if (!(temp_c - temp_c <= 0)) {
         return;
     }
     if (!s->started) {
@@ -70,6 +70,35 @@ _UPDATE_LAG = """\
         s->behind_c[i] = exp(-z) * s->behind_c[i] + gain * (temp_c - s->last_c);
     }
 """
+
+_UPDATE_HEAT = """\
+    s->turned_s += s->turned && dt_s > 0 ? dt_s : 0;
+    if (rate_dps - rate_dps <= 0) {
+        const double square = rate_dps * rate_dps;
+        for (i = 0; i < @heats@; i++) {
+            const double z = s->turned_s / heat_tau_s[i];
+            const double gain = z > 0 ? -expm1(-z) / z : 1;
+            const double behind = exp(-z) * (s->last_dps2 - s->heat_dps2[i]) + gain * (square - s->last_dps2);
+            s->heat_dps2[i] = square - behind;
+        }
+        s->turned = 1;
+        s->turned_s = 0;
+        s->last_dps2 = square;
+    }
+"""
+
+#: The rate of the surface alone, which squares of past rates are made of, by the surface's direction.
+_ALONE = {
+    "output": """\
+    const double rate_dps = gyro_dps - PREFIX_surface@f@(gyro_dps, temp_c);
+""",
+    "input": """\
+    double rate_dps = gyro_dps;
+    for (i = 0; i < @near_rounds@; i++) {
+        rate_dps = gyro_dps - PREFIX_surface@f@((@real@)rate_dps, temp_c);
+    }
+""",
+}
 
 _UPDATE_PLAY = """\
     for (i = 0; i < @plays@; i++) {
@@ -180,7 +209,9 @@ def term_source(surface: Surface, terms: Sequence[Part], number: Number, kind: s
     memory = CMemory()
     sources = [term.c_laws(number, memory) for term in terms]
     helpers = dict.fromkeys(helper for _, called in sources for helper in called)
-    remembers = bool(memory.tau_s or memory.width_c)
+    remembers = bool(memory.tau_s or memory.width_c or memory.heat_tau_s)
+    alone = _ALONE[surface.direction] if memory.heat_tau_s else ""
+    remember = f"{alone}    PREFIX_remember(s, dt_s, temp_c{', rate_dps' if alone else ''});\n"
     needed = frozenset().union(*(term.channels for term in terms))
     last = [f"@real@ {name}" for name in ("since_power_on_s", "supply_v") if name in needed]
     state = ["const PREFIX_state *s"] * remembers
@@ -202,13 +233,14 @@ def term_source(surface: Surface, terms: Sequence[Part], number: Number, kind: s
         "miss_parameters": ", ".join(of_miss),
         "miss_arguments": ", ".join(_names(of_miss)),
         "parameters": ", ".join(parameters),
-        "remember": "    PREFIX_remember(s, dt_s, temp_c);\n" if remembers else "",
+        "remember": remember if remembers else "",
         "own_low": number(surface.rate_center_dps - surface.rate_scale_dps),
         "own_high": number(surface.rate_center_dps + surface.rate_scale_dps),
         "first_step": number(FIRST_STEP),
         "growth": number(GROWTH),
         "steps": str(STEPS),
         "secants": str(SECANTS),
+        "near_rounds": str(NEAR_ROUNDS),
         "rounds": str(SECANTS + HALVINGS),
         "tolerance": tolerance,
         "digits": digits,
@@ -229,13 +261,21 @@ def _names(parameters: list[str]) -> list[str]:
 
 def _state(memory: CMemory) -> str:
     lags, plays = len(memory.tau_s), len(memory.width_c)
-    arrays = (f", behind_c[{lags}]" if lags else "") + (f", play_c[{plays}]" if plays else "")
+    heats = len(memory.heat_tau_s)
+    sizes = {"behind_c": lags, "play_c": plays, "heat_dps2": heats}
+    arrays = "".join(f", {name}[{size}]" for name, size in sizes.items() if size)
+    turned = ";\n    int turned;\n    double turned_s, last_dps2" if heats else ""
     constants = [
         f"    static const double {name}[{len(values)}] = {{{', '.join(repr(x) for x in values)}}};"
-        for name, values in (("tau_s", memory.tau_s), ("width_c", memory.width_c))
+        for name, values in vars(memory).items()
         if values
     ]
-    text = _STATE.replace("@arrays@", arrays).replace("@constants@", "\n".join(constants))
+    text = _STATE.replace("@arrays@", arrays + turned).replace("@rate@", ", double rate_dps" if heats else "")
+    text = (
+        text.replace("@heat@", _UPDATE_HEAT if heats else "")
+        .replace("@heats@", str(heats))
+        .replace("@constants@", "\n".join(constants))
+    )
     text = text.replace("@start@", _START_PLAY if plays else "")
     text = text.replace("@update@", (_UPDATE_LAG if lags else "") + (_UPDATE_PLAY if plays else ""))
     return text.replace("@lags@", str(lags)).replace("@plays@", str(plays))

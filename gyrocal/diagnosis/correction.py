@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
-from gyrocal.diagnosis.blocks import around_itself, evidence
+from gyrocal.diagnosis.blocks import BENT, around_itself, evidence
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
@@ -83,7 +83,7 @@ def doubtful(found: Examination) -> list[str]:
     if found.candidates:
         return []
     named = {n.block for n in found.naming.named}
-    unnamed = {b: n for b, n in found.naming.unnamed.items() if BLOCKS[b].coordinate != "rate"}
+    unnamed = {b: n for b, n in found.naming.unnamed.items() if b not in BENT}
     nameless = {b: n for b, n in unnamed.items() if BLOCKS[b].lasts and b not in named}
     beside = _beside_wander(found, [b for b, nats in nameless.items() if nats >= _BEYOND_DOUBT])
     return [b for b in nameless if beside.get(b, 0.0) < _BEYOND_DOUBT]

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, tells_of_scale
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PAST_RATES, tells_of_scale
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
@@ -21,6 +21,7 @@ from gyrocal.physics.lacking import Reason
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.thermal import RATE_HEATING
 from gyrocal.physics.timewise import BIAS_STEP
 
 Floats = NDArray[np.float64]
@@ -149,6 +150,8 @@ def effects_of(block: str) -> list[Effect]:
         # What no robot undoes would be in no file, and in place of errors of single rates in no smooth part either; what
         # scatters from rate to rate is taken for the peak of a resonance, where it is highest.
         if block == EACH_RATE and (not effect.runtime or effect.search.scatters):
+            continue
+        if own.family == RATE_HEATING.family and (effect is RATE_HEATING) != (block == PAST_RATES):
             continue
         if own.family == _TIME and _is_of_scale_in_time(effect) != (block == "scale in time"):
             continue

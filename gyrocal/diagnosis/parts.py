@@ -28,6 +28,9 @@ Ints = NDArray[np.int64]
 #: Component, and block, of errors of single rates, which explain whatever laws of the rate do.
 EACH_RATE = "each rate"
 
+#: Block of what remembers past rates.
+PAST_RATES = "past rates"
+
 #: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
 Coil = tuple[float, float] | None
 
@@ -52,6 +55,8 @@ _TEMP_ORDERS = 3
 #: Time constants of what remembers temperature and of what warms up, s: sums of exponentials an octave apart follow
 #: anything between, a stretched one too.
 _LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
+#: The same of what past turns have warmed.
+_HEATS_S = 75.0 * 2.0 ** np.arange(6)
 #: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
@@ -126,6 +131,7 @@ class Block:
 
 BLOCKS = {
     "memory": Block("thermal transient", "temperature_rate"),
+    PAST_RATES: Block("thermal transient", "rate"),
     "odd rate": Block("rate shape", "rate"),
     "even rate": Block("rate shape", "rate"),
     "temperature": Block("temperature shape", "temperature"),
@@ -168,7 +174,14 @@ class Basis:
         on_grid = [d for d in new if DRIVERS[d.kind].channel == "temp_c" and d != Factor()]
         for driver, values in histories(past, self.frame, on_grid)[0].items():
             self._known[driver] = self._averaged(values)
-        here = Conditions(m.t_s, m.rate_dps, m.temp_c, supply_v=m.supply_v, since_power_on_s=since_on(m))
+        here = Conditions(
+            m.t_s,
+            m.rate_dps,
+            m.temp_c,
+            supply_v=m.supply_v,
+            since_power_on_s=since_on(m),
+            row_s=m.to_s - m.from_s,
+        )
         self._known |= histories(here, self.frame, [d for d in new if d not in on_grid])[0]
         return self._known
 
@@ -270,6 +283,7 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
     span_c = float(np.ptp(means.series.history.temp_c))
     if turning:
         found += _of_rate(means, frame)
+        found.append(_of_past_rates(means))
     if span_c > _SHAPED * _LEAST_SPAN_C:
         found += _of_temperature(means, frame, turning)
     if memory:
@@ -358,6 +372,13 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
     with_t = tuple(Column(Factor("absolute"), _legendre(j)) for j in (1, 2))
     found.append(_part("absolute rate by temperature", "even rate", with_t, (1.0, _STEP)))
     return [part for part in found if part.columns]
+
+
+def _of_past_rates(means: Means) -> Part:
+    """What the bias keeps of the heat of past turns; what it has forgotten by the next data set is a shape in rate."""
+    least_s, most_s = float(np.median(np.diff(means.t_s))), float(np.ptp(means.t_s))
+    heats = [Factor("heat", (float(tau),)) for tau in _HEATS_S if least_s < tau < most_s]
+    return _part("heat of past rates", PAST_RATES, tuple(Column(driver=d) for d in heats))
 
 
 def _near_visited(places: Floats) -> list[float]:

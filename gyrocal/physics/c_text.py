@@ -16,10 +16,11 @@ Number = Callable[[float], str]
 
 @dataclass(frozen=True)
 class CMemory:
-    """Time constants (s) and half widths of plays (deg C) that the state keeps, in the order of their index."""
+    """Time constants of temperatures and of heat (s) and half widths of plays (deg C) that the state keeps, in the order of their index."""
 
     tau_s: list[float] = field(default_factory=list)
     width_c: list[float] = field(default_factory=list)
+    heat_tau_s: list[float] = field(default_factory=list)
 
     def lag(self, tau_s: float) -> str:
         """Expression for how far the temperature low-passed by `tau_s` is behind."""
@@ -28,6 +29,10 @@ class CMemory:
     def play(self, width_c: float) -> str:
         """Expression for the position of a play of the half width `width_c`."""
         return f"s->play_c[{_place(self.width_c, width_c)}]"
+
+    def heat(self, tau_s: float) -> str:
+        """Expression for the squares of past rates low-passed by `tau_s`, deg^2/s^2."""
+        return f"(@real@)s->heat_dps2[{_place(self.heat_tau_s, tau_s)}]"
 
 
 def _place(known: list[float], value: float) -> int:

@@ -95,6 +95,26 @@ def lag(
     return out, (float(t_s[good[-1]]), float(last), float(behind))
 
 
+def heat(
+    t_s: Floats, rate_dps: Floats, tau_s: float, memory: LagMemory | None
+) -> tuple[Floats, LagMemory | None]:
+    """What is left of the squares of past rates, ``tau dh/dt = w^2 - h``: of the heat that turning makes.
+
+    Exact for squares that are linear between samples, as `lag` is; cold before the first sample.
+
+    Returns
+    -------
+    h : ndarray, shape (n,), deg^2/s^2
+    memory : for the next block
+    """
+    squares = np.square(rate_dps)
+    if memory is None:
+        good = np.flatnonzero(np.isfinite(squares) & np.isfinite(t_s))
+        memory = (float(t_s[good[0]]), 0.0, 0.0) if good.size else None
+    behind, memory = lag(t_s, squares, tau_s, memory)
+    return squares - behind, memory
+
+
 def _play_loop(values: Floats, half_width: float, position: float, out: Floats) -> Any:
     for k in range(len(values)):
         if values[k] != values[k]:  # NaN

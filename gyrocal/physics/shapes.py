@@ -139,7 +139,7 @@ TEMPERATURE: dict[str, Shape] = {
     ),
 }
 
-#: What a driver remembers of the temperatures: kind (``lag`` or ``play``) and its number.
+#: What a driver remembers of temperatures and rates: kind (``lag``, ``rate``, ``play`` or ``heat``) and its number.
 Trace = tuple[str, float]
 
 
@@ -162,7 +162,8 @@ def _no_traces(*_: float) -> tuple[Trace, ...]:
     return ()
 
 
-#: Drivers. A lag and a play are what the low-passed temperature or the play's position is above the temperature.
+#: Drivers. A lag and a play are what the low-passed temperature or the play's position is above the temperature; heat is the
+#: low-passed square of the scaled rate.
 DRIVERS: dict[str, Driver] = {
     "one": Driver((), _no_traces, lambda c, f, traces: np.ones(len(c)), lambda n, f, m: ""),
     "lag": Driver(
@@ -188,6 +189,13 @@ DRIVERS: dict[str, Driver] = {
         lambda r: (("play", r),),
         lambda c, f, traces, r: traces["play", r],
         lambda n, f, m, r: f"(@real@)({m.play(r)} - temp_c)",
+    ),
+    "heat": Driver(
+        ("tau_s",),
+        lambda tau: (("heat", tau),),
+        lambda c, f, traces, tau: traces["heat", tau] / f.rate_scale_dps**2,
+        lambda n, f, m, tau: f"({m.heat(tau)} / {n(f.rate_scale_dps**2)})",
+        "rate_dps",
     ),
     "warm_up": Driver(
         ("tau_s",),

@@ -20,7 +20,7 @@ from gyrocal.physics.effect import ROBOT_CHANNELS, Floats
 from gyrocal.physics.kernels import lag, play
 from gyrocal.physics.shapes import DRIVERS, RATE, TEMPERATURE, Driver, Frame, Shape, Trace
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.thermal import temperature_rate_c_per_s
+from gyrocal.physics.thermal import heat_dps2, temperature_rate_c_per_s
 
 __all__ = [
     "Column", "Factor", "Frame", "SmoothTerm", "columns_of", "design", "histories", "rate_factors", "smooth_term",
@@ -58,6 +58,8 @@ def _trace(kind: str, number: float, c: Conditions, memory: Any) -> tuple[Floats
         return -behind_c, memory
     if kind == "rate":
         return temperature_rate_c_per_s(c, memory)
+    if kind == "heat":
+        return heat_dps2(c, number, memory)
     position_c, memory = play(c.temp_c, number, memory)
     return position_c - c.temp_c, memory
 
@@ -74,7 +76,7 @@ def histories(
 
     Returns
     -------
-    values : for each driver an array of shape (n,): deg C (lag, band, play), deg C/s (temperature_rate), V (supply)
+    values : for each driver an array of shape (n,): deg C (lag, band, play), deg C/s (temperature_rate), V (supply), 1 (heat)
     memory : for the next block
 
     Raises
@@ -210,6 +212,11 @@ class SmoothTerm:
         """Whether it depends on earlier samples."""
         traces = (DRIVERS[c.driver.kind].traces(*c.driver.numbers) for c in self.columns)
         return any(len(trace) > 0 for trace in traces)
+
+    @property
+    def remembers_rates(self) -> bool:
+        """Whether it depends on earlier rates."""
+        return "rate_dps" in self.channels
 
     def at(
         self, c: Conditions, surface: Surface | None, memory: Memory

@@ -20,6 +20,8 @@ Direction = Literal["output", "input"]
 RATE_ORDER = 3
 TEMPERATURE_ORDER = 2
 SHAPE = (RATE_ORDER + 1, TEMPERATURE_ORDER + 1)
+#: Rounds in which a rate is found near enough for what remembers it; more would not do for an open loop beyond its peak.
+NEAR_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,15 @@ class Surface:
             return np.asarray(gyro - self.error_dps(gyro, temp))
         g, t = gyro.ravel(), temp.ravel()
         return self.solve_own_dps(g, lambda x: x + self.error_dps(x, t) - g).reshape(gyro.shape)
+
+    def near_rate_dps(self, gyro_dps: Floats, temp_c: Floats) -> Floats:
+        """True rate at a gyro output, shape (n,), without solving for it: to 1 % of the error where that is a fifth of the rate."""
+        if self.direction == "output":
+            return gyro_dps - self.error_dps(gyro_dps, temp_c)
+        rate = gyro_dps
+        for _ in range(NEAR_ROUNDS):
+            rate = gyro_dps - self.error_dps(rate, temp_c)
+        return rate
 
     def error_at_output_dps(self, gyro_dps: ArrayLike, temp_c: ArrayLike) -> Floats:
         """Error at a gyro output, output minus rate, deg/s; NaN where no rate has this output."""

@@ -44,6 +44,11 @@ class Part(Protocol):
         ...
 
     @property
+    def remembers_rates(self) -> bool:
+        """Whether it depends on earlier rates."""
+        ...
+
+    @property
     def linked(self) -> bool:
         """Whether `rows` are rows of the joint covariance of surface and terms; else they are its own alone."""
         ...
@@ -58,7 +63,7 @@ class Part(Protocol):
         ...
 
     def at(self, c: Conditions, surface: Surface, memory: Memory) -> AtRate:
-        """The term under these conditions, whose ``rate_dps`` is not read."""
+        """The term under these conditions, of whose ``rate_dps`` it remembers what it has to."""
         ...
 
     def tangent(
@@ -110,6 +115,11 @@ class RuntimeTerm:
         return self.effect.has_memory
 
     @property
+    def remembers_rates(self) -> bool:
+        """Whether it depends on earlier rates, and on that of the moment through them alone."""
+        return self.effect.has_memory and "rate_dps" in self.effect.needs
+
+    @property
     def linked(self) -> bool:
         """Whether the file has its covariance with the surface."""
         return bool(self.covariance)
@@ -134,6 +144,9 @@ class RuntimeTerm:
 
     def at(self, c: Conditions, surface: Surface, memory: Memory) -> AtRate:
         """The effect's law with these parameters."""
+        if self.remembers_rates:
+            solved = self.effect.error_dps(c, self.parameters, surface, memory)
+            return lambda rate: solved
         return lambda rate: self.effect.error_dps(replace(c, rate_dps=rate), self.parameters, surface, memory)
 
     def tangent(
@@ -281,8 +294,9 @@ def solve_rate(
     Parameters
     ----------
     memories : what the call before returned; None for each term at the start
-    c : Conditions, whose ``rate_dps`` is not read
+    c : Conditions, whose ``rate_dps`` is the output: terms that remember rates take what the surface alone makes of it
     """
+    c = _as_remembered(surface, terms, c)
     at = [term.at(c, surface, memory) for term, memory in zip(terms, memories, strict=True)]
 
     def miss_dps(own: Floats) -> Floats:
@@ -295,6 +309,13 @@ def solve_rate(
         rate, _ = surface.rate_and_output_dps(own, c.temp_c)
         last = [term(rate) for term in at]
     return Solution(rate, own, [error for error, _ in last], [memory for _, memory in last])
+
+
+def _as_remembered(surface: Surface, terms: Sequence[Part], c: Conditions) -> Conditions:
+    """Conditions with rates by the surface alone in place of the output, where a term remembers rates: terms change them by little."""
+    if not any(term.remembers_rates for term in terms):
+        return c
+    return replace(c, rate_dps=surface.near_rate_dps(c.rate_dps, c.temp_c))
 
 
 def joint_covariance(surface_covariance: Floats, terms: Sequence[Part]) -> Floats:
@@ -337,14 +358,15 @@ def sensitivity(
 
     Parameters
     ----------
-    at : the memories with which the block was solved
+    c, at : the conditions and the memories with which the block was solved
     """
+    there = replace(c, rate_dps=solved.rate_dps)
+    c = _as_remembered(surface, terms, c)
     slope = surface.slope_per_dps(solved.own_dps, c.temp_c)
     step = _SLOPE_STEP * surface.rate_scale_dps
     each = list(zip(terms, at, strict=True))
     ahead = [term.at(c, surface, memory)(solved.rate_dps + step)[0] for term, memory in each]
     terms_slope = (sum(ahead) - sum(solved.errors_dps)) / step
-    there = replace(c, rate_dps=solved.rate_dps)
     design = surface.design(solved.own_dps, c.temp_c)
     through = sum((term.by_surface(there, surface, memory) for term, memory in each), np.zeros_like(design))
     shares = np.column_stack([np.empty((len(c), 0)), *tangents])

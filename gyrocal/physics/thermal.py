@@ -26,7 +26,7 @@ from gyrocal.physics.effect import (
 )
 from gyrocal.physics.fold import on_model, on_own, temperature_or_scale
 from gyrocal.physics.hiding import Hiding, usual_draw
-from gyrocal.physics.kernels import lag, play
+from gyrocal.physics.kernels import heat, lag, play
 from gyrocal.physics.offer import Offer, either, table_turns, temperature_changes
 from gyrocal.physics.search import Search, Shape, Unit, scales
 from gyrocal.physics.surface import Surface
@@ -34,6 +34,10 @@ from gyrocal.units import S_PER_MIN
 
 #: Time constant of the low-pass in the causal temperature rate, s.
 SMOOTHING_S = 30.0
+#: The rate whose heat in the long run is one, deg/s.
+_USUAL_RATE_DPS = 100.0
+#: Rows farther apart than so many times what is usual have a pause between them; fewer rows do not tell what is usual.
+_PAUSE, _FEWEST_ROWS = 4.0, 5
 
 
 def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Memory]:
@@ -42,6 +46,24 @@ def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Mem
         return c.temp_rate_c_per_s, None
     behind_c, memory = lag(c.t_s, c.temp_c, SMOOTHING_S, memory)
     return behind_c / SMOOTHING_S, memory
+
+
+def heat_dps2(c: Conditions, tau_s: float, memory: Memory) -> tuple[Floats, Memory]:
+    """Squares of past rates, low-passed by `tau_s`, deg^2/s^2: of rows that are means the table stood in long pauses between them."""
+    if c.row_s is None or len(c) < _FEWEST_ROWS:
+        return heat(c.t_s, c.rate_dps, tau_s, memory)
+    step_s = np.diff(c.t_s)
+    usual_s = float(np.median(step_s))
+    before = np.flatnonzero(step_s > _PAUSE * usual_s)
+    # At both ends of a pause the rate falls to nothing.
+    ends_s = [(c.t_s[before] + 0.5 * usual_s), (c.t_s[before + 1] - 0.5 * usual_s)]
+    at = np.concatenate([before + 1] * 4)
+    t_s = np.insert(c.t_s, at, np.concatenate([ends_s[0], ends_s[0], ends_s[1], ends_s[1]]))
+    still = np.zeros(before.size)
+    rates_dps = np.concatenate([c.rate_dps[before], still, still, c.rate_dps[before + 1]])
+    squares, memory = heat(t_s, np.insert(c.rate_dps, at, rates_dps), tau_s, memory)
+    own = np.arange(len(c)) + 4 * np.searchsorted(before + 1, np.arange(len(c)), side="right")
+    return squares[own], memory
 
 
 def _shupe(
@@ -91,6 +113,13 @@ def _hysteresis(
     return MDPS * p["amplitude"] * (position - c.temp_c), memory
 
 
+def _rate_heating(
+    c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
+) -> tuple[Floats, Memory]:
+    squares, memory = heat_dps2(c, p["tau_s"], memory)
+    return MDPS * p["amplitude"] * squares / _USUAL_RATE_DPS**2, memory
+
+
 def _temperature_order(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     v = (c.temp_c - p["center_c"]) / p["scale_c"]
     return np.asarray(MDPS * p["amplitude"] * v ** round(p["order"]))
@@ -134,6 +163,10 @@ def _thermal_lag_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 
 def _hysteresis_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     return f"{n(MDPS * p['amplitude'])} * (@real@)({memory.play(p['width_c'])} - temp_c)"
+
+
+def _rate_heating_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
+    return f"{n(MDPS * p['amplitude'] / _USUAL_RATE_DPS**2)} * {memory.heat(p['tau_s'])}"
 
 
 def _temperature_order_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
@@ -242,6 +275,27 @@ THERMAL_HYSTERESIS = Effect(
     c_text=CText(_hysteresis_c),
 )
 
+RATE_HEATING = Effect(
+    id="rate_heating",
+    family="thermal transient",
+    equation="e = k h / (100 deg/s)^2, tau dh/dt = w^2 - h",
+    statement="The bias follows the heat of past turns (drag of the air, bearings, the drive): their squares, and decays after them.",
+    parameters=(
+        amplitude("mdeg/s", 1000.0, 3.0, "bias after long turning at 100 deg/s"),
+        shape("tau_s", "s", 30.0, 7200.0, 600.0, "time constant of the warming"),
+    ),
+    needs=("t_s", "rate_dps"),
+    seen_in="rate",
+    looks_like=("scale_asymmetry", "warm_up"),
+    reference="first-order heat flow, of a loss that goes with the square of the rate",
+    runtime=True,
+    error_dps=_rate_heating,
+    has_memory=True,
+    search=Search(grid=scales("tau_s", 60.0, 3600.0, 12), refined=("tau_s",), requires=(table_turns,)),
+    fold=on_own("Heat of past turns, share of that of 100 °/s"),
+    c_text=CText(_rate_heating_c),
+)
+
 TEMPERATURE_ORDER = Effect(
     id="temperature_order",
     family="temperature shape",
@@ -269,4 +323,4 @@ TEMPERATURE_ORDER = Effect(
     c_text=CText(_temperature_order_c, (POWER,)),
 )
 
-EFFECTS = (SHUPE, SHUPE_GRADIENT, THERMAL_LAG, THERMAL_HYSTERESIS, TEMPERATURE_ORDER)
+EFFECTS = (SHUPE, SHUPE_GRADIENT, THERMAL_LAG, THERMAL_HYSTERESIS, RATE_HEATING, TEMPERATURE_ORDER)

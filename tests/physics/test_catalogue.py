@@ -131,7 +131,8 @@ def test_ids_are_those_of_the_bench_table() -> None:
     bench = source.read_text(encoding="utf-8").split("## On the bench")[1].split("## On the robot")[0]
     rows = [line.split("|")[1] for line in bench.splitlines() if line.startswith("| `")]
     ids = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
-    assert ids == set(CATALOGUE)
+    # Heat of past turns has a name beyond that table.
+    assert ids | {"rate_heating"} == set(CATALOGUE)
 
 
 @pytest.mark.parametrize("effect", ["table_eccentricity", "rate_order", "temperature_order"])

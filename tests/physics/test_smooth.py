@@ -90,7 +90,8 @@ def test_factors_of_rate_and_temperature_are_their_formulas() -> None:
 def test_drivers_on_a_ramp_have_their_closed_forms() -> None:
     t = np.arange(0.0, 3000.0, 7.0)
     ramp = 0.01  # degC/s
-    c = Conditions(t, np.zeros(t.size), 20 + ramp * t, supply_v=np.full(t.size, 11.5), since_power_on_s=t)
+    squares = np.square(FRAME.rate_scale_dps) * 2e-4 * t
+    c = Conditions(t, np.sqrt(squares), 20 + ramp * t, supply_v=np.full(t.size, 11.5), since_power_on_s=t)
 
     def behind(tau: float) -> Floats:
         return np.asarray(-ramp * tau * -np.expm1(-t / tau))
@@ -99,6 +100,7 @@ def test_drivers_on_a_ramp_have_their_closed_forms() -> None:
         "one": np.ones(t.size), "lag": behind(300.0), "band": behind(300.0) - behind(600.0),
         "temperature_rate": -behind(30.0) / 30, "play": -np.minimum(ramp * t, 4.0),
         "warm_up": np.exp(-t / 300), "supply": np.full(t.size, -0.5),
+        "heat": 2e-4 * (t + 300.0 * np.expm1(-t / 300.0)),
     }  # fmt: skip
     assert set(expected) == set(DRIVERS)
     for factor in factors(DRIVERS):
@@ -162,7 +164,8 @@ def test_json_and_back() -> None:
     for name in ("coefficients_dps", "covariance_dps2", "seen"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
     assert a.has_memory
-    assert a.channels == {"temp_c", "since_power_on_s", "supply_v"}
+    assert a.channels == {"temp_c", "since_power_on_s", "supply_v", "rate_dps"}
+    assert a.remembers_rates
 
 
 def test_beyond_what_was_seen() -> None:

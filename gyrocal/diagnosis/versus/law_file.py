@@ -1,7 +1,7 @@
 """A law as a Python file that needs numpy alone: the very functions of the catalogue, with the numbers found.
 
 The sources are copied from `gyrocal.physics`, each function with what it calls, so that the file says exactly what
-was fitted; lag and play, which the catalogue runs compiled, stand there as plain loops.
+was fitted; lag, heat and play, which the catalogue runs compiled, stand there as plain loops.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import Surface
 
 #: What the file defines by itself.
-_OWN = {"lag", "play", "Conditions", "Surface", "need_surface"}
+_OWN = {"lag", "heat", "play", "Conditions", "Surface", "need_surface"}
 
 _HEAD = '''\
 """@title@
@@ -105,6 +105,13 @@ def lag(t_s, values, tau_s, memory=None):
         gain = -np.expm1(-step) / step if step > 0 else 1.0
         out[k] = np.exp(-step) * out[k - 1] + gain * (values[k] - values[k - 1])
     return out, None
+
+
+def heat(t_s, rate_dps, tau_s, memory=None):
+    """Low-passed squares of past rates, of which there were none before the first."""
+    squares = np.asarray(rate_dps, dtype=float) ** 2
+    before = squares[0] * np.exp(-(np.asarray(t_s) - t_s[0]) / tau_s)
+    return squares - lag(t_s, squares, tau_s)[0] - before, None
 
 
 def play(values, half_width, position=None):
@@ -219,6 +226,8 @@ def _smooth_source(term: SmoothTerm, number: int) -> str:
     ]
     if memory.tau_s:
         lines.append(f"    behind_c = [lag(c.need('t_s'), temp_c, tau_s)[0] for tau_s in {memory.tau_s!r}]")
+    if memory.heat_tau_s:
+        lines.append(f"    heat_dps2 = [heat(c.need('t_s'), w, tau_s)[0] for tau_s in {memory.heat_tau_s!r}]")
     if memory.width_c:
         lines.append(f"    play_c = [play(temp_c, half_width)[0] for half_width in {memory.width_c!r}]")
     if any("since_power_on_s" in law for law in laws):
