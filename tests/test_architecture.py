@@ -373,7 +373,7 @@ SAME_WORD |= {
     "gyrocal.diagnosis.drive.truth": OF_A_PATH,
 }
 #: The blind trial writes its laws itself, so as to share no formula with the finder, and says which names are right.
-OWN_LAWS = {"gyrocal.trial.laws": set(CATALOGUE) - {"quantisation", "time_base"}}
+OWN_LAWS = {"gyrocal.trial.laws": set(CATALOGUE) - {"quantisation", "time_base", "rate_heating"}}
 
 
 def ids_in(path: Path) -> set[str]:

@@ -1,4 +1,4 @@
-"""Laws of time and of the temperature's history that a table's search tries, as columns at its rows.
+"""Laws of time and of the history of temperature and rate that a table's search tries, as columns at its rows.
 
 Few gyros do what they do with one time constant, or at an instant. A law of one shape that misses its course leaves to a
 wandering bias what it misses, and then nothing is told apart; so each has a spread too.
@@ -23,7 +23,7 @@ from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.thermal import SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
+from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, POWERS, SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.units import S_PER_H
 
@@ -32,8 +32,14 @@ Value = TypeVar("Value", bound=float)
 
 STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
-#: Laws of the temperature's history that act on the bias alone, and their shape; the first has none.
-HISTORY = {SHUPE.id: "", SHUPE_GRADIENT.id: "tau_s", THERMAL_HYSTERESIS.id: "width_c"}
+#: Laws of what is remembered that act on the bias alone, and their shape; the first has none. Heat of past turns grows as a
+#: warm-up does: only beside each other are they told apart.
+HISTORY = {
+    SHUPE.id: "",
+    SHUPE_GRADIENT.id: "tau_s",
+    THERMAL_HYSTERESIS.id: "width_c",
+    RATE_HEATING.id: "tau_s",
+}
 #: Time constants of a warm-up, s: of a minute, as a small gyro's, to two hours.
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 #: A warm-up that the record does not outlast by half is a drift: its end is not seen.
@@ -130,7 +136,7 @@ class Changes:
 
     @cached_property
     def _history(self) -> dict[str, dict[float, Floats]]:
-        """Columns of laws of the temperature's history by effect and shape; none acts through the surface."""
+        """Columns of laws of what is remembered by effect and shape; none acts through the surface."""
         frame = self.frame
         blank = Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
         laws = laws_of(self.means, blank)

@@ -27,7 +27,6 @@ Ints = NDArray[np.int64]
 
 #: Component, and block, of errors of single rates, which explain whatever laws of the rate do.
 EACH_RATE = "each rate"
-
 #: Block of what remembers past rates.
 PAST_RATES = "past rates"
 
@@ -52,11 +51,9 @@ _RATE_BUMPS, _TEMP_BUMPS = 13, 11
 _VISITED, _VISITED_RATES = 0.7, 0.5
 #: Powers of temperature beyond the surface's own, of bias and scale factor each; bumps follow what is no power.
 _TEMP_ORDERS = 3
-#: Time constants of what remembers temperature and of what warms up, s: sums of exponentials an octave apart follow
+#: Time constants of what remembers temperature, of what warms up, and of heat, s: sums of exponentials an octave apart follow
 #: anything between, a stretched one too.
-_LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
-#: The same of what past turns have warmed.
-_HEATS_S = 75.0 * 2.0 ** np.arange(6)
+_LAGS_S, _WARM_UPS_S, _HEATS_S = (first * 2.0 ** np.arange(6) for first in (40.0, 150.0, 75.0))
 #: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
@@ -276,14 +273,14 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
     Parameters
     ----------
     carried : terms of the surface that rates and temperatures can tell apart
-    memory : whether parts that remember the temperature, and a warm-up, are among them
+    memory : whether parts that remember temperatures or rates, and a warm-up, are among them
     """
     found = [surface_part(carried)]
     turning = _turns(means)
     span_c = float(np.ptp(means.series.history.temp_c))
     if turning:
         found += _of_rate(means, frame)
-        found.append(_of_past_rates(means))
+        found += [_of_past_rates(means)] if memory else []
     if span_c > _SHAPED * _LEAST_SPAN_C:
         found += _of_temperature(means, frame, turning)
     if memory:

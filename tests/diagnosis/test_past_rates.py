@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.correction import correction
-from gyrocal.diagnosis.estimates import of_law
-from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.thermal import RATE_HEATING, heat_dps2
+from gyrocal.physics.thermal import heat_dps2
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]
@@ -56,20 +54,19 @@ def lingering(seed: int, hot_dps: float, bend_dps: float = 0.0) -> DataSetTable:
     )
 
 
-def found_in(table: DataSetTable) -> Examination:
-    return examine(series_of_table(table), 0.01)
+def found_in(table: DataSetTable) -> Diagnosis:
+    return diagnose(table, options=Options(heldout=False))
 
 
-def names(found: Examination) -> list[str]:
-    return [n.law.effect for n in found.naming.named]
+def names(found: Diagnosis) -> list[str]:
+    return [effect.effect for effect in found.effects]
 
 
-def held(found: Examination) -> dict[str, bool]:
+def held(found: Diagnosis) -> dict[str, bool]:
     """Whether the intervals of the heat's parameters hold the truth."""
-    (law,) = [n.law for n in found.naming.named if n.law.effect == RATE_HEATING.id]
-    told = of_law(found.naming.fitted, law, found.laws, []).parameters
+    (heat,) = [effect for effect in found.effects if effect.effect == "rate_heating"]
     true = {"amplitude": 1e3 * _HOT_DPS, "tau_s": _TAU_S}
-    ends = {name: told[name].interval_95 for name in true}
+    ends = {name: heat.parameters[name].interval_95 for name in true}
     return {name: ends[name][0] <= value <= ends[name][1] for name, value in true.items()}
 
 
@@ -81,7 +78,8 @@ def test_heat_of_past_turns_has_its_name_and_goes_from_another_run() -> None:
     hot_dps = _HOT_DPS * warmed(_TAU_S, rate, 5)
     temp_c = np.linspace(5.0, 38.0, rate.size)
     own_dps = 0.02 + 3e-4 * temp_c + rate * (2e-4 + 1e-5 * temp_c)
-    corrected = Compensator(correction(found)).correct(
+    assert found.improved is not None
+    corrected = Compensator(found.improved).correct(
         5.0 * np.arange(rate.size), rate + own_dps + hot_dps, temp_c
     )
     assert np.std(corrected - rate) < 0.3 * np.std(hot_dps)
