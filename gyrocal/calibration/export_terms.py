@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gyrocal.physics.c_text import CMemory, Number
 from gyrocal.physics.inverse import FIRST_STEP, GROWTH, HALVINGS, SECANTS, STEPS
+from gyrocal.physics.kernels import PAUSE_S, TURNED_S
 from gyrocal.physics.surface import NEAR_ROUNDS, Surface
 from gyrocal.physics.terms import Part
 
@@ -76,9 +77,15 @@ _UPDATE_HEAT = """\
     if (rate_dps - rate_dps <= 0) {
         const double square = rate_dps * rate_dps;
         for (i = 0; i < @heats@; i++) {
-            const double z = s->turned_s / heat_tau_s[i];
+            const double z = s->turned_s / heat_tau_s[i], end = exp(-@turned_s@ / heat_tau_s[i]);
             const double gain = z > 0 ? -expm1(-z) / z : 1;
-            const double behind = exp(-z) * (s->last_dps2 - s->heat_dps2[i]) + gain * (square - s->last_dps2);
+            double behind = s->last_dps2 - s->heat_dps2[i];
+            if (s->turned_s > @pause_s@) {
+                behind = end * behind - s->last_dps2;
+                behind = end * (exp(-(s->turned_s - 2 * @turned_s@) / heat_tau_s[i]) * behind + square);
+            } else {
+                behind = exp(-z) * behind + gain * (square - s->last_dps2);
+            }
             s->heat_dps2[i] = square - behind;
         }
         s->turned = 1;
@@ -274,6 +281,8 @@ def _state(memory: CMemory) -> str:
     text = (
         text.replace("@heat@", _UPDATE_HEAT if heats else "")
         .replace("@heats@", str(heats))
+        .replace("@pause_s@", repr(PAUSE_S))
+        .replace("@turned_s@", repr(TURNED_S))
         .replace("@constants@", "\n".join(constants))
     )
     text = text.replace("@start@", _START_PLAY if plays else "")

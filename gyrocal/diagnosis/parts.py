@@ -53,7 +53,8 @@ _VISITED, _VISITED_RATES = 0.7, 0.5
 _TEMP_ORDERS = 3
 #: Time constants of what remembers temperature, of what warms up, and of heat, s: sums of exponentials an octave apart follow
 #: anything between, a stretched one too.
-_LAGS_S, _WARM_UPS_S, _HEATS_S = (first * 2.0 ** np.arange(6) for first in (40.0, 150.0, 75.0))
+_LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
+_HEATS_S = 75.0 * 2.0 ** np.arange(6)
 #: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
@@ -171,14 +172,7 @@ class Basis:
         on_grid = [d for d in new if DRIVERS[d.kind].channel == "temp_c" and d != Factor()]
         for driver, values in histories(past, self.frame, on_grid)[0].items():
             self._known[driver] = self._averaged(values)
-        here = Conditions(
-            m.t_s,
-            m.rate_dps,
-            m.temp_c,
-            supply_v=m.supply_v,
-            since_power_on_s=since_on(m),
-            row_s=m.to_s - m.from_s,
-        )
+        here = Conditions(m.t_s, m.rate_dps, m.temp_c, supply_v=m.supply_v, since_power_on_s=since_on(m))
         self._known |= histories(here, self.frame, [d for d in new if d not in on_grid])[0]
         return self._known
 

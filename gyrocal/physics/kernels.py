@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+#: Longer between two samples is a pause, s; for so long the rate goes on when it begins, and has come when it ends.
+PAUSE_S, TURNED_S = 180.0, 15.0
+
 #: Blocks shorter than this are not worth the import of numba (a second); where it is imported already, these.
 _LONG_BLOCK = 500_000
 _SHORT_BLOCK = 1000
@@ -100,19 +103,32 @@ def heat(
 ) -> tuple[Floats, LagMemory | None]:
     """What is left of the squares of past rates, ``tau dh/dt = w^2 - h``: of the heat that turning makes.
 
-    Exact for squares that are linear between samples, as `lag` is; cold before the first sample.
+    Exact for squares that are linear between samples, as `lag` is; cold before the first sample. In a pause of more than
+    `PAUSE_S` it stood, but for the `TURNED_S` after it began and before it ended: samples may be means of data sets.
 
     Returns
     -------
-    h : ndarray, shape (n,), deg^2/s^2
+    h : ndarray, shape (n,), deg^2/s^2; NaN where rate or time are not finite, which are passed over
     memory : for the next block
     """
     squares = np.square(rate_dps)
-    if memory is None:
-        good = np.flatnonzero(np.isfinite(squares) & np.isfinite(t_s))
-        memory = (float(t_s[good[0]]), 0.0, 0.0) if good.size else None
-    behind, memory = lag(t_s, squares, tau_s, memory)
-    return squares - behind, memory
+    out = np.full(squares.size, np.nan)
+    good = np.flatnonzero(np.isfinite(squares) & np.isfinite(t_s))
+    if good.size == 0:
+        return out, memory
+    t, own = t_s[good], squares[good]
+    memory = memory or (float(t[0]), 0.0, 0.0)
+    before_t, before = np.append(memory[0], t[:-1]), np.append(memory[1], own[:-1])
+    paused = np.flatnonzero(t - before_t > PAUSE_S)
+    still = np.zeros(paused.size)
+    ends_s = [before_t[paused] + TURNED_S, t[paused] - TURNED_S]
+    times = np.column_stack([ends_s[0], ends_s[0], ends_s[1], ends_s[1]])
+    values = np.column_stack([before[paused], still, still, own[paused]])
+    at = np.repeat(paused, 4)
+    behind, memory = lag(np.insert(t, at, times.ravel()), np.insert(own, at, values.ravel()), tau_s, memory)
+    rows = np.arange(t.size)
+    out[good] = own - behind[rows + 4 * np.searchsorted(paused, rows, side="right")]
+    return out, memory
 
 
 def _play_loop(values: Floats, half_width: float, position: float, out: Floats) -> Any:

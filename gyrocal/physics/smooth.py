@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from gyrocal.physics.c_text import ABOVE, BUMP, LEGENDRE, CMemory, Number
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import ROBOT_CHANNELS, Floats
-from gyrocal.physics.kernels import lag, play
+from gyrocal.physics.kernels import heat, lag, play
 from gyrocal.physics.shapes import DRIVERS, RATE, TEMPERATURE, Driver, Frame, Shape, Trace
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.thermal import heat_dps2, temperature_rate_c_per_s
+from gyrocal.physics.thermal import temperature_rate_c_per_s
 
 __all__ = [
     "Column", "Factor", "Frame", "SmoothTerm", "columns_of", "design", "histories", "rate_factors", "smooth_term",
@@ -59,7 +59,7 @@ def _trace(kind: str, number: float, c: Conditions, memory: Any) -> tuple[Floats
     if kind == "rate":
         return temperature_rate_c_per_s(c, memory)
     if kind == "heat":
-        return heat_dps2(c, number, memory)
+        return heat(c.t_s, c.rate_dps, number, memory)
     position_c, memory = play(c.temp_c, number, memory)
     return position_c - c.temp_c, memory
 

@@ -36,8 +36,6 @@ from gyrocal.units import S_PER_MIN
 SMOOTHING_S = 30.0
 #: The rate whose heat in the long run is one, deg/s.
 _USUAL_RATE_DPS = 100.0
-#: Rows farther apart than so many times what is usual have a pause between them; fewer rows do not tell what is usual.
-_PAUSE, _FEWEST_ROWS = 4.0, 5
 
 
 def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Memory]:
@@ -46,24 +44,6 @@ def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Mem
         return c.temp_rate_c_per_s, None
     behind_c, memory = lag(c.t_s, c.temp_c, SMOOTHING_S, memory)
     return behind_c / SMOOTHING_S, memory
-
-
-def heat_dps2(c: Conditions, tau_s: float, memory: Memory) -> tuple[Floats, Memory]:
-    """Squares of past rates, low-passed by `tau_s`, deg^2/s^2: of rows that are means the table stood in long pauses between them."""
-    if c.row_s is None or len(c) < _FEWEST_ROWS:
-        return heat(c.t_s, c.rate_dps, tau_s, memory)
-    step_s = np.diff(c.t_s)
-    usual_s = float(np.median(step_s))
-    before = np.flatnonzero(step_s > _PAUSE * usual_s)
-    # At both ends of a pause the rate falls to nothing.
-    ends_s = [(c.t_s[before] + 0.5 * usual_s), (c.t_s[before + 1] - 0.5 * usual_s)]
-    at = np.concatenate([before + 1] * 4)
-    t_s = np.insert(c.t_s, at, np.concatenate([ends_s[0], ends_s[0], ends_s[1], ends_s[1]]))
-    still = np.zeros(before.size)
-    rates_dps = np.concatenate([c.rate_dps[before], still, still, c.rate_dps[before + 1]])
-    squares, memory = heat(t_s, np.insert(c.rate_dps, at, rates_dps), tau_s, memory)
-    own = np.arange(len(c)) + 4 * np.searchsorted(before + 1, np.arange(len(c)), side="right")
-    return squares[own], memory
 
 
 def _shupe(
@@ -116,7 +96,7 @@ def _hysteresis(
 def _rate_heating(
     c: Conditions, p: Mapping[str, float], surface: Surface | None, memory: Memory
 ) -> tuple[Floats, Memory]:
-    squares, memory = heat_dps2(c, p["tau_s"], memory)
+    squares, memory = heat(c.t_s, c.rate_dps, p["tau_s"], memory)
     return MDPS * p["amplitude"] * squares / _USUAL_RATE_DPS**2, memory
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.result import Diagnosis
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.thermal import heat_dps2
+from gyrocal.physics.kernels import heat
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]
@@ -106,21 +105,22 @@ def test_the_table_stands_in_the_pauses_between_rows() -> None:
     rate = np.tile(np.concatenate([sets, np.zeros(30)]), 3)
     t_s = _SET_S * np.arange(rate.size, dtype=np.float64)
     kept = np.tile(np.arange(36) < 6, 3)
-    c = Conditions(t_s[kept], rate[kept], np.full(18, 20.0), row_s=np.full(18, 20.0))
     by_sum = 1e4 * warmed(300.0, rate, int(_SET_S))[kept]
-    np.testing.assert_allclose(heat_dps2(c, 300.0, None)[0], by_sum, atol=0.02 * by_sum.max())
+    found, _ = heat(t_s[kept], rate[kept], 300.0, None)
+    np.testing.assert_allclose(found, by_sum, atol=0.02 * by_sum.max())
 
 
 @pytest.mark.parametrize("split", [1, 7, 50])
 def test_blocks_of_any_size_remember_the_same(split: int) -> None:
     rng = np.random.default_rng(3)
-    t_s, rate = np.cumsum(rng.uniform(0.01, 2.0, 100)).astype(np.float64), rng.uniform(-90.0, 90.0, 100)
+    steps_s = np.where(np.arange(100) % 14 == 0, 400.0, rng.uniform(0.01, 2.0, 100))
+    t_s, rate = np.cumsum(steps_s, dtype=np.float64), rng.uniform(-90.0, 90.0, 100)
     rate[[0, 31]] = np.nan
-    c = Conditions(t_s, rate, np.full(100, 20.0))
-    whole, _ = heat_dps2(c, 40.0, None)
+    whole, _ = heat(t_s, rate, 40.0, None)
     memory, parts = None, []
     for first in range(0, 100, split):
-        part, memory = heat_dps2(c.cut(slice(first, first + split)), 40.0, memory)
+        block = slice(first, first + split)
+        part, memory = heat(t_s[block], rate[block], 40.0, memory)
         parts.append(part)
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
@@ -130,5 +130,5 @@ def test_heat_grows_and_decays_by_its_closed_form() -> None:
     t_s = np.arange(0.0, 2400.0, 0.5)
     grown = -np.expm1(-np.minimum(t_s, 600.0) / 300.0)
     expected = 2500.0 * grown * np.exp(-np.maximum(t_s - 600.0, 0.0) / 300.0)
-    c = Conditions(t_s, np.where(t_s <= 600.0, 50.0, 0.0), np.full(t_s.size, 20.0))
-    np.testing.assert_allclose(heat_dps2(c, 300.0, None)[0], expected, atol=3.0)
+    found, _ = heat(t_s, np.where(t_s <= 600.0, 50.0, 0.0), 300.0, None)
+    np.testing.assert_allclose(found, expected, atol=3.0)

@@ -19,6 +19,7 @@ import numpy as np
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.c_text import CMemory
 from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.kernels import PAUSE_S, TURNED_S
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import Surface
 
@@ -108,10 +109,20 @@ def lag(t_s, values, tau_s, memory=None):
 
 
 def heat(t_s, rate_dps, tau_s, memory=None):
-    """Low-passed squares of past rates, of which there were none before the first."""
+    """Low-passed squares of past rates, of which there were none before the first; in a long pause it stands."""
     squares = np.asarray(rate_dps, dtype=float) ** 2
-    before = squares[0] * np.exp(-(np.asarray(t_s) - t_s[0]) / tau_s)
-    return squares - lag(t_s, squares, tau_s)[0] - before, None
+    behind = np.array(squares)
+    for k in range(1, len(squares)):
+        since, last, now = max(t_s[k] - t_s[k - 1], 0.0), squares[k - 1], squares[k]
+        if since > @pause_s@:
+            end = np.exp(-@turned_s@ / tau_s)
+            rest = np.exp(-(since - 2.0 * @turned_s@) / tau_s)
+            behind[k] = end * (rest * (end * behind[k - 1] - last) + now)
+        else:
+            step = since / tau_s
+            gain = -np.expm1(-step) / step if step > 0 else 1.0
+            behind[k] = np.exp(-step) * behind[k - 1] + gain * (now - last)
+    return squares - behind, None
 
 
 def play(values, half_width, position=None):
@@ -195,7 +206,8 @@ def python_file(
         lines.append(f"    e = e + {law.__name__}(c, {values!r}, SURFACE{memory}){first}{said}")
     smooth = _SMOOTH_HELP if parts else ""
     imports = "".join(f"{line}\n" for line in modules.values())
-    head = _HEAD.replace("@title@", title).replace("@formula@", formula).replace("@imports@", imports)
+    head = _HEAD.replace("@pause_s@", repr(PAUSE_S)).replace("@turned_s@", repr(TURNED_S))
+    head = head.replace("@title@", title).replace("@formula@", formula).replace("@imports@", imports)
     surfaces = (
         _surface_source("SURFACE", coefficients.surface),
         _surface_source("SIMULATED", already),
