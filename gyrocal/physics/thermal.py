@@ -271,7 +271,13 @@ RATE_HEATING = Effect(
     runtime=True,
     error_dps=_rate_heating,
     has_memory=True,
-    search=Search(grid=scales("tau_s", 60.0, 3600.0, 12), refined=("tau_s",), requires=(table_turns,)),
+    search=Search(
+        grid=scales("tau_s", 60.0, 3600.0, 12),
+        refined=("tau_s",),
+        requires=(table_turns,),
+        # It grows as a warm-up does, which more gyros have.
+        prior_nats=-2.0,
+    ),
     fold=on_own("Heat of past turns, share of that of 100 °/s"),
     c_text=CText(_rate_heating_c),
 )
