@@ -51,10 +51,11 @@ _RATE_BUMPS, _TEMP_BUMPS = 13, 11
 _VISITED, _VISITED_RATES = 0.7, 0.5
 #: Powers of temperature beyond the surface's own, of bias and scale factor each; bumps follow what is no power.
 _TEMP_ORDERS = 3
-#: Time constants of what remembers temperature, of what warms up, and of heat, s: sums of exponentials an octave apart follow
+#: Time constants of what remembers temperature and of what warms up, s: sums of exponentials an octave apart follow
 #: anything between, a stretched one too.
 _LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
-_HEATS_S = 75.0 * 2.0 ** np.arange(6)
+#: The same of the heat of past turns.
+_HEATS_S = 150.0 * 2.0 ** np.arange(5)
 #: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.

@@ -262,7 +262,8 @@ RATE_HEATING = Effect(
     statement="The bias follows the heat of past turns (drag of the air, bearings, the drive): their squares, and decays after them.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 3.0, "bias after long turning at 100 deg/s"),
-        shape("tau_s", "s", 30.0, 7200.0, 600.0, "time constant of the warming"),
+        # What decays sooner is the table's or the gyro's response to a step of the rate.
+        shape("tau_s", "s", 100.0, 7200.0, 600.0, "time constant of the warming"),
     ),
     needs=("t_s", "rate_dps"),
     seen_in="rate",
@@ -272,7 +273,7 @@ RATE_HEATING = Effect(
     error_dps=_rate_heating,
     has_memory=True,
     search=Search(
-        grid=scales("tau_s", 60.0, 3600.0, 12),
+        grid=scales("tau_s", 120.0, 3600.0, 12),
         refined=("tau_s",),
         requires=(table_turns,),
         # It grows as a warm-up does, which more gyros have.
