@@ -25,7 +25,7 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.contest import Winner, best_law
+from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, beyond_chance, is_passing, simplest
 from gyrocal.diagnosis.jumps import Jump, with_jumps
@@ -221,15 +221,17 @@ def still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) 
 def _mechanisms(named: list[Named]) -> list[Named]:
     """Less what is the misfit of another law: orders of the rate worth less than any, and the lesser of what swallows small rates.
 
-    What is even in the rate is no misfit of what is odd in it, nor the other way round.
+    What is odd in the rate is no misfit of what is even in it; of a sine about a bias even orders are one.
     """
     gains = {e.id: sum(n.gain for n in named if n.law.effect == e.id) for e in (DEAD_ZONE, TRUNCATION)}
     if all(gains.values()):
         named = [n for n in named if n.law.effect != min(gains, key=lambda e: gains[e])]
     of_rate = [n for n in named if CATALOGUE[n.law.effect].family == RATE_ORDER.family]
     others = [n for n in of_rate if n.law.effect != RATE_ORDER.id]
-    strongest = {b: max((n.gain for n in others if n.block in (b, EACH_RATE)), default=0.0) for b in BENT}
-    return [n for n in named if n.law.effect != RATE_ORDER.id or n.gain > strongest.get(n.block, 0.0)]
+    strongest = max((n.gain for n in others), default=0.0)
+    of_odd = max((n.gain for n in others if n.block in (ODD, EACH_RATE)), default=0.0)
+    least = {ODD: of_odd}
+    return [n for n in named if n.law.effect != RATE_ORDER.id or n.gain > least.get(n.block, strongest)]
 
 
 def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
@@ -326,10 +328,12 @@ def _of_robot(named: Named) -> bool:
     return effect.runtime and not effect.search.in_part and named.law.columns.shape[1] == 1
 
 
-def _least_worth(named: Named) -> float:
-    """What a law has to be worth at the end to stay, nats."""
+def _least_worth(named: Named, others: Sequence[Named]) -> float:
+    """What a law has to be worth at the end to stay, nats: one of several that are one effect has its name by the others."""
     if named.law.effect == BIAS_DRIFT.id:
         return _LINE
+    if any(n is not named and n.law.effect == named.law.effect for n in others):
+        return ALIKE_NATS
     return 0.5 * float(chi2.isf(NAMED_LEVEL / named.trials, named.law.columns.shape[1]))
 
 
@@ -343,9 +347,9 @@ def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named], 
         for n in named:
             laws = tuple(law for law in fitted.model.laws if law.name != n.law.name)
             gains.append((fitted.refit(replace(fitted.model, laws=laws)), n))
-        gains.sort(key=lambda x: x[0].nll - _least_worth(x[1]))
+        gains.sort(key=lambda x: x[0].nll - _least_worth(x[1], named))
         without, weakest = gains[0]
-        if without.nll - fitted.nll >= _least_worth(weakest):
+        if without.nll - fitted.nll >= _least_worth(weakest, named):
             worth = {n.law.name: f.nll - fitted.nll for f, n in gains}
             return fitted, beside + [replace(n, gain=worth[n.law.name]) for n in named], followed
         fitted, named = without, [n for n in named if n is not weakest]

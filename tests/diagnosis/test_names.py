@@ -20,7 +20,7 @@ from gyrocal.diagnosis.in_place import Alone, Named, _paired
 from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming, _mechanisms, still_there
+from gyrocal.diagnosis.names import Naming, _least_worth, _mechanisms, still_there
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import CATALOGUE
@@ -288,6 +288,20 @@ def test_orders_of_the_rate_have_a_name_beside_a_law_that_is_worth_less() -> Non
     sides = replace(named("scale_asymmetry", 900.0), block="even rate")
     assert _mechanisms([sides, orders]) == [sides, orders]
     assert _mechanisms([replace(sides, block=EACH_RATE), orders]) == [replace(sides, block=EACH_RATE)]
+    # A sine about a bias has even orders, too.
+    sine = named("sagnac_sine", 900.0)
+    assert _mechanisms([sine, replace(orders, block="even rate")]) == [sine]
+
+
+def test_one_of_two_laws_of_an_effect_needs_no_name_of_its_own() -> None:
+    """A bias that settles with two time constants had lost the longer one to a walk, and its file."""
+
+    def named(effect: str, gain: float) -> Named:
+        return Named(Law(effect, {}, np.zeros((1, 1))), "warm-up", gain, 1.0, {}, 12)
+
+    first, second, other = named("warm_up", 60.0), named("warm_up", 5.0), named("thermal_lag", 5.0)
+    assert _least_worth(second, [first, second]) < 5.0 < _least_worth(other, [first, other])
+    assert _least_worth(first, [first, other]) > 5.0
 
 
 def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:
