@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gyrocal.physics.c_text import CMemory, Number
 from gyrocal.physics.inverse import FIRST_STEP, GROWTH, HALVINGS, SECANTS, STEPS
-from gyrocal.physics.kernels import PAUSE_S, TURNED_S
+from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.surface import NEAR_ROUNDS, Surface
 from gyrocal.physics.terms import Part
 
@@ -77,18 +77,19 @@ _UPDATE_HEAT = """\
     if (rate_dps - rate_dps <= 0) {
         const double square = rate_dps * rate_dps;
         for (i = 0; i < @heats@; i++) {
-            const double z = s->turned_s / heat_tau_s[i], end = exp(-@turned_s@ / heat_tau_s[i]);
+            const double z = s->turned_s / heat_tau_s[i], end = exp(-s->step_s / 2 / heat_tau_s[i]);
             const double gain = z > 0 ? -expm1(-z) / z : 1;
             double behind = s->last_dps2 - s->heat_dps2[i];
-            if (s->turned_s > @pause_s@) {
+            if (s->step_s > 0 && s->turned_s > @pause_s@ && s->turned_s > @pause_steps@ * s->step_s) {
                 behind = end * behind - s->last_dps2;
-                behind = end * (exp(-(s->turned_s - 2 * @turned_s@) / heat_tau_s[i]) * behind + square);
+                behind = end * (exp(-(s->turned_s - s->step_s) / heat_tau_s[i]) * behind + square);
             } else {
                 behind = exp(-z) * behind + gain * (square - s->last_dps2);
             }
             s->heat_dps2[i] = square - behind;
         }
         s->turned = 1;
+        s->step_s = s->turned_s;
         s->turned_s = 0;
         s->last_dps2 = square;
     }
@@ -271,7 +272,7 @@ def _state(memory: CMemory) -> str:
     heats = len(memory.heat_tau_s)
     sizes = {"behind_c": lags, "play_c": plays, "heat_dps2": heats}
     arrays = "".join(f", {name}[{size}]" for name, size in sizes.items() if size)
-    turned = ";\n    int turned;\n    double turned_s, last_dps2" if heats else ""
+    turned = ";\n    int turned;\n    double turned_s, step_s, last_dps2" if heats else ""
     constants = [
         f"    static const double {name}[{len(values)}] = {{{', '.join(repr(x) for x in values)}}};"
         for name, values in vars(memory).items()
@@ -282,7 +283,7 @@ def _state(memory: CMemory) -> str:
         text.replace("@heat@", _UPDATE_HEAT if heats else "")
         .replace("@heats@", str(heats))
         .replace("@pause_s@", repr(PAUSE_S))
-        .replace("@turned_s@", repr(TURNED_S))
+        .replace("@pause_steps@", repr(PAUSE_STEPS))
         .replace("@constants@", "\n".join(constants))
     )
     text = text.replace("@start@", _START_PLAY if plays else "")

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-#: Longer between two samples is a pause, s; for so long the rate goes on when it begins, and has come when it ends.
-PAUSE_S, TURNED_S = 180.0, 15.0
+#: Between two samples there is a pause where they are farther apart than this, s, and than so many times those before.
+PAUSE_S, PAUSE_STEPS = 180.0, 4.0
 
 #: Blocks shorter than this are not worth the import of numba (a second); where it is imported already, these.
 _LONG_BLOCK = 500_000
@@ -98,13 +98,17 @@ def lag(
     return out, (float(t_s[good[-1]]), float(last), float(behind))
 
 
+#: Of the squares of the rate, and how far the sample before the last good one was.
+HeatMemory = tuple[LagMemory, float]
+
+
 def heat(
-    t_s: Floats, rate_dps: Floats, tau_s: float, memory: LagMemory | None
-) -> tuple[Floats, LagMemory | None]:
+    t_s: Floats, rate_dps: Floats, tau_s: float, memory: HeatMemory | None
+) -> tuple[Floats, HeatMemory | None]:
     """What is left of the squares of past rates, ``tau dh/dt = w^2 - h``: of the heat that turning makes.
 
-    Exact for squares that are linear between samples, as `lag` is; cold before the first sample. In a pause of more than
-    `PAUSE_S` it stood, but for the `TURNED_S` after it began and before it ended: samples may be means of data sets.
+    Exact for squares that are linear between samples, as `lag` is; cold before the first sample. In a pause (`PAUSE_S`,
+    `PAUSE_STEPS`) it stood, but for half of the usual step at both of its ends: samples may be means of data sets.
 
     Returns
     -------
@@ -117,18 +121,20 @@ def heat(
     if good.size == 0:
         return out, memory
     t, own = t_s[good], squares[good]
-    memory = memory or (float(t[0]), 0.0, 0.0)
-    before_t, before = np.append(memory[0], t[:-1]), np.append(memory[1], own[:-1])
-    paused = np.flatnonzero(t - before_t > PAUSE_S)
-    still = np.zeros(paused.size)
-    ends_s = [before_t[paused] + TURNED_S, t[paused] - TURNED_S]
+    last, step_before_s = memory or ((float(t[0]), 0.0, 0.0), 0.0)
+    before_t, before = np.append(last[0], t[:-1]), np.append(last[1], own[:-1])
+    step_s = t - before_t
+    usual_s = np.append(step_before_s, step_s[:-1])
+    paused = np.flatnonzero((usual_s > 0.0) & (step_s > np.maximum(PAUSE_S, PAUSE_STEPS * usual_s)))
+    still, turned_s = np.zeros(paused.size), 0.5 * usual_s[paused]
+    ends_s = [before_t[paused] + turned_s, t[paused] - turned_s]
     times = np.column_stack([ends_s[0], ends_s[0], ends_s[1], ends_s[1]])
     values = np.column_stack([before[paused], still, still, own[paused]])
     at = np.repeat(paused, 4)
-    behind, memory = lag(np.insert(t, at, times.ravel()), np.insert(own, at, values.ravel()), tau_s, memory)
+    behind, after = lag(np.insert(t, at, times.ravel()), np.insert(own, at, values.ravel()), tau_s, last)
     rows = np.arange(t.size)
     out[good] = own - behind[rows + 4 * np.searchsorted(paused, rows, side="right")]
-    return out, memory
+    return out, (after or last, float(step_s[-1]))
 
 
 def _play_loop(values: Floats, half_width: float, position: float, out: Floats) -> Any:

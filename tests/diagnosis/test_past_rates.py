@@ -125,6 +125,17 @@ def test_blocks_of_any_size_remember_the_same(split: int) -> None:
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
+def test_data_sets_that_are_minutes_apart_are_no_pauses() -> None:
+    """Of rows 240 s apart it turned all along; one that comes ten times later came after a pause."""
+    rate = np.tile([0.0, 60.0, 100.0, -100.0, -60.0], 6)
+    t_s = 240.0 * np.arange(rate.size, dtype=np.float64)
+    by_sum = 1e4 * warmed(900.0, rate, 240)
+    found, _ = heat(t_s, rate, 900.0, None)
+    np.testing.assert_allclose(found, by_sum, atol=0.15 * by_sum.max())
+    late = t_s + np.where(np.arange(rate.size) > 14, 7200.0, 0.0)
+    assert heat(late, rate, 900.0, None)[0][15] < 0.02 * found.max()
+
+
 def test_heat_grows_and_decays_by_its_closed_form() -> None:
     """Of 50 deg/s for 600 s and rest after them."""
     t_s = np.arange(0.0, 2400.0, 0.5)

@@ -19,7 +19,7 @@ import numpy as np
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.c_text import CMemory
 from gyrocal.physics.catalogue import find_effect
-from gyrocal.physics.kernels import PAUSE_S, TURNED_S
+from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import Surface
 
@@ -112,16 +112,18 @@ def heat(t_s, rate_dps, tau_s, memory=None):
     """Low-passed squares of past rates, of which there were none before the first; in a long pause it stands."""
     squares = np.asarray(rate_dps, dtype=float) ** 2
     behind = np.array(squares)
+    usual = 0.0
     for k in range(1, len(squares)):
         since, last, now = max(t_s[k] - t_s[k - 1], 0.0), squares[k - 1], squares[k]
-        if since > @pause_s@:
-            end = np.exp(-@turned_s@ / tau_s)
-            rest = np.exp(-(since - 2.0 * @turned_s@) / tau_s)
+        if usual > 0.0 and since > max(@pause_s@, @pause_steps@ * usual):
+            end = np.exp(-0.5 * usual / tau_s)
+            rest = np.exp(-(since - usual) / tau_s)
             behind[k] = end * (rest * (end * behind[k - 1] - last) + now)
         else:
             step = since / tau_s
             gain = -np.expm1(-step) / step if step > 0 else 1.0
             behind[k] = np.exp(-step) * behind[k - 1] + gain * (now - last)
+        usual = since
     return squares - behind, None
 
 
@@ -206,7 +208,7 @@ def python_file(
         lines.append(f"    e = e + {law.__name__}(c, {values!r}, SURFACE{memory}){first}{said}")
     smooth = _SMOOTH_HELP if parts else ""
     imports = "".join(f"{line}\n" for line in modules.values())
-    head = _HEAD.replace("@pause_s@", repr(PAUSE_S)).replace("@turned_s@", repr(TURNED_S))
+    head = _HEAD.replace("@pause_s@", repr(PAUSE_S)).replace("@pause_steps@", repr(PAUSE_STEPS))
     head = head.replace("@title@", title).replace("@formula@", formula).replace("@imports@", imports)
     surfaces = (
         _surface_source("SURFACE", coefficients.surface),
