@@ -97,7 +97,7 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
     solved = any("NAN" in part for part in parts)
     digest = json.loads(coefficients.to_text())["sha256"]
     head = {
-        "terms": _comment(", ".join(t.name for t in terms) or "none beside the surface"),
+        "terms": _comment(", ".join(dict.fromkeys(t.name for t in terms)) or "none beside the surface"),
         "library": "the mathematics library (-lm)" if libm else "no library",
         "math": "#include <math.h>\n" if libm or solved else "",
         "more": _SOLVED * solved + _MORE * bool(terms),
@@ -257,7 +257,7 @@ _SOLVED = """\
 
 _MORE = """\
  * dt_s     time since the sample before, s (0 for the first); call error or correct once a sample
- * state    what the error remembers of earlier temperatures; set all members to zero before the first sample
+ * state    what the error remembers of earlier temperatures and rates; set all members to zero before the first sample
  * since_power_on_s   time since the gyro was switched on, s
  * supply_v   supply voltage, V; NAN where it is not read: then it counts as that of the recording
  * An argument that the terms do not need is left out.

@@ -106,7 +106,7 @@ def command(
         return
     click.echo(f"{output}: {', '.join(export.functions) if export else form}.")
     if export and export.terms:
-        click.echo(f"Terms beside the surface: {', '.join(export.terms)}.")
+        click.echo(f"Terms beside the surface: {', '.join(dict.fromkeys(export.terms))}.")
     if export and export.not_exported:
         click.echo(f"Terms of the bench, not exported: {', '.join(export.not_exported)}.")
 
