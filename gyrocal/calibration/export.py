@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal import __version__
-from gyrocal.calibration.export_terms import TermSource, term_source
+from gyrocal.calibration.export_terms import TermSource, filled, term_source
 from gyrocal.errors import InputError
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE, Coefficients
 from gyrocal.physics.surface import SHAPE, Surface
@@ -109,7 +109,7 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
         "temp_low": f"{coefficients.valid.temp_c[0]:g}",
         "temp_high": f"{coefficients.valid.temp_c[1]:g}",
     }
-    text = _fill("\n".join([*parts, _END]), head).replace("PREFIX", prefix).replace("GUARD", prefix.upper())
+    text = filled("\n".join([*parts, _END]), head).replace("PREFIX", prefix).replace("GUARD", prefix.upper())
     bench = tuple(term.name for term in coefficients.terms if not term.runtime)
     return Export(
         text, tuple(functions), tuple(t.name for t in terms), bench, digest, dict(coefficients.sensor)
@@ -133,13 +133,7 @@ def _functions(
         "arguments": source.arguments,
     }
     values = names | _numbers(coefficients, kind) | {"real": kind, "f": suffix}
-    return source.state, _fill(template, values)
-
-
-def _fill(template: str, values: dict[str, str]) -> str:
-    for name, value in values.items():
-        template = template.replace(f"@{name}@", value)
-    return template
+    return source.state, filled(template, values)
 
 
 def _comment(text: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gyrocal.physics.c_text import CMemory, Number
@@ -255,12 +255,17 @@ def term_source(surface: Surface, terms: Sequence[Part], number: Number, kind: s
         "own": _OWN[surface.direction],
         "turn": _TURN[surface.direction],
     }
-    text = "\n".join([*helpers, _ERROR])
-    for name, value in values.items():
-        text = text.replace(f"@{name}@", value)
+    text = filled("\n".join([*helpers, _ERROR]), values)
     return TermSource(
         text, _state(memory) if remembers else "", ", ".join(parameters), ", ".join(_names(parameters))
     )
+
+
+def filled(text: str, values: Mapping[str, str]) -> str:
+    """A text with values in their places, in this order: a value may have places for those that follow."""
+    for name, value in values.items():
+        text = text.replace(f"@{name}@", value)
+    return text
 
 
 def _names(parameters: list[str]) -> list[str]:
@@ -278,14 +283,17 @@ def _state(memory: CMemory) -> str:
         for name, values in vars(memory).items()
         if values
     ]
-    text = _STATE.replace("@arrays@", arrays + turned).replace("@rate@", ", double rate_dps" if heats else "")
-    text = (
-        text.replace("@heat@", _UPDATE_HEAT if heats else "")
-        .replace("@heats@", str(heats))
-        .replace("@pause_s@", repr(PAUSE_S))
-        .replace("@pause_steps@", repr(PAUSE_STEPS))
-        .replace("@constants@", "\n".join(constants))
-    )
-    text = text.replace("@start@", _START_PLAY if plays else "")
-    text = text.replace("@update@", (_UPDATE_LAG if lags else "") + (_UPDATE_PLAY if plays else ""))
-    return text.replace("@lags@", str(lags)).replace("@plays@", str(plays))
+    values = {
+        "arrays": arrays + turned,
+        "constants": "\n".join(constants),
+        "rate": ", double rate_dps" if heats else "",
+        "heat": _UPDATE_HEAT if heats else "",
+        "start": _START_PLAY if plays else "",
+        "update": (_UPDATE_LAG if lags else "") + (_UPDATE_PLAY if plays else ""),
+        "lags": str(lags),
+        "plays": str(plays),
+        "heats": str(heats),
+        "pause_s": repr(PAUSE_S),
+        "pause_steps": repr(PAUSE_STEPS),
+    }
+    return filled(_STATE, values)

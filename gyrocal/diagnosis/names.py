@@ -227,11 +227,13 @@ def _mechanisms(named: list[Named]) -> list[Named]:
     if all(gains.values()):
         named = [n for n in named if n.law.effect != min(gains, key=lambda e: gains[e])]
     of_rate = [n for n in named if CATALOGUE[n.law.effect].family == RATE_ORDER.family]
-    others = [n for n in of_rate if n.law.effect != RATE_ORDER.id]
-    strongest = max((n.gain for n in others), default=0.0)
-    of_odd = max((n.gain for n in others if n.block in (ODD, EACH_RATE)), default=0.0)
-    least = {ODD: of_odd}
-    return [n for n in named if n.law.effect != RATE_ORDER.id or n.gain > least.get(n.block, strongest)]
+    laws = [n for n in of_rate if n.law.effect != RATE_ORDER.id]
+
+    def is_misfit(orders: Named) -> bool:
+        like = [n for n in laws if orders.block != ODD or n.block in (ODD, EACH_RATE)]
+        return orders.gain <= max((n.gain for n in like), default=0.0)
+
+    return [n for n in named if n.law.effect != RATE_ORDER.id or not is_misfit(n)]
 
 
 def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named]]:

@@ -111,7 +111,7 @@ class Surface:
     def near_rate_dps(self, gyro_dps: Floats, temp_c: Floats) -> Floats:
         """True rate at a gyro output, shape (n,), without solving for it: to 1 % of the error where that is a fifth of the rate."""
         if self.direction == "output":
-            return gyro_dps - self.error_dps(gyro_dps, temp_c)
+            return self.rate_dps(gyro_dps, temp_c)
         rate = gyro_dps
         for _ in range(NEAR_ROUNDS):
             rate = gyro_dps - self.error_dps(rate, temp_c)

@@ -26,10 +26,10 @@ _TAU_S, _HOT_DPS = 500.0, 0.008
 
 def warmed(tau_s: float, rates_dps: Floats, seconds: int) -> Floats:
     """Heat of data sets of so many seconds, second by second: a share of 100 deg/s turned for ever, at each set's middle."""
-    heat, course = 0.0, []
+    share, course = 0.0, []
     for rate in np.repeat(rates_dps, seconds):
-        heat += ((rate / 100.0) ** 2 - heat) / tau_s
-        course.append(heat)
+        share += ((rate / 100.0) ** 2 - share) / tau_s
+        course.append(share)
     return np.array(course, dtype=np.float64)[seconds // 2 :: seconds]
 
 
@@ -63,9 +63,9 @@ def names(found: Diagnosis) -> list[str]:
 
 def held(found: Diagnosis) -> dict[str, bool]:
     """Whether the intervals of the heat's parameters hold the truth."""
-    (heat,) = [effect for effect in found.effects if effect.effect == "rate_heating"]
+    (warm,) = [effect for effect in found.effects if effect.effect == "rate_heating"]
     true = {"amplitude": 1e3 * _HOT_DPS, "tau_s": _TAU_S}
-    ends = {name: heat.parameters[name].interval_95 for name in true}
+    ends = {name: warm.parameters[name].interval_95 for name in true}
     return {name: ends[name][0] <= value <= ends[name][1] for name, value in true.items()}
 
 
