@@ -18,6 +18,7 @@ class Said(Enum):
     MISSING_SAMPLES = auto()
     STRAY_SAMPLES = auto()
     WHOLE_DEGREES = auto()
+    DITHERED = auto()
     CHAMBER_FOR_GYRO = auto()
     SAME_TIMES = auto()
     NO_SPREAD = auto()

@@ -43,6 +43,15 @@ _CARRIED = 1e-9
 _MISSED = 3.0
 #: Evidence that a thermometer's scatter is real, nats: where the gyro cannot tell it is noise, as it mostly is.
 _REAL_NATS = 3.0
+#: Steps of thermometers whose readings noise carries to and fro, so that means of them lie on no steps, degC; finer ones bend
+#: no mean by as much as a gyro sees. And of how many readings a mean may be, the first for all steps.
+_DITHERED_C, _READINGS = (1.0, 0.5, 0.25, 0.2, 0.1), (32.0, 4.0, 16.0, 64.0, 256.0)
+#: Steps of what was read that are this much finer are those of a mean.
+_STEPS_OF_MEAN = 8.0
+#: Where it stays near a step this many times as long as mostly, a chamber holds it there.
+_HELD = 3.0
+#: Evidence that means are of such readings, nats: steps that nothing but a mean tells are rare.
+_DITHERED_NATS = 5.0
 
 
 def series_of_table(table: DataSetTable) -> Series:
@@ -76,7 +85,11 @@ def series_of_table(table: DataSetTable) -> Series:
     white, notes = _white(table)
     times = mean(t_s)
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
-    history = _history(times, rate, gyro, read, count[filled], lattice_of_means(table.temp_c) or 0.0)
+    history, dithered_c = _history(
+        times, rate, gyro, read, count[filled], lattice_of_means(table.temp_c) or 0.0
+    )
+    if dithered_c is not None:
+        notes.append(Remark(Said.DITHERED, {"step_c": dithered_c}))
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
@@ -102,14 +115,61 @@ def series_of_table(table: DataSetTable) -> Series:
 
 def _history(
     t_s: Floats, rate_dps: Floats, gyro_dps: Floats, read_c: Floats, count: Floats, step_c: float
-) -> TemperatureHistory:
-    """The course of the temperature through readings, or the readings where no smooth course is behind them."""
+) -> tuple[TemperatureHistory, float | None]:
+    """The course of the temperature through readings, or the readings where no smooth course is behind them.
+
+    And the steps that noise carried the readings to and fro of, if it is these that the course is seen through.
+    """
     history = temperature_history(t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
     noise_c = 0.0 if history.course is None else history.course.noise
     as_read = max(step_c, noise_c) > COARSEST_C or _missed(read_c, course_c, step_c)
-    as_read = as_read or _scatter_is_real(rate_dps, gyro_dps, read_c, course_c)
-    return history.as_read(t_s, read_c) if as_read else history
+    if as_read:
+        return history.as_read(t_s, read_c), None
+    history, dithered_c = _through_dither(history, t_s, read_c, count, step_c)
+    if _scatter_is_real(rate_dps, gyro_dps, read_c, history.temp_at(t_s)):
+        return history.as_read(t_s, read_c), None
+    return history, dithered_c
+
+
+def _through_dither(
+    plain: TemperatureHistory, t_s: Floats, read_c: Floats, count: Floats, step_c: float
+) -> tuple[TemperatureHistory, float | None]:
+    """The course by means of readings in steps, and the steps, where that makes them likelier: such means lie near steps.
+
+    So do those at the set points of a chamber: only what passes from step to step tells.
+    """
+    if np.any(count > 1.0):
+        return plain, None
+
+    def evidence(rows: Ints, step: float, readings: float) -> float:
+        course = temperature_history(t_s[rows], read_c[rows], readings * count[rows], step).course
+        return -np.inf if course is None else course.evidence
+
+    def gain(step: float, readings: float) -> float:
+        rows = _passing(read_c, step)
+        return evidence(rows, step, readings) - evidence(rows, step_c, 1.0)
+
+    steps = [s for s in _DITHERED_C if s >= _STEPS_OF_MEAN * step_c]
+    steps = [s for s in steps if _passing(read_c, s).size >= FEWEST_ROWS]
+    if not steps:
+        return plain, None
+    step = max(steps, key=lambda s: gain(s, _READINGS[0]))
+    readings = max(_READINGS, key=lambda k: gain(step, k))
+    if gain(step, readings) <= _DITHERED_NATS:
+        return plain, None
+    return temperature_history(t_s, read_c, readings * count, step), step
+
+
+def _passing(read_c: Floats, step_c: float) -> Ints:
+    """Rows in which a temperature passes from step to next step, and is not held at one."""
+    near = np.round(read_c / step_c)
+    first = np.flatnonzero(np.diff(near, prepend=np.nan) != 0.0)
+    long = np.diff(np.append(first, near.size))
+    leaps = np.abs(np.diff(near[first])) > 1.0
+    beside = ~(np.append(False, leaps) | np.append(leaps, False))
+    passing = beside & (long <= _HELD * np.median(long[beside])) if beside.any() else beside
+    return np.flatnonzero(np.repeat(passing, long))
 
 
 def _missed(read_c: Floats, course_c: Floats, step_c: float) -> bool:

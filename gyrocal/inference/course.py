@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import minimize
-from scipy.special import log_ndtr
+from scipy.special import gammaln, log_ndtr
 
 Floats = NDArray[np.float64]
 
@@ -94,6 +94,8 @@ class Course:
         Number of the step that the node was read at, which nodes in a row share.
     room : ndarray, shape (k,)
         How little is known of where within that step the node is, standard deviation; 0 where it is not told apart.
+    evidence : float
+        Log density of the readings at the likeliest levels, nats: comparable between steps and counts of one series.
     """
 
     t_s: Floats
@@ -104,6 +106,7 @@ class Course:
     factor: Floats = field(repr=False)
     run: NDArray[np.int64]
     room: Floats
+    evidence: float
 
     def at(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Value and slope at times, shape (n,) each; straight across a gap, and level beyond either end."""
@@ -262,8 +265,18 @@ def smooth_course(
     )
     walk, noise = levels(best.x)
     _, x, factor = found.settle(walk, noise)
-    smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size))
+    evidence = _whole_evidence(-float(best.fun), value, count, step)
+    smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size), evidence)
     return _levelled(smooth, mean, step) if all_along and step else smooth
+
+
+def _whole_evidence(of_steps: float, value: Floats, count: Floats, step: float) -> float:
+    """Log density of means of readings, of that of the single readings in steps: in how many orders they make these means."""
+    if step == 0.0:
+        return of_steps
+    high = np.clip(value / step - np.floor(value / step + _AT_STEP), 0.0, 1.0) * count
+    orders = gammaln(count + 1.0) - gammaln(high + 1.0) - gammaln(count - high + 1.0)
+    return of_steps + float(np.sum(orders + np.log(count / step)))
 
 
 def _scatter(mean: Floats) -> float:
@@ -314,7 +327,7 @@ def _stepped(r: _Readings) -> _Readings:
     """Means of readings as the readings of the two steps that they lie between."""
     if r.step == 0.0:
         return r
-    below = np.floor(r.value / r.step + 1e-6)
+    below = np.floor(r.value / r.step + _AT_STEP)
     share = np.clip(r.value / r.step - below, 0.0, 1.0)
     share[share < _AT_STEP] = 0.0
     value = np.concatenate([below, below + 1.0]) * r.step

@@ -118,6 +118,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     ),
     Said.FEW_TEMPERATURES: "it turned at {count} temperatures: what changes the scale factor over temperature or time beyond the surface "
     "is not looked for; turn at five or more, up and down",
+    Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
+    "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "
     "its noise; [it counts|they count] as noisy as the others",
@@ -219,6 +221,7 @@ _OF_THE_DATA = frozenset(
         Said.UNUSABLE_SAMPLES,
         Said.STRAY_SAMPLES,
         Said.WHOLE_DEGREES,
+        Said.DITHERED,
         Said.CHAMBER_FOR_GYRO,
         Said.SAME_TIMES,
         Said.NO_SPREAD,

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import load_recording
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import _Samples, _white_std, missing_samples, series_of_run
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
@@ -81,6 +82,40 @@ def test_set_points_of_a_plan_are_the_temperatures_as_they_are_written() -> None
     series = series_of_table(DataSetTable(Path("plan.csv"), rate, gyro, temp))
     np.testing.assert_array_equal(series.temp_c, temp)
     assert series.history.covariance_at(series.t_s) is None
+
+
+def dithered(course_c: NDArray[np.float64], step_c: float, seed: int) -> DataSetTable:
+    """A table whose temperatures are means of 60 readings in steps, 0.15 steps of noise about a course."""
+    rng = np.random.default_rng(seed)
+    read = course_c[:, None] + 0.15 * max(step_c, 0.5) * rng.standard_normal((course_c.size, 60))
+    mean = (step_c * np.round(read / step_c) if step_c else read).mean(axis=1)
+    rate = np.resize(np.linspace(-90.0, 90.0, 15), course_c.size)
+    error = 0.01 * course_c + 4e-4 * rng.standard_normal(course_c.size)
+    return DataSetTable(
+        Path("t.csv"), rate, rate + error, np.round(mean, 4), t_s=90.0 * np.arange(float(course_c.size))
+    )
+
+
+WARMING_C = 22.0 + 9.0 * (1.0 - np.exp(-np.arange(120.0) / 100.0))
+SOAKED_C = 20.0 + 5.0 * np.convolve(np.repeat(np.arange(6.0), 20), [0.1, 0.2, 0.4, 0.2, 0.1], "same")[2:-2]
+
+
+@pytest.mark.parametrize("step_c", [0.5, 1.0])
+def test_means_of_readings_that_noise_carries_over_steps_are_seen_through(step_c: float) -> None:
+    """They lie nearer to the steps than the temperature does, by 0.14 degC rms of whole degrees."""
+    table = dithered(WARMING_C, step_c, 1)
+    series = series_of_table(table)
+    assert Remark(Said.DITHERED, {"step_c": step_c}) in series.notes
+    assert np.std(table.temp_c - WARMING_C) > 0.1 * step_c
+    assert np.std(series.temp_c - WARMING_C) < 0.03 * step_c
+
+
+@pytest.mark.parametrize("course_c", [WARMING_C, SOAKED_C], ids=["warming", "soaked"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fine_thermometer_is_taken_for_none_in_steps(course_c: NDArray[np.float64], seed: int) -> None:
+    """Nor where a chamber holds it at whole degrees."""
+    notes = series_of_table(dithered(course_c, 0.0, seed)).notes
+    assert not [n for n in notes if n.said is Said.DITHERED]
 
 
 def test_samples_that_are_missing_are_counted_and_slow_no_clock(tmp_path: Path) -> None:
