@@ -28,6 +28,7 @@ _UNITS = {
     "data_set_index": "data set",
     "time_since_power_on": "s",
     "supply": "V",
+    "time_since_step": "s",
 }
 #: Stretches of a coordinate that takes many values; a place is told in no finer ones.
 _QUANTILES = 25
@@ -144,6 +145,8 @@ def stretch(found: Examination, block: str, curve: Floats) -> dict[str, Any]:
         "data_set_index": means.set_index.astype(np.float64) + 1.0,
         "time_since_power_on": means.since_power_on_s,
         "supply": means.supply_v,
+        # Rows see all the steps before them.
+        "time_since_step": None,
     }[coordinate]
     rms = {"rms_dps": float(np.sqrt(np.mean(curve**2))), "unit": _UNITS[coordinate]}
     if values is None or np.ptp(values) == 0:

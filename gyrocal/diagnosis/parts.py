@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.series import LEAST_SUPPLY_V
+from gyrocal.diagnosis.settling import SETTLING, settling
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.conditions import Conditions
@@ -138,6 +139,7 @@ BLOCKS = {
     "supply": Block("supply", "supply"),
     "bias in time": Block("time", "time", stays=False, lasts=False),
     "scale in time": Block("time", "time", stays=False),
+    SETTLING: Block("step", "time_since_step", stays=False, lasts=False),
     EACH_RATE: Block("rate shape", "rate", stays=False, lasts=False),
 }
 
@@ -443,6 +445,7 @@ PASSING = {
     "bias walk": "bias in time",
     "scale line": "scale in time",
     "scale walk": "scale in time",
+    SETTLING: SETTLING,
     EACH_RATE: EACH_RATE,
 }
 
@@ -453,6 +456,7 @@ def passing(means: Means, frame: Frame) -> list[Component]:
     walk = wiener(means.t_s)
     found = [Component("bias walk", covariance=walk)]
     if np.any(u != 0.0):
+        found += settling(means)
         ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
         if tells_of_scale(means):
             found.append(Component("scale line", (ahead * u)[:, None]))
