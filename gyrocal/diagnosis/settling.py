@@ -24,20 +24,23 @@ def settling(means: Means) -> list[Component]:
     Linear in the steps, and each on what the ones before have left: with a thermal memory of turns or an asymmetry, which
     are even in the rate, it has nothing in common but its plan.
     """
-    steps_dps = np.diff(means.rate_dps)
-    if not steps_dps.any():
+    steps_dps = np.diff(means.rate_dps, prepend=0.0)
+    if not np.diff(means.rate_dps).any():
         return []
-    at_s = 0.5 * (means.to_s[:-1] + means.from_s[1:])
-    taus_s = float(np.median(np.diff(means.t_s))) * _TIMES
+    usual_s = float(np.median(np.diff(means.t_s)))
+    between_s = 0.5 * (means.to_s[:-1] + means.from_s[1:])
+    # Before the first row it stood.
+    at_s = np.append(means.from_s[0] - 0.5 * usual_s, between_s)
+    taus_s = usual_s * _TIMES
     left, columns = np.zeros(taus_s.size), np.zeros((len(means), taus_s.size))
     kept = np.exp(-np.diff(at_s, prepend=at_s[0])[:, None] / taus_s)
-    for row, (step_dps, fade) in enumerate(zip(steps_dps, kept, strict=True), start=1):
+    for row, (step_dps, fade) in enumerate(zip(steps_dps, kept, strict=True)):
         left = left * fade + step_dps
-        since_s = np.array([means.from_s[row], means.to_s[row]]) - at_s[row - 1]
+        since_s = np.array([means.from_s[row], means.to_s[row]]) - at_s[row]
         columns[row] = left * _mean_of_exponentials(since_s, taus_s)
-    # What a plan does not tell from a shape in rate is one, as it is without these: a plan of pairs has much of the kind.
+    # What a plan does not tell from the surface is the surface's: where -r follows +r a scale factor is like what creeps.
     u = means.rate_dps / np.abs(means.rate_dps).max()
-    shapes = np.column_stack([u**0, u, u**2, u**3, np.abs(u)])
+    shapes = np.column_stack([u**0, u, u**2, u**3])
     columns = columns - shapes @ np.linalg.lstsq(shapes, columns, rcond=None)[0]
     sizes = np.sqrt(np.mean(columns**2, axis=0))
     told = sizes > _TOLD * np.sqrt(np.mean(steps_dps**2))
