@@ -112,7 +112,14 @@ def test_there_are_tutorials_and_the_readme_links_them() -> None:
         assert f"(sample_data/tutorials/{page.name})" in README
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+#: Tutorials that take minutes.
+LENGTHY = ("simulation_and_reality",)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, id=p.stem, marks=[pytest.mark.slow] if p.stem in LENGTHY else []) for p in TUTORIALS],
+)
 def test_a_tutorial_runs_from_its_first_line_to_its_last(
     page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,10 +46,12 @@ from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.settling import settling
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
 from gyrocal.diagnosis.within import Pattern, patterns
 from gyrocal.inference.additive import Component, Solution
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.disturbance import STEP_RESPONSE
 from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
@@ -143,6 +145,8 @@ def examine(series: Series, level: float) -> Examination:
     if series.is_table and np.ptp(series.rate_dps) > 0:
         return _table(left, found)
     full = full_model(means)
+    if any(p.effect == STEP_RESPONSE.id for p in found):
+        full = full.with_components(*settling(means))
     full, fitted = with_tails(full, fit_anyhow(full))
     best = _account(full, fitted)
     still, cost = _at_temperatures(full, fitted, best)

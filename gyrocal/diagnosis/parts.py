@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.series import LEAST_SUPPLY_V
-from gyrocal.diagnosis.settling import SETTLING, settling
+from gyrocal.diagnosis.settling import SETTLING
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.conditions import Conditions
@@ -456,7 +456,6 @@ def passing(means: Means, frame: Frame) -> list[Component]:
     walk = wiener(means.t_s)
     found = [Component("bias walk", covariance=walk)]
     if np.any(u != 0.0):
-        found += settling(means)
         ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
         if tells_of_scale(means):
             found.append(Component("scale line", (ahead * u)[:, None]))

@@ -235,12 +235,11 @@ def smooth_course(
     total = np.bincount(node, count)
     mean = np.bincount(node, count * value) / total
     run = _runs(mean, step)
+    alike = np.bincount(run)[run].astype(np.float64)
     # Counted in usual spacings, a slope is as large as a change of the value is: what the band's factor needs.
     rough = np.column_stack([mean, np.gradient(mean)]).ravel()
-    alike = np.bincount(run)[run].astype(np.float64)
     found = _Field(readings, spacing / typical, gap, rough, alike)
-    of_step = _LEAST_NOISE_ALL_ALONG if all_along else _LEAST_NOISE_STEPS
-    least = of_step * step if step else _LEAST_NOISE
+    least = step * (_LEAST_NOISE_ALL_ALONG if all_along else _LEAST_NOISE_STEPS) or _LEAST_NOISE
     # Means of nodes scatter as less than single readings do.
     often = float(np.sqrt(np.median(total)))
     scatter = max(_scatter(mean) * often, 2.0 * least)
@@ -263,10 +262,10 @@ def smooth_course(
         method="Nelder-Mead",
         options={"maxiter": _ITERATIONS, "xatol": 0.02, "fatol": 0.05, "initial_simplex": around},
     )
-    walk, noise = levels(best.x)
-    _, x, factor = found.settle(walk, noise)
-    evidence = _whole_evidence(-float(best.fun), value, count, step)
-    smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size), evidence)
+    noise = levels(best.x)[1]
+    _, x, factor = found.settle(*levels(best.x))
+    nats = _whole_evidence(-float(best.fun), value, count, step)
+    smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size), nats)
     return _levelled(smooth, mean, step) if all_along and step else smooth
 
 

@@ -115,6 +115,7 @@ def test_a_drift_is_held_where_it_ends_in_what_it_is_a_drift_of(effect: Effect, 
     }
 
 
+@pytest.mark.slow
 def test_where_a_drift_has_come_to_is_known_no_better_than_the_drift() -> None:
     """Over drawn noise the bias of the file lies about the truth as it says."""
     rate_dps, t_s = np.tile([-50.0, 0.0, 50.0, 80.0, 20.0], 12), 90.0 * np.arange(60.0)

@@ -60,6 +60,7 @@ def test_intervals_of_an_edge_cover_nearly_what_they_say() -> None:
     assert sum(held) >= 51
 
 
+@pytest.mark.slow
 def test_an_edge_that_is_passed_twice_is_no_pair_of_steps() -> None:
     found = examine(series_of_table(warmed_and_cooled(1, at_temp=True, at_instant=False)), 0.01)
     assert [n.law.effect for n in found.naming.named] == ["temperature_order"]

@@ -34,6 +34,7 @@ def _named(error_dps: Floats) -> Examination:
     return examine(series_of_table(_table(error_dps)), 1e-3)
 
 
+@pytest.mark.slow
 def test_a_corner_that_is_round_is_no_second_effect() -> None:
     """What a hard corner leaves of a soft one looks like what is lost at rest."""
     soft = 15.0 * np.log1p(np.exp(-np.abs(_RATE) / 15.0)) + np.maximum(_RATE, 0.0)

@@ -304,6 +304,7 @@ def test_one_of_two_laws_of_an_effect_needs_no_name_of_its_own() -> None:
     assert _least_worth(first, [first, other]) > 5.0
 
 
+@pytest.mark.slow
 def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() -> None:
     """Beyond a cubic its phase and its share are traded: 5e-4 of the sine at three radians would do as well."""
     rng = np.random.default_rng(2)

@@ -41,7 +41,7 @@ def make_log(seed: int = 1, n: int = 3000, timed: bool = True) -> DataSetTable:
 SPIKES = np.array([100, 700, 701, 1500, 2900])
 
 
-@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("timed", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_bursts_of_a_static_log_are_found_before_rows_are_averaged(timed: bool) -> None:
     table = make_log(timed=timed)
     clean = series_of_table(make_log(timed=timed))

@@ -115,7 +115,7 @@ def test_means_of_readings_that_noise_carries_over_steps_are_seen_through(step_c
 def test_a_fine_thermometer_is_taken_for_none_in_steps(course_c: NDArray[np.float64], seed: int) -> None:
     """Nor where a chamber holds it at whole degrees."""
     notes = series_of_table(dithered(course_c, 0.0, seed)).notes
-    assert not [n for n in notes if n.said is Said.DITHERED]
+    assert not [n for n in notes if isinstance(n, Remark) and n.said is Said.DITHERED]
 
 
 def test_samples_that_are_missing_are_counted_and_slow_no_clock(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""An output that creeps after steps of the rate for longer than a data set: modelled, told, and taken for no shape in rate."""
+"""What a step response that only nearly holds does to later rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.settling import settling
 from gyrocal.diagnosis.table_series import series_of_table
@@ -20,25 +19,25 @@ _SET_S, _NOISE_DPS = 20, 1e-3
 
 
 def crept(rate_dps: Floats, tau_s: float) -> Floats:
-    """Low-passed rate less the rate, second by second from standstill, as means of data sets."""
-    past, course = 0.0, []
+    """Low-passed rate less the rate, second by second, as means of data sets; the first has been turned for long."""
+    past, course = float(rate_dps[0]), []
     for rate in np.repeat(rate_dps, _SET_S):
         past += (rate - past) / tau_s
         course.append(past - rate)
     return np.asarray(np.reshape(course, (-1, _SET_S)).mean(axis=1), dtype=np.float64)
 
 
-def table(seed: int, creep: float = 0.0, tau_s: float = 23.0) -> DataSetTable:
-    """Shuffled rates through a room that warms and cools; `creep` of each step remains at first."""
+def table(seed: int) -> DataSetTable:
+    """Shuffled rates through a room that warms and cools."""
     rng = np.random.default_rng(seed)
     rate = np.concatenate([rng.permutation(np.linspace(-100.0, 100.0, 17)) for _ in range(6)])
     temp_c = 25.0 + 8.0 * np.sin(np.arange(rate.size) / 15.0)
-    error = 0.01 + 1e-3 * temp_c + rate * 3e-4 + creep * crept(rate, tau_s)
+    error = 0.01 + 1e-3 * temp_c + rate * 3e-4
     gyro = rate + error + _NOISE_DPS * rng.standard_normal(rate.size)
     return DataSetTable(Path("t.csv"), rate, gyro, temp_c, t_s=_SET_S * np.arange(float(rate.size)))
 
 
-@pytest.mark.parametrize("tau_s", [8.0, 23.0, 100.0])
+@pytest.mark.parametrize("tau_s", [8.0, 23.0, 45.0])
 def test_what_creeps_is_a_sum_of_its_columns_and_of_the_surface(tau_s: float) -> None:
     means = means_of(series_of_table(table(1)))
     (component,) = settling(means)
@@ -62,17 +61,3 @@ def test_where_the_rate_never_changes_there_is_none() -> None:
     still = table(1)
     one = DataSetTable(still.source, np.zeros(60), still.gyro_dps[:60], still.temp_c[:60])
     assert settling(means_of(series_of_table(one))) == []
-
-
-def test_a_creeping_output_is_told_and_is_neither_heat_nor_a_dead_zone() -> None:
-    found = diagnose(table(2, creep=2e-3), options=Options(heldout=False))
-    assert not found.effects
-    (part,) = [p for p in found.unnamed if p.coordinate == "time_since_step"]
-    assert part.evidence_nats > 20.0
-    # The first sets hold what was before, and the noise bounds the rest.
-    assert part.rms_dps == pytest.approx(np.std(2e-3 * crept(table(2).rate_dps, 23.0)), rel=0.7)
-
-
-def test_where_nothing_creeps_none_is_told() -> None:
-    found = diagnose(table(3), options=Options(heldout=False))
-    assert not [p for p in found.unnamed if p.coordinate == "time_since_step"]

@@ -88,6 +88,7 @@ def coverage(sensor: Sensor, runs: int, seed: int) -> Floats:
     return hits / runs
 
 
+@pytest.mark.slow
 def test_intervals_cover() -> None:
     """Fifteen records: a correlation that is dropped, or an interval of half the length, is noticed."""
     runs = 15

@@ -533,6 +533,7 @@ def test_what_was_found_makes_the_path_better_elsewhere(resting: Robot) -> None:
     assert shown.after_m < 0.3 * shown.before_m
 
 
+@pytest.mark.slow
 def test_intervals_cover(robot: Robot) -> None:
     """Track and asymmetry of ten short drives: a collapsed interval would show at once."""
     covered, trials = 0, 0

@@ -421,6 +421,7 @@ def test_a_wheel_that_sticks_when_slow_leaves_a_bias_without_a_rest_open() -> No
     assert found.estimate("asymmetry")[0] == pytest.approx(mean, abs=0.1 * abs(mean))
 
 
+@pytest.mark.slow
 def test_a_bias_that_settles_is_no_step_that_the_next_drive_has(resting: Robot) -> None:
     plan = replace(RESTS, shape="random", rest_s=30.0)
     log = drive(plan, 5)

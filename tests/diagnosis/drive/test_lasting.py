@@ -42,7 +42,8 @@ def turned(log: DriveBlock, times: Floats) -> DriveBlock:
     return replace(log, left_m=log.left_m - more_m, right_m=log.right_m + more_m)
 
 
-@pytest.mark.parametrize("drifts", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("drifts", [False, True])
 def test_a_clock_that_drifts_is_no_delay(drifts: bool, resting: Robot) -> None:
     """A tenth of a millisecond in a second is 0.05 s at the end: its mean of 0.024 s had been named."""
     log = drive(PLAN, 2)

@@ -48,6 +48,7 @@ def test_the_same_plan_on_another_clock() -> None:
     np.testing.assert_allclose(m.lonely_temp_c, (temp[~kept].min(), temp[~kept].max()))
 
 
+@pytest.mark.slow
 def test_the_clock_interval_covers() -> None:
     """Offset and drift within 1.96 of their standard deviations, in 40 jittered clocks (at 95 %, 32 of 40 in 1e-4)."""
     t, rate, temp = plan(4)
