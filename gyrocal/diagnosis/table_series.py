@@ -50,6 +50,10 @@ _DITHERED_C, _READINGS = (1.0, 0.5, 0.25, 0.2, 0.1), (32.0, 4.0, 16.0, 64.0, 256
 _STEPS_OF_MEAN = 8.0
 #: Where it stays near a step this many times as long as mostly, a chamber holds it there.
 _HELD = 3.0
+#: Means of readings in steps lie near a step more often than this: of a straight course half of them.
+_NEAR = 0.55
+#: Where so many readings lose this much for each row, nats, no other number of them gains.
+_HOPELESS = 0.8
 #: Evidence that means are of such readings, nats: steps that nothing but a mean tells are rare.
 _DITHERED_NATS = 5.0
 
@@ -139,26 +143,41 @@ def _through_dither(
 
     So do those at the set points of a chamber: only what passes from step to step tells.
     """
-    if np.any(count > 1.0):
+    passing = {step: _passing(read_c, step) for step in _DITHERED_C if step >= _STEPS_OF_MEAN * step_c}
+    passing = {
+        s: rows for s, rows in passing.items() if rows.size >= FEWEST_ROWS and _near_steps(read_c[rows], s)
+    }
+    if np.any(count > 1.0) or not passing:
         return plain, None
 
     def evidence(rows: Ints, step: float, readings: float) -> float:
-        course = temperature_history(t_s[rows], read_c[rows], readings * count[rows], step).course
+        course = temperature_history(t_s[rows], read_c[rows], np.full(rows.size, readings), step).course
         return -np.inf if course is None else course.evidence
 
-    def gain(step: float, readings: float) -> float:
-        rows = _passing(read_c, step)
-        return evidence(rows, step, readings) - evidence(rows, step_c, 1.0)
+    # Steps that all rows pass have one and the same course without.
+    each = {rows.tobytes(): rows for rows in passing.values()}
+    without = {key: evidence(rows, step_c, 1.0) for key, rows in each.items()}
 
-    steps = [s for s in _DITHERED_C if s >= _STEPS_OF_MEAN * step_c]
-    steps = [s for s in steps if _passing(read_c, s).size >= FEWEST_ROWS]
-    if not steps:
+    def gain(step: float, readings: float) -> float:
+        rows = passing[step]
+        return evidence(rows, step, readings) - without[rows.tobytes()]
+
+    first, *others = _READINGS
+    gains = {step: gain(step, first) for step in passing}
+    step = max(gains, key=lambda s: gains[s])
+    if gains[step] < -_HOPELESS * passing[step].size:
         return plain, None
-    step = max(steps, key=lambda s: gain(s, _READINGS[0]))
-    readings = max(_READINGS, key=lambda k: gain(step, k))
-    if gain(step, readings) <= _DITHERED_NATS:
+    by_count = {first: gains[step]} | {k: gain(step, k) for k in others}
+    readings = max(by_count, key=lambda k: by_count[k])
+    if by_count[readings] <= _DITHERED_NATS:
         return plain, None
     return temperature_history(t_s, read_c, readings * count, step), step
+
+
+def _near_steps(read_c: Floats, step_c: float) -> bool:
+    """Whether more than by a straight course lie in the half of each step that is around it."""
+    off = np.abs(read_c / step_c - np.round(read_c / step_c))
+    return bool(np.mean(off < 0.25) > _NEAR)
 
 
 def _passing(read_c: Floats, step_c: float) -> Ints:
