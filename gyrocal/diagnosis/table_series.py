@@ -51,7 +51,7 @@ _STEPS_OF_MEAN = 8.0
 #: Where it stays near a step this many times as long as mostly, a chamber holds it there.
 _HELD = 3.0
 #: Means of readings in steps lie near a step more often than this: of a straight course half of them.
-_NEAR = 0.55
+_NEAR = 0.6
 #: Where so many readings lose this much for each row, nats, no other number of them gains.
 _HOPELESS = 0.8
 #: Evidence that means are of such readings, nats: steps that nothing but a mean tells are rare.
@@ -147,20 +147,21 @@ def _through_dither(
     passing = {
         s: rows for s, rows in passing.items() if rows.size >= FEWEST_ROWS and _near_steps(read_c[rows], s)
     }
-    if np.any(count > 1.0) or not passing:
+    if plain.course is None or np.any(count > 1.0) or not passing:
         return plain, None
+    alone = plain.course.evidence
 
     def evidence(rows: Ints, step: float, readings: float) -> float:
         course = temperature_history(t_s[rows], read_c[rows], np.full(rows.size, readings), step).course
         return -np.inf if course is None else course.evidence
 
-    # Steps that all rows pass have one and the same course without.
-    each = {rows.tobytes(): rows for rows in passing.values()}
-    without = {key: evidence(rows, step_c, 1.0) for key, rows in each.items()}
+    # Where all rows pass, the course without is at hand.
+    without = {
+        s: alone if rows.size == read_c.size else evidence(rows, step_c, 1.0) for s, rows in passing.items()
+    }
 
     def gain(step: float, readings: float) -> float:
-        rows = passing[step]
-        return evidence(rows, step, readings) - without[rows.tobytes()]
+        return evidence(passing[step], step, readings) - without[step]
 
     first, *others = _READINGS
     gains = {step: gain(step, first) for step in passing}
