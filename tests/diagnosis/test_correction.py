@@ -181,6 +181,7 @@ def test_what_follows_the_supply_is_corrected_on_another_run() -> None:
     np.testing.assert_allclose(here, 0.0, atol=3e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sizes", "center_dps"),
     [

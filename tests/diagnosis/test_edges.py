@@ -79,6 +79,7 @@ def test_an_edge_that_is_passed_twice_is_no_pair_of_steps() -> None:
     assert np.sqrt(np.mean((corrected_dps - rate_dps) ** 2)) < 1.2e-3
 
 
+@pytest.mark.slow
 def test_a_step_at_an_instant_is_no_edge() -> None:
     found = examine(series_of_table(warmed_and_cooled(2, at_temp=False, at_instant=True)), 0.01)
     assert found.ranked[0].effects == {"scale_step"}

@@ -90,6 +90,7 @@ def test_the_improved_model_explains_the_recording_that_it_came_from(
     assert again.verdict == "consistent"
 
 
+@pytest.mark.slow
 def test_what_a_robot_cannot_evaluate_leaves_its_last_state_in_the_surface() -> None:
     table = make_table(hidden=np.where(np.arange(140) < 90, 0.0, 0.02))
     found = diagnose(table, options=Options(heldout=False))
@@ -256,6 +257,7 @@ def test_a_drift_at_rest_is_not_taken_for_the_thermometers_noise() -> None:
     assert [e.effect for e in found.effects] == ["bias_drift"]
 
 
+@pytest.mark.slow
 def test_many_rates_at_one_temperature() -> None:
     rng = np.random.default_rng(3)
     rate = rng.choice([-80.0, -40.0, 0.0, 40.0, 80.0], 60)

@@ -40,6 +40,7 @@ def test_a_jump_is_found_at_its_instant() -> None:
     assert found.rivals["bias_drift"] > GAIN
 
 
+@pytest.mark.slow
 def test_instants_that_were_tried_are_paid_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """The evidence of the best of many instants counts less by the logarithm of the root of their number."""
     step_dps = np.where(np.arange(_SETS) >= 40, 3e-3, 0.0)

@@ -43,6 +43,7 @@ def test_a_corner_that_is_round_is_no_second_effect() -> None:
     assert "even rate" in naming.unnamed, "what the law leaves stays in the model"
 
 
+@pytest.mark.slow
 def test_a_law_whose_size_changes_with_temperature_has_its_name() -> None:
     """Of one size for all temperatures it explains less of its block than a name takes."""
     (named,) = _named(4e-4 * (1.0 + 1.2 * (_TEMP - 32.5) / 17.5) * np.maximum(_RATE, 0.0)).naming.named

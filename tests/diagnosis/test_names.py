@@ -227,6 +227,7 @@ def test_of_a_dead_zone_below_the_least_rate_no_more_is_known() -> None:
     assert high == pytest.approx(0.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_file_of_a_table_has_the_law_where_the_law_says_more_than_smooth_parts() -> None:
     """Between nine rates nothing but the law of a knee knows where it is."""
     rng = np.random.default_rng(5)

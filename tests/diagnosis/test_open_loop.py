@@ -108,6 +108,7 @@ def test_a_cubic_of_less_than_a_percent_is_not_taken_for_a_sines() -> None:
     assert _weight_of_sine(found) == 0.0
 
 
+@pytest.mark.slow
 def test_a_cubic_without_higher_orders_is_no_sine_where_the_table_is_exact() -> None:
     found = examine(series_of_table(_sweeps(21, "cubic", errors_ppm=10.0, own=0.0)), 1e-3)
     assert _weight_of_sine(found) == 0.0

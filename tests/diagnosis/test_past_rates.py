@@ -84,7 +84,8 @@ def test_heat_of_past_turns_has_its_name_and_goes_from_another_run() -> None:
     assert np.std(corrected - rate) < 0.3 * np.std(hot_dps)
 
 
-@pytest.mark.parametrize("bend_dps", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
+@pytest.mark.slow
+@pytest.mark.parametrize("bend_dps", [0.0, 0.02])
 def test_a_shape_in_rate_is_no_heat(bend_dps: float) -> None:
     assert names(found_in(lingering(20, 0.0, bend_dps))) == ["rate_order"] * (bend_dps > 0.0)
 

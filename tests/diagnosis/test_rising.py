@@ -75,6 +75,7 @@ def _locked(rate_dps: Floats, width_dps: float) -> Floats:
     return np.asarray(np.sign(rate_dps) * np.sqrt(np.maximum(rate_dps**2 - width_dps**2, 0.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zone", [_hard, pytest.param(_locked, marks=pytest.mark.slow)])
 def test_a_zone_under_noise_is_no_step_of_the_output_that_throws_a_standing_gyro(
     zone: Callable[[Floats, float], Floats],

@@ -145,6 +145,7 @@ def test_rows_of_more_samples_are_known_better(spread: bool) -> None:
     assert white[-3:] == pytest.approx([10.0 * typical, 5.0 * last, last])
 
 
+@pytest.mark.slow
 def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None:
     timed, untimed = series_of_table(make_log()), series_of_table(make_log(timed=False))
     jump = {"at_s": Estimate(33.5 * SURROGATE_PERIOD_S, 2.0, "s", (665.0, 675.0))}

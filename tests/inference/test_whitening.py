@@ -154,6 +154,7 @@ def test_a_walk_from_nothing_is_at_the_edge_of_what_a_variance_can_be() -> None:
     assert walk_p_value(Likelihood(WALKING, 99.0), without) == 0.5
 
 
+@pytest.mark.slow
 def test_a_jitter_that_the_record_hardly_tells_from_none_is_not_taken_for_none() -> None:
     n = 120
     rate_dps = np.tile([-60.0, -20.0, 0.0, 20.0, 60.0], n // 5)

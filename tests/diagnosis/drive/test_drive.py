@@ -164,6 +164,7 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
     assert (told_dps != 0.0) == kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.01, pytest.param(0.0025, marks=pytest.mark.slow)])
 def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot, share: float) -> None:
     log = drive(Plan("eights", 3.0, 10.0, tick_m=4e-4, truth_m=0.02, truth_every_s=1.0, wheel_noise=0.001), 5)
@@ -463,6 +464,7 @@ def test_columns_that_replay_refuses_are_refused(robot: Robot) -> None:
         diagnose_drive("hot", replace(log, gyro_temp_c=np.full(len(log), 293.15)), robot)
 
 
+@pytest.mark.slow
 def test_mirrored_truth_is_seen_and_correlated_errors_are_no_mirror(resting: Robot) -> None:
     plan = Plan("random", 3.0, 10.0, truth_m=0.3, truth_wander_m=0.6)
     log = drive(plan, 7)

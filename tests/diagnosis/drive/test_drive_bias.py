@@ -201,6 +201,7 @@ def test_the_truth_tells_a_bias_in_motion_of_a_vehicle_of_one_speed(added_dps: f
     assert found.diagnosis.verdict == "explained"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sticks", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(sticks: bool, resting: Robot) -> None:
     log = drive(RESTS, 8)
@@ -256,6 +257,7 @@ def test_encoders_and_truth_together_show_a_bias_that_neither_shows(
         assert gyro.bias_slope_dps_per_c_std == pytest.approx(1e-3 * amplitude.std)
 
 
+@pytest.mark.slow
 def test_laws_of_the_bias_that_hide_each_other_are_found_together(resting: Robot) -> None:
     """A step up as the drive begins, and a slope down as the gyro warms: either alone gains nothing."""
     plan = Plan(
@@ -306,6 +308,7 @@ def test_a_slip_that_one_curvature_shows_is_no_structure_without_a_name(resting:
     assert "skid_slip" in [e.effect for e in found.diagnosis.effects]
 
 
+@pytest.mark.slow
 def test_a_jump_is_tried_beside_a_bias_in_motion(resting: Robot) -> None:
     """A wheel that grows looks like either: what a tried jump says of the lag of the motion was asked of laws without it."""
     plan = Plan(

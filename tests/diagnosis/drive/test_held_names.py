@@ -41,6 +41,7 @@ def test_instants_of_a_jump_are_within_the_drive() -> None:
     assert found.latest_s <= 300.0
 
 
+@pytest.mark.slow
 def test_a_bias_beyond_what_is_granted_is_no_jump_at_the_end() -> None:
     """Held to 0.01 deg/s, one of 0.2 deg/s had been another bias "from the end of the log on"."""
     granted = {"wheel_separation_m": 0.5, "static_s": 0.0, "initial_std": {"gyro_bias_dps": 0.01}}

@@ -21,6 +21,7 @@ from tests.diagnosis.versus.test_law_file import function_of
 NOISE_DPS = 3e-4
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_bias_is_added_as_the_law_that_it_is() -> None:
     t, rate, temp = plan(8)
     drift = 20e-3 * t / 3600.0
@@ -93,6 +94,7 @@ def test_a_law_at_another_shape_than_the_search_found_gains_what_it_gains() -> N
     assert effect.improvement.heldout_rms_before_dps > 2.0 * effect.improvement.heldout_rms_after_dps
 
 
+@pytest.mark.slow
 def test_the_file_has_the_largest_terms_first_and_says_why_there_are_small_ones() -> None:
     """Two dozen lines of which a few carry the law had stood in no order and without a word."""
     answer = warmed(8)
