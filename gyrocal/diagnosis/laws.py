@@ -14,7 +14,6 @@ from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PAST_RATES, tells_of_scale
 from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.settling import SETTLING
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Effect
@@ -144,9 +143,6 @@ def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:
 def effects_of(block: str) -> list[Effect]:
     """Effects of the catalogue that may be what a block of smooth parts stands for."""
     own = BLOCKS[block]
-    if block == SETTLING:
-        # Its law is told within data sets, where it is largest.
-        return []
     found = []
     for effect in CATALOGUE.values():
         if not wanted(effect) or effect.family != own.family:

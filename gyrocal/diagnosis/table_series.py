@@ -19,6 +19,7 @@ from gyrocal.diagnosis.series import (
     sample_notes,
 )
 from gyrocal.errors import DataError
+from gyrocal.inference.course import smooth_course
 from gyrocal.inference.rounding import lattice, lattice_of_means
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.smooth import Frame
@@ -143,17 +144,18 @@ def _through_dither(
 
     So do those at the set points of a chamber: only what passes from step to step tells.
     """
+    if plain.course is None or np.any(count > 1.0):
+        return plain, None
     passing = {step: _passing(read_c, step) for step in _DITHERED_C if step >= _STEPS_OF_MEAN * step_c}
     passing = {
         s: rows for s, rows in passing.items() if rows.size >= FEWEST_ROWS and _near_steps(read_c[rows], s)
     }
-    if plain.course is None or np.any(count > 1.0) or not passing:
+    if not passing:
         return plain, None
     alone = plain.course.evidence
 
     def evidence(rows: Ints, step: float, readings: float) -> float:
-        course = temperature_history(t_s[rows], read_c[rows], np.full(rows.size, readings), step).course
-        return -np.inf if course is None else course.evidence
+        return smooth_course(t_s[rows], read_c[rows], np.full(rows.size, readings), step).evidence
 
     # Where all rows pass, the course without is at hand.
     without = {

@@ -235,9 +235,9 @@ def smooth_course(
     total = np.bincount(node, count)
     mean = np.bincount(node, count * value) / total
     run = _runs(mean, step)
-    alike = np.bincount(run)[run].astype(np.float64)
     # Counted in usual spacings, a slope is as large as a change of the value is: what the band's factor needs.
     rough = np.column_stack([mean, np.gradient(mean)]).ravel()
+    alike = np.bincount(run)[run].astype(np.float64)
     found = _Field(readings, spacing / typical, gap, rough, alike)
     least = step * (_LEAST_NOISE_ALL_ALONG if all_along else _LEAST_NOISE_STEPS) or _LEAST_NOISE
     # Means of nodes scatter as less than single readings do.
@@ -262,8 +262,8 @@ def smooth_course(
         method="Nelder-Mead",
         options={"maxiter": _ITERATIONS, "xatol": 0.02, "fatol": 0.05, "initial_simplex": around},
     )
-    noise = levels(best.x)[1]
-    _, x, factor = found.settle(*levels(best.x))
+    walk, noise = levels(best.x)
+    _, x, factor = found.settle(walk, noise)
     nats = _whole_evidence(-float(best.fun), value, count, step)
     smooth = Course(t, x[::2], x[1::2] / typical, noise, gap, factor, run, np.zeros(t.size), nats)
     return _levelled(smooth, mean, step) if all_along and step else smooth
@@ -273,7 +273,7 @@ def _whole_evidence(of_steps: float, value: Floats, count: Floats, step: float) 
     """Log density of means of readings, of that of the single readings in steps: in how many orders they make these means."""
     if step == 0.0:
         return of_steps
-    high = np.clip(value / step - np.floor(value / step + _AT_STEP), 0.0, 1.0) * count
+    high = _between(value, step)[1] * count
     orders = gammaln(count + 1.0) - gammaln(high + 1.0) - gammaln(count - high + 1.0)
     return of_steps + float(np.sum(orders + np.log(count / step)))
 
@@ -326,13 +326,19 @@ def _stepped(r: _Readings) -> _Readings:
     """Means of readings as the readings of the two steps that they lie between."""
     if r.step == 0.0:
         return r
-    below = np.floor(r.value / r.step + _AT_STEP)
-    share = np.clip(r.value / r.step - below, 0.0, 1.0)
-    share[share < _AT_STEP] = 0.0
+    below, share = _between(r.value, r.step)
     value = np.concatenate([below, below + 1.0]) * r.step
     count = np.concatenate([(1.0 - share) * r.count, share * r.count])
     node, seen = np.tile(r.node, 2), count > 0.0
     return _Readings(node[seen], value[seen], count[seen], r.step)
+
+
+def _between(value: Floats, step: float) -> tuple[Floats, Floats]:
+    """The step below each value, counted from zero, and the share of the way to the next at which the value lies."""
+    below = np.floor(value / step + _AT_STEP)
+    share = np.clip(value / step - below, 0.0, 1.0)
+    share[share < _AT_STEP] = 0.0
+    return below, share
 
 
 def _runs(mean: Floats, step: float) -> NDArray[np.int64]:

@@ -203,7 +203,7 @@ def test_a_thermometer_that_lags_behind_the_coil_is_a_lag_the_other_way() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rates", [15, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rates", [15, 20])
 def test_what_a_narrow_peak_hid_is_looked_for_beside_it(rates: int) -> None:
     """No smooth shape follows a peak of 2 deg/s, so that the noise does, and hides errors of each rate and a cubic bend."""
     rng = np.random.default_rng(3)

@@ -185,7 +185,7 @@ def test_what_follows_the_supply_is_corrected_on_another_run() -> None:
 @pytest.mark.parametrize(
     ("sizes", "center_dps"),
     [
-        pytest.param((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0, marks=pytest.mark.slow),
+        ((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0),
         ((7, 21, 40, 68, 119, 155), 62.0),
     ],
 )

@@ -76,7 +76,7 @@ def _locked(rate_dps: Floats, width_dps: float) -> Floats:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("zone", [_hard, pytest.param(_locked, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("zone", [_hard, _locked])
 def test_a_zone_under_noise_is_no_step_of_the_output_that_throws_a_standing_gyro(
     zone: Callable[[Floats, float], Floats],
 ) -> None:

@@ -165,7 +165,7 @@ def test_a_bias_that_means_nothing_is_not_told_to_the_robot(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.01, pytest.param(0.0025, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("share", [0.01, 0.0025])
 def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot, share: float) -> None:
     log = drive(Plan("eights", 3.0, 10.0, tick_m=4e-4, truth_m=0.02, truth_every_s=1.0, wheel_noise=0.001), 5)
     heading = np.cumsum(np.radians(log.gyro_dps) / 10.0)

@@ -202,7 +202,7 @@ def test_the_truth_tells_a_bias_in_motion_of_a_vehicle_of_one_speed(added_dps: f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sticks", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sticks", [True, False])
 def test_without_a_truth_a_wheel_that_sticks_is_no_bias_of_the_gyro(sticks: bool, resting: Robot) -> None:
     log = drive(RESTS, 8)
     way_m = 0.5 * (log.left_m + log.right_m)
