@@ -113,7 +113,7 @@ def test_there_are_tutorials_and_the_readme_links_them() -> None:
 
 
 #: Tutorials that take minutes.
-LENGTHY = ("simulation_and_reality",)
+LENGTHY = ("bench_to_robot", "simulation_and_reality")
 
 
 @pytest.mark.parametrize(

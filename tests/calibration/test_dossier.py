@@ -240,6 +240,7 @@ def _rest_directory(path: Path, serial: str | None = None) -> Path:
     return write_run(path, [Part(rows, kind="static", averaging_s=None)], {"sensor": sensor})
 
 
+@pytest.mark.slow
 def test_runs_at_rest_add_to_the_noise_and_carry_no_surface(tmp_path: Path) -> None:
     run = unit_run(write_table(tmp_path / "run.csv", 1), FitConfig())
     rest = rest_run(_rest_directory(tmp_path / "rest"))

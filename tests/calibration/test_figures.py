@@ -97,6 +97,7 @@ def test_an_asymmetry_and_hystereses_are_found() -> None:
     assert len(fit.sets) == 77
 
 
+@pytest.mark.slow
 def test_intervals_cover_and_compensation_leaves_nothing_to_tell() -> None:
     _, exact = figures(data_sets(0, 1e-7))
     names = ("scale_factor_error", "bias", "scale_factor_nonlinearity_rms", "scale_factor_over_temperature")

@@ -36,7 +36,8 @@ def test_its_interval_holds_the_truth(runs: int) -> None:
     assert held >= stats.binom.ppf(FALSE_ALARM, runs, 0.95)
 
 
-@pytest.mark.parametrize("runs", [10, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [300])
 def test_noise_is_no_warm_up(runs: int) -> None:
     rng = np.random.default_rng(32)
     found = [warm_up(course(rng, 0.0, 600.0), 0.0, "") for _ in range(runs)]

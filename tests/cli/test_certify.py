@@ -134,10 +134,11 @@ def test_the_directory_of_a_unit_stands_for_its_runs(unit: Path, tmp_path: Path)
     assert names == ["b, sha256", "a, sha256"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scatter_dps", "least", "most"),
     [
-        pytest.param(4e-3, set(), set(), id="as before", marks=pytest.mark.slow),
+        pytest.param(4e-3, set(), set(), id="as before"),
         pytest.param(8e-3, {"angle_random_walk"}, {"angle_random_walk", "allan_floor"}, id="twice"),
     ],
 )

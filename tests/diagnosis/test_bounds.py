@@ -34,7 +34,8 @@ def test_an_interval_is_open_beyond_the_bound_that_its_value_ends_at() -> None:
     assert not Estimate.spanning(1.0, (-math.inf, math.inf), "1").at_bound
 
 
-@pytest.mark.parametrize(("share", "held"), [(0.15, False), pytest.param(0.05, True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "held"), [(0.15, False), (0.05, True)])
 def test_a_step_beyond_the_catalogue_is_at_least_as_large_as_its_bound(share: float, held: bool) -> None:
     rng = np.random.default_rng(5)
     rate = np.tile(np.linspace(-100.0, 100.0, 15), 6)

@@ -186,6 +186,7 @@ def _read_late(course_c: np.ndarray, t_s: np.ndarray, seed: int) -> DataSetTable
     return DataSetTable(Path("late.csv"), rate, gyro, read_c[at], t_s=t_s)
 
 
+@pytest.mark.slow
 def test_a_thermometer_that_lags_behind_the_coil_is_a_lag_the_other_way() -> None:
     """A box in the rate of change of the temperature had been steps of the scale factor."""
     ramp = np.linspace(15.0, 45.0, 1200)
@@ -247,6 +248,7 @@ def _knee(rates: int, seed: int) -> DataSetTable:
     return DataSetTable(Path("knee.csv"), rate, gyro, temp, t_s=30.0 * np.arange(rate.size, dtype=np.float64))
 
 
+@pytest.mark.slow
 def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
     """Errors of each rate follow it as well where it was seen, and know nothing of the rates between."""
     found = examine(series_of_table(_knee(6, 0)), 1e-3)
@@ -260,6 +262,7 @@ def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
     assert left(found.candidates) < 0.5 * left(((1.0, found.ranked[0]),))
 
 
+@pytest.mark.slow
 def test_errors_of_few_rates_are_the_tables_and_no_shape_in_rate() -> None:
     """Six rates: shapes in rate follow any errors of them, and would be in the file between the rates as well."""
     rng = np.random.default_rng(8)
@@ -281,6 +284,7 @@ def test_errors_of_few_rates_are_the_tables_and_no_shape_in_rate() -> None:
     assert sum(w for w, m in models if "odd rate" not in m.blocks.values()) > 0.5
 
 
+@pytest.mark.slow
 def test_errors_of_each_rate_in_each_direction_may_be_the_tables() -> None:
     """Shapes that are even in rate follow them as well, and would be in the file by themselves."""
     rng = np.random.default_rng(9)
@@ -404,6 +408,7 @@ def test_a_law_of_many_time_constants_is_a_sum_of_laws_of_one(effect: str) -> No
     assert len(law.members) > 2
 
 
+@pytest.mark.slow
 def test_a_file_has_each_time_constant_with_its_share_of_the_amplitude() -> None:
     """A warm-up that is no exponential, at five rates, whose cubic has all of any odd law of the rate."""
     rng = np.random.default_rng(3)

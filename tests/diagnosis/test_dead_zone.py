@@ -45,11 +45,8 @@ def output(through: Callable[[Floats], Floats], rate_dps: Floats, temp_c: Floats
 
 @pytest.fixture(
     scope="module",
-    params=[
-        # A band has its like in `test_rising`.
-        pytest.param(gyro, id=name, marks=[pytest.mark.slow] if name == "band" else [])
-        for name, gyro in GYROS.items()
-    ],
+    # A band has its like in `test_rising`.
+    params=[pytest.param(gyro, id=name, marks=pytest.mark.slow) for name, gyro in GYROS.items()],
 )
 def diagnosed(request: pytest.FixtureRequest) -> tuple[Callable[[Floats], Floats], float, Coefficients]:
     """What comes through the gyro's zone, the zone's half width, and the file."""

@@ -212,12 +212,13 @@ def test_document_is_plain_json(asymmetric: tuple[DataSetTable, Diagnosis]) -> N
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "named"),
     [
-        pytest.param([], [], marks=pytest.mark.slow),
+        ([], []),
         ([("table_eccentricity", 20.0)], ["table_eccentricity"]),
-        pytest.param([("warm_up", 20.0)], ["warm_up"], marks=pytest.mark.slow),
+        ([("warm_up", 20.0)], ["warm_up"]),
     ],
 )
 def test_runs_made_by_other_code(tmp_path: Path, hidden: list[tuple[str, float]], named: list[str]) -> None:

@@ -113,7 +113,8 @@ def test_where_nothing_is_found_a_surface_without_inverse_is_refused_as_fit_does
         diagnose(DataSetTable(Path("folded.csv"), rate, gyro, temp), options=Options(heldout=False))
 
 
-@pytest.mark.parametrize("seed", [4, pytest.param(9, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 9])
 def test_where_nothing_is_found_no_file_is_written(seed: int) -> None:
     """A bias that walks has an end, and the next run begins elsewhere: 13 deg/h had become 64 with nothing to say of it."""
     rng = np.random.default_rng(seed)

@@ -326,6 +326,7 @@ def test_the_share_of_an_open_loop_is_near_one_where_the_record_does_not_tell() 
     assert low < k < high
 
 
+@pytest.mark.slow
 def test_what_laws_of_time_and_memory_explain_is_no_shape_in_temperature() -> None:
     """Soaks that come once, beside a slow step and a drift: a hysteresis without corners may be a shape in temperature."""
     rng = np.random.default_rng(2)

@@ -69,6 +69,7 @@ def held(found: Diagnosis) -> dict[str, bool]:
     return {name: ends[name][0] <= value <= ends[name][1] for name, value in true.items()}
 
 
+@pytest.mark.slow
 def test_heat_of_past_turns_has_its_name_and_goes_from_another_run() -> None:
     found = found_in(lingering(1, _HOT_DPS))
     assert names(found) == ["rate_heating"]

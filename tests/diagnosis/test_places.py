@@ -64,6 +64,7 @@ def test_a_pattern_without_a_name_is_placed_and_its_correction_makes_another_run
     assert after < 0.5 * before
 
 
+@pytest.mark.slow
 def test_a_ripple_at_seven_sizes_of_rate_is_no_knee() -> None:
     """It may as well be an error of each; a law has no name for what smooth parts beside it explain."""
     found = diagnose(rippled(0, sets=98, rates=14), options=Options(heldout=False))

@@ -114,6 +114,7 @@ def test_what_goes_is_fitted_beside_what_stays() -> None:
     np.testing.assert_allclose(calm.solve().left, fitted.solve().left, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_models_that_keep_other_shapes_are_averaged() -> None:
     """Of rates in any order through heating and cooling, the models near the best leave out shapes of different number."""
     rng = np.random.default_rng(1)

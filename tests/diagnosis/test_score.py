@@ -27,7 +27,7 @@ def least_hits(goal: float, n: int) -> int:
     [
         Case("null", (), 31, "even"),
         pytest.param(Case("single", (("supply_voltage", 20.0),), 32, "even"), marks=pytest.mark.slow),
-        Case("outside", (("three_per_rev", 20.0),), 33, "even"),
+        pytest.param(Case("outside", (("three_per_rev", 20.0),), 33, "even"), marks=pytest.mark.slow),
     ],
     ids=lambda c: c.key,
 )

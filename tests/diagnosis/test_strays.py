@@ -128,7 +128,8 @@ def test_a_stray_data_set_is_said_and_nothing_else_is_named() -> None:
     assert low < 20.0 < high
 
 
-@pytest.mark.parametrize("off_dps", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.03, 0.06)), 0.3])
+@pytest.mark.slow
+@pytest.mark.parametrize("off_dps", [0.03, 0.06, 0.3])
 def test_what_is_off_at_one_rate_whenever_it_is_visited_is_no_stray(off_dps: float) -> None:
     """Six sets at one of fifteen rates had been six disturbed ones; a disturbed one beside them still is."""
     rng = np.random.default_rng(1)

@@ -146,6 +146,7 @@ def test_a_low_pass_that_is_fast_against_its_points_is_left_out() -> None:
         assert model.parts[1].low < 0.1 * 4.4e-3**2 < model.parts[1].high
 
 
+@pytest.mark.slow
 def test_a_filter_that_rings_does_not_bend_the_angle_random_walk() -> None:
     """A resonance of Q 1.5 at 2 Hz: its ringing goes on behind the averaging times that it visibly bends."""
     omega, step_s = 2.0 * np.pi * 2.0, 0.0125

@@ -131,6 +131,7 @@ def test_a_filter_that_holds_is_said_to_hold_and_by_what_it_beats_the_gyro() -> 
     assert "the gyro" in text
 
 
+@pytest.mark.slow
 def test_encoders_that_are_smoothed_leave_the_heading_to_the_gyro() -> None:
     drive = draw(np.random.default_rng(4))
     box = np.full(15, 1.0 / 15.0)

@@ -11,7 +11,7 @@ from tests.bench.strangers.gyros import GYROS
 from tests.bench.strangers.runs import CHAMBERS, acquire, bench, differences, profile
 from tests.bench.strangers.tables import TABLES
 
-#: Every gyro, every table and every chamber once; the product of all is under `slow`.
+#: Every gyro, every table and every chamber once, half of them under `slow`, where the product of all is.
 EACH_ONCE = (
     ("kvh-dsp3000", "json-lines", "espec"),
     ("kvh-ecore2000", "zaber", "watlow-f4"),
@@ -22,7 +22,13 @@ EACH_ONCE = (
 )
 
 
-@pytest.mark.parametrize(("gyro", "table", "chamber"), EACH_ONCE)
+@pytest.mark.parametrize(
+    ("gyro", "table", "chamber"),
+    [
+        pytest.param(*devices, marks=[pytest.mark.slow] if k % 2 else [])
+        for k, devices in enumerate(EACH_ONCE)
+    ],
+)
 def test_a_small_run_is_recorded_as_it_was(tmp_path: Path, gyro: str, table: str, chamber: str) -> None:
     with bench(gyro, table, chamber) as b:
         outcome = acquire(tmp_path, profile(b, temperatures="[24.0]"))

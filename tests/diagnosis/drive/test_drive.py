@@ -114,7 +114,7 @@ def names(result: DriveDiagnosis) -> list[str]:
         (Hidden(slip=0.1, slip_exponent=1.0), "skid_slip", 10.0),
         (Hidden(asymmetry=0.006), "wheel_asymmetry", 0.6),
         (Hidden(eccentricity=0.01), "wheel_eccentricity", 1.0),
-        (Hidden(scale=0.03, gps_m=0.6), "wheel_scale", 3.0),
+        pytest.param(Hidden(scale=0.03, gps_m=0.6), "wheel_scale", 3.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_hidden_effect_is_named_with_its_size(
@@ -392,7 +392,7 @@ def test_ticks_of_each_wheel_are_told() -> None:
         assert tick_size(np.round(counted, 7)) == pytest.approx(tick_m, rel=1e-4)
 
 
-@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("sampled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_gyro_that_is_sampled_where_a_row_should_be_a_mean_is_told(resting: Robot, sampled: bool) -> None:
     log = drive(Plan(shape="random", minutes=4.0), 3)
     rows, every = log.t_s.size // 20, 20

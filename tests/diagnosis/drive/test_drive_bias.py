@@ -272,6 +272,7 @@ def test_laws_of_the_bias_that_hide_each_other_are_found_together(resting: Robot
         assert _gain(found.told, [n for n in found.chosen if n not in ("step", "slope")], name) < GAIN
 
 
+@pytest.mark.slow
 def test_an_instant_outside_of_a_log_is_no_jump(resting: Robot) -> None:
     log = drive(replace(RESTS, truth_m=0.02), 8)
     found = examine("log", log, resting, None)

@@ -28,6 +28,7 @@ def robot(**figures: object) -> Robot:
     return robot_of({"wheel_separation_m": 0.5, "static_s": 7.0, **figures}, Path("robot.toml"))
 
 
+@pytest.mark.slow
 def test_a_window_is_written_with_its_delay_beside_a_law_of_slip() -> None:
     """What the slip leaves of the delay changes within the drive, and the file had the window alone."""
     log = drive(replace(PLAN, minutes=5.0, truth_m=0.01), 4)

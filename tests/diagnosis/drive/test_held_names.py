@@ -54,6 +54,7 @@ def test_a_bias_beyond_what_is_granted_is_no_jump_at_the_end() -> None:
     assert [e.named for e in found.estimates if e.name == "gyro_bias"] == [True]
 
 
+@pytest.mark.slow
 def test_a_law_whose_interval_holds_zero_has_no_name(resting: Robot) -> None:
     found = examine("log", drive(replace(PLAN, truth_m=0.01, minutes=5.0), 6), resting, None)
     (law,) = [n for n in ("step",) if n in found.yaw.laws]

@@ -62,7 +62,8 @@ def test_a_clock_that_drifts_is_no_delay(drifts: bool, resting: Robot) -> None:
     assert grown == ([pytest.approx(0.1 * since_s[-1], rel=0.05)] if drifts else [])
 
 
-@pytest.mark.parametrize("patchy", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("patchy", [False, True])
 def test_ground_that_slips_in_places_is_no_slip_of_the_robot(patchy: bool, resting: Robot) -> None:
     """Where a third of the ground slips by 0.3 the turns differ by more than their mean of 0.1."""
     log = drive(PLAN, 4)
@@ -86,6 +87,7 @@ def test_a_bias_that_rings_after_the_start_did_not_come_with_the_motion(resting:
     assert [p.coordinate for p in found.diagnosis.located if p.remains]
 
 
+@pytest.mark.slow
 def test_wheels_hold_beside_what_the_truth_shows_of_the_gyro(resting: Robot) -> None:
     """A gyro that errs one way, which the truth shows, looks like wheels that differ where the robot turns mostly that way."""
     found = examine("log", drive(replace(PLAN, truth_m=0.01, minutes=5.0), 6), resting, None)
@@ -224,7 +226,8 @@ def circle(slip_deg: float) -> DriveBlock:
     return DriveBlock(1, t_s, way_m - half_m, way_m + half_m, gyro_dps, nothing, at.real, at.imag, nothing)
 
 
-@pytest.mark.parametrize("slip_deg", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 2.0)), -5.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("slip_deg", [0.0, 2.0, -5.0])
 def test_what_happened_once_is_no_law(slip_deg: float, resting: Robot) -> None:
     """On a circle bias, scale and wheels differ by the stop alone: a slip there had been all three, a bias of 112 in place of 15."""
     found = examine("log", circle(slip_deg), resting, None)
@@ -233,6 +236,7 @@ def test_what_happened_once_is_no_law(slip_deg: float, resting: Robot) -> None:
     assert any(468.0 < x.from_s < x.to_s < 476.0 for x in left_out(found.yaw)) == bool(slip_deg)
 
 
+@pytest.mark.slow
 def test_a_robot_that_a_hand_turns_has_no_other_bias(resting: Robot) -> None:
     """Turned by 30 deg within 2 s while its wheels stand: the bias had jumped by some deg/s, and stayed there."""
     log = drive(replace(PLAN, shape="rests", minutes=6.0), 3)

@@ -77,7 +77,8 @@ def test_a_truth_that_was_left_aside_leaves_no_structure() -> None:
     assert not [place for place in found.located if place.remains]
 
 
-@pytest.mark.parametrize("swapped", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("swapped", [True, False])
 def test_a_truth_tells_swapped_wheels_from_an_inverted_gyro(swapped: bool) -> None:
     """Before: swapped wheels were bridged by an inverted gyro, and the truth called mirrored."""
     log = drive(Plan("random", 4.0, 10.0, truth_m=0.02), 3)

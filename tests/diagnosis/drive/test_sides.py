@@ -76,6 +76,7 @@ def test_turns_to_one_side_are_no_scale_of_all_turns(seed: int) -> None:
     assert robot is None or robot.parameters.gyro.scale == 0.0
 
 
+@pytest.mark.slow
 def test_wheels_are_named_beside_a_gyro_that_differs_by_the_side() -> None:
     """Structure over the turn rate had hidden a scale of the way, which it hardly moves, and lived over every coordinate."""
     found, robot = looked_at(0.5, 0.004, 0.01, 0.01)

@@ -38,7 +38,7 @@ SPINS = [
 
 @pytest.mark.parametrize(
     ("share", "braking", "truth_m"),
-    [pytest.param(*spin, marks=[] if spin in (SPINS[0], SPINS[2]) else [pytest.mark.slow]) for spin in SPINS],
+    [pytest.param(*spin, marks=[] if spin == SPINS[0] else [pytest.mark.slow]) for spin in SPINS],
 )
 def test_wheels_that_spin_while_the_speed_grows_are_named(
     resting: Robot, share: float, braking: bool, truth_m: float
@@ -57,6 +57,7 @@ def test_wheels_that_spin_while_the_speed_grows_are_named(
         assert amplitude.value == pytest.approx(share, abs=max(3.0 * amplitude.std, 0.15 * share))
 
 
+@pytest.mark.slow
 def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
     resting: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -156,7 +156,8 @@ def test_a_simulation_that_is_nothing_but_a_surface_is_known_between_its_sets() 
     assert set(np.abs(slow.lonely_rates_dps)) == {80.0, 100.0}
 
 
-@pytest.mark.parametrize("more", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("more", [False, True])
 def test_a_simulation_with_noise_is_a_surface_where_nothing_else_is_seen_in_it(more: bool) -> None:
     t, rate, temp = plan()
     gyro = SURFACE.output_dps(rate, temp) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
