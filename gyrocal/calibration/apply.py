@@ -148,9 +148,13 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
     if not config.recording.is_dir():
         applied.notes += tuple(
-            f"{config.recording.name}: {name} counts from the first row; a table does not say when the gyro was switched on."
+            f"{config.recording.name}: {name} counts from the first row; a table does not say when the gyro was switched on"
             for name in dict.fromkeys(term.name for term in compensator.terms if _since_on(term))
         )
+        if table.temp_rate_c_per_min is not None and any(term.has_memory for term in compensator.terms):
+            applied.notes += (
+                f"{config.recording.name}: temp_rate_c_per_min is not used; the rate of the temperature is that of temp_c from row to row, and the first row has none",
+            )
     with writing_atomically(config.output) as file:
         file.write((",".join(COLUMNS) + "\n").encode())
         for text, flags in _corrected(blocks, compensator, power_on_t_s):

@@ -224,6 +224,11 @@ def _with_undetermined(fit: SurfaceFit, left_out: tuple[CrossValidation, ...]) -
     return replace(fit, covariance_dps2=fit.covariance_dps2 + shift @ spread @ shift.T)
 
 
+def _dph(error_dps: float) -> str:
+    error_dph = error_dps * DPS_TO_DPH
+    return f"{error_dph:,.0f}" if error_dph >= 100.0 else f"{error_dph:.3g}"
+
+
 def _model_reason(candidates: tuple[Candidate, ...], chosen: Model) -> str:
     if not candidates:
         return f"{chosen}, as asked for"
@@ -234,7 +239,7 @@ def _model_reason(candidates: tuple[Candidate, ...], chosen: Model) -> str:
     if chosen == PAPER:
         return f"{chosen}: the paper's, and nothing else does better by {_AS_GOOD:.0%} on what was left out"
     gains = ", ".join(
-        f"{name} {paper.left_out_rms_dps[name] * DPS_TO_DPH:,.0f} -> {value * DPS_TO_DPH:,.0f}"
+        f"{name} {_dph(paper.left_out_rms_dps[name])} -> {_dph(value)}"
         for name, value in best.left_out_rms_dps.items()
     )
     return f"{chosen} instead of the paper's 12 in the output: error on what was left out, deg/h rms: {gains}"

@@ -65,12 +65,22 @@ def verdict(c: Calibration) -> str:
     what = "bias over temperature" if c.config.bias_only else "error"
     return (
         f"{what} {dph(c.before_dps)} -> {dph(c.after_dps)} deg/h rms, {_times(c.factor)}; "
-        f"{floor}; {structure}{_stray_part(c)}"
+        f"{floor}; {structure}{_outlier_part(c)}{_stray_part(c)}"
     )
 
 
 def _times(factor: float) -> str:
     return f"{factor:.3g} times smaller" if factor >= 1.0 else f"{1.0 / factor:.3g} times larger"
+
+
+def _outlier_part(c: Calibration) -> str:
+    """One data set that is far off makes up most of the scatter, and of the intervals, of all."""
+    if not c.outliers:
+        return ""
+    ids = ",".join(str(o.segment) for o in c.outliers)
+    sigmas = f"{'up to ' if len(c.outliers) > 1 else ''}{max(abs(o.sigmas) for o in c.outliers):.0f} sigma"
+    which = plural(len(c.outliers), f"data set {ids} [is an outlier|are outliers]")
+    return f"; {which} ({sigmas}), which scatter and intervals follow: see what --exclude {ids} changes"
 
 
 def _stray_part(c: Calibration) -> str:

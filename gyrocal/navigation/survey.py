@@ -68,8 +68,9 @@ class Survey:
         Ends of the bins that hold rows, from the start of the log.
     left_m, right_m, gyro_deg : ndarray, shape (bins,)
         Sums over the bins.
-    bad_gyro, bad_encoder, duplicates, gaps : int
-        Rows with an empty cell; rows with the time of the row before; steps above 5 times the usual one.
+    bad_gyro, bad_encoder, late_counts, duplicates, gaps : int
+        Rows with an empty cell; rows without a count, whose way the next one tells; rows with the time of the row before;
+        steps above 5 times the usual one.
     fastest_line : int
         Line of the largest rate.
     said : tuple of str
@@ -89,6 +90,7 @@ class Survey:
     gyro_deg: Floats = field(repr=False)
     bad_gyro: int
     bad_encoder: int
+    late_counts: int
     duplicates: int
     gaps: int
     truth_rows: int
@@ -118,6 +120,10 @@ class Survey:
         found = (
             (self.bad_gyro, "[row|rows] without a gyro sample"),
             (self.bad_encoder, "[row|rows] without an encoder sample"),
+            (
+                self.late_counts,
+                "[row|rows] without a count of the wheels, whose way stands in the next one that has",
+            ),
             (self.duplicates, "[row|rows] with the time of the row before"),
             (self.gaps, "[gap|gaps] of more than 5 usual steps"),
         )
@@ -141,7 +147,7 @@ class _Tally:
     """Running sums of a survey."""
 
     def __init__(self) -> None:
-        self.rows = self.bad_gyro = self.bad_encoder = self.duplicates = 0
+        self.rows = self.bad_gyro = self.bad_encoder = self.late_counts = self.duplicates = 0
         self.truth_rows = self.truth_headings = self.temp_rows = 0
         self.t_start_s = self.t_end_s = np.nan
         self.temp_c = self.gyro_dps = (np.inf, -np.inf)
@@ -171,6 +177,7 @@ class _Tally:
         gyro, encoder = np.isfinite(block.gyro_dps), np.isfinite(block.left_m + block.right_m)
         self.bad_gyro += int(np.count_nonzero(~gyro))
         self.bad_encoder += int(np.count_nonzero(~encoder))
+        self.late_counts += block.late_counts
         self.duplicates += int(np.count_nonzero(dt_s == 0.0)) - first
         self.truth_rows += int(np.count_nonzero(np.isfinite(block.truth_x_m + block.truth_y_m)))
         self.truth_headings += int(np.count_nonzero(np.isfinite(block.truth_heading_deg)))
@@ -236,6 +243,7 @@ class _Tally:
             gyro,
             self.bad_gyro,
             self.bad_encoder,
+            self.late_counts,
             self.duplicates,
             gaps,
             self.truth_rows,

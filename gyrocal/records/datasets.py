@@ -85,7 +85,11 @@ def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTa
     require_columns(path, header, ("rate_dps", "gyro_counts" if counts else "gyro_dps", "temp_c"), COLUMNS)
     if counts and "gyro_dps" in header:
         raise InputError(f"{path}, line 1: has both gyro_dps and gyro_counts. Remove one of them.")
-    if counts and not (counts_per_dps and np.isfinite(counts_per_dps)):
+    if counts_per_dps is not None and not (counts_per_dps and np.isfinite(counts_per_dps)):
+        raise InputError(
+            f"--counts-per-dps: {counts_per_dps:g} is no scale. Give counts for each deg/s, its sign included."
+        )
+    if counts and counts_per_dps is None:
         raise InputError(
             f"{path}: is in counts; give the nominal scale with --counts-per-dps (its sign included)."
         )

@@ -35,6 +35,8 @@ class DriveBlock:
     speed_only : bool
         The log has one distance or speed of the vehicle: `left_m` and `right_m` are both that, and their
         difference says nothing of turns.
+    late_counts : int
+        Rows in which a counter tells nothing: the way is in the row whose count comes next.
     notes : tuple of str
         What the reader bridged, closed or left out in these rows, in words.
     """
@@ -51,6 +53,7 @@ class DriveBlock:
     steering_deg: Floats = field(default_factory=lambda: _NOTHING)
     segment: NDArray[np.int64] = field(default_factory=lambda: _NOTHING.astype(np.int64))
     speed_only: bool = False
+    late_counts: int = 0
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -67,7 +70,8 @@ class DriveBlock:
 #: Said of a log with a steering angle, which nothing evaluates.
 UNUSED_STEERING = "the steering angle is read and kept, but not used: turns are those of gyro and wheels"
 
-_ARRAYS = tuple(f.name for f in fields(DriveBlock) if f.name not in ("first_line", "speed_only", "notes"))
+_NO_ARRAYS = ("first_line", "speed_only", "late_counts", "notes")
+_ARRAYS = tuple(f.name for f in fields(DriveBlock) if f.name not in _NO_ARRAYS)
 
 
 def join(blocks: Iterable[DriveBlock]) -> DriveBlock:
@@ -77,7 +81,7 @@ def join(blocks: Iterable[DriveBlock]) -> DriveBlock:
         return parts[0]
     joined: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS}
     notes = tuple(note for p in parts for note in p.notes)
-    return replace(parts[0], notes=notes, **joined)
+    return replace(parts[0], late_counts=sum(p.late_counts for p in parts), notes=notes, **joined)
 
 
 def cut(block: DriveBlock, rows: slice) -> DriveBlock:

@@ -158,6 +158,7 @@ def _assemble(
     )
     others = {name: values[name] for name in ("gyro_temp_c", *_TRUTH, "steering_deg") if name in values}
     empty = dict.fromkeys(("gyro_temp_c", *_TRUTH), nothing[0])
+    known = left_known & right_known
     block = DriveBlock(
         first_line,
         t_s,
@@ -167,9 +168,10 @@ def _assemble(
         **(empty | others),
         segment=segment,
         speed_only="speed_m" in steps,
+        late_counts=int(np.count_nonzero(~known & np.isfinite(left + right))),
         notes=said,
     )
-    return _Read(block, left_known & right_known)
+    return _Read(block, known)
 
 
 def _is_sparse(head: Iterable[_Read]) -> bool:

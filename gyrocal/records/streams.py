@@ -130,7 +130,7 @@ class Merger:
             steering_deg,
             rows[:, 2].astype(np.int64),
             self._speed_only,
-            notes,
+            notes=notes,
         )
 
     def _how(self) -> str:

@@ -120,7 +120,7 @@ DRAWINGS = (
     Drawing(
         "coefficients",
         "Coefficients with standard errors",
-        "In deg/s, on scaled output u and temperature v. Pale cells are many standard errors from zero; dark ones could "
+        "In deg/s, on scaled rate u (of the output, or the true rate) and temperature v. Pale cells are many standard errors from zero; dark ones could "
         "be left out.",
         lambda m: figures_run.coefficient_figure(m.coefficients),
     ),

@@ -104,7 +104,8 @@ def coefficient_figure(coefficients: Coefficients) -> Figure:
     axes.set_xticks(range(SHAPE[1]), [f"$v^{j}$" for j in range(SHAPE[1])])
     axes.set_yticks(range(SHAPE[0]), [f"$u^{i}$" for i in range(SHAPE[0])])
     axes.set_xlabel("Power of scaled temperature v")
-    axes.set_ylabel("Power of scaled output u")
+    of = "output" if coefficients.surface.direction == "output" else "true rate"
+    axes.set_ylabel(f"Power of scaled {of} u")
     axes.set_title("Value ± standard error, deg/s", fontsize=7.5, fontweight="normal")
     axes.grid(visible=False)
     axes.tick_params(length=0)

@@ -61,6 +61,13 @@ def _less(value: float) -> str:
     return f"{'+' if value < 0 else '−'} {abs(value):.6g}"
 
 
+#: What a surface goes by, and how the rate follows, by its direction.
+_OF = {
+    "output": ("gyro", "corrected = gyro − error"),
+    "input": ("true rate", "gyro = true rate + error, solved for the true rate"),
+}
+
+
 def coefficient_table(coefficients: Coefficients) -> Table:
     """The twelve coefficients with standard errors and 95 % intervals: those of `fit` where the file has them."""
     value = coefficients.surface.coefficients_dps.ravel()
@@ -75,9 +82,10 @@ def coefficient_table(coefficients: Coefficients) -> Table:
         for a, b, v, s, lo, hi, p in zip(i, j, value, sigma, low, high, places, strict=True)
     ]
     surface = coefficients.surface
+    what, corrected = _OF[surface.direction]
     note = (
-        f"error = Σ cᵢⱼ uⁱ vʲ, u = (gyro {_less(surface.rate_center_dps)} deg/s) / {surface.rate_scale_dps:.6g} deg/s, "
-        f"v = (temperature {_less(surface.temp_center_c)} °C) / {surface.temp_scale_c:.6g} °C; corrected = gyro − error. {_INTERVALS[stated is None]}"
+        f"error = Σ cᵢⱼ uⁱ vʲ, u = ({what} {_less(surface.rate_center_dps)} deg/s) / {surface.rate_scale_dps:.6g} deg/s, "
+        f"v = (temperature {_less(surface.temp_center_c)} °C) / {surface.temp_scale_c:.6g} °C; {corrected}. {_INTERVALS[stated is None]}"
     )
     text = csv_text(
         {"i": i, "j": j, "value_dps": value, "std_dps": sigma, "low_95_dps": low, "high_95_dps": high}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from gyrocal.navigation.replay import replay_log
 from gyrocal.navigation.survey import Survey, check, survey
 from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
+from gyrocal.records.drive_log import iterate_drive_log
 from tests.diagnosis.drive.fleet import Plan
 from tests.diagnosis.drive.fleet import drive as fleet_drive
 from tests.navigation.drives import BAD, drive, robot, source
@@ -31,6 +33,16 @@ def test_blocks_of_any_size_give_the_same_survey(chunk_rows: int) -> None:
     log = drive()
     whole = survey("log", [log])
     assert_same(whole, survey("log", source(log, chunk_rows).blocks()))
+
+
+def test_a_count_that_is_missing_is_said_and_its_way_kept(tmp_path: Path) -> None:
+    log, counts = tmp_path / "drive.csv", [*range(0, 400, 10)]
+    rows = [f"{0.1 * k:.1f},{n if k != 20 else 'nan'},{n},0.0" for k, n in enumerate(counts)]
+    log.write_text("t_s,left_ticks,right_ticks,gyro_dps\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    found = survey("drive", iterate_drive_log(log, (0.001, 0.001), chunk_rows=15))
+    assert found.late_counts == 1
+    assert "1 row without a count of the wheels, whose way stands in the next one that has" in found.notes()
+    assert found.distance_m == pytest.approx(0.39)
 
 
 def test_what_is_missing_is_counted() -> None:

@@ -55,9 +55,9 @@ def refused(path: Path, text: str, counts_per_dps: float | None = None) -> str:
     ("text", "counts", "message"),
     [
         ("rate_dps,gyro_counts,temp_c\n1,2,3\n", None, "give the nominal scale"),
-        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", 0.0, "give the nominal scale"),
-        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", float("nan"), "give the nominal scale"),
-        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", float("inf"), "give the nominal scale"),
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", 0.0, "0 is no scale"),
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", float("nan"), "nan is no scale"),
+        ("rate_dps,gyro_counts,temp_c\n1,2,3\n", float("inf"), "inf is no scale"),
         ("rate_dps,gyro_dps,temp_c\n1,2,3\n", 5.0, "in deg/s already"),
         ("rate_dps,gyro_dps,gyro_counts,temp_c\n1,2,2,3\n", 5.0, "has both"),
         ("rate_dps,gyro_dps,temp_c\n", None, "no rows"),

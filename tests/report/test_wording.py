@@ -11,7 +11,8 @@ import pytest
 from gyrocal.calibration.material import gather
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Valid
-from gyrocal.physics.surface import SHAPE, Surface
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.report.build import plain_text
 from gyrocal.report.tables import coefficient_table
 
@@ -21,6 +22,25 @@ def test_the_formula_has_no_double_sign(center: float, said: str) -> None:
     surface = Surface(np.zeros(SHAPE), center, 100.0, 20.0, 30.0)
     made = Coefficients({"model": "m"}, surface, np.zeros((12, 12)), Valid((-100.0, 100.0), (0.0, 40.0)))
     assert said in coefficient_table(made).note
+
+
+@pytest.mark.parametrize("direction", ["output", "input"])
+def test_the_formula_gives_the_corrected_rate(direction: Direction) -> None:
+    """Of a surface of the true rate the output is the rate and its error."""
+    coefficients = np.zeros(SHAPE)
+    coefficients[1, 0] = 2.0
+    surface = Surface(coefficients, 0.0, 100.0, 20.0, 30.0, direction)
+    made = Coefficients({"model": "m"}, surface, np.zeros((12, 12)), Valid((-100.0, 100.0), (0.0, 40.0)))
+    corrected = Compensator(made).correct(0.0, 51.0, 20.0)
+    note = coefficient_table(made).note
+    if direction == "output":
+        assert "u = (gyro − 0 deg/s)" in note
+        assert "corrected = gyro − error" in note
+        assert corrected == pytest.approx(51.0 - 2.0 * 0.51)
+    else:
+        assert "u = (true rate − 0 deg/s)" in note
+        assert "gyro = true rate + error" in note
+        assert corrected + 2.0 * corrected / 100.0 == pytest.approx(51.0)
 
 
 @pytest.mark.parametrize(
