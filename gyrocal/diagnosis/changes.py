@@ -24,8 +24,16 @@ from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
-from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, POWERS, SCALE_DRIFT, SCALE_STEP, WARM_UP
-from gyrocal.units import S_PER_H
+from gyrocal.physics.timewise import (
+    BIAS_DRIFT,
+    BIAS_STEP,
+    KNEES,
+    POWERS,
+    SCALE_DRIFT,
+    SCALE_STEP,
+    WARM_UP,
+    growth,
+)
 
 Floats = NDArray[np.float64]
 Value = TypeVar("Value", bound=float)
@@ -52,10 +60,15 @@ _RISES = (0.0, 0.5, 1.0, 2.0, 4.0)
 _SPREADS = (0.0, 0.8, 1.6)
 #: Of the time constants of a grid one of so many has a part in a spread, and none less than this.
 _THINNED, _LEAST_WEIGHT = 3, 0.01
+#: A drift is next to so many on either side: powers of time and of its logarithm lie between each other.
+_NEXT_DRIFTS = 2
 
 
 class Change(NamedTuple):
-    """A law at its shape: of a step the row from which on it holds, of a drift its power, else a width or time constant."""
+    """A law at its shape: of a step the row from which on it holds, of a drift its power, else a width or time constant.
+
+    `spread` is that of a time constant or width, of a step how long it takes, and of a drift that ages its knee, s.
+    """
 
     effect: str
     at: float
@@ -75,25 +88,31 @@ class Changes:
     frame: Frame
 
     def grids(self, effect: str) -> tuple[Sequence[float], Sequence[float]]:
-        """Values and spreads that an effect may have here; none where the record cannot show it."""
+        """Values and spreads that an effect other than a drift may have here; none where the record cannot show it."""
         m = self.means
         if effect in STEPS:
             rise_s = float(np.median(np.diff(m.t_s))) * np.array(_RISES)
             edge = max(_FEWEST_SETS, round(EDGE * len(m)))
             return range(edge, len(m) - edge), rise_s.tolist()
-        if effect in DRIFTS:
-            return POWERS[::-1], (0.0,)
         if effect == WARM_UP.id:
             return [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < np.ptp(m.t_s)], _SPREADS
         return list(self._history[effect]), _SPREADS if effect == SHUPE_GRADIENT.id else (0.0,)
 
     def shapes(self, effect: str) -> list[Change]:
         """All shapes of an effect."""
+        if effect in DRIFTS:
+            return [change._replace(effect=effect) for change in self._drifts]
         values, spreads = self.grids(effect)
         return [Change(effect, float(at), float(spread)) for at in values for spread in spreads]
 
     def neighbours(self, change: Change) -> list[Change]:
         """The shapes next to one."""
+        if change.effect in DRIFTS:
+            tried = self.shapes(change.effect)
+            at = tried.index(change)
+            return [
+                near for near in tried[max(at - _NEXT_DRIFTS, 0) : at + _NEXT_DRIFTS + 1] if near != change
+            ]
         values, spreads = self.grids(change.effect)
         near = [change._replace(at=float(at)) for at in neighbours(list(values), change.at)]
         return near + [change._replace(spread=float(x)) for x in neighbours(list(spreads), change.spread)]
@@ -107,10 +126,12 @@ class Changes:
         m, (effect, at, spread) = self.means, change
         if effect in STEPS or effect in DRIFTS:
             scale = PPM * m.rate_dps if "rate_dps" in CATALOGUE[effect].needs else np.full(len(m), MDPS)
-            shape = {"power": at}
-            if effect in STEPS:
-                shape = {"at_s": float(0.5 * (m.t_s[int(at) - 1] + m.t_s[int(at)]))}
-            ahead = self._risen(int(at), spread) if effect in STEPS else _grown(m.t_s, at)
+            if effect in DRIFTS:
+                shape = self._of_drift(change)
+                ahead = growth(m.t_s, shape)
+                return Law(effect, shape, ((ahead - ahead.mean()) * scale)[:, None], from_end=True)
+            shape = {"at_s": float(0.5 * (m.t_s[int(at) - 1] + m.t_s[int(at)]))}
+            ahead = self._risen(int(at), spread)
             return Law(effect, shape, (ahead * scale)[:, None], from_end=True, spread=spread)
         known = self._warm_ups if effect == WARM_UP.id else self._history[effect]
         name = HISTORY.get(effect, "tau_s")
@@ -125,6 +146,24 @@ class Changes:
         if effect not in self._columns:
             self._columns[effect] = np.column_stack([self.law(c).columns[:, 0] for c in self.shapes(effect)])
         return self._columns[effect]
+
+    @cached_property
+    def _drifts(self) -> list[Change]:
+        """Shapes of a drift, of no effect yet, in the order of how much of it is there after half of the record."""
+        from_s, span_s = float(self.means.t_s[0]), float(np.ptp(self.means.t_s))
+        found = [Change("", power) for power in POWERS] + [Change("", 0.0, share * span_s) for share in KNEES]
+
+        def early(change: Change) -> float:
+            begun, half, whole = growth(from_s + np.array([0.0, 0.5, 1.0]) * span_s, self._of_drift(change))
+            return float((half - begun) / (whole - begun))
+
+        return sorted(found, key=early)
+
+    def _of_drift(self, change: Change) -> dict[str, float]:
+        """Its shape; what ages does so since the record began."""
+        if not change.spread:
+            return {"power": change.at}
+        return {"knee_s": change.spread, "from_s": float(self.means.t_s[0])}
 
     @cached_property
     def _columns(self) -> dict[str, Floats]:
@@ -161,13 +200,6 @@ class Changes:
 
 def _shape(name: str, at: float) -> dict[str, float]:
     return {name: at} if name else {}
-
-
-def _grown(t_s: Floats, power: float) -> Floats:
-    """Growth with a power of the hours, zero in the mean."""
-    hours = t_s / S_PER_H
-    grown = np.sign(hours) * np.abs(hours) ** power
-    return np.asarray(grown - grown.mean())
 
 
 def _spread_over(values: Sequence[float], at: float, spread: float) -> dict[float, float]:

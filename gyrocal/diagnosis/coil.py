@@ -182,10 +182,11 @@ class TableSearch:
     def beside_smooth(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """The best models, and those with their steps alone, beside smooth parts of temperature's history and of time.
 
-        Few gyros obey a law: what one leaves is taken for a warm-up or a step, or a law is taken that is none. Of the scale
-        factor only what passes is smooth: what it remembers is too like a coil's lag.
+        Few gyros obey a law: what one leaves is taken for a warm-up or a step, or a law is taken that is none. What the scale
+        factor remembers is like a coil's lag, and pays by itself.
         """
-        parts = [p for p in remembering(self.base.means) if all(c.rate == Factor() for c in p.columns)]
+        parts = remembering(self.base.means)
+        of_bias = [p for p in parts if not _of_scale(p)]
         if not parts:
             return []
         chosen = {(c.coil, c.changes): c for c in best_of_each(ranked)[:_BESIDE_SMOOTH]}
@@ -194,7 +195,10 @@ class TableSearch:
             for key in ((None, steps), (c.coil, steps)):
                 chosen.setdefault(key, self.fit(*key, c))
         chosen[None, ()] = self.known[None, ()]
-        return sorted((self._with_smooth(c, parts) for c in chosen.values()), key=lambda c: c.score)
+        kinds = [of_bias, parts] if len(parts) > len(of_bias) else [of_bias]
+        return sorted(
+            (self._with_smooth(c, kind) for c in chosen.values() for kind in kinds), key=lambda c: c.score
+        )
 
     def with_law_of_rate(self, ranked: Sequence[Candidate], laws: Laws) -> list[Candidate]:
         """The best models, each with the law of the rate that gains most beside the first, where it is worth what it pays.
@@ -246,13 +250,14 @@ class TableSearch:
         return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - saved)
 
     def _with_smooth(self, candidate: Candidate, parts: Sequence[Part]) -> Candidate:
-        """A model beside smooth parts, which pay together what a law pays."""
+        """A model beside smooth parts, which pay what a law pays: together, and those of the scale factor once more."""
         coil, changes, near = candidate.coil, candidate.changes, candidate.fitted
         means, frame = self.base.means, self.base.basis.frame
         more = [*drifts(means, frame), *(c for c in passing(means, frame) if c.name == "scale walk")]
         model = near.model.with_parts(parts)
         fitted = near.refit(model.with_components(*more))
-        paid = self._toll(coil, changes) + TOLL_NATS + (0.0 if coil or changes else _FIRST_NATS)
+        paid = self._toll(coil, changes) + (0.0 if coil or changes else _FIRST_NATS)
+        paid += TOLL_NATS * (1 + any(map(_of_scale, parts)))
         smooth = [p.name for p in parts] + [c.name for c in more if c.columns is not None]
         return Candidate(coil, changes, fitted, fitted.nll + paid + self.cancelled_nats(fitted, smooth))
 
@@ -332,9 +337,9 @@ class TableSearch:
         return {name: own @ solution.amplitudes[name] for name, own in columns.items()}
 
     def _with_rate(self, model: Model) -> set[str]:
-        """Laws that go by the rate, and what of the components stands for the scale factor in time."""
+        """Laws that go by the rate, and what of the components stands for the scale factor in time or over temperature."""
         laws = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
-        return laws | {*WANDERING_SCALE, DRIFTING_SCALE}
+        return laws | {p.name for p in model.parts if _of_scale(p)} | {*WANDERING_SCALE, DRIFTING_SCALE}
 
     def model(self, coil: Coil, changes: tuple[Change, ...]) -> Model:
         """The base with the surface at the coil, and laws of time."""
@@ -433,6 +438,10 @@ class TableSearch:
         paid -= sum(CATALOGUE[change.effect].search.prior_nats for change in changes)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
+
+
+def _of_scale(part: Part) -> bool:
+    return all(column.rate != Factor() for column in part.columns)
 
 
 def _best(candidates: list[Candidate]) -> list[Candidate]:

@@ -15,7 +15,7 @@ from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import is_passing
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, Fitted, Law, Model
+from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, WANDERING_SCALE, Fitted, Law, Model
 from gyrocal.diagnosis.open_loop import given_back
 from gyrocal.diagnosis.parts import (
     BLOCKS,
@@ -27,7 +27,7 @@ from gyrocal.diagnosis.parts import (
 from gyrocal.diagnosis.rising import dead_zone, rising
 from gyrocal.diagnosis.rivals import may_wander, of_one_surface, with_rivals
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
-from gyrocal.diagnosis.standing import state_of_laws, state_of_walks
+from gyrocal.diagnosis.standing import left_by_drifts, state_of_laws, state_of_walks
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
@@ -113,6 +113,9 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
     beside = _less(found, without)
     fallen = set(beside.model.components) - set(found.naming.fitted.model.components)
+    if _of_scale(found.naming.fitted.model, without):
+        # What a scale factor that wanders explains nearly as well is in its walk already.
+        fallen |= {*WANDERING_SCALE} & beside.model.components.keys()
     near = of_one_surface(near or with_rivals(beside, found.naming.named, found.laws))
     for effect in _BETWEEN_RATES:
         near = _over_shapes(near, effect, found.laws)
@@ -159,6 +162,18 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     )
 
 
+def with_drifts(file: Coefficients, found: Examination) -> Coefficients:
+    """A file whose uncertainty has what goes on to drift about the mean that the surface has of it.
+
+    The surface alone lacks as much: whether the file is better than that is asked without it.
+    """
+    each = [(w, left_by_drifts(c.fitted.model, c.fitted.solve())) for w, c in found.candidates]
+    covariance = file.covariance_dps2.copy()
+    covariance[0, 0] += sum(w * constant for w, (constant, _) in each)
+    covariance[SHAPE[1], SHAPE[1]] += sum(w * share for w, (_, share) in each)
+    return replace(file, covariance_dps2=covariance)
+
+
 def _with_sine(
     model: Model, items: Sequence[_Item], mean: Floats, covariance: Floats
 ) -> tuple[Floats, Floats]:
@@ -193,11 +208,16 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
         return fitted
     passing = [CATALOGUE[n.law.effect] for n in found.naming.named if is_passing(n)]
     taken = ["scale in time" if "rate_dps" in effect.needs else "bias in time" for effect in passing]
-    # What acted on the bias alone leaves the scale factor as it was.
-    with_rate = {c.rate != Factor() for p in fitted.model.parts if p.name in names for c in p.columns}
-    if with_rate == {False}:
+    if not _of_scale(fitted.model, blocks):
+        # What acted on the bias alone leaves the scale factor as it was.
         taken.append("scale in time")
     return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
+
+
+def _of_scale(model: Model, blocks: Collection[str]) -> bool:
+    """Whether any part of some blocks that a model has acts on more than the bias."""
+    parts = [p for p in model.parts if p.block in blocks and p.name in model.components]
+    return any(c.rate != Factor() for p in parts for c in p.columns)
 
 
 def _over_shapes(near: Sequence[tuple[float, Fitted]], effect: str, laws: Laws) -> list[tuple[float, Fitted]]:

@@ -14,7 +14,7 @@ from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.correction import correction, doubtful
+from gyrocal.diagnosis.correction import correction, doubtful, with_drifts
 from gyrocal.diagnosis.edges import told
 from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.fresh_run import gain_on_a_fresh_run, need_rates, no_file
@@ -204,7 +204,9 @@ def _written(
     ):
         return None, [Remark(Said.INPUT_ALREADY)]
     gain = gain_on_a_fresh_run(improved, surface, means)
-    return (improved, []) if gain.is_enough else (None, [no_file(improved, means, gain.chance, left_out)])
+    if not gain.is_enough:
+        return None, [no_file(improved, means, gain.chance, left_out)]
+    return with_drifts(improved, found), []
 
 
 def _of_file(
@@ -270,8 +272,10 @@ def _held(found: Examination, layered: Sequence[NamedEffect]) -> list[Remark]:
     """Named laws of what passes whose last state the correction has; of a drift of a table it has the mean."""
     lost = found.comes_again == 0.0
     passing = [e.effect for e in layered if passes(CATALOGUE[e.effect]) or (lost and e.effect == WARM_UP.id)]
-    held = [e for e in passing if not (found.ranked and e in DRIFTS)]
-    return [Remark(Said.STATE_AT_END, {"effects": held})] if held else []
+    drifting = [e for e in passing if found.ranked and e in DRIFTS]
+    held = [e for e in passing if e not in drifting]
+    said = {Said.STATE_AT_END: held, Said.MEAN_OF_DRIFT: drifting}
+    return [Remark(what, {"effects": effects}) for what, effects in said.items() if effects]
 
 
 def _sines(written: Coefficients) -> list[Remark]:

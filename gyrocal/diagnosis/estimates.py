@@ -77,7 +77,7 @@ class _Scan:
     def at(self, shape: Mapping[str, float]) -> Point:
         """The point at a shape; a parameter that is chosen from a few values, and not refined, has the best of them."""
         kinds = [{**shape, **kind} for kind in self._kinds(shape)]
-        points = [self.of(self.laws.at(self.effect, kind)) for kind in kinds]
+        points = [self.of(self.laws.at(self.effect, kind), kind) for kind in kinds]
         return min(points, key=lambda p: p.loss)
 
     def _kinds(self, shape: Mapping[str, float]) -> list[dict[str, float]]:
@@ -86,11 +86,12 @@ class _Scan:
         choices = [n for n in shape if n not in search.refined]
         if not choices:
             return [{}]
-        kinds = {tuple(s[n] for n in choices) for s in search.grid(self.laws.offer)}
+        grid = [s for s in search.grid(self.laws.offer) if s.keys() >= {*choices}]
+        kinds = {tuple(s[n] for n in choices) for s in grid}
         return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)]
 
-    def of(self, columns: Floats) -> Point:
-        """The point of a law's columns; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""
+    def of(self, columns: Floats, shape: Mapping[str, float]) -> Point:
+        """The point of a law's columns at a shape; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""
         information = columns.T @ self.precision @ columns
         covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
         b = covariance @ (columns.T @ self.score)
@@ -103,7 +104,7 @@ class _Scan:
         if not std:
             return Point(0.0, size, float("inf"))
         amplitude, lost = likeliest(self.effect, size, std)
-        if len(self.effect.search.refined) > 1:
+        if sum(n in shape for n in self.effect.search.refined) > 1:
             # Of a peak between two rates the higher ones all fit.
             lost += 2.0 * _rarity(amplitude, std)
         beyond = columns - self.surface @ (self.surface.T @ columns)
@@ -134,7 +135,7 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     """
     effect = CATALOGUE[law.effect]
     beside = _beside(fitted, law, laws, without)
-    here = beside.of(law.columns)
+    here = beside.of(law.columns, law.shape)
     free = _free(law)
     intervals, along = _intervals(beside, law.shape, free)
     points = [here, *along]
@@ -161,7 +162,7 @@ def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Map
     beside = _beside(fitted, law, laws, [])
     modes = _modes(beside, law.shape, free)
     along = [point for mode in modes for point in _around(beside, mode, free, law.shape)[1]]
-    low, high = amplitude_interval([beside.of(law.columns), *along])
+    low, high = amplitude_interval([beside.of(law.columns, law.shape), *along])
     if low * high > 0.0 and max(abs(low), abs(high)) < _KNOWN * min(abs(low), abs(high)):
         return [(1.0, law.shape, fitted)]
     found: list[tuple[float, Mapping[str, float], Fitted]] = []
@@ -192,7 +193,7 @@ def _shapes_near(
     # Points are as far apart as the intervals are wide.
     cell = float(np.sum([np.log(np.log(high / low)) for low, high in (intervals[n] for n in free)]))
     # The evidence has no prior of the amplitude yet.
-    here = beside.of(law.columns)
+    here = beside.of(law.columns, law.shape)
     likely = here.loss / 2.0 - fitted.nll - _rarity(here.amplitude, here.std)
     found: list[tuple[float, Mapping[str, float], Fitted]] = []
     for place in product(*axes):

@@ -66,7 +66,7 @@ _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC, and fewer than so many times these of shapes in temperature.
 _LEAST_SPAN_C, _SHAPED = 0.5, 4.0
 #: What stands for a drift of the scale factor.
-DRIFTING_SCALE = "scale drift"
+DRIFTING_BIAS, DRIFTING_SCALE = "bias drift", "scale drift"
 #: Rates that differ by less are one: tables repeat theirs closer.
 _SAME_RATE_DPS = 0.01
 #: Of more rates none has data sets enough to tell an error of its own from what is smooth.
@@ -482,7 +482,7 @@ def drifts(means: Means, frame: Frame) -> list[Component]:
     """Straight drifts of the bias and the scale factor, of which the surface has the mean."""
     away = (means.t_s - np.mean(means.t_s)) / (float(np.ptp(means.t_s)) or 1.0)
     u = means.rate_dps / frame.rate_scale_dps
-    return [Component("bias drift", away[:, None]), Component(DRIFTING_SCALE, (away * u)[:, None])]
+    return [Component(DRIFTING_BIAS, away[:, None]), Component(DRIFTING_SCALE, (away * u)[:, None])]
 
 
 def noise(means: Means) -> list[Component]:

@@ -35,6 +35,7 @@ class Said(Enum):
     EDGE = auto()
     ALSO_WRITTEN = auto()
     STATE_AT_END = auto()
+    MEAN_OF_DRIFT = auto()
     INPUT_ALREADY = auto()
     NO_SURE_GAIN = auto()
     NO_INVERSE = auto()
@@ -105,6 +106,7 @@ OF_COEFFICIENTS = frozenset(
         Said.SINE_WRITTEN,
         Said.OPEN_SINCE_POWER_ON,
         Said.STATE_AT_END,
+        Said.MEAN_OF_DRIFT,
         Said.INPUT_ALREADY,
         Said.NO_SURE_GAIN,
         Said.NO_INVERSE,

@@ -7,9 +7,10 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.in_place import passes
 from gyrocal.diagnosis.layers import Model
-from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers
+from gyrocal.diagnosis.parts import DRIFTING_BIAS, DRIFTING_SCALE, SURFACE, legendre_to_powers
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
@@ -53,6 +54,28 @@ def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) ->
     ends = {name: values for name, values in walked.items() if name not in fallen}
     left_dps2 = float(np.mean((whole - model.design @ onto) ** 2))
     return legendre_to_powers() @ onto + _at_end(model, ends), left_dps2
+
+
+def left_by_drifts(model: Model, solution: Solution) -> tuple[float, float]:
+    """Variances that the drifts of a table leave about the mean that the surface has of them, deg/s squared: of the constant, and of the share of the rate.
+
+    They go on, and where they stand in another run nobody knows.
+    """
+    constant, share = 0.0, 0.0
+    drifts = {law.name: law.columns for law in model.laws if law.from_end and law.effect in DRIFTS}
+    named = {n: c.columns for n, c in model.components.items() if n in (DRIFTING_BIAS, DRIFTING_SCALE)}
+    with_rate = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
+    turning = model.means.rate_dps != 0.0
+    for name, columns in (drifts | named).items():
+        if columns is None or name not in solution.amplitudes:
+            continue
+        added = columns @ solution.amplitudes[name]
+        if name in with_rate or name == DRIFTING_SCALE:
+            of_scale = added[turning] / model.means.rate_dps[turning] * model.basis.frame.rate_scale_dps
+            share += float(np.mean(of_scale**2))
+        else:
+            constant += float(np.mean(added**2))
+    return constant, share
 
 
 def _at_end(model: Model, walks: dict[str, Floats]) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.physics.timewise import growth
 from gyrocal.units import S_PER_H, S_PER_MIN
 
 #: An interval that ends this little behind a data set ends at it.
@@ -18,6 +19,10 @@ _PER_TIME = (
     ("per degC/min", "per degC a data set", S_PER_MIN / SURROGATE_PERIOD_S),
     ("/h", " a data set", SURROGATE_PERIOD_S / S_PER_H),
 )
+#: Instants and what they are called in data sets, which count from one.
+_INSTANTS = {"at_s": "at_data_set", "from_s": "from_data_set"}
+#: Spans of time and what they are called in data sets.
+_SPANS = {"tau_s": "tau_data_sets", "knee_s": "knee_data_sets"}
 
 
 def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
@@ -26,26 +31,32 @@ def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str,
         return dict(parameters)
     found: dict[str, Estimate] = {}
     for name, e in parameters.items():
-        if name == "at_s":
-            found["at_data_set"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 1.0, "1")
-        elif name == "tau_s":
-            found["tau_data_sets"] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 0.0, "data sets")
+        if name in _INSTANTS:
+            found[_INSTANTS[name]] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 1.0, "1")
+        elif name in _SPANS:
+            found[_SPANS[name]] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 0.0, "data sets")
         else:
-            found[name] = _per_set(e, _power(parameters))
+            found[name] = _per_set(e, {n: p.value for n, p in parameters.items()})
     return found
 
 
 def by_time(parameters: Mapping[str, Estimate]) -> dict[str, float]:
     """Values of `by_data_set` in the catalogue's units again, for its laws."""
-    found = {}
+    found = {
+        in_s: parameters[in_sets].value * SURROGATE_PERIOD_S
+        for in_s, in_sets in _SPANS.items()
+        if in_sets in parameters
+    }
+    found |= {
+        in_s: (parameters[in_set].value - 1.0) * SURROGATE_PERIOD_S
+        for in_s, in_set in _INSTANTS.items()
+        if in_set in parameters
+    }
+    shape = {name: e.value for name, e in parameters.items()} | found
     for name, e in parameters.items():
-        if name == "at_data_set":
-            found["at_s"] = (e.value - 1.0) * SURROGATE_PERIOD_S
-        elif name == "tau_data_sets":
-            found["tau_s"] = e.value * SURROGATE_PERIOD_S
-        else:
-            factors = [factor for _, per_set, factor in _PER_TIME if e.unit.endswith(per_set)]
-            found[name] = e.value / next(iter(factors), 1.0) ** _power(parameters)
+        if name not in (*_SPANS.values(), *_INSTANTS.values()):
+            factors = [_grown(factor, shape) for _, per_set, factor in _PER_TIME if e.unit.endswith(per_set)]
+            found[name] = e.value / next(iter(factors), 1.0)
     return found
 
 
@@ -59,17 +70,16 @@ def between_sets(parameters: Mapping[str, Estimate]) -> Remark | None:
     return Remark(Said.BETWEEN_SETS, {"first": first, "last": last})
 
 
-def _per_set(e: Estimate, power: float) -> Estimate:
+def _per_set(e: Estimate, shape: Mapping[str, float]) -> Estimate:
     for per_time, per_set, factor in _PER_TIME:
         if e.unit.endswith(per_time):
-            return _scaled(e, factor**power, 0.0, e.unit.removesuffix(per_time) + per_set)
+            return _scaled(e, _grown(factor, shape), 0.0, e.unit.removesuffix(per_time) + per_set)
     return e
 
 
-def _power(parameters: Mapping[str, Estimate]) -> float:
-    """Of time, by which a drift grows: its size is that after one unit of time."""
-    power = parameters.get("power")
-    return 1.0 if power is None else power.value
+def _grown(factor: float, shape: Mapping[str, float]) -> float:
+    """Size in data sets over that in time: of a drift each is what has grown after one unit."""
+    return float(growth(np.array([factor * S_PER_H]), {"power": 1.0, **shape, "from_s": 0.0})[0])
 
 
 def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:

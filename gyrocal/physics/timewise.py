@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal.physics.c_text import CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, PPM, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.effect import MDPS, PPM, Effect, Floats, amplitude, choice, memoryless, shape
 from gyrocal.physics.fold import scale_on_time
 from gyrocal.physics.offer import Offer, begins_warm, table_turns
 from gyrocal.physics.search import Search, scales
@@ -18,11 +18,20 @@ from gyrocal.units import S_PER_H
 #: Instants of a jump of the bias that are tried from the first; a scan of all of them adds the likely ones.
 _JUMP_NET = 48
 
-#: A drift is straight, slows down or grows: the power that is nearest to ageing with the logarithm of time is about a third.
+#: A drift is straight, slows down or grows.
 POWERS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-_POWER = shape(
-    "power", "1", 0.2, 3.0, 1.0, "1: steady; below 1 it slows down, as ageing does; above 1 it grows"
+#: Ageing goes with the logarithm of time, straight until its knee, which is at so much of the record.
+KNEES = (0.003, 0.01, 0.03, 0.1, 0.3)
+_POWER = shape("power", "1", 0.2, 3.0, 1.0, "1: steady; below 1 it slows down; above 1 it grows")
+_KNEE = shape(
+    "knee_s",
+    "s",
+    0.0,
+    1e7,
+    0.0,
+    "above 0 it ages: with the logarithm of time, whatever the power, straight until about then",
 )
+_FROM = choice("from_s", "s", -1e9, 1e9, 0.0, "instant from which it ages, on the record's clock")
 _AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record's clock")
 
 
@@ -30,18 +39,32 @@ def _warm_up(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> 
     return np.asarray(MDPS * p["amplitude"] * np.exp(-c.need("since_power_on_s") / p["tau_s"]))
 
 
+def growth(t_s: Floats, p: Mapping[str, float]) -> Floats:
+    """Growth of a drift, 1 after an hour: of a power since the clock's zero, of one that ages since ``from_s``.
+
+    A clock that began long before makes a power straight. What has aged since some time before ``from_s`` has the same law
+    with a later knee.
+
+    Parameters
+    ----------
+    t_s : ndarray, shape (n,)
+        Time on the record's clock.
+    p : mapping
+        Its ``power`` or, of ageing, its ``knee_s`` and ``from_s``.
+    """
+    knee_s = p.get("knee_s", 0.0)
+    if not knee_s:
+        return np.asarray(np.sign(t_s) * np.abs(t_s / S_PER_H) ** p["power"])
+    since_s = t_s - p.get("from_s", 0.0)
+    return np.asarray(np.sign(since_s) * np.log1p(np.abs(since_s) / knee_s) / np.log1p(S_PER_H / knee_s))
+
+
 def _bias_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(MDPS * p["amplitude"] * _grown(c, p))
-
-
-def _grown(c: Conditions, p: Mapping[str, float]) -> Floats:
-    """Growth since the beginning of the record, 1 after an hour; a clock that began long before makes it straight."""
-    hours = c.t_s / S_PER_H
-    return np.asarray(np.sign(hours) * np.abs(hours) ** p["power"])
+    return np.asarray(MDPS * p["amplitude"] * growth(c.t_s, p))
 
 
 def _scale_drift(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(PPM * p["amplitude"] * _grown(c, p) * c.rate_dps)
+    return np.asarray(PPM * p["amplitude"] * growth(c.t_s, p) * c.rate_dps)
 
 
 def _bias_step(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -56,8 +79,10 @@ def _net(offer: Offer) -> list[dict[str, float]]:
     return [{"at_s": float(x)} for x in np.linspace(*offer.t_s, _JUMP_NET + 2)[1:-1]]
 
 
-def _powers(offer: Offer) -> list[dict[str, float]]:
-    return [{"power": power} for power in POWERS]
+def _drifts(offer: Offer) -> list[dict[str, float]]:
+    return [{"power": power} for power in POWERS] + [
+        {"knee_s": share * offer.span_s, "from_s": offer.t_s[0]} for share in KNEES
+    ]
 
 
 def _between_turns(offer: Offer) -> list[dict[str, float]]:
@@ -93,31 +118,31 @@ WARM_UP = Effect(
 BIAS_DRIFT = Effect(
     id="bias_drift",
     family="time",
-    equation="e = k t^p",
+    equation="e = k t^p, or k ln(1 + t/t_k) / ln(1 + 1 h/t_k)",
     statement="The bias drifts slowly, all the run long (ageing, rate ramp).",
-    parameters=(amplitude("mdeg/s/h", 10000.0, 1.0, "drift in the first hour"), _POWER),
+    parameters=(amplitude("mdeg/s/h", 10000.0, 1.0, "drift in the first hour"), _POWER, _KNEE, _FROM),
     needs=("t_s",),
     seen_in="time",
     looks_like=("warm_up", "thermal_hysteresis"),
     reference="IEEE Std 952, rate ramp",
     runtime=False,
     error_dps=memoryless(_bias_drift),
-    search=Search(grid=_powers, refined=("power",)),
+    search=Search(grid=_drifts, refined=("power", "knee_s")),
 )
 
 SCALE_DRIFT = Effect(
     id="scale_drift",
     family="time",
-    equation="e = k t^p w",
+    equation="e = k t^p w, or k w ln(1 + t/t_k) / ln(1 + 1 h/t_k)",
     statement="The scale factor drifts slowly, all the run long.",
-    parameters=(amplitude("ppm/h", 10000.0, 50.0, "drift in the first hour"), _POWER),
+    parameters=(amplitude("ppm/h", 10000.0, 50.0, "drift in the first hour"), _POWER, _KNEE, _FROM),
     needs=("t_s", "rate_dps"),
     seen_in="time",
     looks_like=("scale_step", "thermal_lag"),
     reference="wavelength of the source",
     runtime=False,
     error_dps=memoryless(_scale_drift),
-    search=Search(grid=_powers, refined=("power",), requires=(table_turns,)),
+    search=Search(grid=_drifts, refined=("power", "knee_s"), requires=(table_turns,)),
     fold=scale_on_time,
 )
 

@@ -151,6 +151,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"Of {listed(effects)} the improved coefficients have the state at the end of the record: where that does not last to the next "
         "run, as through a switch-off, they are off by it. Record again after one."
     ),
+    Said.MEAN_OF_DRIFT: lambda effects: (
+        f"Of {listed(effects)} the improved coefficients have the mean over the record, and what it adds about that in their standard "
+        "deviations: where it will stand nobody knows."
+    ),
     Said.INPUT_ALREADY: "The surface is one of the true rate already: there is nothing to add to it, and no improved coefficients are written.",
     Said.NO_SURE_GAIN: _no_sure_gain,
     Said.NO_INVERSE: _no_inverse,

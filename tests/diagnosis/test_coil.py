@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
 from gyrocal.diagnosis.changes import Change, Changes
@@ -25,7 +26,10 @@ from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.timewise import growth
 from gyrocal.records.datasets import DataSetTable
+
+Floats = NDArray[np.float64]
 
 
 def _blank(sine: object = None) -> Any:
@@ -120,6 +124,27 @@ def test_a_bias_that_follows_the_temperature_rate_is_told_from_one_that_remember
     (named,) = named_effects(found)
     assert named.effect == "shupe"
     assert named.parameters["amplitude"].value == pytest.approx(3.0, rel=0.1)
+
+
+def test_a_scale_factor_that_follows_the_temperature_rate_goes_from_another_run() -> None:
+    """No lag of the coil is like it: that one is as large as the slope of the scale factor."""
+    rng = np.random.default_rng(6)
+    t_s = 40.0 * np.arange(120, dtype=np.float64)
+    rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
+
+    def gyro_dps(temp_c: Floats, c_per_min: Floats) -> Floats:
+        return np.asarray(rate * (1.0 + 5e-6 * (temp_c - 30.0) + 2e-4 * c_per_min))
+
+    def course(*waves: tuple[float, float]) -> tuple[Floats, Floats]:
+        temp_c = 30.0 + np.sum([half_c * np.sin(t_s / period_s) for half_c, period_s in waves], axis=0)
+        return temp_c, np.sum([60.0 * c / s * np.cos(t_s / s) for c, s in waves], axis=0)
+
+    temp_c, c_per_min = course((15.0, 700.0), (5.0, 240.0))
+    gyro = gyro_dps(temp_c, c_per_min) + 3e-4 * rng.standard_normal(t_s.size)
+    found = examine(series_of_table(DataSetTable(Path("rate.csv"), rate, gyro, temp_c, t_s=t_s)), 1e-3)
+    other_c, other_rate = course((12.0, 450.0), (4.0, 300.0))
+    corrected = Compensator(correction(found)).correct(t_s, gyro_dps(other_c, other_rate), other_c)
+    assert np.std(corrected - rate) < 0.1 * np.std(2e-4 * other_rate * rate)
 
 
 def test_what_took_the_evidence_of_a_lag_is_exchanged_for_it() -> None:
@@ -358,6 +383,7 @@ def _sweep() -> Changes:
         (Change("scale_step", 7), {"at_s": 390.0}),
         (Change("bias_drift", 1.0), {"power": 1.0}),
         (Change("scale_drift", 0.5), {"power": 0.5}),
+        (Change("bias_drift", 0.0, 234.0), {"knee_s": 234.0, "from_s": 0.0}),
     ],
 )
 def test_a_law_of_time_is_that_of_the_catalogue_less_a_state_of_the_record(
@@ -384,6 +410,20 @@ def test_what_is_straight_sudden_or_of_one_time_constant_is_plain(change: Change
     assert change.plain
     assert not change._replace(spread=0.8).plain
     assert change._replace(at=0.5).plain == (change.effect != "bias_drift")
+
+
+def test_drifts_are_in_the_order_of_how_early_they_come() -> None:
+    """Powers of time and of its logarithm lie between each other, and a search goes from one to the next."""
+    changes = _sweep()
+    t_s = np.array([0.5, 1.0]) * np.ptp(changes.means.t_s)
+    shapes = [changes.law(change).shape for change in changes.shapes("bias_drift")]
+    early = [half / whole for half, whole in (growth(t_s, shape) for shape in shapes)]
+    assert early == sorted(early)
+    assert {frozenset(shape) for shape in shapes} == {frozenset({"power"}), frozenset({"knee_s", "from_s"})}
+    near = changes.neighbours(Change("bias_drift", 0.5))
+    assert len(near) == 4
+    assert any(change.spread for change in near)
+    assert len(changes.neighbours(changes.shapes("bias_drift")[0])) == 2
 
 
 def test_a_step_that_takes_its_time_is_half_done_at_its_instant() -> None:

@@ -20,7 +20,7 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.standing import state_of_laws
+from gyrocal.diagnosis.standing import left_by_drifts, state_of_laws
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import left_by
 from gyrocal.fusion.coefficients import parse_coefficients
@@ -113,6 +113,30 @@ def test_a_drift_is_held_where_it_ends_in_what_it_is_a_drift_of(effect: Effect, 
     assert state_of_laws(model.with_laws(law)) == {
         law.name: pytest.approx((0.0, held) if of_scale else (held, 0.0))
     }
+
+
+@pytest.mark.parametrize(("effect", "of_scale"), [(BIAS_DRIFT, False), (SCALE_DRIFT, True)])
+def test_what_a_drift_of_a_table_leaves_about_its_mean_is_in_the_uncertainty(
+    effect: Effect, of_scale: bool
+) -> None:
+    rate_dps, t_s = np.tile([-50.0, 0.0, 50.0, 80.0], 10), 90.0 * np.arange(40.0)
+    grown = (t_s - t_s.mean()) / 3600.0
+    size = 100.0 * PPM * rate_dps if of_scale else 8.0 * MDPS * np.ones(40)
+    rng = np.random.default_rng(3)
+    gyro_dps, temp_c = rate_dps + size * grown + 1e-4 * rng.standard_normal(40), rng.uniform(20.0, 22.0, 40)
+    table = DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)
+    model = full_model(means_of(series_of_table(table)), memory=False)
+    law = Law(effect.id, {"power": 1.0}, ((size / 10.0) * grown)[:, None], from_end=True)
+    kept = {"white", *(p.name for p in model.parts if p.block == "surface")}
+    fitted = fit_model(model.without([n for n in model.components if n not in kept]).with_laws(law))
+    constant, share = left_by_drifts(fitted.model, fitted.solve())
+    turning = np.where(rate_dps != 0.0, grown, np.nan)
+    if of_scale:
+        assert constant == 0.0
+        assert np.sqrt(share) == pytest.approx(100.0 * PPM * 80.0 * np.sqrt(np.nanmean(turning**2)), rel=0.05)
+    else:
+        assert share == 0.0
+        assert np.sqrt(constant) == pytest.approx(8.0 * MDPS * np.std(grown), rel=0.05)
 
 
 @pytest.mark.slow

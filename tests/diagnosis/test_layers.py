@@ -230,10 +230,13 @@ def at_rest(change_dps: Floats, t: Floats, seed: int = 5) -> Diagnosis:
 def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_again() -> None:
     t: Floats = 60.0 * np.arange(120, dtype=np.float64)
     aged, warmed = at_rest(5e-3 * np.sqrt(t / t[-1]), t), at_rest(5e-3 * np.exp(-t / 900.0), t)
+    of_logarithm = at_rest(5e-3 * np.log1p(t / 400.0) / np.log1p(t[-1] / 400.0), t)
     assert [e.effect for e in aged.effects] == ["bias_drift"]
+    assert [e.effect for e in of_logarithm.effects] == ["bias_drift"]
     assert [e.effect for e in warmed.effects] == ["warm_up"]
     later = np.array([0.0, 3600.0])
-    for found, expected in ((aged, [0.015, 0.015]), (warmed, [0.015, 0.0101])):
+    held = [0.015, 0.015]
+    for found, expected in ((aged, held), (of_logarithm, held), (warmed, [0.015, 0.0101])):
         assert found.improved is not None
         file = parse_coefficients(found.improved.to_text(), "improved")
         gyro, temp = np.array(expected), np.full(2, 25.0)

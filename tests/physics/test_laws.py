@@ -131,6 +131,11 @@ def test_laws_by_hand() -> None:
     np.testing.assert_allclose(
         error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0, power=0.5), [0, 2e-3, 2e-3 * np.sqrt(2.0)]
     )
+    # Ageing: with the logarithm of time, whatever the power, and as large after an hour.
+    aged = error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0, power=0.5, knee_s=1200.0)
+    np.testing.assert_allclose(aged, [0, 2e-3, 2e-3 * np.log(7.0) / np.log(4.0)])
+    late = error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0, knee_s=1e7)
+    np.testing.assert_allclose(late, [0, 2e-3, 4e-3], rtol=1e-3)
     np.testing.assert_allclose(error("scale_drift", at([50.0] * 3, t_s=t), amplitude=10.0), [0, 5e-4, 1e-3])
     np.testing.assert_allclose(
         error("bias_step", at([1.0] * 3, t_s=t), amplitude=3.0, at_s=3600.0), [0, 3e-3, 3e-3]
