@@ -25,6 +25,7 @@ from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import (
+    AGEING_NATS,
     BIAS_DRIFT,
     BIAS_STEP,
     KNEES,
@@ -73,6 +74,12 @@ class Change(NamedTuple):
     effect: str
     at: float
     spread: float = 0.0
+
+    @property
+    def prior_nats(self) -> float:
+        """Evidence that it starts with."""
+        ages = self.effect in DRIFTS and bool(self.spread)
+        return CATALOGUE[self.effect].search.prior_nats + (AGEING_NATS if ages else 0.0)
 
     @property
     def plain(self) -> bool:

@@ -435,7 +435,7 @@ class TableSearch:
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         shapes += [float(len(self.changes.shapes(change.effect))) for change in changes]
         paid = _ODD_NATS * sum(not change.plain for change in changes)
-        paid -= sum(CATALOGUE[change.effect].search.prior_nats for change in changes)
+        paid -= sum(change.prior_nats for change in changes)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
 

@@ -200,8 +200,7 @@ def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Tri
     effect = trial.effect
     grid = effect.search.grid(laws.offer)
     names = [n for n in effect.search.refined if n in trial.shape]
-    values = {n: [s[n] for s in grid if n in s] for n in names}
-    spans = {n: (min(own), max(own)) for n, own in values.items()}
+    spans = {n: (min(s[n] for s in grid), max(s[n] for s in grid)) for n in names}
 
     def at(shape: Mapping[str, float]) -> Trial:
         return Trial(effect, shape, laws.at(effect, shape))

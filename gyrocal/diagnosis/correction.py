@@ -112,10 +112,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     """
     near = [(weight, candidate.fitted) for weight, candidate in found.candidates]
     beside = _less(found, without)
-    fallen = set(beside.model.components) - set(found.naming.fitted.model.components)
-    if _of_scale(found.naming.fitted.model, without):
-        # What a scale factor that wanders explains nearly as well is in its walk already.
-        fallen |= {*WANDERING_SCALE} & beside.model.components.keys()
+    fallen = _fallen(found.naming.fitted.model, without, beside.model)
     near = of_one_surface(near or with_rivals(beside, found.naming.named, found.laws))
     for effect in _BETWEEN_RATES:
         near = _over_shapes(near, effect, found.laws)
@@ -212,6 +209,15 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
         # What acted on the bias alone leaves the scale factor as it was.
         taken.append("scale in time")
     return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
+
+
+def _fallen(model: Model, blocks: Collection[str], beside: Model) -> set[str]:
+    """Components of the model without some blocks that stand for them."""
+    fallen = beside.components.keys() - model.components.keys()
+    if _of_scale(model, blocks):
+        # What a scale factor that wanders explains nearly as well is in its walk already.
+        fallen |= {*WANDERING_SCALE} & beside.components.keys()
+    return fallen
 
 
 def _of_scale(model: Model, blocks: Collection[str]) -> bool:

@@ -88,7 +88,7 @@ class _Scan:
             return [{}]
         grid = [s for s in search.grid(self.laws.offer) if s.keys() >= {*choices}]
         kinds = {tuple(s[n] for n in choices) for s in grid}
-        return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)]
+        return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)] or [{}]
 
     def of(self, columns: Floats, shape: Mapping[str, float]) -> Point:
         """The point of a law's columns at a shape; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""

@@ -20,7 +20,7 @@ from gyrocal.diagnosis.series import (
 )
 from gyrocal.errors import DataError
 from gyrocal.inference.course import smooth_course
-from gyrocal.inference.rounding import lattice, lattice_of_means
+from gyrocal.inference.rounding import lattice, lattice_of_few, lattice_of_means
 from gyrocal.physics.lacking import Lack, Reason, Why
 from gyrocal.physics.smooth import Frame
 from gyrocal.records.datasets import DataSetTable
@@ -146,7 +146,13 @@ def _through_dither(
     """
     if plain.course is None or np.any(count > 1.0):
         return plain, None
-    passing = {step: _passing(read_c, step) for step in _DITHERED_C if step >= _STEPS_OF_MEAN * step_c}
+    # Of a short table steps are not told, but that means would not all lie on them is.
+    coarsest_c = lattice_of_few(read_c) or 0.0
+    passing = {
+        step: _passing(read_c, step)
+        for step in _DITHERED_C
+        if step >= _STEPS_OF_MEAN * max(step_c, coarsest_c)
+    }
     passing = {
         s: rows for s, rows in passing.items() if rows.size >= FEWEST_ROWS and _near_steps(read_c[rows], s)
     }

@@ -75,6 +75,11 @@ def lattice(values: Floats) -> float | None:
     return float(np.sum(gaps) / np.sum(np.round(multiples)))
 
 
+def lattice_of_few(values: Floats) -> float | None:
+    """Step of the lattice that all of a few values lie on, as any few with digits in common do; None of none."""
+    return lattice(np.tile(values, 1 + _LATTICE_SAMPLES // values.size))
+
+
 def lattice_of_means(values: Floats) -> float | None:
     """Step of the lattice that means of a few readings lie on, but for those during which the readings went to the next step.
 
@@ -85,7 +90,7 @@ def lattice_of_means(values: Floats) -> float | None:
     if standing.size < max(_STANDING * values.size, _LATTICE_VALUES):
         return fine
     # A mean in which one reading of a hundred was on the next step may stand, too.
-    stands = lattice(np.tile(standing, 1 + _LATTICE_SAMPLES // standing.size)) or 0.0
+    stands = lattice_of_few(standing) or 0.0
     return max(stands, _divisor(values, standing), fine or 0.0) or None
 
 

@@ -35,7 +35,7 @@ def units(columns: dict[str, Sequence[float] | NDArray[np.float64]]) -> list[Uni
     ]
 
 
-@pytest.mark.parametrize("n", [6, 12, 40])
+@pytest.mark.parametrize("n", [6, 12, pytest.param(40, marks=pytest.mark.slow)])
 def test_rosner_calls_normal_samples_normal(n: int) -> None:
     trials = 2000
     alarms = sum(bool(rosner(np.random.default_rng([n, k]).normal(size=n), 0.05)) for k in range(trials))

@@ -137,6 +137,7 @@ def study(
     return np.mean([a for a, _ in shares], axis=0), float(np.mean([b for _, b in shares])), alarms
 
 
+@pytest.mark.slow
 def test_intervals_hold_a_bias_that_walks() -> None:
     """A few of the slow test below: without the walk in the scatter 52 to 77 %, and eight of ten pairs changed."""
     shares, coefficients, alarms = study([[3, k] for k in range(20)], PLANS[1], 1.0)

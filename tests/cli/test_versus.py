@@ -30,7 +30,7 @@ def diagnose(real: Path, simulated: Path, out: Path, *more: str) -> Result:
 
 
 @pytest.fixture(scope="module")
-def answered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A gyro with another bias and an asymmetry of the scale factor, of which the simulation knows nothing."""
     folder = tmp_path_factory.mktemp("versus")
     t, rate, temp = plan(8)
@@ -39,9 +39,17 @@ def answered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     gyro = simulated + 0.02 + ASYMMETRY * np.maximum(rate, 0.0) + noise
     real = write(folder / "real.csv", rate_dps=rate, gyro_dps=gyro, temp_c=temp, t_s=t)
     sim = write(folder / "sim.csv", rate_dps=rate, gyro_dps=simulated, temp_c=temp, t_s=t + 30.0)
-    return folder / "out", diagnose(real, sim, folder / "out")
+    return real, sim
 
 
+@pytest.fixture(scope="module")
+def answered(written: tuple[Path, Path]) -> tuple[Path, Result]:
+    """The answer, and where it was written."""
+    out = written[0].parent / "out"
+    return out, diagnose(*written, out)
+
+
+@pytest.mark.slow
 def test_it_says_who_was_matched_and_what_the_law_brings(answered: tuple[Path, Result]) -> None:
     out, said = answered
     assert said.exit_code == 0, said.exception
@@ -65,6 +73,7 @@ def test_it_says_who_was_matched_and_what_the_law_brings(answered: tuple[Path, R
     assert "improved.json" not in {path.name for path in out.iterdir()}
 
 
+@pytest.mark.slow
 def test_the_python_file_makes_the_simulation_the_recording(answered: tuple[Path, Result]) -> None:
     """On a plan that was not recorded."""
     out, _ = answered
@@ -76,8 +85,8 @@ def test_the_python_file_makes_the_simulation_the_recording(answered: tuple[Path
     np.testing.assert_allclose(law, 0.02 + ASYMMETRY * np.maximum(rate, 0.0), atol=6 * NOISE_DPS)
 
 
-def test_options_that_do_not_go_together_are_refused(tmp_path: Path, answered: tuple[Path, Result]) -> None:
-    real, sim = answered[0].parent / "real.csv", answered[0].parent / "sim.csv"
+def test_options_that_do_not_go_together_are_refused(tmp_path: Path, written: tuple[Path, Path]) -> None:
+    real, sim = written
     for more, says in (
         (("--coefficients", "c.json"), "Leave --coefficients out"),
         (

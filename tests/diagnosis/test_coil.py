@@ -26,7 +26,7 @@ from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.timewise import growth
+from gyrocal.physics.timewise import AGEING_NATS, growth
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]
@@ -410,6 +410,12 @@ def test_what_is_straight_sudden_or_of_one_time_constant_is_plain(change: Change
     assert change.plain
     assert not change._replace(spread=0.8).plain
     assert change._replace(at=0.5).plain == (change.effect != "bias_drift")
+
+
+def test_what_ages_starts_with_less_than_what_goes_with_a_power_of_time() -> None:
+    assert Change("bias_drift", 0.0, 300.0).prior_nats == AGEING_NATS < 0.0
+    assert Change("bias_drift", 0.5).prior_nats == Change("warm_up", 300.0, 0.8).prior_nats == 0.0
+    assert Change("rate_heating", 600.0).prior_nats < 0.0
 
 
 def test_drifts_are_in_the_order_of_how_early_they_come() -> None:

@@ -23,6 +23,7 @@ from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
 
 
+@pytest.mark.slow
 def test_a_surface_between_output_and_input_is_taken_off_once() -> None:
     c = np.zeros(SHAPE)
     c[0, 0], c[1, 0], c[3, 0] = 0.05, 1.0, 2.0

@@ -118,6 +118,18 @@ def test_a_fine_thermometer_is_taken_for_none_in_steps(course_c: NDArray[np.floa
     assert not [n for n in notes if isinstance(n, Remark) and n.said is Said.DITHERED]
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_few_readings_in_steps_are_no_means_of_readings_in_larger_ones(seed: int) -> None:
+    """Steps of 36 readings are not told, but means of readings in whole degrees would not all lie on halves."""
+    rng = np.random.default_rng(seed)
+    course_c = -10.0 + 26.0 * np.cumsum(rng.uniform(0.0, 2.0, 36)) / 36.0
+    rate = np.resize(np.linspace(-90.0, 90.0, 9), 36)
+    read_c = 0.5 * np.round(course_c / 0.5)
+    table = DataSetTable(Path("t.csv"), rate, rate + 0.01 * course_c, read_c, t_s=12.0 * np.arange(36.0))
+    notes = series_of_table(table).notes
+    assert not [n for n in notes if isinstance(n, Remark) and n.said is Said.DITHERED]
+
+
 def test_samples_that_are_missing_are_counted_and_slow_no_clock(tmp_path: Path) -> None:
     """A third of the samples lost on the line is no sample clock that is 50 % late."""
     rng = np.random.default_rng(3)

@@ -165,7 +165,8 @@ def here_and_there(seed: int, share: float) -> NDArray[np.int64]:
     return np.sort(np.random.default_rng(seed).choice(133, round(share * 133), replace=False))
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.03, marks=pytest.mark.slow), 0.08])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.03, 0.08])
 def test_beside_disturbed_sets_a_law_is_named_and_nothing_else(share: float) -> None:
     off = here_and_there(1, share)
     found = diagnose(make_disturbed(1, off, asymmetry=2e-4), options=Options(heldout=False))

@@ -254,6 +254,7 @@ def test_a_robot_file_that_grants_too_little_leaves_no_structure_without_a_name(
     assert result.diagnosis.verdict == "explained"
 
 
+@pytest.mark.slow
 def test_two_effects_at_once(robot: Robot) -> None:
     result = found(Hidden(slip=0.4, delay_s=0.1), robot, 3)
     assert sorted(names(result)) == ["gyro_delay", "skid_slip"]

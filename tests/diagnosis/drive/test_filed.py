@@ -56,6 +56,7 @@ def test_what_is_claimed_is_of_the_file() -> None:
     assert shown.before_m < 0.1
 
 
+@pytest.mark.slow
 def test_scales_of_a_given_file_are_taken_out_of_the_log_and_stay_in_the_file() -> None:
     log = simulate(Hidden(gyro_factor=1.03, scale=0.02, bias_dps=0.2, gps_m=0.02), 3)
     known = {

@@ -98,7 +98,8 @@ def test_no_scale_that_runs_away_is_believed(resting: Robot) -> None:
     assert abs(truth.values["lever_left"]) < 0.5
 
 
-@pytest.mark.parametrize("late_rows", [8, pytest.param(-8, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("late_rows", [8, -8])
 def test_a_late_truth_is_of_an_earlier_place(late_rows: int, resting: Robot) -> None:
     """As a shift along the direction at its own time it had bent the path, and made scales of it."""
     log = drive(replace(PLAN, truth_m=0.005, truth_every_s=0.05, minutes=5.0), 6)

@@ -127,7 +127,8 @@ def test_wheels_that_err_by_heading_make_no_gyro_noisy(resting: Robot) -> None:
     assert 0.001 < found.robot.initial_std["left_scale"] < 0.003
 
 
-@pytest.mark.parametrize("settles", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("settles", [False, True])
 def test_a_gyro_that_warms_up_by_itself_does_not_follow_the_temperature(settles: bool) -> None:
     """Both rise all the time, the one within half a minute and the other within minutes."""
     log = drive(replace(PLAN, rest_s=0.0, bias_dps=0.0), 4)

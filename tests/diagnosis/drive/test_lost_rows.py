@@ -64,6 +64,7 @@ def test_over_a_gap_the_wheels_turn_the_robot(resting: Robot) -> None:
     assert abs(holed.at_m[-1] - whole.at_m[-1]) < 0.02 * np.sum(np.abs(whole.way_m))
 
 
+@pytest.mark.slow
 def test_a_gap_leaves_a_scale_of_the_gyro_its_name(resting: Robot) -> None:
     """Everything beside a truth was structure without a name after it, and the scale was the track's."""
     log = drive(replace(PLAN, truth_m=0.01, minutes=5.0), 6)

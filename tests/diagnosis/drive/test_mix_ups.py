@@ -57,7 +57,8 @@ def test_a_compass_is_no_scale_of_the_gyro() -> None:
     assert not found.diagnosis.effects
 
 
-@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["left", "right"])
 def test_a_wheel_that_counts_backwards_is_told_and_turned_round(robot: Robot, side: str) -> None:
     """Before: "no effect of the catalogue explains it"."""
     log = simulate(Hidden(delay_s=0.1), 1)
