@@ -38,6 +38,14 @@ def plural(count: int, text: str) -> str:
     return _FORMS.sub(r"\1" if count == 1 else r"\2", text)
 
 
+def dph(value_dps: float | None) -> str:
+    """A rate in deg/h, three digits at least, thousands set off."""
+    if value_dps is None:
+        return "unknown"
+    value = value_dps * DPS_TO_DPH
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
 def decimals(half_width: float) -> int:
     """Decimals that show two digits of a half width; negative: tens, hundreds."""
     return 1 - math.floor(math.log10(half_width)) if half_width > 0 and math.isfinite(half_width) else 3

@@ -19,7 +19,7 @@ from gyrocal.calibration.fit import SurfaceFit, Weights, fit_surface, rms, scale
 from gyrocal.calibration.groups import determined_order, left_out_groups
 from gyrocal.inference.flicker import Rest
 from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Direction
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, dph
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -224,11 +224,6 @@ def _with_undetermined(fit: SurfaceFit, left_out: tuple[CrossValidation, ...]) -
     return replace(fit, covariance_dps2=fit.covariance_dps2 + shift @ spread @ shift.T)
 
 
-def _dph(error_dps: float) -> str:
-    error_dph = error_dps * DPS_TO_DPH
-    return f"{error_dph:,.0f}" if error_dph >= 100.0 else f"{error_dph:.3g}"
-
-
 def _model_reason(candidates: tuple[Candidate, ...], chosen: Model) -> str:
     if not candidates:
         return f"{chosen}, as asked for"
@@ -239,7 +234,7 @@ def _model_reason(candidates: tuple[Candidate, ...], chosen: Model) -> str:
     if chosen == PAPER:
         return f"{chosen}: the paper's, and nothing else does better by {_AS_GOOD:.0%} on what was left out"
     gains = ", ".join(
-        f"{name} {_dph(paper.left_out_rms_dps[name])} -> {_dph(value)}"
+        f"{name} {dph(paper.left_out_rms_dps[name])} -> {dph(value)}"
         for name, value in best.left_out_rms_dps.items()
     )
     return f"{chosen} instead of the paper's 12 in the output: error on what was left out, deg/h rms: {gains}"

@@ -12,7 +12,7 @@ from gyrocal.calibration.choice import PAPER
 from gyrocal.calibration.figure import Figure, bound_said, number, value_said
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import stray_rows
-from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, plural
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, dph, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
@@ -38,14 +38,6 @@ class Table:
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-
-
-def dph(value_dps: float | None) -> str:
-    """A rate in deg/h, three digits at least, thousands set off."""
-    if value_dps is None:
-        return "unknown"
-    value = value_dps * DPS_TO_DPH
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def verdict(c: Calibration) -> str:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
-from gyrocal.diagnosis.parts import EACH_RATE, SURFACE
+from gyrocal.diagnosis.parts import EACH_RATE, SURFACE, Part
 from gyrocal.inference.additive import Component
+from gyrocal.physics.smooth import Factor
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -154,6 +155,11 @@ def less(fitted: Fitted, block: str) -> Fitted:
     """The model without a block, its surface of the same direction."""
     names = [n for n, b in fitted.model.blocks.items() if b == block]
     return min(_either_surface(fitted, fitted.model.without(names)), key=lambda f: f.nll)
+
+
+def of_scale(part: Part) -> bool:
+    """Whether a part goes with the rate, not with the bias alone."""
+    return all(column.rate != Factor() for column in part.columns)
 
 
 def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:

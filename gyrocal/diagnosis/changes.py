@@ -108,7 +108,7 @@ class Changes:
     def shapes(self, effect: str) -> list[Change]:
         """All shapes of an effect."""
         if effect in DRIFTS:
-            return [change._replace(effect=effect) for change in self._drifts]
+            return [Change(effect, *shape) for shape in self._drifts]
         values, spreads = self.grids(effect)
         return [Change(effect, float(at), float(spread)) for at in values for spread in spreads]
 
@@ -134,7 +134,7 @@ class Changes:
         if effect in STEPS or effect in DRIFTS:
             scale = PPM * m.rate_dps if "rate_dps" in CATALOGUE[effect].needs else np.full(len(m), MDPS)
             if effect in DRIFTS:
-                shape = self._of_drift(change)
+                shape = self._of_drift(at, spread)
                 ahead = growth(m.t_s, shape)
                 return Law(effect, shape, ((ahead - ahead.mean()) * scale)[:, None], from_end=True)
             shape = {"at_s": float(0.5 * (m.t_s[int(at) - 1] + m.t_s[int(at)]))}
@@ -155,22 +155,20 @@ class Changes:
         return self._columns[effect]
 
     @cached_property
-    def _drifts(self) -> list[Change]:
-        """Shapes of a drift, of no effect yet, in the order of how much of it is there after half of the record."""
+    def _drifts(self) -> list[tuple[float, float]]:
+        """Powers and knees of a drift, one of them zero, in the order of how much of it is there after half of the record."""
         from_s, span_s = float(self.means.t_s[0]), float(np.ptp(self.means.t_s))
-        found = [Change("", power) for power in POWERS] + [Change("", 0.0, share * span_s) for share in KNEES]
+        found = [(power, 0.0) for power in POWERS] + [(0.0, share * span_s) for share in KNEES]
 
-        def early(change: Change) -> float:
-            begun, half, whole = growth(from_s + np.array([0.0, 0.5, 1.0]) * span_s, self._of_drift(change))
+        def early(shape: tuple[float, float]) -> float:
+            begun, half, whole = growth(from_s + np.array([0.0, 0.5, 1.0]) * span_s, self._of_drift(*shape))
             return float((half - begun) / (whole - begun))
 
         return sorted(found, key=early)
 
-    def _of_drift(self, change: Change) -> dict[str, float]:
-        """Its shape; what ages does so since the record began."""
-        if not change.spread:
-            return {"power": change.at}
-        return {"knee_s": change.spread, "from_s": float(self.means.t_s[0])}
+    def _of_drift(self, power: float, knee_s: float) -> dict[str, float]:
+        """The shape of one; what ages does so since the record began."""
+        return {"knee_s": knee_s, "from_s": float(self.means.t_s[0])} if knee_s else {"power": power}
 
     @cached_property
     def _columns(self) -> dict[str, Floats]:

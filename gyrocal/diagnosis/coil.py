@@ -14,7 +14,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import ODD
+from gyrocal.diagnosis.blocks import ODD, of_scale
 from gyrocal.diagnosis.changes import DRIFTS, HISTORY, STEPS, Change, Changes, neighbours
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.edges import with_edges
@@ -33,7 +33,6 @@ from gyrocal.diagnosis.parts import (
 )
 from gyrocal.inference.additive import START, Component, Contrasts, Solution, gains
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.smooth import Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
@@ -186,7 +185,7 @@ class TableSearch:
         factor remembers is like a coil's lag, and pays by itself.
         """
         parts = remembering(self.base.means)
-        of_bias = [p for p in parts if not _of_scale(p)]
+        of_bias = [p for p in parts if not of_scale(p)]
         if not parts:
             return []
         chosen = {(c.coil, c.changes): c for c in best_of_each(ranked)[:_BESIDE_SMOOTH]}
@@ -257,7 +256,7 @@ class TableSearch:
         model = near.model.with_parts(parts)
         fitted = near.refit(model.with_components(*more))
         paid = self._toll(coil, changes) + (0.0 if coil or changes else _FIRST_NATS)
-        paid += TOLL_NATS * (1 + any(map(_of_scale, parts)))
+        paid += TOLL_NATS * (1 + any(map(of_scale, parts)))
         smooth = [p.name for p in parts] + [c.name for c in more if c.columns is not None]
         return Candidate(coil, changes, fitted, fitted.nll + paid + self.cancelled_nats(fitted, smooth))
 
@@ -339,7 +338,7 @@ class TableSearch:
     def _with_rate(self, model: Model) -> set[str]:
         """Laws that go by the rate, and what of the components stands for the scale factor in time or over temperature."""
         laws = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
-        return laws | {p.name for p in model.parts if _of_scale(p)} | {*WANDERING_SCALE, DRIFTING_SCALE}
+        return laws | {p.name for p in model.parts if of_scale(p)} | {*WANDERING_SCALE, DRIFTING_SCALE}
 
     def model(self, coil: Coil, changes: tuple[Change, ...]) -> Model:
         """The base with the surface at the coil, and laws of time."""
@@ -438,10 +437,6 @@ class TableSearch:
         paid -= sum(change.prior_nats for change in changes)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
-
-
-def _of_scale(part: Part) -> bool:
-    return all(column.rate != Factor() for column in part.columns)
 
 
 def _best(candidates: list[Candidate]) -> list[Candidate]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
-from gyrocal.diagnosis.blocks import BENT, around_itself, evidence
+from gyrocal.diagnosis.blocks import BENT, around_itself, evidence, of_scale
 from gyrocal.diagnosis.coil import Candidate
 from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
@@ -33,7 +33,7 @@ from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE, SATURATION
-from gyrocal.physics.smooth import Factor, SmoothTerm
+from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -205,7 +205,7 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
         return fitted
     passing = [CATALOGUE[n.law.effect] for n in found.naming.named if is_passing(n)]
     taken = ["scale in time" if "rate_dps" in effect.needs else "bias in time" for effect in passing]
-    if not _of_scale(fitted.model, blocks):
+    if not _any_of_scale(fitted.model, blocks):
         # What acted on the bias alone leaves the scale factor as it was.
         taken.append("scale in time")
     return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
@@ -214,16 +214,16 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
 def _fallen(model: Model, blocks: Collection[str], beside: Model) -> set[str]:
     """Components of the model without some blocks that stand for them."""
     fallen = beside.components.keys() - model.components.keys()
-    if _of_scale(model, blocks):
+    if _any_of_scale(model, blocks):
         # What a scale factor that wanders explains nearly as well is in its walk already.
         fallen |= {*WANDERING_SCALE} & beside.components.keys()
     return fallen
 
 
-def _of_scale(model: Model, blocks: Collection[str]) -> bool:
+def _any_of_scale(model: Model, blocks: Collection[str]) -> bool:
     """Whether any part of some blocks that a model has acts on more than the bias."""
     parts = [p for p in model.parts if p.block in blocks and p.name in model.components]
-    return any(c.rate != Factor() for p in parts for c in p.columns)
+    return any(map(of_scale, parts))
 
 
 def _over_shapes(near: Sequence[tuple[float, Fitted]], effect: str, laws: Laws) -> list[tuple[float, Fitted]]:

@@ -84,8 +84,6 @@ class _Scan:
         """Values on the grid of the parameters that are not refined."""
         search = self.effect.search
         choices = [n for n in shape if n not in search.refined]
-        if not choices:
-            return [{}]
         grid = [s for s in search.grid(self.laws.offer) if s.keys() >= {*choices}]
         kinds = {tuple(s[n] for n in choices) for s in grid}
         return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)] or [{}]

@@ -63,10 +63,10 @@ def left_by_drifts(model: Model, solution: Solution) -> tuple[float, float]:
     """
     constant, share = 0.0, 0.0
     drifts = {law.name: law.columns for law in model.laws if law.from_end and law.effect in DRIFTS}
-    named = {n: c.columns for n, c in model.components.items() if n in (DRIFTING_BIAS, DRIFTING_SCALE)}
+    smooth = {n: c.columns for n, c in model.components.items() if n in (DRIFTING_BIAS, DRIFTING_SCALE)}
     with_rate = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
     turning = model.means.rate_dps != 0.0
-    for name, columns in (drifts | named).items():
+    for name, columns in (drifts | smooth).items():
         if columns is None or name not in solution.amplitudes:
             continue
         added = columns @ solution.amplitudes[name]

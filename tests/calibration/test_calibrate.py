@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate, configs
-from gyrocal.calibration.summary import dph, remarks, tables, to_json, verdict
+from gyrocal.calibration.summary import remarks, tables, to_json, verdict
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.records.files import sha256_of_file
+from gyrocal.units import dph
 from tests.calibration.runs import parts_of, write_run
 from tests.calibration.simulation import simulate
 

@@ -37,9 +37,8 @@ def test_its_interval_holds_the_truth(runs: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("runs", [300])
-def test_noise_is_no_warm_up(runs: int) -> None:
-    rng = np.random.default_rng(32)
+def test_noise_is_no_warm_up() -> None:
+    rng, runs = np.random.default_rng(32), 300
     found = [warm_up(course(rng, 0.0, 600.0), 0.0, "") for _ in range(runs)]
     told = sum(f.reason != "no change since power-on stands out of the noise" for f in found)
     assert told <= stats.binom.isf(FALSE_ALARM, runs, 0.01)
