@@ -189,6 +189,7 @@ def coverage(
     return coefficients, predicted
 
 
+@pytest.mark.slow
 def test_intervals_cover() -> None:
     """Twelve intervals of 12 runs, correlated among themselves: an effective size of about 12 x 12 / 3."""
     found = coverage(12, 8, "gls", "quick")[0].mean()

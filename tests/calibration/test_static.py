@@ -273,6 +273,7 @@ def test_noise_of_a_log_through_a_thermal_cycle(tmp_path: Path) -> None:
     assert found.noise.figures["bias_instability"].value is None
 
 
+@pytest.mark.slow
 def test_a_run_s_long_record(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     values = white(rng, 8000) + 0.001

@@ -65,6 +65,7 @@ def test_what_a_record_does_not_show(on_s: float | None, reason: str) -> None:
     assert (found.value, found.reason) == (None, reason)
 
 
+@pytest.mark.slow
 def test_a_run_from_power_on_tells_it(tmp_path: Path) -> None:
     t_s = np.arange(7200) + 0.5
     gyro = np.random.default_rng(35).normal(0.0, 0.08 / 60.0, t_s.size) + 40.0 * DPH * np.exp(-t_s / 600.0)

@@ -160,6 +160,7 @@ def test_runs_at_rest_are_compared_by_their_noise(
     assert least <= {name for name, entry in figures.items() if entry["changed"]} <= most
 
 
+@pytest.mark.slow
 def test_a_run_at_rest_is_not_compared_with_one_that_turns(tmp_path: Path) -> None:
     gyro = np.random.default_rng(8).normal(0.0, 4e-3, 2000)
     rows = [gyro_row(0.1 * k + 0.05, f"{x:.6f}") for k, x in enumerate(gyro)]

@@ -72,6 +72,7 @@ def test_a_recording_given_twice_is_refused_under_any_name(tables: list[Path], t
     assert "are the same recording: give each once" in str(done.exception)
 
 
+@pytest.mark.slow
 def test_no_scheduler_is_said(tables: list[Path]) -> None:
     config = FleetConfig(tuple(tables), dask="tcp://127.0.0.1:9")
     with pytest.raises(Exception, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:9"):

@@ -84,6 +84,7 @@ def test_everything_is_written_and_the_table_printed(
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.slow
 def test_the_same_logs_give_the_same_bytes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figures = navigation.draw_figures
     monkeypatch.setattr(navigation, "draw_figures", lambda replays, table: figures(replays, table)[:1])
@@ -218,6 +219,7 @@ def test_the_real_drive(folder: Path, quick: None) -> None:
     assert log["yaw"]["delay_s"] > 10 * log["yaw"]["delay_sigma_s"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_nothing_and_the_second_try_works(
     folder: Path, quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -238,6 +240,7 @@ def test_a_full_disk_leaves_nothing_and_the_second_try_works(
     assert run(folder, *ALL) == 0
 
 
+@pytest.mark.slow
 def test_names_of_logs_are_no_formulas(folder: Path) -> None:
     (folder / "cw.csv").rename(folder / "$b_$.csv")
     assert run(folder, "@$b_$.csv", "@ccw.csv", "--robot", "@robot.toml", "--out", "@out") == 0

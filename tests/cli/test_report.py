@@ -79,6 +79,7 @@ def test_an_existing_report_is_refused(written: Path, capsys: pytest.CaptureFixt
     assert (written / "report.html").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_table_says_what_it_cannot_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = tmp_path / "bare.csv"
     rows = [line.split(",")[:3] for line in TABLE.read_text().splitlines()]

@@ -180,6 +180,7 @@ def test_too_short_a_record_is_refused() -> None:
         diagnose(DataSetTable(table.source, *columns))
 
 
+@pytest.mark.slow
 def test_of_few_data_sets_no_file_is_written() -> None:
     few = make_table(sets=28)
     assert diagnose(few, options=Options(heldout=False)).effects == ()

@@ -127,14 +127,14 @@ def _trial(kind: str, seed: int, number: int) -> dict[str, Any]:
 
 QUICK: dict[str, Callable[[], dict[str, Any]]] = {
     "asymmetry": _asymmetry,
-    "warm_up": _warm_up,
     "step": _step,
     "another_gyro": _another_gyro,
     "drive": _drive,
-    "drive_with_truth": _drive_with_truth,
 }
 SLOW: dict[str, Callable[[], dict[str, Any]]] = {
+    "warm_up": _warm_up,
     "resonance": _resonance,
+    "drive_with_truth": _drive_with_truth,
     "run": _run,
     "trial_table": lambda: _trial("layers", 101, 0),
     "trial_run": lambda: _trial("layers", 102, 1),

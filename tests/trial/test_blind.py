@@ -159,6 +159,7 @@ def test_truth_in_the_rows_is_what_the_bench_did(
     assert np.std(done - stated) < 0.06 * np.std(done)
 
 
+@pytest.mark.slow
 def test_trials_are_sealed_before_they_are_diagnosed(profile: Path) -> None:
     events: list[str] = []
     config = BlindConfig(2, 5, str(profile))

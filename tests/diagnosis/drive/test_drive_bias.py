@@ -141,6 +141,7 @@ def test_what_strong_one_over_f_noise_would_make_too_is_hardly_evidence(resting:
     assert told.added(beside, ["delay"]) == pytest.approx(told.own.added(beside, ["delay"]), abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_bias_that_jumps_and_stays_is_located_and_no_robot_file_holds_it(resting: Robot) -> None:
     log = drive(RESTS, 8)
     jumped = replace(log, gyro_dps=log.gyro_dps + 0.05 * (log.t_s > 200.0))

@@ -196,6 +196,7 @@ def slipping(log: DriveBlock, at_s: list[float], more_m: list[float]) -> DriveBl
     return replace(log, right_m=right)
 
 
+@pytest.mark.slow
 def test_slips_of_a_wheel_are_left_out_and_said(resting: Robot) -> None:
     """The right wheel counts 2 cm too much, twice, and 1 cm too little."""
     at_s, more_m = [100.0, 200.0, 300.0], [0.02, -0.01, 0.02]

@@ -47,6 +47,7 @@ def by_satellite(tmp_path_factory: pytest.TempPathFactory) -> DriveDiagnosis:
     return diagnose_drive("log", drive(plan, 4), robot_file(plan))
 
 
+@pytest.mark.slow
 def test_metres_within_the_noise_of_the_truth_are_said_to_tell_nothing(by_satellite: DriveDiagnosis) -> None:
     (shown,) = by_satellite.shown
     assert shown.truth_m == pytest.approx(0.5 * np.sqrt(2.0), rel=0.2)
@@ -57,6 +58,7 @@ def test_metres_within_the_noise_of_the_truth_are_said_to_tell_nothing(by_satell
     assert entry["least_seen_m"] == shown.seen_m
 
 
+@pytest.mark.slow
 def test_a_difference_that_the_truth_shows_is_told_as_such(by_satellite: DriveDiagnosis) -> None:
     (shown,) = by_satellite.shown
     better: Shown = replace(shown, before_m=5.0, after_m=0.8)
@@ -64,6 +66,7 @@ def test_a_difference_that_the_truth_shows_is_told_as_such(by_satellite: DriveDi
     assert "falls from 5 to 0.8 m rms; a perfect path would be off by" in said
 
 
+@pytest.mark.slow
 def test_figures_that_do_not_change_are_not_said_to_have_been_tested(by_satellite: DriveDiagnosis) -> None:
     (shown,) = by_satellite.shown
     same = replace(shown, after=shown.before, after_m=shown.before_m, apart_m=0.0)

@@ -44,6 +44,7 @@ def test_a_drift_of_the_bias_is_added_as_the_law_that_it_is() -> None:
     assert low < 20.0 < high
 
 
+@pytest.mark.slow
 def test_a_name_takes_the_place_of_the_smooth_parts_that_stand_for_it() -> None:
     """With a law of time in a table its coefficient file holds the asymmetry as smooth parts: not twice, and by name."""
     t, rate, temp = plan(8)

@@ -34,6 +34,7 @@ def units() -> tuple[list[Versus], list[Between]]:
     return answers, between(answers)
 
 
+@pytest.mark.slow
 def test_what_differs_is_told_from_what_does_not(units: tuple[list[Versus], list[Between]]) -> None:
     _, found = units
     assert found[0].of == "surface"
@@ -47,6 +48,7 @@ def test_what_differs_is_told_from_what_does_not(units: tuple[list[Versus], list
     assert low < 500.0 < high
 
 
+@pytest.mark.slow
 def test_it_is_said_and_written(units: tuple[list[Versus], list[Between]]) -> None:
     answers, found = units
     said = between_told(answers, found)
