@@ -58,6 +58,7 @@ def test_same_input_gives_the_same_bytes(result: Calibration, run: Path) -> None
     assert str(run.parent) not in result.coefficients.to_text()
 
 
+@pytest.mark.slow
 def test_commanded_rates_that_nothing_measures_are_said(tmp_path: Path) -> None:
     """Before: they were taken for true without a word, and a table that turns the other way was none either."""
     sets = simulate(np.random.default_rng(4))

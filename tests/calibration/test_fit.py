@@ -197,6 +197,7 @@ def test_intervals_cover() -> None:
     assert low / 48 <= found <= high / 48
 
 
+@pytest.mark.slow
 def test_intervals_of_forty_small_tables_cover() -> None:
     """Fifteen data sets for twelve coefficients: the levels of the scatter are hardly known, and have to be integrated.
 

@@ -86,6 +86,7 @@ def test_improved_coefficients_correct_better(table: Path, written: Path) -> Non
     assert np.std(corrected - rate) < 0.6 * np.std(surface)
 
 
+@pytest.mark.slow
 def test_second_run_is_the_same_and_json_is_what_is_on_disk(
     table: Path, written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -324,6 +324,7 @@ def test_errors_of_each_rate_in_each_direction_may_be_the_tables() -> None:
     assert sum(w for w, m in models if "each direction" in m.components) > 0.1
 
 
+@pytest.mark.slow
 def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_beside_them() -> None:
     found = examine(series_of_table(_knee(6, 1)), 1e-3)
     assert found.naming.named == ()

@@ -81,6 +81,7 @@ def test_an_asymmetry_in_a_table_is_named_with_its_size(
     assert [t.name for t in found.improved.terms] == ["scale_asymmetry"]
 
 
+@pytest.mark.slow
 def test_the_improved_model_explains_the_recording_that_it_came_from(
     asymmetric: tuple[DataSetTable, Diagnosis],
 ) -> None:
@@ -138,6 +139,7 @@ def test_a_surface_of_another_gyro_is_said_to_have_changed(plain: Diagnosis) -> 
     assert again.located[0].target == "surface"
 
 
+@pytest.mark.slow
 def test_a_mislabelled_data_set_is_left_out_and_said() -> None:
     table = make_table()
     table.gyro_dps[40] += 0.1

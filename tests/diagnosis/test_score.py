@@ -22,12 +22,13 @@ def least_hits(goal: float, n: int) -> int:
     return int(stats.binom.ppf(FALSE_ALARM, n, goal))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [
         Case("null", (), 31, "even"),
-        pytest.param(Case("single", (("supply_voltage", 20.0),), 32, "even"), marks=pytest.mark.slow),
-        pytest.param(Case("outside", (("three_per_rev", 20.0),), 33, "even"), marks=pytest.mark.slow),
+        Case("single", (("supply_voltage", 20.0),), 32, "even"),
+        Case("outside", (("three_per_rev", 20.0),), 33, "even"),
     ],
     ids=lambda c: c.key,
 )

@@ -186,7 +186,7 @@ def babble(endpoint: PtyEndpoint | TcpEndpoint, stop: threading.Event) -> None:
         endpoint.write(b"\x07U")
 
 
-@pytest.mark.parametrize("tcp", [False, True])
+@pytest.mark.parametrize("tcp", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_port_that_babbles_is_read_in_a_moment(tmp_path: Path, tcp: bool) -> None:
     endpoint: PtyEndpoint | TcpEndpoint = TcpEndpoint() if tcp else PtyEndpoint(tmp_path / "port")
     port = SerialTransport(endpoint.address, 9600)
@@ -311,7 +311,7 @@ def test_a_table_that_nobody_moved_and_that_turns_is_one(tmp_path: Path) -> None
         stand.run()
 
 
-@pytest.mark.parametrize("tcp", [False, True])
+@pytest.mark.parametrize("tcp", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_port_that_another_gyrocal_holds_says_who(tmp_path: Path, tcp: bool) -> None:
     profile = profile_from_dict(tiny(**SHORT), "held.toml")
     kinds: dict[str, str | None] = {"gyro": "kvh-dsp3000", "table": "zaber", "chamber": "espec"}

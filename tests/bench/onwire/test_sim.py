@@ -302,7 +302,7 @@ class Terminal:
         os.write(self.master, text.encode() + b"\n")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_an_operator_sees_the_question_and_can_end_it(tmp_path: Path, number: signal.Signals) -> None:
     profile = profile_from_dict(tiny(**SHORT), "short.toml")
     with serving(profile, {"gyro": "kvh-dsp3000"}) as served:

@@ -520,6 +520,7 @@ def test_truth_in_other_units_is_taken_as_such(resting: Robot) -> None:
     assert other.truth.values["wheel_scale"] == pytest.approx(plain.truth.values["wheel_scale"], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_was_found_makes_the_path_better_elsewhere(resting: Robot) -> None:
     plan = Plan(
         "rests",

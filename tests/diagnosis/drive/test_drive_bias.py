@@ -130,6 +130,7 @@ def test_a_bias_that_jumps_is_no_slope_that_the_next_drive_has_too(resting: Robo
     assert found.robot is None or found.robot.parameters.gyro.bias_slope_dps_per_c == 0.0
 
 
+@pytest.mark.slow
 def test_what_strong_one_over_f_noise_would_make_too_is_hardly_evidence(resting: Robot) -> None:
     # A step from the first rest to all others may as well be 1/f noise of that size.
     log = drive(replace(RESTS, rest_s=30.0, effects={"gyro_bias": 12.0}), 10)

@@ -98,6 +98,7 @@ def test_wheels_hold_beside_what_the_truth_shows_of_the_gyro(resting: Robot) -> 
     assert _wheels_beside_structure(claimed, replace(found.truth, odd={"turn_rate": 0.1})).named
 
 
+@pytest.mark.slow
 def test_a_track_that_wanders_is_seen_beneath_the_slip_in_turns(resting: Robot) -> None:
     """From a level that is lost beneath it the search saw no slope: the places of such a track were found odd."""
     log = drive(replace(PLAN, turn_noise=0.003), 7)

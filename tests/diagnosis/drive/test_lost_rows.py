@@ -76,7 +76,8 @@ def test_a_gap_leaves_a_scale_of_the_gyro_its_name(resting: Robot) -> None:
     assert found.parts["gyro_scale"].value == pytest.approx(0.03, abs=2e-3)
 
 
-@pytest.mark.parametrize("counted", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("counted", [True, False])
 def test_after_a_gap_the_path_begins_anew(counted: bool, resting: Robot) -> None:
     """The scale had been 0.0095 +- 0.0039 where ticks count on and -0.04 +- 0.14 where they are lost, beside structure everywhere."""
     log = drive(replace(PLAN, truth_m=0.02, truth_every_s=0.1, minutes=4.0, hz=10.0), 7)
