@@ -45,6 +45,8 @@ def rising(fitted: Fitted, zone: Law | None) -> Fitted:
 
     The law of a dead zone takes their place where it explains as much. Else the narrowest shapes are fitted to the rows
     within the zone alone, and explain what was swallowed there; the others follow what lies beyond, at the same variances.
+    Where these cannot, the narrowest are fitted to all rows, and what lies beyond is corrected no more than the rest of the
+    shape does.
 
     Parameters
     ----------
@@ -158,6 +160,8 @@ def _freed(
             for own, of in ((slice(narrow), ", within"), (slice(narrow, None), f" from {narrow}"))
         )
         split = _split(fitted, part, gone, stays, float(falling.max()))
+        if split.nll > fitted.nll + REPLACED:
+            split = _split(fitted, part, gone, stays, np.inf)
         left = split.solve().amplitudes
         if not stays.columns or np.min(_slopes(stays, left, frame)[1]) >= _LEAST_RISE - 1.0:
             break
@@ -180,18 +184,24 @@ def _slopes(part: Part, amplitudes: Mapping[str, Floats], frame: Frame) -> tuple
 
 
 def _split(fitted: Fitted, part: Part, gone: Part, stays: Part, edge_dps: float) -> Fitted:
-    """The same variances, with the columns that go as a component that does not stay, of the rows within the zone alone."""
+    """The same variances, with the columns that go as a component that does not stay, of the rows up to an edge alone."""
     model, fit = fitted.model, fitted.fit
-    inside = np.abs(model.means.rate_dps) <= edge_dps
+    sizes_dps = np.abs(model.means.rate_dps)
+    # An edge that is nearer to rest than any rate is at the least of them.
+    inside = sizes_dps <= max(edge_dps, float(sizes_dps[sizes_dps > 0.0].min()))
     components = {n: c for n, c in model.components.items() if n != part.name}
     swallowed = np.asarray(model.basis.component(gone).columns) * inside[:, None]
     components[gone.name] = Component(gone.name, swallowed)
     if stays.columns:
         components[stays.name] = model.basis.component(stays)
     parts = tuple(stays if p is part else p for p in model.parts if p is not part or stays.columns)
-    variance, log_variance = (
-        {**known, gone.name: known[part.name], stays.name: known[part.name]}
-        for known in (fit.variance, fit.log_variance)
+    model = replace(model, parts=parts, components=components)
+    variance = {**fit.variance, gone.name: fit.variance[part.name], stays.name: fit.variance[part.name]}
+    logs = fitted.contrasts.logs(model.all, variance)
+    fit = replace(
+        fit,
+        variance=variance,
+        log_variance={**fit.log_variance, **logs},
+        nll=fitted.contrasts.nll(model.all, logs),
     )
-    fit = replace(fit, variance=variance, log_variance=log_variance)
-    return replace(fitted, model=replace(model, parts=parts, components=components), fit=fit)
+    return replace(fitted, model=model, fit=fit)

@@ -220,6 +220,12 @@ class Contrasts:
         """Variances in the unit of the record squared, from relative logarithms."""
         return {c.name: float(np.exp(logs[c.name])) * self.unit**2 / self.part(c).scale for c in components}
 
+    def logs(self, components: Sequence[Component], variances: Mapping[str, float]) -> dict[str, float]:
+        """Relative logarithms of variances in the unit of the record squared."""
+        return {
+            c.name: float(np.log(variances[c.name] * self.part(c).scale / self.unit**2)) for c in components
+        }
+
     def beyond(self, columns: Floats) -> Floats:
         """Columns freed of the flat ones, shape (n, q)."""
         return self._rows_of(self._contrasts_of(columns))
