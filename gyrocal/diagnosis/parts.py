@@ -46,6 +46,9 @@ _RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
 #: Bumps in rate from rest to the largest, and in temperature from the lowest to the highest: nearer to each other than they
 #: are wide, so that none falls between.
 _RATE_BUMPS, _TEMP_BUMPS = 13, 11
+#: The same of narrow ones in temperature, for ripples and kinks, which the others smooth away and 1/f noise takes in.
+_NARROW_BUMP, _NARROW_BUMPS = 0.1, 31
+_BUMPS = ("temperature", _TEMP_BUMP, _TEMP_BUMPS), ("narrow temperature", _NARROW_BUMP, _NARROW_BUMPS)
 #: Share of their places that a record has to have visited: of the temperatures most, since what is between them can follow
 #: time; of the rates fewer, as they come again, and without bumps a ripple over the rate is a knee (4 mdeg/s on seven sizes of
 #: rate: a `saturation` beside 113 nats without a name).
@@ -387,18 +390,17 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
     found = []
     of_scale = (("scale", _LINEAR),) if turning and tells_of_scale(means) else ()
     for target, rate in (("bias", Factor()), *of_scale):
-        visited = temperatures_apart(temperatures_turned(means) if target == "scale" else means.temp_c, frame)
-        powers = tuple(
-            Column(rate, _legendre(n)) for n in range(SHAPE[1], min(SHAPE[1] + _TEMP_ORDERS, visited))
-        )
+        temps_c = temperatures_turned(means) if target == "scale" else means.temp_c
+        orders = range(SHAPE[1], min(SHAPE[1] + _TEMP_ORDERS, temperatures_apart(temps_c, frame)))
+        powers = tuple(Column(rate, _legendre(n)) for n in orders)
         falling = tuple(_STEP**k for k in range(len(powers)))
         found.append(_part(f"temperature orders on {target}", "temperature", powers, falling))
-        if visited > _VISITED * _TEMP_BUMPS:
-            centers = frame.temp_center_c + frame.temp_scale_c * np.linspace(-1.0, 1.0, _TEMP_BUMPS)
-            bumps = [Factor("bump", (float(c), _TEMP_BUMP * frame.temp_scale_c)) for c in centers]
-            found.append(
-                _part(f"temperature on {target}", "temperature", tuple(Column(rate, b) for b in bumps))
-            )
+        for kind, width, count in _BUMPS:
+            if temperatures_apart(temps_c, frame, count) > _VISITED * count:
+                centers = frame.temp_center_c + frame.temp_scale_c * np.linspace(-1.0, 1.0, count)
+                bumps = (Factor("bump", (float(c), width * frame.temp_scale_c)) for c in centers)
+                columns = tuple(Column(rate, b) for b in bumps)
+                found.append(_part(f"{kind} on {target}", "temperature", columns))
     return [part for part in found if part.columns]
 
 
@@ -407,9 +409,9 @@ def temperatures_turned(means: Means) -> Floats:
     return np.asarray(means.temp_c[means.rate_dps != 0.0])
 
 
-def temperatures_apart(temp_c: Floats, frame: Frame) -> int:
+def temperatures_apart(temp_c: Floats, frame: Frame, places: int = _TEMP_BUMPS) -> int:
     """How many of the places of bumps over the temperature were visited."""
-    return _apart(temp_c - frame.temp_center_c, 2.0 * frame.temp_scale_c / (_TEMP_BUMPS - 1.0))
+    return _apart(temp_c - frame.temp_center_c, 2.0 * frame.temp_scale_c / (places - 1.0))
 
 
 def remembering(means: Means) -> list[Part]:

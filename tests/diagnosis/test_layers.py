@@ -106,7 +106,7 @@ def test_smooth_parts_are_free_of_the_surface() -> None:
 
 @pytest.mark.parametrize(
     ("rates", "temperatures"),
-    [(2, 2), (4, 4), (6, 5), (7, 5), (12, 40), pytest.param(40, 40, marks=pytest.mark.slow)],
+    [(2, 2), (4, 4), (6, 5), (7, 5), (12, 15), (12, 40), pytest.param(40, 40, marks=pytest.mark.slow)],
 )
 def test_shapes_are_those_that_the_visited_places_can_tell_apart(rates: int, temperatures: int) -> None:
     """Sizes of rate beside rest: a curve of more orders than places goes anywhere between them."""
@@ -127,8 +127,9 @@ def test_shapes_are_those_that_the_visited_places_can_tell_apart(rates: int, tem
         assert orders(f"temperature orders on {target}", SHAPE[1]) <= max(temperatures, SHAPE[1])
     for bumps in ("odd bumps", "even bumps"):
         assert (bumps in parts) == (rates >= 7)
-    for bumps in ("temperature on bias", "temperature on scale"):
-        assert (bumps in parts) == (temperatures == 40)
+    for target in ("bias", "scale"):
+        assert (f"temperature on {target}" in parts) == (temperatures >= 15)
+        assert (f"narrow temperature on {target}" in parts) == (temperatures == 40)
     assert all(p.columns for p in parts.values())
 
 
@@ -140,6 +141,23 @@ def test_the_scale_factor_has_the_shapes_of_the_temperatures_at_which_it_turned(
     parts = {p.name for p in staying(means, full_model(means).basis.frame, np.arange(12))}
     assert {"temperature orders on bias", "temperature on bias"} <= parts
     assert not {"temperature orders on scale", "temperature on scale"} & parts
+
+
+def test_a_ripple_over_temperature_is_no_noise() -> None:
+    """Up and down through 75 degC, a period of 20 degC: 1/f noise can follow it, and knows nothing of its return."""
+    rng = np.random.default_rng(8)
+    t_s = 20.0 * np.arange(120.0)
+    temp = 17.0 - 37.0 * np.cos(2.0 * np.pi * t_s / t_s[-1])
+    rate = np.concatenate([rng.permutation(np.linspace(-80.0, 80.0, 12)) for _ in range(10)])
+    ripple = 0.05 * np.sin(2.0 * np.pi * temp / 20.0)
+    gyro = 1.001 * rate + 0.02 + ripple + 5e-4 * rng.standard_normal(rate.size)
+    means = means_of(series_of_table(DataSetTable(Path("t.csv"), rate, gyro, temp, t_s=t_s)))
+    fitted = fit_model(full_model(means, memory=False))
+    assert fitted.has_died("flicker 2000 s")
+    narrow = "narrow temperature on bias"
+    found = np.asarray(fitted.model.components[narrow].columns) @ fitted.solve().amplitudes[narrow]
+    # The surface has taken what of the ripple is a quadratic.
+    assert np.std(found) > 0.7 * np.std(ripple)
 
 
 def test_a_warm_up_is_looked_for_at_the_times_that_the_record_lasts() -> None:
