@@ -54,6 +54,8 @@ _LEAST_MEANS = 16
 _LEAST_RAMP_C, _TEMPERATURE_ORDER = 10.0, 3
 #: No gyro at rest is so far off its own median for so much of the time, nor has it such a bias: it turns.
 _TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
+#: An output that changes by less than this share of itself is one number, but for rounding.
+_SAME = 1e-12
 _PPM = 1e6
 #: Figures of an hour are not told to better than this, so that rounding may do as much unsaid.
 _ROUNDED = 0.01
@@ -151,7 +153,7 @@ def examine_static(
     InputError
         A bad file.
     DataError
-        The run holds nothing at rest, or the gyro of the log turns.
+        The run holds nothing at rest, the gyro of the log turns, or its output never changes.
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
@@ -162,6 +164,7 @@ def examine_static(
         lacks = "holds no samples at rest. Record some with the static_allan profile."
         raise DataError(f"{config.path}: {lacks if run else ALL_EMPTY}")
     course = reading.course.course()
+    _refuse_what_never_changes(config.path, reading, course)
     off_dps, coarse = _rounded(reading)
     if run is None:
         _refuse_turns(config.path, course)
@@ -277,6 +280,17 @@ def _refuse_turns(path: Path, course: Course) -> None:
         raise DataError(
             f"{path}: the gyro turns in it, at up to {np.max(np.abs(course.gyro_dps)):.3g} deg/s, and noise is told of one that "
             "stands. Cut out a rest, give the table's rate as rate_dps, or take `turn` for turns on a mark."
+        )
+
+
+def _refuse_what_never_changes(path: Path, reading: Reading, course: Course) -> None:
+    """Refuse an output that is one number: what rounding of its sums leaves would be told as noise and as a warm-up."""
+    curves = [curve for curve in curves_of(reading) if curve.avar.size]
+    same_dps = float(course.gyro_dps[0])
+    if curves and max(float(curve.avar.max()) for curve in curves) <= (_SAME * same_dps) ** 2:
+        raise DataError(
+            f"{path}: the output is {same_dps:g} deg/s in all {reading.samples} samples, and tells of no noise. See whether the gyro "
+            "has stopped, or log it in finer steps."
         )
 
 

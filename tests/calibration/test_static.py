@@ -51,6 +51,13 @@ def interval(found: StaticFigures, name: str) -> tuple[float, float, float]:
     return figure
 
 
+@pytest.mark.parametrize("stuck_dps", [0.0, 0.01])
+def test_an_output_that_never_changes_tells_of_no_noise(tmp_path: Path, stuck_dps: float) -> None:
+    path = write_log(tmp_path / "stuck.csv", np.arange(400.0), np.full(400, stuck_dps))
+    with pytest.raises(DataError, match=rf"stuck.csv: the output is {stuck_dps:g} deg/s in all 400 samples"):
+        examine_static(StaticConfig(path))
+
+
 def test_a_log_without_temperature(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     t_s = 0.1 * (1.0 + 2e-4) * np.arange(60_000)
