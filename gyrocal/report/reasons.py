@@ -30,7 +30,7 @@ WORDS: Mapping[Why, str] = {
     Why.UNTIMED_ORDER: "the table has no t_s; the order of the data sets stands for time",
     Why.NO_INCLINATION: "the log has no inclination",
     Why.LIKE_GYRO_BIAS: "it cannot be told from a gyro bias",
-    Why.MOMENTS_ONLY: "it changes distances for moments only, which nothing in the log resolves",
+    Why.MOMENTS_ONLY: "it changes distances for moments only, and neither turns nor way show wheels that go further while the speed grows",
     Why.SINGLE_BUMPS: "single bumps cannot be told from the wheels' noise, nor many of them from a scale of the wheels",
     Why.NO_GYRO_TEMPERATURE: "the log has no gyro temperature, or it hardly changes",
     Why.NO_REST_AT_START: "the log does not begin with a rest: a bias is seen, but not that in motion less that at rest",
