@@ -40,6 +40,7 @@ from gyrocal.inference.rounding import mean_error, slope_error
 from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice
 from gyrocal.records.run import Run, read_run
+from gyrocal.records.scale import STUCK
 from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H, plural
 
 Floats = NDArray[np.float64]
@@ -289,8 +290,8 @@ def _refuse_what_never_changes(path: Path, reading: Reading, course: Course) -> 
     same_dps = float(course.gyro_dps[0])
     if curves and max(float(curve.avar.max()) for curve in curves) <= (_SAME * same_dps) ** 2:
         raise DataError(
-            f"{path}: the output is {same_dps:g} deg/s in all {reading.samples} samples, and tells of no noise. See whether the gyro "
-            "has stopped, or log it in finer steps."
+            f"{path}: the output is {same_dps:g} deg/s in all {reading.samples} samples, and tells of no noise. {STUCK}, in finer "
+            "steps if the gyro has them."
         )
 
 

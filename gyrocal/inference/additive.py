@@ -209,8 +209,7 @@ class Contrasts:
         bounds = np.tile([_LOW, _HIGH], (len(components), 1))
         for k, c in enumerate(components):
             if c.held is not None:
-                share = c.held * self.part(c).scale / self.unit**2
-                bounds[k] = np.log(max(share, np.exp(_LOW)))
+                bounds[k] = self.logs([c], {c.name: c.held})[c.name]
         found, there = descend(likelihood.at, climb(likelihood, first, bounds), bounds)
         found = np.where(there.idle, bounds[:, 0], found)
         logs = {c.name: float(x) for c, x in zip(components, found, strict=True)}
@@ -221,10 +220,9 @@ class Contrasts:
         return {c.name: float(np.exp(logs[c.name])) * self.unit**2 / self.part(c).scale for c in components}
 
     def logs(self, components: Sequence[Component], variances: Mapping[str, float]) -> dict[str, float]:
-        """Relative logarithms of variances in the unit of the record squared."""
-        return {
-            c.name: float(np.log(variances[c.name] * self.part(c).scale / self.unit**2)) for c in components
-        }
+        """Relative logarithms of variances in the unit of the record squared, none below the least that a fit finds."""
+        shares = {c.name: variances[c.name] * self.part(c).scale / self.unit**2 for c in components}
+        return {name: float(np.log(max(share, np.exp(_LOW)))) for name, share in shares.items()}
 
     def beyond(self, columns: Floats) -> Floats:
         """Columns freed of the flat ones, shape (n, q)."""

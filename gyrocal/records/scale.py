@@ -80,7 +80,8 @@ _MOST_DECIMALS = 9
 _COLDEST_C, _HOTTEST_C = -100.0, 200.0
 #: Coarse steps make rows equal by chance, as a tenth of one made-up table; where so many are, they were entered twice.
 _MOST_COPIES = 0.5
-_STUCK = "Check the gyro's power, its cable and the column, and record again"
+#: What to do about a gyro that says one number.
+STUCK = "Check the gyro's power, its cable and the column, and record again"
 _KELVIN = "Convert them if they are in kelvin, or repair the thermometer's readings"
 _COPIED = "Check that the column of the output is not a copy of that of the rate"
 _CONVERT = (
@@ -421,7 +422,7 @@ def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Od
     `ideal`: it may be the rate itself, as that of a simulated gyro without errors.
     """
     if gyro_dps.size > 1 and float(np.ptp(gyro_dps)) == 0.0:
-        return Odd(f"the gyro says {gyro_dps[0]:.6g} in every row: it is stuck", _STUCK)
+        return Odd(f"the gyro says {gyro_dps[0]:.6g} in every row: it is stuck", STUCK)
     if not ideal and np.array_equal(rate_dps, gyro_dps):
         return Odd("the gyro says exactly the rate in every row, which no gyro does", _COPIED)
     scale = scale_unclipped(rate_dps, gyro_dps)
@@ -433,5 +434,5 @@ def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Od
         meaning += ", or in counts of another scale" * (scale >= _COUNTS)
         return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT, a_scale=True)
     if abs(scale) < _DEAD:
-        return Odd(f"{text}: it does not follow the rate", _STUCK, a_scale=True)
+        return Odd(f"{text}: it does not follow the rate", STUCK, a_scale=True)
     return Odd(f"{text}, which is another unit or sign", _CONVERT, a_scale=True)
