@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
 from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.blocks import ODD, plain
+from gyrocal.diagnosis.changes import STEPS
 from gyrocal.diagnosis.coil import averaged
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
@@ -187,10 +189,14 @@ def _searched(found: Examination) -> list[_Searched]:
         nats = min(c.score for c in found.ranked if c.coil is None) - best.score
         searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
     for law in (law for law in best.fitted.model.laws if law.effect in best.effects):
-        without = [c for c in found.ranked if law.effect not in c.effects]
+        # No smooth part is like a step; a drift and what remembers have those that are.
+        models = [*found.ranked, *found.smooth] if law.effect in STEPS else [*found.ranked]
+        models.sort(key=attrgetter("score"))
+        without = [c for c in models if law.effect not in c.effects]
+        ahead = next(c for c in models if law.effect in c.effects).score
         # The best model with each comes last and stays.
-        rivals = {e: c.score - best.score for c in reversed(without) for e in c.effects - best.effects}
-        nats = 0.0 if law.name in found.mending else without[0].score - best.score
+        rivals = {e: c.score - ahead for c in reversed(without) for e in c.effects - best.effects}
+        nats = 0.0 if law.name in found.mending else without[0].score - ahead
         searched.append(_Searched(law.effect, nats, law, rivals))
     return searched
 

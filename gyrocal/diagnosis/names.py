@@ -242,7 +242,19 @@ def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted,
     held = {n.law.name: [c for c, b in blocks.items() if b == n.block] for n in named}
     held = {law.name: held[law.name] for law in fitted.model.laws if law.name in held}
     fitted = without_mending(fitted, held, laws)
-    return fitted, [n for n in named if n.law.name not in held or fitted.model.holds(n.law)]
+    mending = [n for n in named if n.law.name in held and not fitted.model.holds(n.law)]
+    left = [n for n in named if n not in mending]
+    earned = [n for n in left if _earned_without(n, mending, named, fitted)]
+    lost = [n.law.name for n in left if n not in earned]
+    return fitted.refit(fitted.model.without_laws(lost)) if lost else fitted, earned
+
+
+def _earned_without(named: Named, mending: Sequence[Named], before: Sequence[Named], fitted: Fitted) -> bool:
+    """Whether a law that has smooth parts beside it has its name without those that only mended it."""
+    own = [n for n in before if n.block == named.block]
+    if named.block not in fitted.model.blocks.values() or not any(n in mending for n in own):
+        return True
+    return named.share * named.gain >= _NAMED_SHARE * sum(n.gain for n in own)
 
 
 def jumped(jump: Jump) -> Named:
@@ -304,10 +316,10 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
     beside = beside_laws(fitted, alone.fitted.model.laws, block) if replaces else fitted
     if BLOCKS[block].lasts:
-        # What a law leaves is its misfit; the only law of a family stands for all that is like it.
+        # What a law leaves is its misfit.
         own = [n.law for n in named]
         at_most = (without.nll - changing(alone.fitted, own, laws).nll) / worth
-        earned = beyond_chance(at_most, own, block, laws) >= _NAMED_SHARE or len(effects_of(block)) == 1
+        earned = beyond_chance(at_most, own, block, laws) >= _NAMED_SHARE or _stands_for(block)
         return _Answer(beside, named, alone.near, alone.fitted.nll) if earned else unnamed
     # A walk follows a line without being one: each law must say more than the walk does.
     says_more = fitted.nll - beside.nll > GAIN * len(named)
@@ -319,10 +331,16 @@ def _resembling(nearest: Winner | None, without: Fitted, block: str, worth: floa
 
     The smooth parts stay in the model for it.
     """
-    if nearest is None or len(effects_of(block)) > 1 or not BLOCKS[block].lasts or worth < nearest.least_nats:
+    if nearest is None or not (_stands_for(block) and BLOCKS[block].lasts) or worth < nearest.least_nats:
         return []
     share = max((without.nll - nearest.fitted.nll) / worth, 0.0)
     return [Named(nearest.law, block, worth, share, {}, nearest.shapes)]
+
+
+def _stands_for(block: str) -> bool:
+    """Whether the only law of a block has the name for all that is like it: a curve has, over what is logged; what remembers has a mechanism."""
+    effects = effects_of(block)
+    return len(effects) == 1 and not effects[0].has_memory
 
 
 def _of_robot(named: Named) -> bool:

@@ -20,9 +20,15 @@ _STEP_DPS = 10.0
 
 def _step_response(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     since_s, step_dps = c.need("since_step_s"), c.need("step_dps")
-    ringing = np.cos(2.0 * np.pi * p["frequency_hz"] * since_s + p["phase_rad"])
-    decay = np.where(since_s >= 0.0, np.exp(-np.maximum(since_s, 0.0) / p["tau_s"]), 0.0)
-    return np.asarray(MDPS * p["amplitude"] * step_dps / _STEP_DPS * decay * ringing)
+    decay = complex(1.0 / p["tau_s"], 2.0 * np.pi * p["frequency_hz"])
+    begin_s = np.maximum(since_s, 0.0)
+    averaged: Floats | float = 1.0
+    if c.row_s is not None:
+        # No row begins before the step: of what decays within a long one most would be told of it all.
+        begin_s = np.maximum(since_s - 0.5 * c.row_s, 0.0)
+        averaged = -np.expm1(-decay * c.row_s) / (decay * c.row_s)
+    left = np.exp(-decay * begin_s - 1j * p["phase_rad"]) * averaged
+    return np.asarray(MDPS * p["amplitude"] * step_dps / _STEP_DPS * np.where(since_s >= 0.0, left.real, 0.0))
 
 
 def above_usual(c: Conditions, usual_v: float) -> Floats:
