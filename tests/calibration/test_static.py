@@ -208,6 +208,7 @@ def test_a_noise_of_heavy_tails_stays_as_it_is(
     assert found.set_aside == 0
 
 
+@pytest.mark.slow
 def test_a_telegraph_is_noise() -> None:
     rng = np.random.default_rng(67)
     t_s: Floats = np.asarray(0.1 * np.arange(36_000))
@@ -263,6 +264,7 @@ def test_steps_that_hide_the_noise_are_said(tmp_path: Path, step_dps: float, sai
     assert low < 360.0 * step_dps < high
 
 
+@pytest.mark.slow
 def test_noise_of_a_log_through_a_thermal_cycle(tmp_path: Path) -> None:
     """What temperature does is a thousand times what the noise leaves after averaging."""
     rng = np.random.default_rng(31)

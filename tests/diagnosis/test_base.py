@@ -39,6 +39,7 @@ def table_of(
     return DataSetTable(Path("plan.csv"), rate, gyro, temp, t_s=t_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scatter_c", [0.0, 0.02])
 def test_rates_that_were_visited_at_one_temperature_tell_of_no_slope_over_it(scatter_c: float) -> None:
     rng = np.random.default_rng(3)
@@ -50,6 +51,7 @@ def test_rates_that_were_visited_at_one_temperature_tell_of_no_slope_over_it(sca
     assert diagnose(table, options=Options(heldout=False)).verdict == "consistent"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [1, 3])
 def test_a_rate_that_came_once_is_no_bug(turns: int) -> None:
     rate = np.concatenate([np.zeros(40), np.array([100.0, -100.0, 50.0])[:turns], np.zeros(40)])

@@ -101,6 +101,7 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
 
 
+@pytest.mark.slow
 def test_without_times_the_bias_remembers_in_data_sets_and_the_coil_does_not_stand_for_it() -> None:
     table = replace(_soaks("shupe_gradient"), t_s=None)
     named = {e.effect: e for e in named_effects(examine(series_of_table(table), 1e-3))}
@@ -249,6 +250,7 @@ def test_what_a_narrow_peak_hid_is_looked_for_beside_it(rates: int) -> None:
     assert all(c.fitted.model.laws for _, c in found.candidates)
 
 
+@pytest.mark.slow
 def test_drifts_of_bias_and_scale_factor_that_show_little_alone_are_asked_together() -> None:
     t_s = 40.0 * np.arange(120, dtype=np.float64)
     rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)

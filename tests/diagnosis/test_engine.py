@@ -159,6 +159,7 @@ def test_what_a_record_cannot_show_is_said(plain: Diagnosis) -> None:
     assert any("Not testable" in sentence for sentence in plain_sentences(found))
 
 
+@pytest.mark.slow
 def test_bias_of_a_static_cycle_that_follows_temperature_alone() -> None:
     rng = np.random.default_rng(1)
     t_s = np.arange(0.0, 4000.0, 5.0)

@@ -155,6 +155,7 @@ def test_no_scatter_and_shared_times_are_said() -> None:
     assert np.all(series.white_std_dps == 1.0)
 
 
+@pytest.mark.slow
 def test_a_table_without_time_states_nothing_in_time() -> None:
     """A jump between data sets 27 and 28, and no hours, seconds or rates of temperature anywhere."""
     table = make_table()
@@ -223,6 +224,7 @@ def write_run_of(directory: Path, *, thermometer: bool = True) -> Path:
     return directory
 
 
+@pytest.mark.slow
 def test_a_very_nonlinear_gyro_is_no_gyro_of_another_unit() -> None:
     rng = np.random.default_rng(2)
     rate = np.tile(np.linspace(-100.0, 100.0, 11), 6)

@@ -278,6 +278,7 @@ def test_a_run_of_which_nobody_says_when_it_was_switched_on_needs_no_time_since_
     assert abs(Compensator(correction(unknown)).correct(t[-1], 0.01, temp[-1])) < 8e-4
 
 
+@pytest.mark.slow
 def test_it_is_said_where_it_is_open_whether_a_change_since_power_on_comes_again() -> None:
     """A slow warm-up in noise is half a drift; one that is over within the record is none."""
     t: Floats = 60.0 * np.arange(120, dtype=np.float64)

@@ -128,6 +128,7 @@ def test_thermal_transients_that_hide_each_other_are_named_together(
     assert not found.unnamed
 
 
+@pytest.mark.slow
 def test_a_gradient_of_two_time_constants_is_one_mechanism() -> None:
     temp = heated_c()
     c = Conditions(_T_S, np.zeros(_SETS), temp)
@@ -211,6 +212,7 @@ def test_a_dead_zone_between_two_rates_is_seen_by_its_law_alone() -> None:
         assert [law.effect for law in candidate.fitted.model.laws] == ["dead_zone"]
 
 
+@pytest.mark.slow
 def test_of_a_dead_zone_below_the_least_rate_no_more_is_known() -> None:
     rng = np.random.default_rng(6)
     sizes = np.array([0.5, 1.0, 2.0, 5.0, 20.0, 50.0, 100.0])

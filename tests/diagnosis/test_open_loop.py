@@ -62,6 +62,7 @@ def tables(request: pytest.FixtureRequest) -> list[Examination]:
     return [examine(series_of_table(_sweeps(seed)), 1e-3) for seed in range(10, 10 + request.param)]
 
 
+@pytest.mark.slow
 def test_the_phase_is_in_its_interval_and_the_file_is_better_than_one_with_shapes(
     tables: list[Examination],
 ) -> None:

@@ -40,6 +40,7 @@ def table(sizes: list[float], seed: int) -> DataSetTable:
     return DataSetTable(Path("band.csv"), rate, gyro, temp, t_s=t_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sizes",
     [

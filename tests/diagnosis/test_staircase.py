@@ -58,6 +58,7 @@ def test_log_loss_on_rows_left_out_is_that_of_their_prediction() -> None:
     np.testing.assert_allclose(found.variance, np.diag(law.cov), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_hidden_step_of_the_scale_factor_is_a_step_of_the_staircase(stepped: Diagnosis) -> None:
     assert [layer.name for layer in stepped.layers][:2] == ["", "scale_step"]
     surface, step = stepped.layers[:2]

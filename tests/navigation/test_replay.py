@@ -104,6 +104,7 @@ def test_without_temperature_the_calibration_is_not_used_and_it_is_said() -> Non
     )
 
 
+@pytest.mark.slow
 def test_a_temperature_at_every_tenth_row_serves_the_rows_between() -> None:
     log = drive()
     sparse = replace(log, gyro_temp_c=np.where(np.arange(len(log)) % 10 == 0, log.gyro_temp_c, np.nan))
@@ -121,6 +122,7 @@ def test_a_temperature_at_every_tenth_row_serves_the_rows_between() -> None:
     assert tenth.counts.no_temperature == np.count_nonzero(np.isnan(sparse.gyro_temp_c))
 
 
+@pytest.mark.slow
 def test_without_rest_the_replay_goes_on_and_it_is_said() -> None:
     found = replay_log(source(drive()), robot().with_figures({"static_s": 0.0}), calibration())
     assert all(t.bias is None for t in found.tracks)
@@ -154,6 +156,7 @@ def test_a_calibration_that_does_not_cover_the_log() -> None:
     assert "rows lie outside what the calibration covers (-20..20 deg/s, -20..60 deg C)" in note
 
 
+@pytest.mark.slow
 def test_truth_missing_leaves_the_return() -> None:
     log = without_truth(drive())
     silent = make_table([replay_log(source(log), robot(), calibration())])

@@ -53,7 +53,13 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 }
 
 
-@pytest.mark.parametrize("name", FIGURES)
+#: One of each kind: curves, a map, a table.
+_FAST = ("figure_1", "residual_map", "coefficients")
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in _FAST else pytest.param(n, marks=pytest.mark.slow) for n in FIGURES]
+)
 def test_same_bytes_whatever_the_users_settings(name: str) -> None:
     first = FIGURES[name]()
     with mpl.rc_context({"font.size": 20, "axes.grid": False, "lines.linewidth": 9, "savefig.dpi": 50}):

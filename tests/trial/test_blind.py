@@ -95,6 +95,7 @@ def test_opened_answer_must_be_the_sealed_one(tmp_path: Path) -> None:
         judge(0, "0" * 64, secret, _answer({}, "consistent"), tmp_path)
 
 
+@pytest.mark.slow
 def test_drawn_strength_is_the_strength_in_the_record(tmp_path: Path) -> None:
     write_run(make_recording([], 3, "even"), tmp_path / "run")
     stage = rehearse(tmp_path / "run")
@@ -106,6 +107,7 @@ def test_drawn_strength_is_the_strength_in_the_record(tmp_path: Path) -> None:
             assert stage.d_prime(error) == pytest.approx(d_prime, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_no_effect_is_drawn_larger_than_any_gyro_has_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

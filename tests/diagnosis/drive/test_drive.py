@@ -77,6 +77,7 @@ def test_what_prudence_takes_off_a_bias_is_in_the_asymmetry_beside_it(tmp_path: 
     assert by_wheels_dps == pytest.approx(taken_off_dps, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_bias_that_the_file_knows_better_than_the_drive_stays(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     given = "wheel_separation_m = 0.5\nstatic_s = 0.0\n[gyro]\nbias_dps = 0.095\n[initial_std]\nleft_scale = 0.01\nright_scale = 0.01\n"
@@ -178,6 +179,7 @@ def test_a_slope_of_the_ground_is_no_scale_of_the_gyro(resting: Robot, share: fl
     assert told.robot is None
 
 
+@pytest.mark.slow
 def test_headings_alone_tell_the_scale_of_the_gyro(resting: Robot) -> None:
     plan = Plan(
         "lawn",
@@ -282,6 +284,7 @@ def test_wrong_unit_and_sign_are_named_and_bridged(robot: Robot, factor: float, 
     assert text in statement(result.diagnosis.effects[0])
 
 
+@pytest.mark.slow
 def test_half_a_track_is_a_slip_or_a_mix_up(tmp_path: Path) -> None:
     path = tmp_path / "half.toml"
     path.write_text(f"wheel_separation_m = {0.5 * SEPARATION_M}\nstatic_s = 0.0\n")
@@ -291,6 +294,7 @@ def test_half_a_track_is_a_slip_or_a_mix_up(tmp_path: Path) -> None:
     assert "unit_or_sign" in [a.effect for a in slip.alternatives]
 
 
+@pytest.mark.slow
 def test_a_law_that_holds_in_places_only_is_slip_that_lasts(resting: Robot) -> None:
     log = drive(Plan("lawn", minutes=5.0), 3)
     way_m = np.cumsum(0.5 * (log.left_m + log.right_m))
@@ -331,11 +335,13 @@ def test_a_document_of_the_format(robot: Robot) -> None:
     assert "bias_temperature" in document["not_testable"]
 
 
+@pytest.mark.slow
 def test_same_log_same_answer(robot: Robot) -> None:
     one, two = (found(Hidden(slip=0.2), robot, 2).diagnosis.to_json() for _ in range(2))
     assert one == two
 
 
+@pytest.mark.slow
 def test_positions_tell_the_slope_of_a_bias_where_no_wheel_turns_against_another(tmp_path: Path) -> None:
     path = tmp_path / "car.toml"
     path.write_text("wheel_separation_m = 1.6\nstatic_s = 0.0\n")

@@ -182,6 +182,7 @@ def test_a_jump_that_encoders_cannot_show_is_seen_by_the_truth(resting: Robot) -
     assert std < 0.004
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("added_dps", [0.0, 0.05])
 def test_the_truth_tells_a_bias_in_motion_of_a_vehicle_of_one_speed(added_dps: float, resting: Robot) -> None:
     log = drive(replace(RESTS, truth_m=0.02), 8)
