@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 _ABSENT = 2.5
 #: What is simpler stands for what it replaces where it explains no worse than by this, nats.
 REPLACED = 2.0
+#: Errors of each rate stand for what is odd in the rate where they explain no worse than by this, nats, 20 to 1: beside each
+#: other neither is worth anything, and errors of 150 ppm had no name beside a step.
+_OWN = 3.0
 #: Block of what is odd in the rate, and all that a wrong direction of the surface looks like.
 ODD = "odd rate"
 BENT = (ODD, "even rate", EACH_RATE)
@@ -139,7 +142,7 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
         return fitted
     without = fitted.model.without(odd)
     found = fitted.refit(without.with_components(draws))
-    return found if found.nll <= fitted.nll + REPLACED else fitted
+    return found if found.nll <= fitted.nll + _OWN else fitted
 
 
 def _either_surface(fitted: Fitted, model: Model) -> list[Fitted]:

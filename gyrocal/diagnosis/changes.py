@@ -18,9 +18,9 @@ from gyrocal.diagnosis.columns import EDGE
 from gyrocal.diagnosis.laws import laws_of
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import since_on
+from gyrocal.diagnosis.parts import since_on, tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM
+from gyrocal.physics.effect import MDPS, PPM, SCALED_AT_DPS
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
@@ -38,10 +38,12 @@ from gyrocal.physics.timewise import (
 
 Floats = NDArray[np.float64]
 Value = TypeVar("Value", bound=float)
+#: An effect, and whether it acts on the scale factor instead of the bias.
+Kind = tuple[str, bool]
 
 STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
-#: Laws of what is remembered that act on the bias alone, and their shape; the first has none. Heat of past turns grows as a
+#: Laws of what is remembered, and their shape; the first has none. Heat of past turns grows as a
 #: warm-up does: only beside each other are they told apart.
 HISTORY = {
     SHUPE.id: "",
@@ -49,6 +51,8 @@ HISTORY = {
     THERMAL_HYSTERESIS.id: "width_c",
     RATE_HEATING.id: "tau_s",
 }
+#: Those that may act on the scale factor as well.
+OF_SCALE = (WARM_UP.id, THERMAL_HYSTERESIS.id)
 #: Time constants of a warm-up, s: of a minute, as a small gyro's, to two hours.
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 #: A warm-up that the record does not outlast by half is a drift: its end is not seen.
@@ -68,12 +72,19 @@ _NEXT_DRIFTS = 2
 class Change(NamedTuple):
     """A law at its shape: of a step the row from which on it holds, of a drift its power, else a width or time constant.
 
-    `spread` is that of a time constant or width, of a step how long it takes, and of a drift that ages its knee, s.
+    `spread` is that of a time constant or width, of a step how long it takes, and of a drift that ages its knee, s;
+    `of_scale` is of those that else act on the bias.
     """
 
     effect: str
     at: float
     spread: float = 0.0
+    of_scale: bool = False
+
+    @property
+    def kind(self) -> Kind:
+        """What a model has once, but for steps."""
+        return self.effect, self.of_scale
 
     @property
     def prior_nats(self) -> float:
@@ -105,12 +116,18 @@ class Changes:
             return [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < np.ptp(m.t_s)], _SPREADS
         return list(self._history[effect]), _SPREADS if effect == SHUPE_GRADIENT.id else (0.0,)
 
-    def shapes(self, effect: str) -> list[Change]:
+    @cached_property
+    def lasting(self) -> list[Kind]:
+        """What stays with the gyro, each where it may act."""
+        kinds = [(effect, False) for effect in (WARM_UP.id, *HISTORY)]
+        return kinds + [(effect, True) for effect in OF_SCALE if tells_of_scale(self.means)]
+
+    def shapes(self, effect: str, of_scale: bool = False) -> list[Change]:
         """All shapes of an effect."""
         if effect in DRIFTS:
             return [Change(effect, *shape) for shape in self._drifts]
         values, spreads = self.grids(effect)
-        return [Change(effect, float(at), float(spread)) for at in values for spread in spreads]
+        return [Change(effect, float(at), float(spread), of_scale) for at in values for spread in spreads]
 
     def neighbours(self, change: Change) -> list[Change]:
         """The shapes next to one."""
@@ -130,7 +147,7 @@ class Changes:
         A step is zero at the end of the record, whose state the surface is to have; a drift is in the mean. Whether it
         lasts nobody knows, and one that is none, but something else's misfit, then moves no level.
         """
-        m, (effect, at, spread) = self.means, change
+        m, (effect, at, spread) = self.means, change[:3]
         if effect in STEPS or effect in DRIFTS:
             scale = PPM * m.rate_dps if "rate_dps" in CATALOGUE[effect].needs else np.full(len(m), MDPS)
             if effect in DRIFTS:
@@ -142,17 +159,20 @@ class Changes:
             return Law(effect, shape, (ahead * scale)[:, None], from_end=True, spread=spread)
         known = self._warm_ups if effect == WARM_UP.id else self._history[effect]
         name = HISTORY.get(effect, "tau_s")
+        where = {"of_scale": 1.0} if change.of_scale else {}
+        scale = m.rate_dps / SCALED_AT_DPS if change.of_scale else np.ones(len(m))
         if not spread:
-            return Law(effect, _shape(name, at), known[at][:, None])
+            return Law(effect, _shape(name, at) | where, (scale * known[at])[:, None])
         mixture = _spread_over(list(known)[::_THINNED], at, spread)
-        columns = np.sum([weight * known[x] for x, weight in mixture.items()], axis=0)[:, None]
-        return Law(effect, {name: at}, columns, spread=spread, mixture=tuple(mixture.items()))
+        columns = (scale * np.sum([weight * known[x] for x, weight in mixture.items()], axis=0))[:, None]
+        return Law(effect, {name: at} | where, columns, spread=spread, mixture=tuple(mixture.items()))
 
-    def columns(self, effect: str) -> Floats:
+    def columns(self, effect: str, of_scale: bool = False) -> Floats:
         """Columns of all shapes of an effect, shape (n, shapes)."""
-        if effect not in self._columns:
-            self._columns[effect] = np.column_stack([self.law(c).columns[:, 0] for c in self.shapes(effect)])
-        return self._columns[effect]
+        kind = effect, of_scale
+        if kind not in self._columns:
+            self._columns[kind] = np.column_stack([self.law(c).columns[:, 0] for c in self.shapes(*kind)])
+        return self._columns[kind]
 
     @cached_property
     def _drifts(self) -> list[tuple[float, float]]:
@@ -171,7 +191,7 @@ class Changes:
         return {"knee_s": knee_s, "from_s": float(self.means.t_s[0])} if knee_s else {"power": power}
 
     @cached_property
-    def _columns(self) -> dict[str, Floats]:
+    def _columns(self) -> dict[Kind, Floats]:
         return {}
 
     @cached_property
@@ -186,7 +206,8 @@ class Changes:
         laws = laws_of(self.means, blank)
         found: dict[str, dict[float, Floats]] = {}
         for effect, name in HISTORY.items():
-            grid = [trial.shape.get(name, 0.0) for trial in laws.trials(CATALOGUE[effect])]
+            trials = [t for t in laws.trials(CATALOGUE[effect]) if not t.shape.get("of_scale")]
+            grid = [trial.shape.get(name, 0.0) for trial in trials]
             if name and grid:
                 # A search over models refines no shape: its grid is as fine as that of a warm-up.
                 grid = np.geomspace(min(grid), max(grid), len(_WARM_UPS_S)).tolist()

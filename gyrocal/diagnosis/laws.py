@@ -80,6 +80,8 @@ class Laws:
             return []
         found = []
         for shape in effect.search.grid(self.offer):
+            if shape.get("of_scale") and not tells_of_scale(self.means):
+                continue
             columns = self.at(effect, shape)
             if np.isfinite(columns).all() and np.any(np.abs(columns) > _NOTHING):
                 found.append(Trial(effect, shape, columns))

@@ -28,6 +28,7 @@ from gyrocal.diagnosis.series import Series
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
 from gyrocal.inference.rounding import harmonic
+from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import ROUNDS
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
@@ -120,8 +121,13 @@ class Law:
         """Shapes that it is a sum of, with their weights."""
         if not self.mixture:
             return [(self.shape, 1.0)]
-        (name,) = self.shape
-        return [({name: value}, weight) for value, weight in self.mixture]
+        (name,) = self.shape.keys() - {"of_scale"}
+        return [({**self.shape, name: value}, weight) for value, weight in self.mixture]
+
+    @property
+    def goes_by_rate(self) -> bool:
+        """Whether it acts on the scale factor or on an order of the rate, and not on the bias alone."""
+        return "rate_dps" in CATALOGUE[self.effect].needs or bool(self.shape.get("of_scale"))
 
 
 @dataclass(frozen=True)

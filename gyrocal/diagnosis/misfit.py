@@ -96,7 +96,7 @@ def _misfit(law: Law, fitted: Fitted, laws: Laws) -> Floats:
         return np.column_stack([_by_temperature(law, fitted, laws), *round_off])
     found = [law.columns * _warmth(fitted)]
     # A step or drift of the scale factor has a name of its own.
-    if "rate_dps" not in effect.needs and (effect.family != BIAS_DRIFT.family or effect.runtime):
+    if not law.goes_by_rate and (effect.family != BIAS_DRIFT.family or effect.runtime):
         found.append(law.columns * (model.means.rate_dps / scale_dps)[:, None])
     return np.column_stack(found)
 

@@ -22,7 +22,10 @@ from gyrocal.physics.effect import (
     count,
     memoryless,
     need_surface,
+    of_scale,
     shape,
+    where_it_acts,
+    where_it_acts_c,
 )
 from gyrocal.physics.fold import on_model, on_own, temperature_or_scale
 from gyrocal.physics.hiding import Hiding, usual_draw
@@ -90,7 +93,7 @@ def _hysteresis(
 ) -> tuple[Floats, Memory]:
     position, memory = play(c.temp_c, p["width_c"], memory)
     # The play minus the temperature itself: that part is the surface's, and without it the error is bounded.
-    return MDPS * p["amplitude"] * (position - c.temp_c), memory
+    return where_it_acts(c, p, MDPS * p["amplitude"] * (position - c.temp_c)), memory
 
 
 def _rate_heating(
@@ -106,7 +109,8 @@ def _temperature_order(c: Conditions, p: Mapping[str, float], surface: Surface |
 
 
 def _widths(offer: Offer) -> list[dict[str, float]]:
-    return [{"width_c": float(x)} for x in np.geomspace(0.012, 0.45, 11) * offer.temp_span_c]
+    on_bias = [{"width_c": float(x)} for x in np.geomspace(0.012, 0.45, 11) * offer.temp_span_c]
+    return on_bias + [{**shape, "of_scale": 1.0} for shape in on_bias if table_turns(offer) is None]
 
 
 def _powers(offer: Offer) -> list[dict[str, float]]:
@@ -142,7 +146,8 @@ def _thermal_lag_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 
 
 def _hysteresis_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
-    return f"{n(MDPS * p['amplitude'])} * (@real@)({memory.play(p['width_c'])} - temp_c)"
+    played = f"{n(MDPS * p['amplitude'])} * (@real@)({memory.play(p['width_c'])} - temp_c)"
+    return where_it_acts_c(p, n, played)
 
 
 def _rate_heating_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
@@ -236,11 +241,12 @@ THERMAL_LAG = Effect(
 THERMAL_HYSTERESIS = Effect(
     id="thermal_hysteresis",
     family="thermal transient",
-    equation="e = k (P_r[T] - T), P_r the play operator of half width r",
-    statement="Heating and cooling give different biases at the same temperature, after any soak (hysteresis).",
+    equation="e = k (P_r[T] - T), P_r the play operator of half width r; of the scale factor times w/(100 deg/s)",
+    statement="Heating and cooling give different biases, or scale factors, at the same temperature, after any soak (hysteresis).",
     parameters=(
         amplitude("mdeg/s per degC", 100.0, 1.0, "bias per degree of play"),
         shape("width_c", "degC", 0.2, 60.0, 5.0, "half width of the play"),
+        of_scale(),
     ),
     needs=("t_s", "temp_c"),
     seen_in="temperature_branch",
