@@ -358,7 +358,7 @@ class TableSearch:
 
     def _at_first(self, share: float, tau_s: float) -> Component:
         """What it does that nobody knows where the coil was when the record began, which is forgotten as it warms."""
-        f, m = self.known[None, ()].fitted, self.base.means
+        f, m = self.fit(None, (), None).fitted, self.base.means
         slope = slope_by_temperature(m.rate_dps, m.temp_c, self.base.basis.frame, f.model.legendre(f.solve()))
         left = np.exp(-(m.t_s - m.t_s[0]) / tau_s)
         return Component(_AT_FIRST, (_BEGAN_C * share * left * slope)[:, None], held=1.0)

@@ -128,6 +128,7 @@ def no_file(improved: Coefficients, means: Means, chance: float, left_out: Impro
         "temps": temps if temps <= TEMPERATURE_ORDER + 1 else 0,
         "one_way": bool(means.rate_dps.min() >= 0.0 or means.rate_dps.max() <= 0.0),
         "no_gain": left_out is not None and left_out.logloss_interval_95[0] <= 0.0,
+        "surface_alone": not improved.terms,
     }
     return Remark(Said.NO_SURE_GAIN, facts)
 

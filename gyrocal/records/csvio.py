@@ -28,6 +28,7 @@ _LARGEST = 1e20
 _NUMBER = re.compile(
     r"\s*([+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|nan)?\s*", re.IGNORECASE | re.ASCII
 )
+_QUOTED = re.compile(r'^"([^"]*)"$')
 _BRACKETS = re.compile(r"[\[(].*")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 #: Bytes that a row of numbers can hold; a look-up table is the fastest way to meet every byte of a long file.
@@ -54,7 +55,8 @@ def read_header(path: Path) -> list[str]:
     other = other_text(path, line)
     if other:
         raise InputError(f"{path}: {other}")
-    header = [name.strip() for name in line.strip().split(",")]
+    # R quotes the names of columns and leaves its numbers bare.
+    header = [_QUOTED.sub(r"\1", name.strip()) for name in line.strip().split(",")]
     if header == [""]:
         raise InputError(f"{path}: is empty. Check that it was written to its end.")
     if any(header) and all(_NUMBER.fullmatch(name) for name in header):

@@ -58,17 +58,22 @@ def _not_written(coordinate: str) -> str:
     )
 
 
-def _no_sure_gain(chance: float, rates: int, temps: int, one_way: bool, no_gain: bool) -> str:
-    """Counts are 0 where there are enough for a surface and a law beside it."""
+def _no_sure_gain(
+    chance: float, rates: int, temps: int, one_way: bool, no_gain: bool, surface_alone: bool
+) -> str:
+    """Counts are 0 where there are enough for a surface and a law beside it; `surface_alone`: the file would have no term."""
     reasons = {
         "all rates are of one sign, so that odd and even errors are one: record the same rates in the other direction": one_way,
         f"{rates} rates carry a cubic and no more: record more of them": rates > 0,
         f"{temps} temperatures carry a quadratic and no more: record more of them": temps > 0,
         "on data left out it gains nothing for sure: record more sweeps of the same rates": no_gain,
     }
-    true = [reason for reason, holds in reasons.items() if holds] or [
-        "it is known no better than it is large: record the same rates and temperatures again, in another order"
-    ]
+    otherwise = (
+        "none of it stays with the gyro (it is the table's, or passes), and beside it the surface is the same within its uncertainty"
+        if surface_alone
+        else "what of it stays with the gyro is known no better than it is large: record the same rates and temperatures again, in another order"
+    )
+    true = [reason for reason, holds in reasons.items() if holds] or [otherwise]
     return (
         "What was found would make another run of this gyro better than the surface alone with probability "
         f"{chance:.2f} only: no improved coefficients are written, for {'; '.join(true)}."

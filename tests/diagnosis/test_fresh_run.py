@@ -78,7 +78,14 @@ def test_the_reason_why_there_is_no_file_is_this_recordings(
         supply_v=None,
     )
     remark = no_file(surface(0.0), part, 0.6, None)
-    nothing = {"chance": 0.6, "rates": 0, "temps": 0, "one_way": False, "no_gain": False}
+    nothing = {
+        "chance": 0.6,
+        "rates": 0,
+        "temps": 0,
+        "one_way": False,
+        "no_gain": False,
+        "surface_alone": True,
+    }
     assert remark == Remark(Said.NO_SURE_GAIN, nothing | lacks)
 
 

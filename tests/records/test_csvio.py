@@ -86,6 +86,13 @@ def test_a_header_that_is_nearly_right_gets_its_remedy(header: str, remedy: str)
         require_columns(Path("x.csv"), header.split(","), ["rate_dps"], ["t_s", "rate_dps"])
 
 
+def test_quoted_names_are_names(tmp_path: Path) -> None:
+    """As R writes them."""
+    path = write(tmp_path / "x.csv", '"a","b"\n1,2\n')
+    assert read_header(path) == ["a", "b"]
+    assert read(path)["b"] == [2.0]
+
+
 def test_a_date_is_told_from_a_wrong_number(tmp_path: Path) -> None:
     path = write(tmp_path / "x.csv", "t_s,b\n2026-11-23T08:00:00,1\n")
     with pytest.raises(InputError, match=r"line 2: t_s is .*, a date\. Write seconds"):

@@ -9,7 +9,9 @@ import pytest
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.report.remarks import WORDS, remark_words
 
-LACKING = {"chance": 0.62, "rates": 0, "temps": 0, "one_way": False, "no_gain": False}
+LACKING = {
+    "chance": 0.62, "rates": 0, "temps": 0, "one_way": False, "no_gain": False, "surface_alone": False,
+}  # fmt: skip
 
 
 def test_every_remark_has_words() -> None:
@@ -46,7 +48,8 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (Said.UNUSABLE_SAMPLES, {"count": 1}, "1 gyro sample is empty or of bad status and left out"),
         (Said.UNUSABLE_SAMPLES, {"count": 3}, "3 gyro samples are empty or of bad status and left out"),
         (Said.MISSING_ROWS, {"count": 80, "percent": 1.333, "longest_s": 0.8}, "About 80 rows are missing (1.3 % of the log, the longest gap 0.8 s)."),
-        (Said.NO_SURE_GAIN, LACKING, "0.62 only: no improved coefficients are written, for it is known no better than it is large: record"),
+        (Said.NO_SURE_GAIN, LACKING, "0.62 only: no improved coefficients are written, for what of it stays with the gyro is known no better than it is large: record"),
+        (Said.NO_SURE_GAIN, {**LACKING, "surface_alone": True}, "for none of it stays with the gyro (it is the table's, or passes)"),
         (Said.NO_SURE_GAIN, {**LACKING, "no_gain": True}, "for on data left out it gains nothing for sure: record more sweeps of the same rates."),
         (Said.NO_SURE_GAIN, {**LACKING, "rates": 4, "temps": 3}, "for 4 rates carry a cubic and no more: record more of them; 3 temperatures carry"),
         (Said.NO_SURE_GAIN, {**LACKING, "one_way": True}, "for all rates are of one sign, so that"),
