@@ -20,10 +20,10 @@ from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import since_on, tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM, SCALED_AT_DPS
+from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
+from gyrocal.physics.thermal import RATE_HEATING, SCALED_AT_DPS, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import (
     AGEING_NATS,
     BIAS_DRIFT,
@@ -51,8 +51,8 @@ HISTORY = {
     THERMAL_HYSTERESIS.id: "width_c",
     RATE_HEATING.id: "tau_s",
 }
-#: Those that may act on the scale factor as well.
-OF_SCALE = (WARM_UP.id, THERMAL_HYSTERESIS.id)
+#: Those that may act on the scale factor as well. A warm-up of it was `warm_up` in place of a drift by the root of time.
+_OF_SCALE = (THERMAL_HYSTERESIS.id,)
 #: Time constants of a warm-up, s: of a minute, as a small gyro's, to two hours.
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 #: A warm-up that the record does not outlast by half is a drift: its end is not seen.
@@ -120,7 +120,7 @@ class Changes:
     def lasting(self) -> list[Kind]:
         """What stays with the gyro, each where it may act."""
         kinds = [(effect, False) for effect in (WARM_UP.id, *HISTORY)]
-        return kinds + [(effect, True) for effect in OF_SCALE if tells_of_scale(self.means)]
+        return kinds + [(effect, True) for effect in _OF_SCALE if tells_of_scale(self.means)]
 
     def shapes(self, effect: str, of_scale: bool = False) -> list[Change]:
         """All shapes of an effect."""
