@@ -66,8 +66,8 @@ def test_a_sine_is_in_the_file_if_most_of_the_weight_has_one() -> None:
     assert [c.score for _, c in averaged(near[:2])] == [10.0]
 
 
-def _soaks(what: str) -> DataSetTable:
-    """A closed-loop gyro at temperatures in turn, up and down, whose bias has 4 mdeg/s per degC of memory."""
+def _soaks(what: str, *, of_scale: bool = False) -> DataSetTable:
+    """A closed-loop gyro at temperatures in turn, up and down, whose bias has 4 mdeg/s per degC of memory, or its scale factor at 100 deg/s."""
     rng = np.random.default_rng(5)
     rates = np.tile([0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0], 8)
     target_c = np.repeat([20.0, 35.0, 50.0, 20.0, 5.0, 35.0, 50.0, 20.0], 7)
@@ -83,7 +83,8 @@ def _soaks(what: str) -> DataSetTable:
             play = min(max(play, temp - 3.0), temp + 3.0)
             reached.append((temp, temp - inside if what == "shupe_gradient" else play - temp))
         outside_c[k], behind_c[k] = np.mean(reached, axis=0)
-    gyro = rates * (1.0002 + 1e-4 * (outside_c - 27.0) / 25.0) + 0.005 + 4e-3 * behind_c
+    gyro = rates * (1.0002 + 1e-4 * (outside_c - 27.0) / 25.0) + 0.005
+    gyro += 4e-3 * behind_c * (rates / 100.0 if of_scale else 1.0)
     gyro = gyro + 6e-4 * rng.standard_normal(rates.size)
     return DataSetTable(Path("soaks.csv"), rates, gyro, outside_c, t_s=at_s + 20.0)
 
@@ -99,6 +100,40 @@ def test_what_the_bias_of_a_table_remembers_is_told_from_a_lag_of_its_coil(
     assert best.coil is None
     assert best.effects == {effect}
     assert best.fitted.model.laws[0].shape[shape] == pytest.approx(true, rel=0.2)
+
+
+@pytest.mark.slow
+def test_hysteresis_of_the_scale_factor_is_named_as_such_and_leaves_another_run() -> None:
+    """It had been a lag of the coil."""
+    found = examine(series_of_table(_soaks("thermal_hysteresis", of_scale=True)), 1e-3)
+    (effect,) = named_effects(found)
+    assert effect.effect == "thermal_hysteresis"
+    assert effect.parameters["of_scale"].value == 1.0
+    low, high = effect.parameters["amplitude"].interval_95
+    assert low < 4.0 < high
+    low, high = effect.parameters["width_c"].interval_95
+    assert low < 3.0 < high
+    written = [t for t in correction(found).terms if t.name == "thermal_hysteresis"]
+    assert {t.parameters["of_scale"]["value"] for t in written} == {1.0}
+
+
+@pytest.mark.slow
+def test_where_the_coil_was_at_first_is_no_warm_up() -> None:
+    """A chamber that cooled down by 30 degC just before the first data set."""
+    course = [20.0 - 30.0 * np.arange(600) / 600]
+    for low, high in ((-10.0, 40.0), (40.0, -10.0), (-10.0, 40.0)):
+        course += [np.full(500, low), np.linspace(low, high, 3000)]
+    temp_c, coil_c, coil = np.concatenate(course), [], 20.0
+    for temp in temp_c:
+        coil += (temp - coil) / 240.0
+        coil_c.append(coil)
+    at = np.arange(620, temp_c.size, 60)
+    rate = np.tile([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0], at.size)[: at.size]
+    own_c = np.array(coil_c)[at] - 15.0
+    noise = 8e-4 * np.random.default_rng(11).standard_normal(at.size)
+    gyro = rate * (1.0 + 6e-5 * own_c) + 3e-3 * own_c + noise
+    table = DataSetTable(Path("cooled.csv"), rate, gyro, temp_c[at], t_s=at - 620.0)
+    assert {e.effect for e in named_effects(examine(series_of_table(table), 1e-3))} == {"thermal_lag"}
 
 
 @pytest.mark.slow
@@ -377,6 +412,15 @@ def _sweep() -> Changes:
         series_of_table(DataSetTable(Path("sweep.csv"), rate_dps, rate_dps, 20.0 + t_s / 60.0, t_s=t_s))
     )
     return Changes(means, frame_of(means))
+
+
+def test_a_law_of_the_scale_factor_is_that_of_the_bias_at_100_dps() -> None:
+    changes = _sweep()
+    ((at, *_),) = [changes.grids("thermal_hysteresis")[0]]
+    of_bias, of_scale = (changes.law(Change("thermal_hysteresis", at, of_scale=s)) for s in (False, True))
+    by_rate = of_bias.columns * changes.means.rate_dps[:, None] / 100.0
+    np.testing.assert_allclose(of_scale.columns, by_rate)
+    assert (of_bias.goes_by_rate, of_scale.goes_by_rate) == (False, True)
 
 
 @pytest.mark.parametrize(
