@@ -249,13 +249,19 @@ def _tried(series: Series) -> list[tuple[Effect, Mapping[str, float]]]:
 def _centred(
     series: Series, rows: NDArray[np.bool_], sets: Ints, candidates: list[_Candidate]
 ) -> tuple[Floats, Floats]:
-    """Errors, and columns of all candidates, less the means of the sets, in units of white noise."""
+    """Errors, and columns of all candidates, less the means of the sets, in units of white noise.
+
+    Free, too, of what goes with the temperature within sets, on the bias and on the scale factor: where a chamber drifts,
+    that is a straight line, and so is what creeps for longer than a set lasts.
+    """
     weight = 1.0 / series.white_std_dps[rows] ** 2
     total = np.bincount(sets, weight)
     block = np.concatenate([c.columns[rows] for c in candidates], axis=1)
-    block = np.column_stack([series.gyro_dps[rows] - series.rate_dps[rows], block])
+    temp_c, rate_dps = series.temp_c[rows], series.rate_dps[rows]
+    block = np.column_stack([temp_c, temp_c * rate_dps, series.gyro_dps[rows] - rate_dps, block])
     means = np.column_stack([np.bincount(sets, weight * x) / total for x in block.T])
-    block = (block - means[sets]) * np.sqrt(weight)[:, None]
+    warming, block = np.split((block - means[sets]) * np.sqrt(weight)[:, None], [2], axis=1)
+    block = block - warming @ np.linalg.lstsq(warming, block, rcond=1e-10)[0]
     return block[:, 0], block[:, 1:]
 
 
