@@ -115,6 +115,7 @@ def test_intervals_cover_and_compensation_leaves_nothing_to_tell() -> None:
     assert min(inside.values()) >= 24, inside
 
 
+@pytest.mark.slow
 def test_a_cubic_in_the_output_is_no_cubic_in_the_rate() -> None:
     """A polynomial in the true rate misses 16 times the noise of such a gyro; figures went by the weights of the run."""
     surface = replace(SURFACE, coefficients_dps=6.0 * SURFACE.coefficients_dps)

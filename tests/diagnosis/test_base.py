@@ -59,6 +59,7 @@ def test_a_rate_that_came_once_is_no_bug(turns: int) -> None:
     assert diagnose(table, options=Options(heldout=False)).verdict == "consistent"
 
 
+@pytest.mark.slow
 def test_one_rate_through_all_temperatures_after_the_other_is_no_thermometer_that_scatters() -> None:
     """The temperatures had been smoothed to nearly one: at -90 deg/s the surface was off by 84 deg/s."""
     rate, temp = np.repeat(np.linspace(-100.0, 100.0, 11), 7), np.tile(np.linspace(-10.0, 50.0, 7), 11)

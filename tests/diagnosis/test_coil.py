@@ -145,6 +145,7 @@ def test_without_times_the_bias_remembers_in_data_sets_and_the_coil_does_not_sta
     assert low < 10.0 < high
 
 
+@pytest.mark.slow
 def test_a_bias_that_follows_the_temperature_rate_is_told_from_one_that_remembers() -> None:
     """A difference from an inside that follows within half a minute is nearly the rate, and had been its name."""
     rng = np.random.default_rng(4)
@@ -371,6 +372,7 @@ def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_besi
     assert (instead.effect, instead.evidence_ratio) == ("saturation", 1.0)
 
 
+@pytest.mark.slow
 def test_a_law_that_is_none_of_the_catalogue_goes_into_the_file_as_smooth_parts() -> None:
     """Two gaps, a slow drift: of the models with laws alone the best is wrong by more on another course."""
     first, again = _of_two_gaps(0), _of_two_gaps(1)

@@ -62,6 +62,7 @@ def test_a_recording_without_anything_is_consistent(plain: Diagnosis) -> None:
     assert "nothing stands out of the noise" in plain_sentences(found)[0]
 
 
+@pytest.mark.slow
 def test_an_asymmetry_in_a_table_is_named_with_its_size(
     asymmetric: tuple[DataSetTable, Diagnosis],
 ) -> None:

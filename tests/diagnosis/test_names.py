@@ -138,6 +138,7 @@ def test_a_gradient_of_two_time_constants_is_one_mechanism() -> None:
     assert {n.law.effect for n in found.named} <= {"shupe", "shupe_gradient"}
 
 
+@pytest.mark.slow
 def test_laws_that_are_shaped_beside_each_other_keep_their_names() -> None:
     """Two plays: the first is shaped again beside the second, and is the same law."""
     temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
@@ -193,6 +194,7 @@ def test_smooth_parts_do_not_stand_in_for_the_surface(tmp_path: Path) -> None:
     assert sum(found.naming.unnamed.values()) < 5.0
 
 
+@pytest.mark.slow
 def test_a_dead_zone_between_two_rates_is_seen_by_its_law_alone() -> None:
     """No smooth part is as narrow: what is not looked for as a law would pass for noise."""
     rng = np.random.default_rng(5)

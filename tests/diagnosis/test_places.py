@@ -40,6 +40,7 @@ def ripple() -> Diagnosis:
     return diagnose(rippled(0), options=Options(heldout=False))
 
 
+@pytest.mark.slow
 def test_a_pattern_without_a_name_is_placed_and_its_correction_makes_another_run_better(
     ripple: Diagnosis,
 ) -> None:

@@ -109,6 +109,7 @@ def test_a_set_at_a_large_rate_among_many_small_ones_is_no_stray_by_the_thermome
     assert strays(0.3).numbers.tolist() == [43]
 
 
+@pytest.mark.slow
 def test_one_stray_data_set_is_not_two_steps_and_a_step_is_not_strays() -> None:
     found = examine(series_of_table(make_sweeps(4, {40: 0.02}, step_dps=0.02)), 1e-3)
     assert found.strays.numbers.tolist() == [40]

@@ -142,6 +142,7 @@ def test_a_log_without_turns_is_replayed_and_it_is_said() -> None:
     assert not any("has no turns" in note for note in replay_log(source(drive()), robot()).notes)
 
 
+@pytest.mark.slow
 def test_a_calibration_that_does_not_cover_the_log() -> None:
     cold = replace(calibration(), valid=Valid((-100.0, 100.0), (-40.0, -20.0)))
     with pytest.raises(DataError) as error:

@@ -131,6 +131,7 @@ bias_instability_deg_per_h = 1e-6
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "parameters"),
     [

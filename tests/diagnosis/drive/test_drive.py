@@ -306,6 +306,7 @@ def test_a_law_that_holds_in_places_only_is_slip_that_lasts(resting: Robot) -> N
     assert 0.006 < result.yaw.model.noise.wheel_wander < 0.013
 
 
+@pytest.mark.slow
 def test_a_ratio_of_the_headings_is_not_explained_while_the_log_cannot_tell_whose_it_is(
     resting: Robot,
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_window_is_written_with_its_delay_beside_a_law_of_slip() -> None:
     assert shown.after_m < 0.5 * shown.before_m
 
 
+@pytest.mark.slow
 def test_what_is_claimed_is_of_the_file() -> None:
     """Before: bias and delay of the given file, which replay takes, were not in its path."""
     log = simulate(Hidden(bias_dps=0.3, gps_m=0.02), 3)
