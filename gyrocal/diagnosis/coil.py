@@ -30,7 +30,6 @@ from gyrocal.diagnosis.parts import (
     of_each_direction,
     passing,
     remembering,
-    slope_by_temperature,
 )
 from gyrocal.inference.additive import START, Component, Contrasts, Solution, gains
 from gyrocal.physics.surface import SHAPE
@@ -51,10 +50,6 @@ _LAGS_S = tuple(np.geomspace(*LAG_BOUNDS_S, 18).round(1).tolist())
 _FIRST_SHARES, _FIRST_LAGS_S = (-0.25, 0.25, 0.55, 0.85, 1.0), _LAGS_S[3:16:3]
 #: The coil has been through this share of the range of temperatures: of the rest nobody knows what it would do.
 _REACHED = 0.7
-#: How far the coil may be from its sensor when a record begins, degC (a standard deviation): a chamber is often brought to the
-#: first temperature shortly before. Without it that was a `warm_up` of the lag's time constant, by 10 mdeg/s on 3 of 3 tables.
-_BEGAN_C = 10.0
-_AT_FIRST = "coil at first"
 #: What is the surface's, or is freed of it.
 _AT_COIL = ("surface", "temperature")
 #: Laws of time and memory beside the lag: four and more trade their shares freely on the tables that were made up.
@@ -349,19 +344,10 @@ class TableSearch:
         if coil not in self._at_coil:
             basis = replace(self.base.basis, coil=coil)
             moved = {p.name: basis.component(p) for p in self.base.parts if p.block in _AT_COIL}
-            if coil is not None:
-                moved[_AT_FIRST] = self._at_first(*coil)
             self._at_coil[coil] = replace(
                 self.base, basis=basis, design=basis.surface(), components={**self.base.components, **moved}
             )
         return self._at_coil[coil].with_laws(*(self.changes.law(change) for change in changes))
-
-    def _at_first(self, share: float, tau_s: float) -> Component:
-        """What it does that nobody knows where the coil was when the record began, which is forgotten as it warms."""
-        f, m = self.fit(None, (), None).fitted, self.base.means
-        slope = slope_by_temperature(m.rate_dps, m.temp_c, self.base.basis.frame, f.model.legendre(f.solve()))
-        left = np.exp(-(m.t_s - m.t_s[0]) / tau_s)
-        return Component(_AT_FIRST, (_BEGAN_C * share * left * slope)[:, None], held=1.0)
 
     def best(self, candidate: Candidate, effect: str, of_scale: bool = False) -> list[Change]:
         """The shape of an effect that gains most beside a candidate; none where the record cannot show any."""

@@ -118,25 +118,6 @@ def test_hysteresis_of_the_scale_factor_is_named_as_such_and_leaves_another_run(
 
 
 @pytest.mark.slow
-def test_where_the_coil_was_at_first_is_no_warm_up() -> None:
-    """A chamber that cooled down by 30 degC just before the first data set."""
-    course = [20.0 - 30.0 * np.arange(600) / 600]
-    for low, high in ((-10.0, 40.0), (40.0, -10.0), (-10.0, 40.0)):
-        course += [np.full(500, low), np.linspace(low, high, 3000)]
-    temp_c, coil_c, coil = np.concatenate(course), [], 20.0
-    for temp in temp_c:
-        coil += (temp - coil) / 240.0
-        coil_c.append(coil)
-    at = np.arange(620, temp_c.size, 60)
-    rate = np.tile([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0], at.size)[: at.size]
-    own_c = np.array(coil_c)[at] - 15.0
-    noise = 8e-4 * np.random.default_rng(11).standard_normal(at.size)
-    gyro = rate * (1.0 + 6e-5 * own_c) + 3e-3 * own_c + noise
-    table = DataSetTable(Path("cooled.csv"), rate, gyro, temp_c[at], t_s=at - 620.0)
-    assert {e.effect for e in named_effects(examine(series_of_table(table), 1e-3))} == {"thermal_lag"}
-
-
-@pytest.mark.slow
 def test_without_times_the_bias_remembers_in_data_sets_and_the_coil_does_not_stand_for_it() -> None:
     table = replace(_soaks("shupe_gradient"), t_s=None)
     named = {e.effect: e for e in named_effects(examine(series_of_table(table), 1e-3))}
