@@ -26,6 +26,7 @@ from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import Term
 from gyrocal.physics.timewise import AGEING_NATS, growth
 from gyrocal.records.datasets import DataSetTable
 
@@ -113,7 +114,7 @@ def test_hysteresis_of_the_scale_factor_is_named_as_such_and_leaves_another_run(
     assert low < 4.0 < high
     low, high = effect.parameters["width_c"].interval_95
     assert low < 3.0 < high
-    written = [t for t in correction(found).terms if t.name == "thermal_hysteresis"]
+    written = [t for t in correction(found).terms if isinstance(t, Term) and t.name == "thermal_hysteresis"]
     assert {t.parameters["of_scale"]["value"] for t in written} == {1.0}
 
 

@@ -222,11 +222,12 @@ def test_a_long_row_has_the_mean_of_a_step_response() -> None:
     """A sample of ten seconds at the end of a sweep: at its stamp the law would put all of the response into it."""
     p = {"amplitude": 5.0, "tau_s": 2.0, "frequency_hz": 0.3, "phase_rad": 0.4}
     instants = np.arange(0.0005, 20.0, 0.001)
-    fine = error("step_response", at(0 * instants, since_step_s=instants, step_dps=0 * instants + 20.0), **p)
+    n = instants.size
+    fine = error("step_response", at([0.0] * n, since_step_s=instants, step_dps=np.full(n, 20.0)), None, **p)
     expected = [fine[:10000].mean(), fine[10000:].mean()]
     for since in ([5.0, 15.0], [0.0, 15.0]):
         rows = at([0.0, 0.0], since_step_s=np.array(since), step_dps=np.full(2, 20.0), row_s=np.full(2, 10.0))
-        np.testing.assert_allclose(error("step_response", rows, **p), expected, rtol=1e-5)
+        np.testing.assert_allclose(error("step_response", rows, None, **p), expected, rtol=1e-5)
 
 
 def test_hysteresis_may_be_of_the_scale_factor() -> None:
