@@ -153,6 +153,7 @@ def test_a_table_of_data_sets_in_counts(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_rows_that_were_averaged_are_within_their_own_calibration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -115,6 +115,7 @@ def structured_share(runs: int, seed: int) -> float:
     return sum(bool(alarms_of(table)[0]) for table in tables) / runs
 
 
+@pytest.mark.slow
 def test_pure_noise_is_not_called_structured() -> None:
     """Columns in the measured output, beside the rates, would reproduce the noise itself: F = 7e15, all structured."""
     runs = 21

@@ -90,6 +90,7 @@ def _soaks(what: str, *, of_scale: bool = False) -> DataSetTable:
     return DataSetTable(Path("soaks.csv"), rates, gyro, outside_c, t_s=at_s + 20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "shape", "true"), [("shupe_gradient", "tau_s", 400.0), ("thermal_hysteresis", "width_c", 3.0)]
 )
@@ -145,6 +146,7 @@ def test_a_bias_that_follows_the_temperature_rate_is_told_from_one_that_remember
     assert named.parameters["amplitude"].value == pytest.approx(3.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_scale_factor_that_follows_the_temperature_rate_goes_from_another_run() -> None:
     """No lag of the coil is like it: that one is as large as the slope of the scale factor."""
     rng = np.random.default_rng(6)

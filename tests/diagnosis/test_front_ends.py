@@ -102,6 +102,7 @@ def test_a_direction_that_was_found_is_not_given_up_for_one_that_fits_worse() ->
     assert blocks.settle_direction(found).nll <= found.nll
 
 
+@pytest.mark.slow
 def test_how_much_of_the_input_a_surface_is_has_an_interval_that_is_none_of_a_variance_of_zero() -> None:
     """It was 1 to six digits where the record tells it to a tenth."""
     c = np.zeros(SHAPE)

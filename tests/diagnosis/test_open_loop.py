@@ -57,7 +57,7 @@ def _weight_of_sine(found: Examination) -> float:
     return sum(w for w, c in found.candidates if c.is_open_loop)
 
 
-@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[1, 2])
 def tables(request: pytest.FixtureRequest) -> list[Examination]:
     return [examine(series_of_table(_sweeps(seed)), 1e-3) for seed in range(10, 10 + request.param)]
 
@@ -80,6 +80,7 @@ def test_the_phase_is_in_its_interval_and_the_file_is_better_than_one_with_shape
     assert np.max(np.abs(far)) < 2.5
 
 
+@pytest.mark.slow
 def test_what_is_not_known_of_the_phase_is_in_the_sigma_of_the_corrected_rate(
     tables: list[Examination],
 ) -> None:
@@ -130,6 +131,7 @@ def test_prior_odds_of_a_sine() -> None:
     assert open_loop._in_favour() == pytest.approx(np.log(2.0 * (cubics + np.log(100.0)) / cubics))
 
 
+@pytest.mark.slow
 def test_the_sine_stands_whole_in_the_model(tables: list[Examination]) -> None:
     (_, best), *_ = tables[0].candidates
     sine = best.fitted.model.open_loop
@@ -140,6 +142,7 @@ def test_the_sine_stands_whole_in_the_model(tables: list[Examination]) -> None:
     np.testing.assert_allclose(sine.by_phase[:, 0], rate * np.cos(k * rate) - np.sin(k * rate) / k, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_file_with_the_sine_itself_errs_as_the_straight_line_in_its_phase_did(
     tables: list[Examination],
 ) -> None:

@@ -73,12 +73,14 @@ def test_a_hidden_step_of_the_scale_factor_is_a_step_of_the_staircase(stepped: D
     assert layer_rows(stepped)[1][0] == "scale_step"
 
 
+@pytest.mark.slow
 def test_the_picture_says_what_each_step_adds(stepped: Diagnosis) -> None:
     axes = staircase_figure(stepped).axes[0]
     words = [label.get_text().replace("\n", "") for label in axes.get_xticklabels()]
     assert words[:2] == ["surfacealone", "scale_step"]
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     part = UnnamedPart(
         "rate", "rate shape", 35.2, 0.012, 93.6, 100.8, "deg/s", {"saturation": 12.0}, corrected=True

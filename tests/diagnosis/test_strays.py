@@ -44,6 +44,7 @@ def found_in(table: DataSetTable) -> Strays:
     return strays_beside(without_laws(table), NO_STRAYS)
 
 
+@pytest.mark.slow
 def test_noise_has_no_stray_data_set() -> None:
     assert [len(found_in(make_sweeps(seed, {}))) for seed in range(20)] == [0] * 20
 
@@ -177,6 +178,7 @@ def test_beside_disturbed_sets_a_law_is_named_and_nothing_else(share: float) -> 
     assert sorted(number - 1 for number, *_ in said.facts["sets"]) == off.tolist()
 
 
+@pytest.mark.slow
 def test_more_disturbed_sets_than_can_be_left_out_are_told() -> None:
     off = here_and_there(2, 0.2)
     found = diagnose(make_disturbed(2, off), options=Options(heldout=False))

@@ -38,6 +38,7 @@ def _table(path: Path, wander_dps: float) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_file_is_valid_wherever_the_thermometer_was_read(tmp_path: Path) -> None:
     """Temperatures are smoothed, and samples averaged: of a table 3 in 147 rows were outside of its own file."""
     table = read_data_sets(_table(tmp_path / "sweeps.csv", 0.0))

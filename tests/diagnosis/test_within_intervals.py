@@ -27,6 +27,7 @@ def test_leaving_out_each_set_is_what_the_jackknife_does() -> None:
     assert jackknife(y, z, sets) == pytest.approx(7.0 / 8.0 * change.T @ change)
 
 
+@pytest.mark.slow
 def test_a_decay_time_has_an_interval(tmp_path: Path) -> None:
     write_run(make_recording([("step_response", 60.0)], 21, "even"), tmp_path / "run")
     (found,) = patterns(series_of(tmp_path / "run"), 0.01)
