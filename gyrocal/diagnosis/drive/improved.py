@@ -185,7 +185,8 @@ def estimates_of(
     started = replace(figures, bias_dps=figures.bias_dps if rest is None else rest[0], bias_from_rest=False)
     found = [*_of_gyro(series, yaw, truth, parts, started), *_of_encoders(series, yaw, truth, parts)]
     if truth is not None:
-        for name, unit in (("lever_ahead", "m"), ("lever_left", "m"), ("clock", "s"), ("mounting", "rad")):
+        of_truth = {"lever_ahead": "m", "lever_left": "m", "clock": "s", "course": "s", "mounting": "rad"}
+        for name, unit in of_truth.items():
             if name in truth.values:
                 value, std, shown = truth.values[name], truth.stds[name], unit
                 if name == "mounting":

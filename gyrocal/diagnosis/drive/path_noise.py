@@ -141,9 +141,9 @@ def path_noise(knots: Knots, path: Reckoned, noise: YawNoise, known: BiasLaws, w
     rate = sum(np.exp(-lag / tau) for tau in FLICKER_TAUS_S) * (DEG_TO_RAD * noise.flicker_dps) ** 2
     rate = rate + (DEG_TO_RAD * noise.walk_dps_per_rt_s) ** 2 * np.minimum(since[:, None], since[None, :])
     kernel = rate * width**2 + np.eye(middle.size) * (DEG_TO_RAD * noise.arw_dps_per_rt_hz) ** 2 * width
-    way = np.diff(np.interp(edges, path.t_s, np.cumsum(np.abs(path.way_m))))
+    rolled = np.diff(np.interp(edges, path.t_s, np.cumsum(path.rolled_m)))
     ahead = np.exp(1j * np.interp(middle, path.t_s, path.heading_rad))
-    along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * way)[None, :], 0.0 * after)
+    along = _blocks(knots, after * ahead[None, :] * np.sqrt(0.5 * rolled)[None, :], 0.0 * after)
     turned_std, way_std = unknown(path, noise)
     share, of_turn = after_gaps(path, knots.rows, knots.count)
     by_turn = stacked(knots, of_turn, share)

@@ -64,6 +64,7 @@ class Reckoned:
 
     Attributes
     ----------
+    rolled_m : how far a wheel has rolled, forth or back: each is off by itself, on the spot too
     gap : whether the turn of a row is one that the gyro has not seen
     track_m : distance of the wheels that have seen it in its place; 0 where they do not differ
     counts_on : whether they have, and its way too, or both are lost
@@ -73,6 +74,7 @@ class Reckoned:
     dt_s: Floats
     heading_rad: Floats
     way_m: Floats
+    rolled_m: Floats
     steps_m: Complexes
     gap: Bools
     track_m: float
@@ -126,7 +128,7 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
             temp - (at_c if np.isfinite(at_c) else reference_temp_c(series))
         )
     left, right = series.left_m / (1.0 + figures.left_scale), series.right_m / (1.0 + figures.right_scale)
-    way = 0.5 * (left + right)
+    way, rolled = 0.5 * (left + right), 0.5 * (np.abs(left) + np.abs(right))
     by_gyro = DEG_TO_RAD * rate * series.dt_s / (1.0 + figures.gyro_scale)
     heading = np.cumsum(series.over_gaps(by_gyro, _by_wheels(series, figures, right - left, way)))
     t = series.t_s
@@ -136,7 +138,8 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
         whole = np.interp(t - figures.delay_s, t, np.cumsum(way))
         way = np.diff(whole, prepend=0.0)
     track_m = series.robot.wheel_separation_m * (1.0 + figures.track) if series.differential else 0.0
-    return Reckoned(t, series.dt_s, heading, way, chords(way, heading), series.gap, track_m, series.counts_on)
+    steps = chords(way, heading)
+    return Reckoned(t, series.dt_s, heading, way, rolled, steps, series.gap, track_m, series.counts_on)
 
 
 def _by_wheels(series: DriveSeries, figures: Figures, across_m: Floats, way_m: Floats) -> Floats:

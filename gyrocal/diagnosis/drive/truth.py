@@ -44,8 +44,10 @@ _MODEL_STD = 3e-5
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 #: Truth that spans less of the drive, or a path that spans less of its own size, is none: a receiver that was off or stuck.
 _LEAST_SHARE, _LEAST_SIZE = 0.2, 0.01
-#: What is thought possible beforehand: scales, clock of the truth (s), lever arm (m).
+#: What is thought possible beforehand: scales, clock of the truth and course against heading (s), lever arm (m).
 _SCALE, _CLOCK_S, _LEVER_M = 0.2, 0.3, 1.0
+#: What a path against a truth has that is no law of the bias and no scale.
+_TIMES = ("clock", "course")
 #: Laws of the bias, by their names in `KINDS`, that the truth may tell beside its mean, and what is thought possible of each on a
 #: vehicle of one speed: slope (deg/s per degC), and what is added in motion (deg/s).
 ALONE = {"slope": 0.02, AT_ONCE: 0.2}
@@ -78,7 +80,8 @@ class TruthAnswer:
     ----------
     values, stds : mapping
         Laws of the bias by their names in `KINDS`, ``bias`` always (beyond what was taken out), ``gyro_scale``,
-        ``wheel_scale`` (relative), ``lever_ahead``, ``lever_left`` (m), ``clock`` (s, the truth is late), and
+        ``wheel_scale`` (relative), ``lever_ahead``, ``lever_left`` (m), ``clock`` (s, the truth is late), ``course`` (s, the
+        way goes where its heading will point so much later: of a gyro that is late, or steps along their last heading), and
         ``mounting`` (rad, where there are headings), `SPINNING` where there are positions, and `ONE_SIZE` where turns to the
         left and to the right are off by different shares: half the difference, right less left.
     covariance : ndarray, shape (2, 2)
@@ -189,9 +192,10 @@ def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
     heading = heading + np.interp(base.t_s, knots.edges_s, turns) + np.cumsum(in_gaps)
     # The truth is of an earlier time.
     at_s, whole = base.t_s - v["clock"], np.cumsum(base.way_m / (1.0 + v["wheel_scale"]))
+    course = np.interp(at_s + v["course"], base.t_s, heading)
     heading, whole = (np.interp(at_s, base.t_s, x) for x in (heading, whole))
     way = np.diff(whole, prepend=whole[0])
-    return replace(base, heading_rad=heading, way_m=way, steps_m=chords(way, heading))
+    return replace(base, heading_rad=heading, way_m=way, steps_m=chords(way, course))
 
 
 def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
@@ -200,7 +204,7 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     flat, k = np.zeros(knots.count.size), knots.count.size
     ahead = np.exp(1j * heading)
     speed = np.divide(path.steps_m, path.dt_s, out=np.zeros_like(path.steps_m), where=path.dt_s > 0)
-    rate = np.gradient(heading) / np.maximum(np.gradient(path.t_s), 1e-9)
+    turning = np.gradient(heading) / np.maximum(np.gradient(path.t_s), 1e-9)
     one = np.ones(k, dtype=np.complex128)
 
     def by(heading_rad: Floats, way_m: Floats) -> Floats:
@@ -209,7 +213,7 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
     nothing = np.zeros(at.size)
     columns = {
         "turn": by(np.ones(at.size), nothing),
-        "clock": stacked(knots, -knots.mean(speed), -knots.mean(rate)),
+        "clock": stacked(knots, -knots.mean(speed), -knots.mean(turning)),
         "gyro_scale": by(-(heading - heading[0]), nothing),
         "wheel_scale": by(nothing, -path.way_m),
     }
@@ -218,6 +222,7 @@ def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
         columns[name] = law + stacked(knots, 0.0 * one, flat, np.arange(knots.told) == at_told)
     if knots.position is not None:
         columns |= {
+            "course": stacked(knots, knots.mean(path.moved_by(turning, nothing)), flat),
             "east": stacked(knots, one, flat),
             "north": stacked(knots, 1j * one, flat),
             "lever_ahead": stacked(knots, knots.mean(ahead), flat),
@@ -241,7 +246,7 @@ def _problem(
     v = state.values
     known = {
         **{name: (-v[name], _MODEL_STD if name in state.held else _SCALE) for name in SCALES},
-        "clock": (-v["clock"], _CLOCK_S),
+        **{name: (-v[name], _CLOCK_S) for name in _TIMES},
         "lever_ahead": (0.0, _LEVER_M),
         "lever_left": (0.0, _LEVER_M),
         **{name: (-v[name], ALONE[name]) for name in knots.laws if name not in laws.names},
@@ -324,7 +329,7 @@ def _laid(
                 part, logs = tried[wander_s], fitted[wander_s]
             solved = part.solve(logs)
             step = dict(zip(part.columns, solved.values, strict=True))
-            sought = {n: v + step[n] for n, v in state.values.items()}
+            sought = {n: v + step.get(n, 0.0) for n, v in state.values.items()}
             moved = {n: float(np.clip(v, -0.5, 0.5)) for n, v in sought.items()}
             state = replace(state, values=moved, turn=state.turn + step["turn"])
             if last:
@@ -347,7 +352,7 @@ def _first_state(knots: Knots, base: Reckoned, noise: YawNoise, count: int) -> _
         in_gaps = first_turns(base, knots.rows, knots.count, (at, knots.position), turn, white_m2, noise)
     elif knots.heading is not None:
         turn = float(np.mean(knots.heading[:count]))
-    values = dict.fromkeys((*SCALES, "clock", *knots.laws), 0.0)
+    values = dict.fromkeys((*SCALES, *_TIMES, *knots.laws), 0.0)
     return _State(values, turn, np.concatenate([np.zeros(knots.edges_s.size - 1), in_gaps]))
 
 
@@ -441,7 +446,7 @@ def _answer(
     moves_dps = RAD_TO_DEG * bias_moves(*_of(parts, names, values, covariance)) if parts else 0.0
     told = [
         n
-        for n in (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", "clock", "mounting")
+        for n in (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", *_TIMES, "mounting")
         if n in found
     ]
     return TruthAnswer(

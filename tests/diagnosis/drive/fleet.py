@@ -149,7 +149,8 @@ def drive(plan: Plan, seed: int) -> DriveBlock:
     turn = turn + np.deg2rad(1.0) * moving * _smooth(rng.normal(0, 8, turn.size), 2.0)
     t = np.arange(turn.size) * h
     theta = np.cumsum(turn) * h + rng.uniform(-3, 3)
-    place = np.cumsum(speed * h * np.exp(1j * (theta - 0.5 * turn * h)))
+    course = np.interp(t + e.get("course_s", 0.0), t, theta - 0.5 * turn * h)
+    place = np.cumsum(speed * h * np.exp(1j * course))
     side = np.rad2deg(np.abs(turn)) / 30
     seen = turn * (1 + e.get("skid_slip", 0.0) / 100 * side ** e.get("exponent", 0.0))
     half = 0.5 * plan.separation_m * seen

@@ -27,7 +27,9 @@ def _path() -> Reckoned:
     heading = 3.0 * np.sin(2.0 * np.pi * t_s / 60.0)
     way = np.full(_ROWS, 0.5 * _DT_S)
     gap = np.zeros(_ROWS, dtype=np.bool_)
-    return Reckoned(t_s, np.full(_ROWS, _DT_S), heading, way, way * np.exp(1j * heading), gap, 0.5, True)
+    return Reckoned(
+        t_s, np.full(_ROWS, _DT_S), heading, way, np.abs(way), way * np.exp(1j * heading), gap, 0.5, True
+    )
 
 
 def _knots(path: Reckoned) -> Knots:

@@ -73,3 +73,14 @@ def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
         )
         assert (findings.spinning(least, weak) is not None) == told
     assert value > 0.0
+
+
+@pytest.mark.parametrize("course_s", [0.025, pytest.param(-0.025, marks=pytest.mark.slow)])
+def test_a_way_along_an_earlier_or_later_heading_is_no_slip(resting: Robot, course_s: float) -> None:
+    """As a simulator makes it that steps along the last heading: wheels had slipped as the speed grew, beside their noise."""
+    plan = replace(PLAN, truth_m=0.003, truth_every_s=0.05, truth_heading_deg=0.1, wheel_noise=4e-3)
+    found = diagnose_drive("log", drive(replace(plan, effects={"course_s": course_s}), 3), resting)
+    assert found.diagnosis.effects == ()
+    (course,) = [e for e in found.estimates if e.name == "truth_course"]
+    assert 5e-4 < course.std < 5e-3
+    assert course.value == pytest.approx(course_s, abs=3.0 * course.std)
