@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from gyrocal.diagnosis.means import rows_of
 from gyrocal.diagnosis.parts import BLOCKS, Basis
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.thermal import THERMAL_LAG
 
 Floats = NDArray[np.float64]
 
@@ -54,6 +55,10 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
     curves = {b: block_curve(fitted, solution, b, rows) for b in BLOCKS}
     total += sum(curves.values(), np.zeros(len(series)))
     effects = {p.effect: p.values for p in found.patterns}
+    if rows.coil is not None:
+        effects[THERMAL_LAG.id] = (rows.surface() - replace(rows, coil=None).surface()) @ model.legendre(
+            solution
+        )
     c = conditions_of(series)
     laws = Laws(rows.means, c, found.laws.offer, found.laws.surface)
     for law in model.laws:

@@ -25,6 +25,7 @@ from gyrocal.fusion.coefficients import Coefficients, parse_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.report.folds import fold_of
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 Floats = NDArray[np.float64]
@@ -84,6 +85,15 @@ def test_layers_of_a_table_are_named_and_a_second_run_is_corrected(layered: Diag
     # The reference of the first run was off by 100 ppm of a rate, of which the mean over the sizes stays.
     assert left_dps(file, second, rate) < 0.25 * left_dps(layered.surface, second, rate)
     assert left_dps(file, second, rate) < 6e-3
+
+
+def test_the_lag_of_a_table_is_drawn_with_what_the_others_did_taken_out(layered: Diagnosis) -> None:
+    (lag,) = [e for e in layered.effects if e.effect == "thermal_lag"]
+    seen = fold_of(layered, lag)
+    assert seen is not None
+    before, after, noise = seen.rms()
+    assert after < 2.0 * noise < 0.2 * before
+    np.testing.assert_allclose(seen.before - seen.after, seen.law, atol=0.2 * np.ptp(seen.law))
 
 
 def test_the_staircase_goes_down_to_the_noise(layered: Diagnosis) -> None:
