@@ -45,6 +45,7 @@ class Reading:
     course: CourseSums = field(default_factory=CourseSums)
     samples: int = 0
     missing: int = 0
+    same_time: int = 0
     elapsed_s: float = 0.0
     steps: int = 0
     jitter_s: float = 0.0
@@ -91,6 +92,7 @@ def read_rest(blocks: Iterator[Block]) -> Reading:
         reading.samples += t_s.size
         reading.stepped.add(block.segment, gyro_dps, block.dt_s)
         reading.course.add(t_s, gyro_dps, block.temp_c[good])
+        reading.same_time += int(np.count_nonzero(np.diff(t_s, prepend=tail[-1:]) == 0))
         cuts, tail = gaps(tail, t_s, block.dt_s)
         _time(reading, t_s, cuts, block.dt_s)
         add_pieces(reading.sums.setdefault(block.dt_s, AllanSums(block.dt_s)), np.split(gyro_dps, cuts))

@@ -173,7 +173,7 @@ def examine_static(
     else:
         trend = trend_of(course, [], off_dps) if reading.segments == 1 else Trend()
         notes += _within(trend)
-    notes += _set_aside(aside_s, run)
+    notes += _set_aside(aside_s, run) + _of_one_time(reading)
     tell(0.8, "figures")
     curves = [trend.restored(curve) for curve in curves_of(reading)]
     noise = figures_of(curves) if run is None else noise_at_rest(run)
@@ -261,6 +261,15 @@ def _within(trend: Trend) -> list[str]:
     said = _said(trend) + [f"a step at {start:.4g} to {end:.4g} s" for start, end in trend.steps]
     return [
         f"{what} is within bias instability and rate random walk, which are less without it" for what in said
+    ]
+
+
+def _of_one_time(reading: Reading) -> list[str]:
+    if not reading.same_time:
+        return []
+    return [
+        f"{reading.same_time:,} of {reading.samples:,} samples have the time stamp of the one before, and count as samples of their "
+        "own: where a logger wrote samples twice, the shortest averaging times do not show the gyro's noise; repair the log"
     ]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.series import SMOOTH_S, DriveSeries, Nodes, averaged
+from gyrocal.diagnosis.drive.series import SMOOTH_S, Bools, DriveSeries, Nodes, averaged
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.physics.drive import (
     BIAS_TEMPERATURE,
@@ -170,6 +170,13 @@ class Frame:
     conditions: DriveConditions
     steady: DriveConditions
     rate_rad_s: Floats
+
+    @property
+    def beyond(self) -> Bools:
+        """Intervals of which the gyro, taken later, has not logged all: those at an end of the log."""
+        t_s, rows, half_s = self.series.t_s, self.nodes.rows, 0.5 * self.window_s
+        begins_s, ends_s = t_s[rows[:-1]] + self.ahead_s - half_s, t_s[rows[1:]] + self.ahead_s + half_s
+        return np.asarray((begins_s < t_s[0]) | (ends_s > t_s[-1]))
 
 
 def temperature_c(series: DriveSeries) -> Floats | None:

@@ -270,7 +270,8 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
     usual = usual_noise(frame.series)
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
     starting = ~frame.nodes.resting & ~frame.series.moved[frame.nodes.rows[:-1]]
-    left_out = np.where(frame.nodes.broken | starting | _creeping(frame), LEFT_OUT, 0.0)
+    unknown = frame.nodes.broken | starting | _creeping(frame) | frame.beyond
+    left_out = np.where(unknown, LEFT_OUT, 0.0)
     if not frame.series.differential:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
     sources = _Sources.of(frame)
