@@ -79,10 +79,22 @@ def _instead_of_each_rate(found: Examination) -> dict[str, float]:
 
 def _as_one(laws: list[NamedEffect]) -> NamedEffect:
     """Several laws of one effect, the strongest first, as one: figures of the one that adds most."""
-    largest = max(laws, key=lambda e: e.adds.value if e.adds else 0.0)
-    if len(laws) == 1 or largest.beside:
+    by_size = sorted(laws, key=lambda e: -(e.adds.value if e.adds else 0.0))
+    largest, others = by_size[0], [e for e in by_size if _of_scale(e) != _of_scale(by_size[0])]
+    if largest.beside:
         return largest
-    return replace(largest, p_value=laws[0].p_value, beside=Remark(Said.SEVERAL_LAWS, {"count": len(laws)}))
+    said = Remark(Said.SEVERAL_LAWS, {"count": len(laws)}) if len(laws) > 1 else None
+    if others or _of_scale(largest):
+        amplitude = largest.parameters["amplitude"]
+        too = [(e.value, *e.interval_95) for e in (o.parameters["amplitude"] for o in others)]
+        facts = {"of_scale": _of_scale(largest), "too": too[:1], "unit": amplitude.unit}
+        said = Remark(Said.OF_SCALE, facts)
+    return replace(largest, p_value=laws[0].p_value, beside=said)
+
+
+def _of_scale(effect: NamedEffect) -> bool:
+    """Whether what else acts on the bias acts on the scale factor here."""
+    return "of_scale" in effect.parameters and bool(effect.parameters["of_scale"].value)
 
 
 def _effect(

@@ -20,10 +20,10 @@ from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import since_on, tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM
+from gyrocal.physics.effect import MDPS, PPM, SCALED_AT_DPS
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.thermal import RATE_HEATING, SCALED_AT_DPS, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
+from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import (
     AGEING_NATS,
     BIAS_DRIFT,
@@ -51,7 +51,8 @@ HISTORY = {
     THERMAL_HYSTERESIS.id: "width_c",
     RATE_HEATING.id: "tau_s",
 }
-#: Those that may act on the scale factor as well. A warm-up of it was `warm_up` in place of a drift by the root of time.
+#: Those that may act on the scale factor as well, whatever does on the bias. A warm-up does beside its own of the bias alone, of
+#: the same time constant: else it was one in place of a drift by the root of time.
 _OF_SCALE = (THERMAL_HYSTERESIS.id,)
 #: Time constants of a warm-up, s: of a minute, as a small gyro's, to two hours.
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
@@ -85,6 +86,11 @@ class Change(NamedTuple):
     def kind(self) -> Kind:
         """What a model has once, but for steps."""
         return self.effect, self.of_scale
+
+    @property
+    def beside(self) -> Change | None:
+        """The law without which a model does not have it."""
+        return self._replace(of_scale=False) if self.effect == WARM_UP.id and self.of_scale else None
 
     @property
     def prior_nats(self) -> float:
@@ -128,6 +134,11 @@ class Changes:
             return [Change(effect, *shape) for shape in self._drifts]
         values, spreads = self.grids(effect)
         return [Change(effect, float(at), float(spread), of_scale) for at in values for spread in spreads]
+
+    def of_scale_too(self, change: Change) -> list[Change]:
+        """What a warm-up may do to the scale factor beside the bias, where the record shows it."""
+        found = change._replace(of_scale=True)
+        return [found] if found.beside == change and tells_of_scale(self.means) else []
 
     def neighbours(self, change: Change) -> list[Change]:
         """The shapes next to one."""

@@ -395,14 +395,17 @@ class TableSearch:
         """Models one step away."""
         coil, changes = candidate.coil, candidate.changes
         yield (None if coil is not None else self.best_coil(candidate)), changes
-        for k in range(len(changes)):
-            fewer = changes[:k] + changes[k + 1 :]
+        for change in changes:
+            fewer = replaced(changes, change, None)
             yield coil, fewer
             if coil is None:
                 # What took a lag's evidence gives it back only when it is gone.
                 yield self.best_coil(self.fit(None, fewer, candidate)), fewer
         yield from self.reshaped(candidate)
-        if len(changes) < _MOST_CHANGES:
+        for change in changes:
+            for more in self.changes.of_scale_too(change):
+                yield coil, tuple(sorted({*changes, more}))
+        if sum(change.beside is None for change in changes) < _MOST_CHANGES:
             # Steps may be several.
             for effect in (*STEPS, *(e for e in DRIFTS if e not in candidate.effects)):
                 for change in self.best(candidate, effect):
@@ -418,10 +421,10 @@ class TableSearch:
             lags = [(a, tau_s) for a in neighbours(_SHARES, share)]
             lags += [(share, tau) for tau in neighbours(_LAGS_S, tau_s)]
             yield from ((lag, changes) for lag in filter(self._reached, lags))
-        for k, change in enumerate(changes):
-            others = changes[:k] + changes[k + 1 :]
-            for near in self.changes.neighbours(change):
-                yield coil, tuple(sorted({*others, near}))
+        for change in changes:
+            if change.beside is None:
+                for near in self.changes.neighbours(change):
+                    yield coil, replaced(changes, change, near)
 
     def _reached(self, coil: tuple[float, float]) -> bool:
         """Whether the coil has been through most of the temperatures that its sensor has."""
@@ -432,11 +435,21 @@ class TableSearch:
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         """What the laws of a model pay, nats: for their priors, too, as a coil's time constant does."""
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
-        shapes += [float(len(self.changes.shapes(*change.kind))) for change in changes]
-        paid = _ODD_NATS * sum(not change.plain for change in changes)
+        # What stands beside another law has the shape of that.
+        own = [change for change in changes if change.beside is None]
+        shapes += [float(len(self.changes.shapes(*change.kind))) for change in own]
+        shapes += [1.0] * (len(changes) - len(own))
+        paid = _ODD_NATS * sum(not change.plain for change in own)
         paid -= sum(change.prior_nats for change in changes)
         paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
+
+
+def replaced(changes: tuple[Change, ...], old: Change, new: Change | None) -> tuple[Change, ...]:
+    """Laws with another in the place of one, or none, and so of what stands beside that."""
+    others = {change for change in changes if old not in (change, change.beside)}
+    beside = {new._replace(of_scale=True) for change in changes if new is not None and change.beside == old}
+    return tuple(sorted({*others, *beside, *([new] if new is not None else [])}))
 
 
 def _best(candidates: list[Candidate]) -> list[Candidate]:

@@ -52,6 +52,7 @@ class Said(Enum):
     SAMPLE_CLOCK = auto()
     BETWEEN_SETS = auto()
     SEVERAL_LAWS = auto()
+    OF_SCALE = auto()
     LARGEST_RATES = auto()
     # What was left out of a fit together, to see what it foretells.
     LEFT_OUT_SETS = auto()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import DataError, InputError
-from gyrocal.physics.c_text import CText
+from gyrocal.physics.c_text import CText, Number
 from gyrocal.physics.conditions import Conditions, Memory
 from gyrocal.physics.fold import BY_COORDINATE, Fold, FoldAxis
 from gyrocal.physics.hiding import Hiding
@@ -267,3 +267,22 @@ def choice(name: str, unit: str, low: float, high: float, typical: float, meanin
 def count(name: str, low: float, high: float, typical: float, meaning: str) -> Parameter:
     """A choice of a whole number."""
     return Parameter(name, "1", low, high, typical, False, meaning, choice=True, whole=True)
+
+
+#: Rate at which the amplitude of an effect on the scale factor is what it adds, deg/s.
+SCALED_AT_DPS = 100.0
+
+
+def of_scale() -> Parameter:
+    """What an effect of the bias has that the scale factor may show as well."""
+    return count("of_scale", 0.0, 1.0, 0.0, "1: it acts on the scale factor, at 100 deg/s by its amplitude")
+
+
+def where_it_acts(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> Floats:
+    """An error of the bias, or of the scale factor instead (`of_scale`)."""
+    return error_dps * (c.rate_dps / SCALED_AT_DPS) if p["of_scale"] else error_dps
+
+
+def where_it_acts_c(p: Mapping[str, float], n: Number, error: str) -> str:
+    """The same as C."""
+    return f"{error} * (w / {n(SCALED_AT_DPS)})" if p["of_scale"] else error

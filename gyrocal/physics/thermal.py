@@ -22,7 +22,10 @@ from gyrocal.physics.effect import (
     count,
     memoryless,
     need_surface,
+    of_scale,
     shape,
+    where_it_acts,
+    where_it_acts_c,
 )
 from gyrocal.physics.fold import on_model, on_own, temperature_or_scale
 from gyrocal.physics.hiding import Hiding, usual_draw
@@ -36,8 +39,6 @@ from gyrocal.units import S_PER_MIN
 SMOOTHING_S = 30.0
 #: The rate whose heat in the long run is one, deg/s.
 _USUAL_RATE_DPS = 100.0
-#: The rate at which the amplitude of what acts on the scale factor is what it adds, deg/s.
-SCALED_AT_DPS = 100.0
 
 
 def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Memory]:
@@ -92,8 +93,7 @@ def _hysteresis(
 ) -> tuple[Floats, Memory]:
     position, memory = play(c.temp_c, p["width_c"], memory)
     # The play minus the temperature itself: that part is the surface's, and without it the error is bounded.
-    error = MDPS * p["amplitude"] * (position - c.temp_c)
-    return error * (c.rate_dps / SCALED_AT_DPS) if p["of_scale"] else error, memory
+    return where_it_acts(c, p, MDPS * p["amplitude"] * (position - c.temp_c)), memory
 
 
 def _rate_heating(
@@ -147,7 +147,7 @@ def _thermal_lag_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 
 def _hysteresis_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     played = f"{n(MDPS * p['amplitude'])} * (@real@)({memory.play(p['width_c'])} - temp_c)"
-    return f"{played} * (w / {n(SCALED_AT_DPS)})" if p["of_scale"] else played
+    return where_it_acts_c(p, n, played)
 
 
 def _rate_heating_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
@@ -246,7 +246,7 @@ THERMAL_HYSTERESIS = Effect(
     parameters=(
         amplitude("mdeg/s per degC", 100.0, 1.0, "bias per degree of play"),
         shape("width_c", "degC", 0.2, 60.0, 5.0, "half width of the play"),
-        count("of_scale", 0.0, 1.0, 0.0, "1: it acts on the scale factor, at 100 deg/s by its amplitude"),
+        of_scale(),
     ),
     needs=("t_s", "temp_c"),
     seen_in="temperature_branch",

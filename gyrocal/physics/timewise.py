@@ -8,7 +8,19 @@ import numpy as np
 
 from gyrocal.physics.c_text import CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, PPM, Effect, Floats, amplitude, choice, memoryless, shape
+from gyrocal.physics.effect import (
+    MDPS,
+    PPM,
+    Effect,
+    Floats,
+    amplitude,
+    choice,
+    memoryless,
+    of_scale,
+    shape,
+    where_it_acts,
+    where_it_acts_c,
+)
 from gyrocal.physics.fold import scale_on_time
 from gyrocal.physics.offer import Offer, begins_warm, table_turns
 from gyrocal.physics.search import Search, scales
@@ -38,7 +50,8 @@ _AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record'
 
 
 def _warm_up(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(MDPS * p["amplitude"] * np.exp(-c.need("since_power_on_s") / p["tau_s"]))
+    settling = MDPS * p["amplitude"] * np.exp(-c.need("since_power_on_s") / p["tau_s"])
+    return np.asarray(where_it_acts(c, p, settling))
 
 
 def growth(t_s: Floats, p: Mapping[str, float]) -> Floats:
@@ -93,17 +106,18 @@ def _between_turns(offer: Offer) -> list[dict[str, float]]:
 
 
 def _warm_up_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
-    return f"{n(MDPS * p['amplitude'])} * exp@f@(-since_power_on_s / {n(p['tau_s'])})"
+    return where_it_acts_c(p, n, f"{n(MDPS * p['amplitude'])} * exp@f@(-since_power_on_s / {n(p['tau_s'])})")
 
 
 WARM_UP = Effect(
     id="warm_up",
     family="time",
-    equation="e = k exp(-(t - t_on)/tau)",
-    statement="The bias settles exponentially after power-on.",
+    equation="e = k exp(-(t - t_on)/tau); of the scale factor times w/(100 deg/s)",
+    statement="The bias, or the scale factor, settles exponentially after power-on.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 10.0, "bias at power-on"),
         shape("tau_s", "s", 60.0, 7200.0, 1200.0, "time constant"),
+        of_scale(),
     ),
     needs=("since_power_on_s",),
     seen_in="time_since_power_on",

@@ -87,6 +87,16 @@ def _no_inverse(count: int, rate_dps: float, temp_c: float) -> str:
     )
 
 
+def _of_scale(of_scale: bool, too: Sequence[tuple[float, float, float]], unit: str) -> str:
+    """Of what else acts on the bias: what the figures are of, and what it does to the other."""
+    what = "the scale factor: its amplitude is what it adds at 100 deg/s" if of_scale else "the bias"
+    if not too:
+        return f"It acts on {what}."
+    value, low, high = too[0]
+    other = "the bias" if of_scale else "the scale factor, at 100 deg/s"
+    return f"These are the figures of {what}; on {other}, it adds {value:.3g} {unit} (95 %: {low:.3g} to {high:.3g})."
+
+
 def _largest_rates(rates: Sequence[tuple[float, float, float]]) -> str:
     """Each with its error in ppm and the standard deviation of that."""
     each = [f"{rate:.4g} deg/s ({error:+.0f} +- {std:.0f} ppm)" for rate, error, std in rates]
@@ -180,6 +190,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SAMPLE_CLOCK: _clock,
     Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
+    Said.OF_SCALE: _of_scale,
     Said.LARGEST_RATES: _largest_rates,
     Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out",
     Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [is|are] bridged by the speed of that wheel before and after, and left out of the comparison",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
 from gyrocal.diagnosis.changes import Change, Changes
-from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, TableSearch, averaged
+from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, TableSearch, averaged, replaced
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import laws_of
@@ -117,6 +117,56 @@ def test_hysteresis_of_the_scale_factor_is_named_as_such_and_leaves_another_run(
     assert low < 3.0 < high
     written = [t for t in correction(found).terms if isinstance(t, Term) and t.name == "thermal_hysteresis"]
     assert {t.parameters["of_scale"]["value"] for t in written} == {1.0}
+
+
+def _warming(of_scale_mdps: float, seed: int, starts_c: float) -> DataSetTable:
+    """A gyro that warms up for some minutes, in bias and at 100 deg/s, in a room that warms and cools."""
+    rng = np.random.default_rng(seed)
+    rates = np.tile([0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0], 14)
+    t_s = 60.0 * np.arange(rates.size) + 30.0
+    temp_c = starts_c + 8.0 * np.sin(t_s / 900.0)
+    settles = np.exp(-t_s / 900.0)
+    gyro = rates * (1.0002 + 1e-4 * (temp_c - 27.0) / 25.0) + 0.005 + 1e-4 * temp_c
+    gyro += settles * (12e-3 + 1e-3 * of_scale_mdps * rates / 100.0)
+    return DataSetTable(
+        Path("warms.csv"), rates, gyro + 6e-4 * rng.standard_normal(rates.size), temp_c, t_s=t_s
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of_scale_mdps", [-30.0, 0.0])
+def test_a_warm_up_may_be_of_bias_and_scale_factor_and_comes_again(of_scale_mdps: float) -> None:
+    """It had been one of the bias beside a drift of the scale factor, whose state at the end a file had."""
+    found = examine(series_of_table(_warming(of_scale_mdps, 1, 27.0)), 1e-3)
+    (effect,) = named_effects(found)
+    assert effect.effect == "warm_up"
+    if of_scale_mdps:
+        assert effect.parameters["of_scale"].value == 1.0
+        low, high = effect.parameters["amplitude"].interval_95
+        assert low < of_scale_mdps < high
+        assert effect.beside is not None
+        ((_, low, high),) = effect.beside.facts["too"]
+        assert low < 12.0 < high
+    else:
+        assert effect.beside is None
+    again = _warming(of_scale_mdps, 2, 28.0)
+    since_s = again.t_s
+    assert since_s is not None
+    corrected = Compensator(correction(found)).correct(
+        since_s, again.gyro_dps, again.temp_c, since_power_on_s=since_s
+    )
+    assert np.std(corrected - again.rate_dps) < 1e-3
+
+
+def test_what_stands_beside_a_law_goes_and_moves_with_it() -> None:
+    step, bias = Change("scale_step", 7.0), Change("warm_up", 600.0)
+    scale, later = bias._replace(of_scale=True), bias._replace(at=700.0)
+    assert (scale.beside, bias.beside, step.beside) == (bias, None, None)
+    assert replaced((step, bias, scale), bias, None) == (step,)
+    assert replaced((step, bias, scale), scale, None) == (step, bias)
+    assert replaced((step, bias, scale), bias, later) == (step, later, later._replace(of_scale=True))
+    hysteresis = Change("thermal_hysteresis", 2.0, of_scale=True)
+    assert hysteresis.beside is None
 
 
 @pytest.mark.slow

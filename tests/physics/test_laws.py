@@ -230,11 +230,16 @@ def test_a_long_row_has_the_mean_of_a_step_response() -> None:
         np.testing.assert_allclose(error("step_response", rows, None, **p), expected, rtol=1e-5)
 
 
-def test_hysteresis_may_be_of_the_scale_factor() -> None:
-    c = at([-100.0, 0.0, 50.0], temp_c=np.array([20.0, 30.0, 25.0]))
-    of_bias = error("thermal_hysteresis", c, amplitude=5.0, width_c=2.0)
+@pytest.mark.parametrize(
+    ("effect", "shape"), [("thermal_hysteresis", {"width_c": 2.0}), ("warm_up", {"tau_s": 100.0})]
+)
+def test_what_acts_on_the_bias_may_act_on_the_scale_factor(effect: str, shape: dict[str, float]) -> None:
+    c = at(
+        [-100.0, 0.0, 50.0], temp_c=np.array([20.0, 30.0, 25.0]), since_power_on_s=np.array([0.0, 50.0, 99.0])
+    )
+    of_bias = error(effect, c, None, amplitude=5.0, **shape)
     assert np.abs(of_bias).max() > 1e-3
-    of_scale = error("thermal_hysteresis", c, amplitude=5.0, width_c=2.0, of_scale=1.0)
+    of_scale = error(effect, c, None, amplitude=5.0, of_scale=1.0, **shape)
     np.testing.assert_allclose(of_scale, of_bias * np.array([-1.0, 0.0, 0.5]), atol=1e-15)
 
 
