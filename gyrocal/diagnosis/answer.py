@@ -202,8 +202,9 @@ def _searched(found: Examination) -> list[_Searched]:
         searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
     for law in (law for law in best.fitted.model.laws if law.effect in best.effects):
         # No smooth part is like a step; a drift and what remembers have those that are.
-        models = [*found.ranked, *found.smooth] if law.effect in STEPS else [*found.ranked]
-        models.sort(key=attrgetter("score"))
+        models = list(found.ranked)
+        if law.effect in STEPS:
+            models = sorted([*models, *found.smooth], key=attrgetter("score"))
         without = [c for c in models if law.effect not in c.effects]
         ahead = next(c for c in models if law.effect in c.effects).score
         # The best model with each comes last and stays.

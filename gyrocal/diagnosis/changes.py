@@ -20,7 +20,8 @@ from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import since_on, tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM, SCALED_AT_DPS
+from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.effect import MDPS, PPM, where_it_acts
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
@@ -170,13 +171,12 @@ class Changes:
             return Law(effect, shape, (ahead * scale)[:, None], from_end=True, spread=spread)
         known = self._warm_ups if effect == WARM_UP.id else self._history[effect]
         name = HISTORY.get(effect, "tau_s")
-        where = {"of_scale": 1.0} if change.of_scale else {}
-        scale = m.rate_dps / SCALED_AT_DPS if change.of_scale else np.ones(len(m))
-        if not spread:
-            return Law(effect, _shape(name, at) | where, (scale * known[at])[:, None])
-        mixture = _spread_over(list(known)[::_THINNED], at, spread)
-        columns = (scale * np.sum([weight * known[x] for x, weight in mixture.items()], axis=0))[:, None]
-        return Law(effect, {name: at} | where, columns, spread=spread, mixture=tuple(mixture.items()))
+        mixture = _spread_over(list(known)[::_THINNED], at, spread) if spread else {at: 1.0}
+        of_bias = np.sum([weight * known[x] for x, weight in mixture.items()], axis=0)
+        where = {"of_scale": float(change.of_scale)}
+        column = where_it_acts(Conditions(m.t_s, m.rate_dps, m.temp_c), where, of_bias)[:, None]
+        shape = _shape(name, at) | (where if change.of_scale else {})
+        return Law(effect, shape, column, spread=spread, mixture=tuple(mixture.items()) if spread else ())
 
     def columns(self, effect: str, of_scale: bool = False) -> Floats:
         """Columns of all shapes of an effect, shape (n, shapes)."""
