@@ -108,7 +108,7 @@ def _gain(c: Comparison) -> str:
         f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
     )
     if c.beyond:
-        what += f" {c.beyond} more {plural(c.beyond, '[lies|lie] beyond the rates or temperatures of the others and [is|are] not judged')}."
+        what += f" {c.beyond} more {plural(c.beyond, '[lies|lie] beyond the rates or temperatures of the others, or beside a jump, and [is|are] not judged')}."
     if c.helps:
         return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
     if c.worse_at_dps:

@@ -123,7 +123,7 @@ def _warming(of_scale_mdps: float, seed: int, starts_c: float) -> DataSetTable:
     """A gyro that warms up for some minutes, in bias and at 100 deg/s, in a room that warms and cools."""
     rng = np.random.default_rng(seed)
     rates = np.tile([0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0], 14)
-    t_s = 60.0 * np.arange(rates.size) + 30.0
+    t_s = 60.0 * np.arange(rates.size, dtype=np.float64) + 30.0
     temp_c = starts_c + 8.0 * np.sin(t_s / 900.0)
     settles = np.exp(-t_s / 900.0)
     gyro = rates * (1.0002 + 1e-4 * (temp_c - 27.0) / 25.0) + 0.005 + 1e-4 * temp_c

@@ -32,6 +32,7 @@ from gyrocal.units import NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 SCHEMA = "gyrocal-law/1"
 
@@ -59,8 +60,8 @@ class Comparison:
     interval_95 : tuple of float
         Of the drop, by a bootstrap of whole blocks.
     sets, beyond : int
-        Data sets left out in turn, and those whose rate or temperature the others do not enclose: these are not
-        judged, since no surface knows beyond its data.
+        Data sets left out in turn, and those whose rate or temperature the others do not enclose, or beside which something
+        jumps: these are not judged, since no surface knows beyond its data, and no law when it jumped among them.
     worse_at_dps : tuple of float
         Rates at which the simulation is surely farther from the recording with the law.
     """
@@ -294,6 +295,7 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         except DataError:
             return None
         within = enclosed(difference, difference.take(known & difference.is_set))
+        within &= ~_jumped_meanwhile(law, difference.t_s, difference.t_s[known])
         judged = held & np.isin(numbers, difference.set_index[within])
         after[judged] = set_means(difference, left_by(law, difference, part))[1][judged]
     judged = np.isfinite(after)
@@ -312,6 +314,18 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         int(np.sum(~judged)),
         _worse_at(rate, squares[1] - squares[0]),
     )
+
+
+def _jumped_meanwhile(law: Coefficients, t_s: Floats, known_s: Floats) -> Bools:
+    """Rows among those left out while something jumped, shape (n,): when in between it did those that are known do not tell."""
+    meanwhile = np.zeros(t_s.size, dtype=np.bool_)
+    for term in law.terms:
+        if isinstance(term, SmoothTerm) or "at_s" not in term.parameters:
+            continue
+        at_s = float(term.parameters["at_s"]["value"])
+        before_s, after_s = (np.append(known_s, end) for end in (-np.inf, np.inf))
+        meanwhile |= (t_s > before_s[before_s <= at_s].max()) & (t_s < after_s[after_s >= at_s].min())
+    return meanwhile
 
 
 def _worse_at(rate_dps: Floats, grown_dps2: Floats) -> tuple[float, ...]:

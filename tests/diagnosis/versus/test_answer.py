@@ -11,9 +11,18 @@ import pytest
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.versus.answer import Comparison, Versus, _worse_at, left_by, versus
+from gyrocal.diagnosis.versus.answer import (
+    Comparison,
+    Versus,
+    _jumped_meanwhile,
+    _worse_at,
+    left_by,
+    versus,
+)
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.errors import DataError
+from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.physics.terms import Term
 from gyrocal.report.versus import LAW_PYTHON, law_files
 from tests.diagnosis.versus.tables import SURFACE, plan, table
 from tests.diagnosis.versus.test_law_file import function_of
@@ -84,6 +93,20 @@ def test_a_law_that_helps_most_at_one_rate_and_spoils_another_is_not_added() -> 
     assert _worse_at(rate, grown) == (-50.0, 50.0)
     gains = Comparison(0.2, 0.1, (0.05, 0.15), 160, 0)
     assert (gains.helps, replace(gains, worse_at_dps=(50.0,)).helps) == (True, False)
+
+
+def test_rows_left_out_while_something_jumped_are_not_judged() -> None:
+    """A jump of the scale factor, sure to p < 1e-12, had been no sure gain, for one tenth of the rows was on the wrong side of it."""
+    surface = Coefficients({"model": "t"}, SURFACE, np.eye(12), Valid((-1.0, 1.0), (0.0, 1.0)))
+    jump = Term("scale_step", {"amplitude": {"value": 300.0}, "at_s": {"value": 45.0}}, False)
+    t_s = np.arange(10.0) * 10.0
+    known_s = t_s[[0, 1, 2, 6, 7, 8, 9]]
+    meanwhile = _jumped_meanwhile(replace(surface, terms=(jump,)), t_s, known_s)
+    assert np.flatnonzero(meanwhile).tolist() == [3, 4, 5]
+    assert not _jumped_meanwhile(replace(surface, terms=(jump,)), t_s, t_s).any()
+    assert not _jumped_meanwhile(surface, t_s, known_s).any()
+    late = replace(jump, parameters={**jump.parameters, "at_s": {"value": 85.0}})
+    assert np.flatnonzero(_jumped_meanwhile(replace(surface, terms=(late,)), t_s, t_s[:8])).tolist() == [8, 9]
 
 
 @pytest.mark.slow

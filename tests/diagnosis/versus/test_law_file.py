@@ -78,7 +78,12 @@ def test_every_law_of_the_catalogue_gives_its_numbers(names: tuple[str, ...], di
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("truncation", {"of_output": 1.0}), *(("dead_zone", {"form": form}) for form in (0.0, 1.0, 2.0))],
+    [
+        ("truncation", {"of_output": 1.0}),
+        ("warm_up", {"of_scale": 1.0}),
+        ("thermal_hysteresis", {"of_scale": 1.0}),
+        *(("dead_zone", {"form": form}) for form in (0.0, 1.0, 2.0)),
+    ],
 )
 def test_a_law_of_few_forms_gives_its_numbers_in_each(name: str, kind: dict[str, float]) -> None:
     c, usual = conditions(), CATALOGUE[name].typical()
