@@ -160,7 +160,7 @@ def test_rd2100_is_the_papers_range() -> None:
 
 def test_effects_get_their_usual_sizes_for_what_is_not_said() -> None:
     profile = tiny_profile(virtual__effects={"warm_up": {"amplitude": 7.0}, "shupe": {}})
-    assert profile.virtual.effects["warm_up"] == {"amplitude": 7.0, "tau_s": 1200.0}
+    assert profile.virtual.effects["warm_up"] == {"amplitude": 7.0, "tau_s": 1200.0, "of_scale": 0.0}
     assert profile.virtual.effects["shupe"] == {"amplitude": 3.0}
 
 
