@@ -18,7 +18,7 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
-from gyrocal.diagnosis.layers import Law, Model, beyond_input
+from gyrocal.diagnosis.layers import Law, Model, beyond_input, lagging
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.rate_errors import largest
@@ -80,15 +80,15 @@ def _instead_of_each_rate(found: Examination) -> dict[str, float]:
 def _as_one(laws: list[NamedEffect]) -> NamedEffect:
     """Several laws of one effect, the strongest first, as one: figures of the one that adds most."""
     by_size = sorted(laws, key=lambda e: -(e.adds.value if e.adds else 0.0))
-    largest, others = by_size[0], [e for e in by_size if _of_scale(e) != _of_scale(by_size[0])]
+    largest, of_scale = by_size[0], _of_scale(by_size[0])
     if largest.beside:
         return largest
     said = Remark(Said.SEVERAL_LAWS, {"count": len(laws)}) if len(laws) > 1 else None
-    if others or _of_scale(largest):
-        amplitude = largest.parameters["amplitude"]
-        too = [(e.value, *e.interval_95) for e in (o.parameters["amplitude"] for o in others)]
-        facts = {"of_scale": _of_scale(largest), "too": too[:1], "unit": amplitude.unit}
-        said = Remark(Said.OF_SCALE, facts)
+    amplitudes = [e.parameters["amplitude"] for e in by_size if _of_scale(e) != of_scale]
+    if amplitudes or of_scale:
+        too = [(a.value, *a.interval_95) for a in amplitudes[:1]]
+        unit = largest.parameters["amplitude"].unit
+        said = Remark(Said.OF_SCALE, {"of_scale": of_scale, "too": too, "unit": unit})
     return replace(largest, p_value=laws[0].p_value, beside=said)
 
 
@@ -202,9 +202,9 @@ def _searched(found: Examination) -> list[_Searched]:
         searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
     for law in (law for law in best.fitted.model.laws if law.effect in best.effects):
         # No smooth part is like a step; a drift and what remembers have those that are.
-        models = list(found.ranked)
+        models = found.ranked
         if law.effect in STEPS:
-            models = sorted([*models, *found.smooth], key=attrgetter("score"))
+            models = tuple(sorted([*models, *found.smooth], key=attrgetter("score")))
         without = [c for c in models if law.effect not in c.effects]
         ahead = next(c for c in models if law.effect in c.effects).score
         # The best model with each comes last and stays.
@@ -286,6 +286,5 @@ def _step_of_table(found: Examination, searched: _Searched) -> Step:
         # The model at the end has the law at another shape than the search, under another name.
         names = [law.name for law in found.model.laws if law.effect == searched.effect]
         return Step(searched.effect, searched.nats, partial(Model.without_laws, names=names))
-    basis = best.fitted.model.basis
-    moved = replace(basis, coil=None).surface() - replace(basis, coil=best.coil).surface()
+    moved = -lagging(replace(best.fitted.model.basis, coil=best.coil))
     return Step(searched.effect, searched.nats, partial(Model.with_surface_moved, moved=moved))

@@ -416,6 +416,11 @@ def of_steps(means: Means, design: Floats, surface: Floats) -> list[Component]:
     return [Component(ROUNDING, np.column_stack(waves), held=0.5)]
 
 
+def lagging(rows: Basis) -> Floats:
+    """What the terms of the surface gain by the lag of the coil, shape (n, 12)."""
+    return rows.surface() - replace(rows, coil=None).surface()
+
+
 def beyond_input(rows: Basis, bend: Floats) -> Floats:
     """The terms of a surface over the output, less those of one over the input, shape (n, 12).
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import beyond_input
+from gyrocal.diagnosis.layers import beyond_input, lagging
 from gyrocal.diagnosis.means import rows_of
 from gyrocal.diagnosis.parts import BLOCKS, Basis
 from gyrocal.diagnosis.series import Series
@@ -56,9 +56,7 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
     total += sum(curves.values(), np.zeros(len(series)))
     effects = {p.effect: p.values for p in found.patterns}
     if rows.coil is not None:
-        effects[THERMAL_LAG.id] = (rows.surface() - replace(rows, coil=None).surface()) @ model.legendre(
-            solution
-        )
+        effects[THERMAL_LAG.id] = lagging(rows) @ model.legendre(solution)
     c = conditions_of(series)
     laws = Laws(rows.means, c, found.laws.offer, found.laws.surface)
     for law in model.laws:

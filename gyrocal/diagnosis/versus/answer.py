@@ -319,11 +319,11 @@ def compare(matched: Match, options: Options) -> Comparison | None:
 def _jumped_meanwhile(law: Coefficients, t_s: Floats, known_s: Floats) -> Bools:
     """Rows among those left out while something jumped, shape (n,): when in between it did those that are known do not tell."""
     meanwhile = np.zeros(t_s.size, dtype=np.bool_)
+    before_s, after_s = (np.append(known_s, end) for end in (-np.inf, np.inf))
     for term in law.terms:
         if isinstance(term, SmoothTerm) or "at_s" not in term.parameters:
             continue
         at_s = float(term.parameters["at_s"]["value"])
-        before_s, after_s = (np.append(known_s, end) for end in (-np.inf, np.inf))
         meanwhile |= (t_s > before_s[before_s <= at_s].max()) & (t_s < after_s[after_s >= at_s].min())
     return meanwhile
 
