@@ -19,6 +19,7 @@ from gyrocal.diagnosis.settling import SETTLING
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.offer import turned_back
 from gyrocal.physics.shapes import ASINH_SHARE, DRIVERS
 from gyrocal.physics.smooth import Column, Factor, Frame, design, histories, rate_factors, temperature_factors
 from gyrocal.physics.surface import SHAPE
@@ -50,8 +51,7 @@ _RATE_BUMPS, _TEMP_BUMPS = 13, 11
 _NARROW_BUMP, _NARROW_BUMPS = 0.1, 31
 _BUMPS = ("temperature", _TEMP_BUMP, _TEMP_BUMPS), ("narrow temperature", _NARROW_BUMP, _NARROW_BUMPS)
 #: Share of their places that a record has to have visited: of the temperatures most, since what is between them can follow
-#: time; of the rates fewer, as they come again, and without bumps a ripple over the rate is a knee (4 mdeg/s on seven sizes of
-#: rate: a `saturation` beside 113 nats without a name).
+#: time; of the rates fewer, as they come again, and without bumps a ripple over the rate is a knee.
 _VISITED, _VISITED_RATES = 0.7, 0.5
 #: Powers of temperature beyond the surface's own, of bias and scale factor each; bumps follow what is no power.
 _TEMP_ORDERS = 3
@@ -421,7 +421,7 @@ def remembering(means: Means) -> list[Part]:
         return []
     lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
-    plays = [Factor("play", (share * span_c,)) for share in _PLAYS]
+    plays = [Factor("play", (share * span_c,)) for share in _PLAYS if turned_back(means.temp_c)]
     slope, one = _legendre(1), Factor()
     found = [
         _part("lag on bias", "memory", tuple(Column(driver=d) for d in lags)),

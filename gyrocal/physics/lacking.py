@@ -20,6 +20,7 @@ class Why(Enum):
     NO_STEPS = auto()
     LATE = auto()
     STEADY_TEMPERATURE = auto()
+    ONE_BRANCH = auto()
     NO_CHANNEL = auto()
     CONTINUOUS = auto()
     # What a run did not log or do.

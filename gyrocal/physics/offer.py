@@ -25,6 +25,8 @@ _FEWEST_FOR_KNEE = 5
 _REST_DPS = 0.01
 #: Dead zones are looked for among rates up to this, deg/s.
 SMALL_DPS = 10.0
+#: A temperature that never turns back by as much shows no branches, deg C.
+_TURNED_BACK_C = 2.0
 #: Half of a gyro's warm-up is over by then, and the rest of it is a drift, s.
 _WARM_S = 5400.0
 
@@ -40,6 +42,7 @@ class Offer:
     largest_rate_dps : largest size of a rate, deg/s
     temp_c : (lowest, highest) temperature of its rows, deg C
     temp_span_c : range of the temperatures as they were sampled, deg C
+    temp_turned_back : whether both heating and cooling are among them
     turn_starts_s : ndarray, beginnings of data sets between the first turns of the table and its last, s
     since_power_on_s : least time since the gyro was switched on, s; None: nobody knows when that was
     channels : fields of `Conditions` that the record has
@@ -53,6 +56,7 @@ class Offer:
     largest_rate_dps: float
     temp_c: tuple[float, float]
     temp_span_c: float
+    temp_turned_back: bool
     turn_starts_s: Floats
     since_power_on_s: float | None
     channels: frozenset[str]
@@ -99,6 +103,13 @@ class Offer:
         if coordinate in ("time", "time_since_power_on"):
             return None
         return self.lacking.get(coordinate)
+
+
+def turned_back(temp_c: Floats) -> bool:
+    """Whether temperatures in the order of time both rose and fell by more than a thermometer scatters."""
+    rose_c = np.max(temp_c - np.minimum.accumulate(temp_c))
+    fell_c = np.max(np.maximum.accumulate(temp_c) - temp_c)
+    return bool(min(rose_c, fell_c) >= _TURNED_BACK_C)
 
 
 #: Why a record does not meet a need of an effect; None: it does.
@@ -176,6 +187,11 @@ def temperature_changes(by_c: float) -> Requirement:
         return Lack(Why.STEADY_TEMPERATURE, {"by_c": by_c}) if span < by_c else None
 
     return requirement
+
+
+def temperature_turned_back(offer: Offer) -> Reason | None:
+    """Heating and cooling: of one alone the state of a play is a function of the temperature, as the surface is."""
+    return None if offer.temp_turned_back else Lack(Why.ONE_BRANCH, {"by_c": _TURNED_BACK_C})
 
 
 def either(first: Requirement, second: Requirement) -> Requirement:

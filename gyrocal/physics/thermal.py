@@ -30,7 +30,13 @@ from gyrocal.physics.effect import (
 from gyrocal.physics.fold import on_model, on_own, temperature_or_scale
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import heat, lag, play
-from gyrocal.physics.offer import Offer, either, table_turns, temperature_changes
+from gyrocal.physics.offer import (
+    Offer,
+    either,
+    table_turns,
+    temperature_changes,
+    temperature_turned_back,
+)
 from gyrocal.physics.search import Search, Shape, Unit, scales
 from gyrocal.physics.surface import Surface
 from gyrocal.units import S_PER_MIN
@@ -256,7 +262,7 @@ THERMAL_HYSTERESIS = Effect(
     error_dps=_hysteresis,
     has_memory=True,
     # A sum of plays is what hysteresis is in general (Prandtl and Ishlinskii).
-    search=Search(grid=_widths, refined=("width_c",), requires=(_SOME_CHANGE,), adds_up=True),
+    search=Search(grid=_widths, refined=("width_c",), requires=(temperature_turned_back,), adds_up=True),
     fold=on_own("Play of the temperature, P[T] - T, °C"),
     c_text=CText(_hysteresis_c),
 )

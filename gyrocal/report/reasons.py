@@ -17,6 +17,7 @@ WORDS: Mapping[Why, str] = {
     Why.NO_STEPS: "the record has no samples after a step of rate",
     Why.LATE: "the record begins more than {hours:g} h after power-on",
     Why.STEADY_TEMPERATURE: "the temperature changed by less than {by_c:g} degC",
+    Why.ONE_BRANCH: "the temperature did not both rise and fall by {by_c:g} degC",
     Why.NO_CHANNEL: "the record has no {channel}",
     Why.CONTINUOUS: "the samples of the output lie on no lattice, as those that are cut to steps do",
     Why.ANGLE_NOT_LOGGED: "the table angle was not logged with every segment",
