@@ -22,7 +22,7 @@ from gyrocal.fusion.coefficients import (
 )
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.terms import Part
-from gyrocal.records.datasets import DataSetTable, read_data_sets
+from gyrocal.records.datasets import DataSetTable, read_data_sets, switched_on_s
 from gyrocal.records.files import check_output_file, writing_atomically
 from gyrocal.records.run import Run, read_run
 
@@ -142,13 +142,12 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
         table = read_data_sets(config.recording, config.counts_per_dps)
         _check_times(table, compensator)
         block = _block_of_table(table, coefficients)
-        # A table cannot say when the gyro was switched on: as `diagnose` does, its first row counts as that.
-        sensor, power_on_t_s, blocks = {}, float(block.t_s[0]), iter([block])
+        sensor, power_on_t_s, blocks = {}, switched_on_s(block.t_s), iter([block])
         applied.segments = table.rate_dps.size
     applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
     if not config.recording.is_dir():
         applied.notes += tuple(
-            f"{config.recording.name}: {name} counts from the first row; a table does not say when the gyro was switched on"
+            f"{config.recording.name}: {name} counts from t_s = {power_on_t_s:g} s; a table does not say when the gyro was switched on"
             for name in dict.fromkeys(term.name for term in compensator.terms if _since_on(term))
         )
         if table.temp_rate_c_per_min is not None and any(term.has_memory for term in compensator.terms):

@@ -59,6 +59,8 @@ _OF_SCALE = (THERMAL_HYSTERESIS.id,)
 _WARM_UPS_S = tuple(np.geomspace(60.0, 7200.0, 31).round().tolist())
 #: A warm-up that the record does not outlast by half is a drift: its end is not seen.
 _OUTLASTED = 1.5
+#: After so many time constants it is over.
+_OVER = 5.0
 #: A step has data sets on either side, in a long table more than these.
 _FEWEST_SETS = 4
 #: How long a step takes, in distances of data sets: the time constant of a logistic curve.
@@ -120,7 +122,8 @@ class Changes:
             edge = max(_FEWEST_SETS, round(EDGE * len(m)))
             return range(edge, len(m) - edge), rise_s.tolist()
         if effect == WARM_UP.id:
-            return [tau for tau in _WARM_UPS_S if _OUTLASTED * tau < np.ptp(m.t_s)], _SPREADS
+            least_s, most_s = since_on(m)[0] / _OVER, np.ptp(m.t_s) / _OUTLASTED
+            return [tau for tau in _WARM_UPS_S if least_s <= tau < most_s], _SPREADS
         return list(self._history[effect]), _SPREADS if effect == SHUPE_GRADIENT.id else (0.0,)
 
     @cached_property

@@ -21,12 +21,12 @@ EDGE = 0.03
 def conditions_of(series: Series) -> Conditions:
     """What the laws of the catalogue may depend on, row by row.
 
-    Where it is not known when the gyro was switched on, that is when the record begins: a warm-up has the same
-    shape whenever it is first seen.
+    Where it is not known when the gyro was switched on, that is when the clock or the record begins: a warm-up has the
+    same shape whenever it is first seen.
     """
     since_on = series.since_power_on_s
     if since_on is None:
-        since_on = series.t_s - series.began_s
+        since_on = series.t_s - series.switched_on_s
     return Conditions(
         t_s=series.t_s,
         rate_dps=series.rate_dps,

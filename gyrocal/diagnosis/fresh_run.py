@@ -11,6 +11,7 @@ from scipy.stats import norm
 from gyrocal.calibration.checks import no_rate_text
 from gyrocal.calibration.groups import distinct
 from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.parts import since_on
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.errors import DataError
@@ -68,7 +69,7 @@ def gain_on_a_fresh_run(improved: Coefficients, surface: Coefficients, means: Me
     the error falls by ``d (d - 2 e)``, which is normal.
     """
     rng = np.random.default_rng(_SEED)
-    t_s, since_s = means.t_s, means.t_s - means.t_s[0]
+    t_s, since_s = means.t_s, since_on(means)
     outputs = float(means.gyro_dps.min()), float(means.gyro_dps.max())
     chances, own, its = [], 0.0, 0.0
     for _ in range(_RUNS):
@@ -89,10 +90,8 @@ def gain_on_a_fresh_run(improved: Coefficients, surface: Coefficients, means: Me
 
 def without_rate(coefficients: Coefficients, means: Means) -> Ints:
     """Rows of the means whose output no rate gives."""
-    since_s = means.t_s - means.t_s[0]
-    rate_dps = Compensator(coefficients).correct(
-        means.t_s, means.gyro_dps, means.temp_c, since_s, means.supply_v
-    )
+    channels = means.t_s, means.gyro_dps, means.temp_c, since_on(means), means.supply_v
+    rate_dps = Compensator(coefficients).correct(*channels)
     return np.flatnonzero(~np.isfinite(rate_dps))
 
 

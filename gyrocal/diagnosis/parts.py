@@ -241,9 +241,9 @@ def slope_by_temperature(rate_dps: Floats, temp_c: Floats, frame: Frame, surface
 
 
 def since_on(means: Means) -> Floats:
-    """Time since power-on; since the record began where nobody says."""
+    """Time since power-on; since what counts as that where nobody says."""
     known = means.since_power_on_s
-    return means.t_s - means.series.began_s if known is None else known
+    return means.t_s - means.series.switched_on_s if known is None else known
 
 
 def polynomials(columns: tuple[Column, ...], frame: Frame) -> Floats:

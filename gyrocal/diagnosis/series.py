@@ -20,6 +20,7 @@ from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.inference.rounding import lattice, mean_error
 from gyrocal.physics.lacking import Lack, Reason, Why
+from gyrocal.records.datasets import switched_on_s
 from gyrocal.records.run import Run, Segment
 from gyrocal.units import STDS_PER_MAD
 
@@ -142,9 +143,10 @@ class Series:
         return "time" if self.has_time else "data_set_index"
 
     @property
-    def began_s(self) -> float:
-        """When the record began, whatever of it was set aside."""
-        return float(self.history.t_s[0])
+    def switched_on_s(self) -> float:
+        """Instant that counts as switch-on where nobody says: when a run began, whatever of it was set aside."""
+        t_s = self.history.t_s
+        return switched_on_s(t_s) if self.is_table else float(t_s[0])
 
     def take(self, rows: Bools | Ints) -> Series:
         """The same, for some of the rows; the temperature history stays whole."""

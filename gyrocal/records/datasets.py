@@ -209,6 +209,16 @@ def _check_seconds(path: Path, span_s: float, span_c: float, sets: int) -> None:
         raise InputError(f"{path}: {what}, which no record of a gyro does. Write t_s in seconds.")
 
 
+def switched_on_s(t_s: Floats) -> float:
+    """Instant that counts as switch-on in a table, which does not say it, s.
+
+    That is the zero of its clock, as of a run's, where that is no longer ago than the table is long: a bench soaks before
+    the first data set. A clock of another origin says nothing, and then it is the first row.
+    """
+    since_zero_s = float(t_s[0])
+    return 0.0 if 0.0 <= since_zero_s <= np.ptp(t_s) else since_zero_s
+
+
 def format_data_sets(table: DataSetTable) -> str:
     """CSV text of a table of data sets, always in deg/s."""
     columns: dict[str, tuple[Floats, str]] = {

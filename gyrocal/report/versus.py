@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.fit import rms
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.versus.answer import Comparison, Versus
+from gyrocal.diagnosis.versus.answer import Comparison, Versus, counts_from_s
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.diagnosis.versus.match import Clock, Match
 from gyrocal.physics.catalogue import find_effect
@@ -42,7 +42,7 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
         head = "Terms beside the surface, the largest first, with what they add and 95 % intervals:"
         formula = "\n".join([head, *_formula(found, adds), "", *_little(rms_dps), *_valid(found)])
         files[LAW_PYTHON] = python_file(
-            found.law, found.match.surface, title, formula, _began_s(found), rms_dps
+            found.law, found.match.surface, title, formula, counts_from_s(found.match.difference), rms_dps
         )
     return files
 
@@ -122,16 +122,10 @@ def _valid(found: Versus) -> list[str]:
         f"Known from {d.rate_dps.min():.4g} to {d.rate_dps.max():.4g} deg/s and from {d.temp_c.min():.4g} to "
         f"{d.temp_c.max():.4g} degC."
     ]
-    began_s = _began_s(found)
+    began_s = counts_from_s(d)
     if began_s is not None:
         lines.append(f"since_power_on_s, where a law needs it, counts from t_s = {began_s:g} s.")
     return lines
-
-
-def _began_s(found: Versus) -> float | None:
-    """From which t_s on the time since power-on counts, where nobody said when that was."""
-    d = found.match.difference
-    return float(d.t_s[0]) if d.has_time and d.since_power_on_s is None else None
 
 
 def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:

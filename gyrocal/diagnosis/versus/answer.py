@@ -267,12 +267,9 @@ def _is_function(effect_id: str) -> bool:
     return effect.family != "sampling" and all(p.name != "seed" for p in effect.parameters)
 
 
-def left_by(law: Coefficients, difference: Series, part: Series | None = None) -> Floats:
-    """What a law leaves of a difference, row by row, deg/s; `part`: the rows that it was fitted to, if not all."""
+def left_by(law: Coefficients, difference: Series) -> Floats:
+    """What a law leaves of a difference, row by row, deg/s."""
     c = conditions_of(difference)
-    if part is not None and difference.since_power_on_s is None:
-        # A law since power-on counts from the first row that it was fitted to.
-        c = replace(c, since_power_on_s=difference.t_s - part.t_s[0])
     added = sum(term.error_dps(c, law.surface) for term in law.terms)
     return np.asarray(
         difference.gyro_dps - law.surface.output_dps(difference.rate_dps, difference.temp_c) - added
@@ -297,7 +294,7 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         within = enclosed(difference, difference.take(known & difference.is_set))
         within &= ~_jumped_meanwhile(law, difference.t_s, difference.t_s[known])
         judged = held & np.isin(numbers, difference.set_index[within])
-        after[judged] = set_means(difference, left_by(law, difference, part))[1][judged]
+        after[judged] = set_means(difference, left_by(law, difference))[1][judged]
     judged = np.isfinite(after)
     if np.sum(judged) < _FEWEST:
         return None
@@ -337,14 +334,19 @@ def _worse_at(rate_dps: Floats, grown_dps2: Floats) -> tuple[float, ...]:
     return tuple(r for r, p in tests.items() if p < LEVEL / len(tests))
 
 
+def counts_from_s(difference: Series) -> float | None:
+    """From which t_s on the time since power-on counts; None where it is logged, or there is no time."""
+    stated = difference.since_power_on_s is not None
+    return None if stated or not difference.has_time else difference.switched_on_s
+
+
 def _valid_json(difference: Series) -> dict[str, Any]:
     """Where the law is known: what the recording and the simulation have in common."""
-    rate, temp, t = difference.rate_dps, difference.temp_c, difference.t_s
-    since_on = None if difference.since_power_on_s is not None or not difference.has_time else float(t[0])
+    rate, temp = difference.rate_dps, difference.temp_c
     return {
         "rate_dps": [float(rate.min()), float(rate.max())],
         "temp_c": [float(temp.min()), float(temp.max())],
-        "since_power_on_counts_from_t_s": since_on,
+        "since_power_on_counts_from_t_s": counts_from_s(difference),
     }
 
 
