@@ -115,7 +115,7 @@ WARM_UP = Effect(
     equation="e = k exp(-(t - t_on)/tau); of the scale factor times w/(100 deg/s)",
     statement="The bias, or the scale factor, settles exponentially after power-on.",
     parameters=(
-        amplitude("mdeg/s", 1000.0, 10.0, "bias at power-on"),
+        amplitude("mdeg/s", 100000.0, 10.0, "bias at power-on"),
         shape("tau_s", "s", 60.0, 7200.0, 1200.0, "time constant"),
         of_scale(),
     ),
