@@ -19,7 +19,7 @@ from gyrocal.diagnosis.settling import SETTLING
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.offer import turned_back
+from gyrocal.physics.offer import turned_back_c
 from gyrocal.physics.shapes import ASINH_SHARE, DRIVERS
 from gyrocal.physics.smooth import Column, Factor, Frame, design, histories, rate_factors, temperature_factors
 from gyrocal.physics.surface import SHAPE
@@ -60,7 +60,7 @@ _TEMP_ORDERS = 3
 _LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
 #: The same of the heat of past turns.
 _HEATS_S = 150.0 * 2.0 ** np.arange(5)
-#: Half widths of the plays, as shares of the range of temperatures.
+#: Half widths of the plays, as shares of what the temperature turned back by.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
 _WARMER_C = 0.01
@@ -68,7 +68,6 @@ _WARMER_C = 0.01
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer temperatures say nothing of their history, degC, and fewer than so many times these of shapes in temperature.
 _LEAST_SPAN_C, _SHAPED = 0.5, 4.0
-#: What stands for a drift of the scale factor.
 DRIFTING_BIAS, DRIFTING_SCALE = "bias drift", "scale drift"
 #: Rates that differ by less are one: tables repeat theirs closer.
 _SAME_RATE_DPS = 0.01
@@ -421,7 +420,8 @@ def remembering(means: Means) -> list[Part]:
         return []
     lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
-    plays = [Factor("play", (share * span_c,)) for share in _PLAYS if turned_back(means.temp_c)]
+    back_c = turned_back_c(means.series.history.temp_c)
+    plays = [Factor("play", (share * back_c,)) for share in _PLAYS if back_c > _LEAST_SPAN_C]
     slope, one = _legendre(1), Factor()
     found = [
         _part("lag on bias", "memory", tuple(Column(driver=d) for d in lags)),

@@ -41,8 +41,7 @@ class Offer:
     rates_dps : ndarray, the different rates, to a thousandth, ascending, deg/s
     largest_rate_dps : largest size of a rate, deg/s
     temp_c : (lowest, highest) temperature of its rows, deg C
-    temp_span_c : range of the temperatures as they were sampled, deg C
-    temp_turned_back : whether both heating and cooling are among them
+    temp_back_c : by how much the temperature both rose and fell (`turned_back_c`), deg C
     turn_starts_s : ndarray, beginnings of data sets between the first turns of the table and its last, s
     since_power_on_s : least time since the gyro was switched on, s; None: nobody knows when that was
     channels : fields of `Conditions` that the record has
@@ -55,8 +54,7 @@ class Offer:
     rates_dps: Floats
     largest_rate_dps: float
     temp_c: tuple[float, float]
-    temp_span_c: float
-    temp_turned_back: bool
+    temp_back_c: float
     turn_starts_s: Floats
     since_power_on_s: float | None
     channels: frozenset[str]
@@ -105,11 +103,15 @@ class Offer:
         return self.lacking.get(coordinate)
 
 
-def turned_back(temp_c: Floats) -> bool:
-    """Whether temperatures in the order of time both rose and fell by more than a thermometer scatters."""
+def turned_back_c(temp_c: Floats) -> float:
+    """By how much temperatures in the order of time both rose and fell.
+
+    The half width of a play that is above half of it is never crossed both ways: such a play is a function of the
+    temperature, as the surface is.
+    """
     rose_c = np.max(temp_c - np.minimum.accumulate(temp_c))
     fell_c = np.max(np.maximum.accumulate(temp_c) - temp_c)
-    return bool(min(rose_c, fell_c) >= _TURNED_BACK_C)
+    return float(min(rose_c, fell_c))
 
 
 #: Why a record does not meet a need of an effect; None: it does.
@@ -190,8 +192,8 @@ def temperature_changes(by_c: float) -> Requirement:
 
 
 def temperature_turned_back(offer: Offer) -> Reason | None:
-    """Heating and cooling: of one alone the state of a play is a function of the temperature, as the surface is."""
-    return None if offer.temp_turned_back else Lack(Why.ONE_BRANCH, {"by_c": _TURNED_BACK_C})
+    """Heating and cooling, by more than a thermometer scatters."""
+    return None if offer.temp_back_c >= _TURNED_BACK_C else Lack(Why.ONE_BRANCH, {"by_c": _TURNED_BACK_C})
 
 
 def either(first: Requirement, second: Requirement) -> Requirement:

@@ -24,8 +24,7 @@ WHOLE = Offer(
     rates_dps=np.linspace(-100.0, 100.0, 11),
     largest_rate_dps=100.0,
     temp_c=(-10.0, 50.0),
-    temp_span_c=61.0,
-    temp_turned_back=True,
+    temp_back_c=61.0,
     turn_starts_s=np.arange(1000.0, 80000.0, 1000.0),
     since_power_on_s=30.0,
     channels=frozenset(Conditions.__dataclass_fields__),
@@ -33,8 +32,7 @@ WHOLE = Offer(
 )
 #: The same at rest and at one temperature.
 STILL = replace(
-    WHOLE, rates_dps=np.zeros(1), largest_rate_dps=0.0, temp_c=(20.0, 20.0), temp_span_c=0.0,
-    temp_turned_back=False, turn_starts_s=np.empty(0),
+    WHOLE, rates_dps=np.zeros(1), largest_rate_dps=0.0, temp_c=(20.0, 20.0), temp_back_c=0.0, turn_starts_s=np.empty(0),
 )  # fmt: skip
 
 
