@@ -11,8 +11,8 @@ import numpy as np
 
 from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.blocks import ODD, plain
+from gyrocal.diagnosis.candidates import averaged
 from gyrocal.diagnosis.changes import STEPS
-from gyrocal.diagnosis.coil import averaged
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.columns import EDGE
-from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.finer import neighbours
+from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import since_on, tells_of_scale
@@ -38,7 +39,6 @@ from gyrocal.physics.timewise import (
 )
 
 Floats = NDArray[np.float64]
-Value = TypeVar("Value", bound=float)
 #: An effect, and whether it acts on the scale factor instead of the bias.
 Kind = tuple[str, bool]
 
@@ -121,10 +121,7 @@ class Changes:
             rise_s = float(np.median(np.diff(m.t_s))) * np.array(_RISES)
             edge = max(_FEWEST_SETS, round(EDGE * len(m)))
             return range(edge, len(m) - edge), rise_s.tolist()
-        if effect == WARM_UP.id:
-            least_s, most_s = since_on(m)[0] / _OVER, np.ptp(m.t_s) / _OUTLASTED
-            return [tau for tau in _WARM_UPS_S if least_s <= tau < most_s], _SPREADS
-        return list(self._history[effect]), _SPREADS if effect == SHUPE_GRADIENT.id else (0.0,)
+        return self.values[effect], _SPREADS if effect in (WARM_UP.id, SHUPE_GRADIENT.id) else (0.0,)
 
     @cached_property
     def lasting(self) -> list[Kind]:
@@ -172,10 +169,9 @@ class Changes:
             shape = {"at_s": float(0.5 * (m.t_s[int(at) - 1] + m.t_s[int(at)]))}
             ahead = self._risen(int(at), spread)
             return Law(effect, shape, (ahead * scale)[:, None], from_end=True, spread=spread)
-        known = self._warm_ups if effect == WARM_UP.id else self._history[effect]
         name = HISTORY.get(effect, "tau_s")
-        mixture = _spread_over(list(known)[::_THINNED], at, spread) if spread else {at: 1.0}
-        of_bias = np.sum([weight * known[x] for x, weight in mixture.items()], axis=0)
+        mixture = _spread_over(self._coarse[effect][::_THINNED], at, spread) if spread else {at: 1.0}
+        of_bias = np.sum([weight * self._of_bias(effect, x) for x, weight in mixture.items()], axis=0)
         where = {"of_scale": float(change.of_scale)}
         column = where_it_acts(Conditions(m.t_s, m.rate_dps, m.temp_c), where, of_bias)[:, None]
         shape = _shape(name, at) | (where if change.of_scale else {})
@@ -183,10 +179,11 @@ class Changes:
 
     def columns(self, effect: str, of_scale: bool = False) -> Floats:
         """Columns of all shapes of an effect, shape (n, shapes)."""
-        kind = effect, of_scale
-        if kind not in self._columns:
-            self._columns[kind] = np.column_stack([self.law(c).columns[:, 0] for c in self.shapes(*kind)])
-        return self._columns[kind]
+        tried = self.shapes(effect, of_scale)
+        key = effect, of_scale, len(tried)
+        if key not in self._columns:
+            self._columns[key] = np.column_stack([self.law(c).columns[:, 0] for c in tried])
+        return self._columns[key]
 
     @cached_property
     def _drifts(self) -> list[tuple[float, float]]:
@@ -205,28 +202,49 @@ class Changes:
         return {"knee_s": knee_s, "from_s": float(self.means.t_s[0])} if knee_s else {"power": power}
 
     @cached_property
-    def _columns(self) -> dict[Kind, Floats]:
+    def _columns(self) -> dict[tuple[str, bool, int], Floats]:
         return {}
 
     @cached_property
-    def _warm_ups(self) -> dict[float, Floats]:
-        return {tau: MDPS * np.exp(-since_on(self.means) / tau) for tau in _WARM_UPS_S}
+    def values(self) -> dict[str, list[float]]:
+        """Time constants and widths that are tried, ascending, to which finer ones may come."""
+        least_s, most_s = since_on(self.means)[0] / _OVER, np.ptp(self.means.t_s) / _OUTLASTED
+        found = {effect: list(grid) for effect, grid in self._coarse.items()}
+        return found | {WARM_UP.id: [tau for tau in _WARM_UPS_S if least_s <= tau < most_s]}
 
     @cached_property
-    def _history(self) -> dict[str, dict[float, Floats]]:
-        """Columns of laws of what is remembered by effect and shape; none acts through the surface."""
-        frame = self.frame
-        blank = Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
-        laws = laws_of(self.means, blank)
-        found: dict[str, dict[float, Floats]] = {}
+    def _coarse(self) -> dict[str, tuple[float, ...]]:
+        """Values over which a spread is a sum; a search over models begins with a grid as fine as that of a warm-up."""
+        found = {WARM_UP.id: _WARM_UPS_S}
         for effect, name in HISTORY.items():
-            trials = [t for t in laws.trials(CATALOGUE[effect]) if not t.shape.get("of_scale")]
+            trials = [t for t in self._laws.trials(CATALOGUE[effect]) if not t.shape.get("of_scale")]
             grid = [trial.shape.get(name, 0.0) for trial in trials]
             if name and grid:
-                # A search over models refines no shape: its grid is as fine as that of a warm-up.
                 grid = np.geomspace(min(grid), max(grid), len(_WARM_UPS_S)).tolist()
-            found[effect] = {at: laws.at(CATALOGUE[effect], _shape(name, at))[:, 0] for at in grid}
+            found[effect] = tuple(grid)
         return found
+
+    def _of_bias(self, effect: str, at: float) -> Floats:
+        """A warm-up, or what is remembered, on the bias, shape (n,)."""
+        key = effect, at
+        if key not in self._known:
+            self._known[key] = (
+                MDPS * np.exp(-since_on(self.means) / at)
+                if effect == WARM_UP.id
+                else self._laws.at(CATALOGUE[effect], _shape(HISTORY[effect], at))[:, 0]
+            )
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[tuple[str, float], Floats]:
+        return {}
+
+    @cached_property
+    def _laws(self) -> Laws:
+        """Laws none of which acts through the surface."""
+        frame = self.frame
+        blank = Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
+        return laws_of(self.means, blank)
 
     def _risen(self, row: int, rise_s: float) -> Floats:
         """A step up to zero before a row, shape (n,)."""
@@ -249,11 +267,3 @@ def _spread_over(values: Sequence[float], at: float, spread: float) -> dict[floa
     kept = {x: float(w) for x, w in zip(values, weight, strict=True) if w > _LEAST_WEIGHT}
     whole = sum(kept.values())
     return {x: w / whole for x, w in kept.items()}
-
-
-def neighbours(grid: Sequence[Value], value: Value) -> list[Value]:
-    """The values before and after one of a grid."""
-    if value not in grid:
-        return []
-    at = grid.index(value)
-    return [grid[k] for k in (at - 1, at + 1) if 0 <= k < len(grid)]

@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import ODD, of_scale
-from gyrocal.diagnosis.changes import DRIFTS, STEPS, Change, Changes, neighbours
+from gyrocal.diagnosis.candidates import Candidate, best_of_each
+from gyrocal.diagnosis.changes import DRIFTS, STEPS, Change, Changes
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.edges import with_edges
 from gyrocal.diagnosis.estimates import reshaped
+from gyrocal.diagnosis.finer import halved, neighbours
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
@@ -34,7 +35,7 @@ from gyrocal.diagnosis.parts import (
 from gyrocal.inference.additive import START, Component, Contrasts, Solution, gains
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.thermal import THERMAL_LAG
-from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP, WARM_UP
+from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP
 
 Floats = NDArray[np.float64]
 
@@ -73,35 +74,13 @@ BEGUN_WITH = 6
 SHAPES, _OF_RATE = "temperature", ODD
 #: Those that a table may have of its own in each direction.
 _EVEN_IN_RATE = "even rate"
-#: Models within this of the best one are averaged.
-AVERAGED_NATS = 4.0
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
 _SPREAD_NATS, _MOST_SPREAD = 2.5, 20
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A model of a table: `score` is its negative log evidence with what its laws pay, nats."""
-
-    coil: Coil
-    changes: tuple[Change, ...]
-    fitted: Fitted
-    score: float
-
-    @property
-    def effects(self) -> set[str]:
-        """Its laws beside the coil's lag."""
-        return {change.effect for change in self.changes}
-
-    @property
-    def warms_up(self) -> bool:
-        """Whether a warm-up is among its laws of time."""
-        return WARM_UP.id in self.effects
-
-    @property
-    def is_open_loop(self) -> bool:
-        """Whether the sine of an open loop is in its output."""
-        return self.fitted.model.open_loop is not None
+def table_search(base: Model) -> TableSearch:
+    """A search over models of a table that begin with this one."""
+    return TableSearch(base, Changes(base.means, base.basis.frame))
 
 
 @dataclass
@@ -109,15 +88,14 @@ class TableSearch:
     """Models of a table that were fitted, each once."""
 
     base: Model
+    changes: Changes
+    #: Shares and time constants of the coil's lag that are tried.
+    shares: list[float] = field(default_factory=lambda: [*_SHARES])
+    lags_s: list[float] = field(default_factory=lambda: [*_LAGS_S])
     known: dict[tuple[Coil, tuple[Change, ...]], Candidate] = field(default_factory=dict)
     _at_coil: dict[Coil, Model] = field(default_factory=dict)
     _contrasts: dict[Coil, Contrasts] = field(default_factory=dict)
     _at_hand: tuple[Candidate, tuple[Floats, Floats]] | None = None
-
-    @cached_property
-    def changes(self) -> Changes:
-        """Laws beside the coil's lag."""
-        return Changes(self.base.means, self.base.basis.frame)
 
     def run(self, near: Sequence[Candidate] = ()) -> list[Candidate]:
         """All models that were fitted, the best first.
@@ -143,6 +121,18 @@ class TableSearch:
             for effect in (SCALE_DRIFT.id, SCALE_STEP.id):
                 more = self.best(alone, effect)
                 beam += [self.fit(coil, tuple(sorted({*changes, change})), alone) for change in more]
+        best = self._climb(beam)
+        finer = self._refined(best)
+        if finer is not best:
+            self._climb([self.fit(*_shaped_as(c, finer), finer) for c in self._ranked()[:BEGUN_WITH]])
+        self._spread()
+        return self._ranked()
+
+    def _ranked(self) -> list[Candidate]:
+        return sorted(self.known.values(), key=lambda c: c.score)
+
+    def _climb(self, beam: list[Candidate]) -> Candidate:
+        """The best of all models, after some were changed step by step."""
         beam = _best(beam)
         for _ in range(_ROUNDS):
             wider = [self.fit(*move, c) for c in beam for move in self.moves(c)]
@@ -150,12 +140,33 @@ class TableSearch:
             if [c.score for c in wider] == [c.score for c in beam]:
                 break
             beam = wider
-        self._spread()
-        return sorted(self.known.values(), key=lambda c: c.score)
+        return self._ranked()[0]
+
+    def _refined(self, c: Candidate) -> Candidate:
+        """The best between the shapes of a model and those next to them, which are tried from then on."""
+        for change in c.changes:
+            if change.effect in self.changes.values and change.beside is None:
+
+                def moved(at: float, c: Candidate = c, change: Change = change) -> Candidate:
+                    return self.fit(c.coil, replaced(c.changes, change, change._replace(at=at)), c)
+
+                at = halved(self.changes.values[change.effect], change.at, lambda x: moved(x).score)
+                c = moved(at)
+        if c.coil is not None:
+            share, tau_s = c.coil
+            tau_s = halved(self.lags_s, tau_s, lambda x: self.fit((share, x), c.changes, c).score)
+            share = halved(self.shares, share, lambda x: self.fit((x, tau_s), c.changes, c).score)
+            c = self.fit((share, tau_s), c.changes, c)
+        return c
+
+    def _over(self, base: Model) -> TableSearch:
+        """The search over another model, which compares with this one."""
+        contrasts: dict[Coil, Contrasts] = {None: self._contrasts[None]}
+        return TableSearch(base, self.changes, self.shares, self.lags_s, _contrasts=contrasts)
 
     def beside(self, laws: Sequence[Law]) -> TableSearch:
         """The search over models that have some laws, which compare with these."""
-        return TableSearch(self.base.with_laws(*laws), _contrasts={None: self._contrasts[None]})
+        return self._over(self.base.with_laws(*laws))
 
     def with_edges(self, candidate: Candidate) -> TableSearch | None:
         """The search beside edges over temperature, in the place of what passes in a model; None without any."""
@@ -164,7 +175,7 @@ class TableSearch:
         parts = [p for p in edged.parts if p not in self.base.parts]
         if not parts:
             return None
-        return TableSearch(self.base.with_parts(parts), _contrasts={None: self._contrasts[None]})
+        return self._over(self.base.with_parts(parts))
 
     def less_shapes(self) -> TableSearch:
         """The search over models without smooth shapes in temperature, which compare with these.
@@ -175,7 +186,7 @@ class TableSearch:
         shapes = [p.name for p in self.base.parts if p.block == SHAPES]
         parts = tuple(p for p in self.base.parts if p.block != SHAPES)
         base = replace(self.base.without(shapes), parts=parts)
-        return TableSearch(base, _contrasts={None: self._contrasts[None]})
+        return self._over(base)
 
     def beside_smooth(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """The best models, and those with their steps alone, beside smooth parts of temperature's history and of time.
@@ -418,8 +429,8 @@ class TableSearch:
         coil, changes = candidate.coil, candidate.changes
         if coil is not None:
             share, tau_s = coil
-            lags = [(a, tau_s) for a in neighbours(_SHARES, share)]
-            lags += [(share, tau) for tau in neighbours(_LAGS_S, tau_s)]
+            lags = [(a, tau_s) for a in neighbours(self.shares, share)]
+            lags += [(share, tau) for tau in neighbours(self.lags_s, tau_s)]
             yield from ((lag, changes) for lag in filter(self._reached, lags))
         for change in changes:
             if change.beside is None:
@@ -452,29 +463,13 @@ def replaced(changes: tuple[Change, ...], old: Change, new: Change | None) -> tu
     return tuple(sorted({*others, *beside, *([new] if new is not None else [])}))
 
 
+def _shaped_as(c: Candidate, like: Candidate) -> tuple[Coil, tuple[Change, ...]]:
+    """The laws of a model in the shapes of another's, as far as those are of a grid that became finer."""
+    shapes = {change.kind: change for change in like.changes if change.effect not in (*STEPS, *DRIFTS)}
+    coil = like.coil if c.coil is not None and like.coil is not None else c.coil
+    return coil, tuple(sorted({shapes.get(change.kind, change) for change in c.changes}))
+
+
 def _best(candidates: list[Candidate]) -> list[Candidate]:
     different = {(c.coil, c.changes): c for c in candidates}
     return sorted(different.values(), key=lambda c: c.score)[:_BEAM]
-
-
-def best_of_each(ranked: Sequence[Candidate]) -> list[Candidate]:
-    """The best of each set of laws, with a coil's lag or without."""
-    found: dict[object, Candidate] = {}
-    for c in ranked:
-        found.setdefault((c.coil is None, frozenset(c.effects)), c)
-    return [*found.values()]
-
-
-def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
-    """The models worth averaging over, with their weights.
-
-    With a warm-up or without, as most of the weight is: a robot that need not know when it was switched on shall not
-    have to. With the sine of an open loop or without: a phase has no mean with none.
-    """
-    near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
-    weight = np.exp([candidates[0].score - c.score for c in near])
-    for has in (attrgetter("warms_up"), attrgetter("is_open_loop")):
-        with_it = np.array([has(c) for c in near], dtype=np.bool_)
-        kept = np.flatnonzero(with_it == (weight @ with_it > 0.5 * weight.sum()))
-        near, weight = [near[k] for k in kept], weight[kept]
-    return [*zip((weight / weight.sum()).tolist(), near, strict=True)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
 from gyrocal.diagnosis.blocks import BENT, around_itself, evidence, of_scale
-from gyrocal.diagnosis.coil import Candidate
+from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.estimates import likely_shapes, moved
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import is_passing

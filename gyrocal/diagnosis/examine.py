@@ -15,15 +15,8 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.coil import (
-    BEGUN_WITH,
-    SHAPES,
-    TOLL_NATS,
-    Candidate,
-    TableSearch,
-    averaged,
-    best_of_each,
-)
+from gyrocal.diagnosis.candidates import Candidate, averaged, best_of_each
+from gyrocal.diagnosis.coil import BEGUN_WITH, SHAPES, TOLL_NATS, TableSearch, table_search
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.edges import with_edges
 from gyrocal.diagnosis.in_place import Named, is_passing
@@ -255,7 +248,7 @@ def _paid(named: Named) -> float:
 
 
 def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
-    search = TableSearch(full_model(means_of(series), memory=False))
+    search = table_search(full_model(means_of(series), memory=False))
     search, ranked = _or_with_edges(search, search.run())
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))

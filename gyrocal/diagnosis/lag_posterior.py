@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from gyrocal.diagnosis.coil import LAG_BOUNDS_S, Candidate
+from gyrocal.diagnosis.candidates import Candidate
+from gyrocal.diagnosis.coil import LAG_BOUNDS_S
 from gyrocal.diagnosis.intervals import holding
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate

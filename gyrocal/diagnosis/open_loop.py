@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import ODD
-from gyrocal.diagnosis.coil import Candidate
+from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.laws import effects_of
 from gyrocal.diagnosis.layers import NEGLIGIBLE, OpenLoop
 from gyrocal.diagnosis.parts import EVENLY

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import around_itself
-from gyrocal.diagnosis.coil import AVERAGED_NATS, TOLL_NATS
+from gyrocal.diagnosis.candidates import AVERAGED_NATS
+from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.in_place import Named, is_passing

@@ -11,8 +11,9 @@ from scipy.stats import hypergeom, kstest, norm, rankdata
 
 from gyrocal.calibration.groups import rate_groups
 from gyrocal.diagnosis.base import fit_surface
+from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.changes import STEPS
-from gyrocal.diagnosis.coil import TOLL_NATS, Candidate
+from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.layers import Fitted, contrasts_of
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located

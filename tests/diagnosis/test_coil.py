@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
+from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged
 from gyrocal.diagnosis.changes import Change, Changes
-from gyrocal.diagnosis.coil import AVERAGED_NATS, Candidate, TableSearch, averaged, replaced
+from gyrocal.diagnosis.coil import replaced, table_search
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import laws_of
@@ -223,7 +224,7 @@ def test_what_took_the_evidence_of_a_lag_is_exchanged_for_it() -> None:
     t_s = 40.0 * np.arange(120, dtype=np.float64)
     rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
     table = DataSetTable(Path("any.csv"), rate, rate * 1.0001, 30.0 + 20.0 * np.sin(t_s / 500.0), t_s=t_s)
-    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    search = table_search(full_model(means_of(series_of_table(table)), memory=False))
     lag = 0.7, 200.0
     search.best_coil = lambda candidate: lag  # type: ignore[method-assign]
     drift, step = Change("scale_drift", 1.0), Change("bias_step", 40.0)
@@ -238,7 +239,7 @@ def test_a_coil_that_never_got_warm_is_not_looked_for() -> None:
     t_s = np.linspace(0.0, 3600.0, 61)
     rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 13)[:61]
     table = DataSetTable(Path("once.csv"), rate, rate, 20.0 + t_s / 90.0, t_s=t_s)
-    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    search = table_search(full_model(means_of(series_of_table(table)), memory=False))
     assert search._reached((1.0, 300.0))
     assert not search._reached((1.0, 28800.0))
     # A share of the lag is a share of the way.
@@ -261,7 +262,7 @@ def test_the_lag_that_gains_most_is_foreseen_without_a_fit() -> None:
     noise = 3e-4 * np.random.default_rng(2).standard_normal(t_s.size)
     gyro = rate * (1.0 + 5e-5 * at_coil) + 1e-3 * at_coil + noise
     table = DataSetTable(Path("behind.csv"), rate, gyro, temp_c, t_s=t_s)
-    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    search = table_search(full_model(means_of(series_of_table(table)), memory=False))
     found = search.best_coil(search.fit(None, (), None))
     assert found is not None
     assert found[0] >= 0.7
@@ -326,7 +327,7 @@ def test_drifts_of_bias_and_scale_factor_that_show_little_alone_are_asked_togeth
     rate = np.tile([0.0, 50.0, -50.0, 100.0, -100.0], 24)
     gyro = rate * 1.0001 + 3e-4 * np.random.default_rng(7).standard_normal(t_s.size)
     table = DataSetTable(Path("any.csv"), rate, gyro, 30.0 + t_s / 200.0, t_s=t_s)
-    search = TableSearch(full_model(means_of(series_of_table(table)), memory=False))
+    search = table_search(full_model(means_of(series_of_table(table)), memory=False))
     search.moves = lambda candidate: ()  # type: ignore[method-assign]
     search.run()
     asked = {frozenset(change.effect for change in changes) for coil, changes in search.known if coil is None}
@@ -557,7 +558,7 @@ def test_a_file_has_each_time_constant_with_its_share_of_the_amplitude() -> None
 def test_what_the_surface_can_take_back_is_not_believed_beyond_what_the_record_shows() -> None:
     means = _sweep().means
     wavy = replace(means, gyro_dps=means.rate_dps + 5e-4 * np.sin(np.arange(40.0)))
-    search = TableSearch(full_model(wavy, memory=False))
+    search = table_search(full_model(wavy, memory=False))
     law = search.changes.law(Change("bias_drift", 1.0))
     solved = cast(Any, SimpleNamespace(amplitudes={law.name: np.array([1.0])}))
     added = search._added(cast(Any, SimpleNamespace(laws=(law,), components={})), solved)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis import correction as module
 from gyrocal.diagnosis.blocks import around_itself
-from gyrocal.diagnosis.coil import Candidate
+from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.correction import _estimate, _items, correction, doubtful, mixed
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination

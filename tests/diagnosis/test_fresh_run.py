@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.changes import Change
-from gyrocal.diagnosis.coil import TableSearch
+from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.fresh_run import Gain, gain_on_a_fresh_run, no_file, without_rate
@@ -138,7 +138,7 @@ def test_where_nothing_is_found_no_file_is_written(seed: int) -> None:
 
 
 def test_a_warm_up_comes_again_and_a_drift_moves_no_level(means: Means) -> None:
-    search = TableSearch(full_model(means, memory=False))
+    search = table_search(full_model(means, memory=False))
     warm, drift = (search.changes.law(c) for c in (Change("warm_up", 478.0), Change("bias_drift", 1.0)))
     assert (warm.from_end, drift.from_end) == (False, True)
     np.testing.assert_allclose(warm.columns[:, 0], 1e-3 * np.exp(-means.t_s / 478.0), rtol=1e-12)
@@ -146,7 +146,7 @@ def test_a_warm_up_comes_again_and_a_drift_moves_no_level(means: Means) -> None:
 
 
 def test_neighbouring_shapes_lie_on_the_lattice(means: Means) -> None:
-    search = TableSearch(full_model(means, memory=False))
+    search = table_search(full_model(means, memory=False))
     step = Change("scale_step", 10.0)
     start: Any = replace(search.fit(None, (), None), coil=(1.0, 30.0), changes=(step,))
     rises = search.changes.grids("scale_step")[1]
@@ -161,7 +161,7 @@ def test_neighbouring_shapes_lie_on_the_lattice(means: Means) -> None:
 
 def test_shapes_in_temperature_are_freed_of_the_surface_at_the_coil(means: Means) -> None:
     """What the fit takes of them is what the surface of the file, which lags, gives back."""
-    model = TableSearch(full_model(means, memory=False)).model((1.0, 237.6), ())
+    model = table_search(full_model(means, memory=False)).model((1.0, 237.6), ())
     part = next(p for p in model.parts if p.name == "temperature on bias")
     taken = model.design @ polynomials(part.columns, model.basis.frame)
     found = model.components[part.name].columns

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrocal.diagnosis.coil import TableSearch
+from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
@@ -43,7 +43,7 @@ def lagging(noise_dps: float, seed: int) -> DataSetTable:
 
 def known_of(noise_dps: float, seed: int) -> dict[str, Estimate]:
     """What the posterior says beside the lag that was hidden."""
-    search = TableSearch(full_model(means_of(series_of_table(lagging(noise_dps, seed))), memory=False))
+    search = table_search(full_model(means_of(series_of_table(lagging(noise_dps, seed))), memory=False))
     return lag_estimates([(1.0, search.fit((SHARE, TAU_S), (), None))])
 
 

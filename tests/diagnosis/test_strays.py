@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.coil import Candidate, TableSearch
+from gyrocal.diagnosis.candidates import Candidate
+from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.layers import full_model
@@ -37,7 +38,7 @@ def make_sweeps(seed: int, off_dps: dict[int, float], step_dps: float = 0.0) -> 
 
 def without_laws(table: DataSetTable) -> list[Candidate]:
     """The model of a table that has no law of time."""
-    return [TableSearch(full_model(means_of(series_of_table(table)), memory=False)).fit(None, (), None)]
+    return [table_search(full_model(means_of(series_of_table(table)), memory=False)).fit(None, (), None)]
 
 
 def found_in(table: DataSetTable) -> Strays:

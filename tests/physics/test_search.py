@@ -13,7 +13,7 @@ from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Effect
 from gyrocal.physics.fold import BY_COORDINATE
 from gyrocal.physics.lacking import Lack, Why
-from gyrocal.physics.offer import Offer
+from gyrocal.physics.offer import Offer, turned_back_c
 from tests.physics.test_catalogue import SURFACE, conditions
 
 EFFECTS = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
@@ -186,3 +186,18 @@ def test_three_sizes_of_rate_have_nothing_left_to_check_an_odd_law_by(name: str)
     lack = find_effect(name).why_not(three)
     assert isinstance(lack, Lack)
     assert lack.why is Why.FEW_SIZES
+
+
+def test_a_temperature_turns_back_by_what_it_both_rose_and_fell() -> None:
+    assert turned_back_c(np.array([10.0, 20.0, 30.0])) == 0.0
+    assert turned_back_c(np.array([30.0, 10.0])) == 0.0
+    assert turned_back_c(np.array([20.0, 50.0, 5.0, 25.0])) == 30.0
+    assert turned_back_c(np.array([20.0, 0.0, 15.0])) == 15.0
+
+
+def test_a_hysteresis_needs_heating_and_cooling() -> None:
+    one_way = replace(WHOLE, temp_back_c=0.3)
+    lacks = [need(one_way) for need in CATALOGUE["thermal_hysteresis"].search.requires]
+    assert [lack.why for lack in lacks if isinstance(lack, Lack)] == [Why.ONE_BRANCH]
+    widths = [shape["width_c"] for shape in CATALOGUE["thermal_hysteresis"].search.grid(WHOLE)]
+    assert max(widths) < 0.5 * WHOLE.temp_back_c

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gyrocal.errors import InputError
-from gyrocal.records.datasets import DataSetTable, format_data_sets, read_data_sets
+from gyrocal.records.datasets import DataSetTable, format_data_sets, read_data_sets, switched_on_s
 
 SETTINGS = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 VALUES = st.floats(-200, 200)
@@ -109,3 +109,12 @@ def test_days_between_data_sets_may_be_milliseconds(tmp_path: Path) -> None:
         rows = [f"{k * step_s},{10 * (k % 5 - 2)},{10.1 * (k % 5 - 2)},{20 + k}" for k in range(20)]
         path.write_text("\n".join(["t_s,rate_dps,gyro_dps,temp_c", *rows]) + "\n")
         assert sum("milliseconds" in note for note in read_data_sets(path).notes) == said
+
+
+@pytest.mark.parametrize(
+    ("first_s", "on_s"), [(0.0, 0.0), (3600.0, 0.0), (8000.0, 8000.0), (1.7e9, 1.7e9), (-5.0, -5.0)]
+)
+def test_a_tables_clock_says_when_the_gyro_was_switched_on_unless_it_began_long_before(
+    first_s: float, on_s: float
+) -> None:
+    assert switched_on_s(first_s + np.linspace(0.0, 7200.0, 20)) == on_s

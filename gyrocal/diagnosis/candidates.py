@@ -1,0 +1,65 @@
+"""Models of a table that a search has fitted: the best of each kind, and those that a file is the mean of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from gyrocal.diagnosis.changes import Change
+from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.parts import Coil
+from gyrocal.physics.timewise import WARM_UP
+
+#: Models within this of the best one are averaged.
+AVERAGED_NATS = 4.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model of a table: `score` is its negative log evidence with what its laws pay, nats."""
+
+    coil: Coil
+    changes: tuple[Change, ...]
+    fitted: Fitted
+    score: float
+
+    @property
+    def effects(self) -> set[str]:
+        """Its laws beside the coil's lag."""
+        return {change.effect for change in self.changes}
+
+    @property
+    def warms_up(self) -> bool:
+        """Whether a warm-up is among its laws of time."""
+        return WARM_UP.id in self.effects
+
+    @property
+    def is_open_loop(self) -> bool:
+        """Whether the sine of an open loop is in its output."""
+        return self.fitted.model.open_loop is not None
+
+
+def best_of_each(ranked: Sequence[Candidate]) -> list[Candidate]:
+    """The best of each set of laws, with a coil's lag or without."""
+    found: dict[object, Candidate] = {}
+    for c in ranked:
+        found.setdefault((c.coil is None, frozenset(c.effects)), c)
+    return [*found.values()]
+
+
+def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
+    """The models worth averaging over, with their weights.
+
+    With a warm-up or without, as most of the weight is: a robot that need not know when it was switched on shall not
+    have to. With the sine of an open loop or without: a phase has no mean with none.
+    """
+    near = [c for c in candidates if c.score < candidates[0].score + AVERAGED_NATS]
+    weight = np.exp([candidates[0].score - c.score for c in near])
+    for has in (attrgetter("warms_up"), attrgetter("is_open_loop")):
+        with_it = np.array([has(c) for c in near], dtype=np.bool_)
+        kept = np.flatnonzero(with_it == (weight @ with_it > 0.5 * weight.sum()))
+        near, weight = [near[k] for k in kept], weight[kept]
+    return [*zip((weight / weight.sum()).tolist(), near, strict=True)]
