@@ -54,6 +54,7 @@ def offer_of(series: Series) -> Offer:
         rates_dps=np.unique(np.round(series.rate_dps, 3)),
         largest_rate_dps=float(np.max(np.abs(series.rate_dps))),
         temp_c=(float(series.temp_c.min()), float(series.temp_c.max())),
+        temp_span_c=float(np.ptp(series.history.temp_c)),
         temp_back_c=turned_back_c(series.history.temp_c),
         turn_starts_s=_between_turns(series),
         since_power_on_s=None if since_on is None else float(since_on.min()),

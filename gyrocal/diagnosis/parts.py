@@ -60,7 +60,7 @@ _TEMP_ORDERS = 3
 _LAGS_S, _WARM_UPS_S = 40.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** np.arange(6)
 #: The same of the heat of past turns.
 _HEATS_S = 150.0 * 2.0 ** np.arange(5)
-#: Half widths of the plays, as shares of what the temperature turned back by.
+#: Half widths of the plays, as shares of the range of temperatures.
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
 _WARMER_C = 0.01
@@ -421,7 +421,7 @@ def remembering(means: Means) -> list[Part]:
     lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
     back_c = turned_back_c(means.series.history.temp_c)
-    plays = [Factor("play", (share * back_c,)) for share in _PLAYS if back_c > _LEAST_SPAN_C]
+    plays = [Factor("play", (share * span_c,)) for share in _PLAYS if share * span_c <= back_c]
     slope, one = _legendre(1), Factor()
     found = [
         _part("lag on bias", "memory", tuple(Column(driver=d) for d in lags)),

@@ -41,6 +41,7 @@ class Offer:
     rates_dps : ndarray, the different rates, to a thousandth, ascending, deg/s
     largest_rate_dps : largest size of a rate, deg/s
     temp_c : (lowest, highest) temperature of its rows, deg C
+    temp_span_c : range of the temperatures as they were sampled, deg C
     temp_back_c : by how much the temperature both rose and fell (`turned_back_c`), deg C
     turn_starts_s : ndarray, beginnings of data sets between the first turns of the table and its last, s
     since_power_on_s : least time since the gyro was switched on, s; None: nobody knows when that was
@@ -54,6 +55,7 @@ class Offer:
     rates_dps: Floats
     largest_rate_dps: float
     temp_c: tuple[float, float]
+    temp_span_c: float
     temp_back_c: float
     turn_starts_s: Floats
     since_power_on_s: float | None
@@ -106,8 +108,7 @@ class Offer:
 def turned_back_c(temp_c: Floats) -> float:
     """By how much temperatures in the order of time both rose and fell.
 
-    The half width of a play that is above half of it is never crossed both ways: such a play is a function of the
-    temperature, as the surface is.
+    A play whose half width is above it goes one way only, and is a function of the temperature, as the surface is.
     """
     rose_c = np.max(temp_c - np.minimum.accumulate(temp_c))
     fell_c = np.max(np.maximum.accumulate(temp_c) - temp_c)

@@ -115,7 +115,8 @@ def _temperature_order(c: Conditions, p: Mapping[str, float], surface: Surface |
 
 
 def _widths(offer: Offer) -> list[dict[str, float]]:
-    on_bias = [{"width_c": float(x)} for x in np.geomspace(0.012, 0.45, 11) * offer.temp_back_c]
+    widths_c = np.geomspace(0.012, 0.45, 11) * offer.temp_span_c
+    on_bias = [{"width_c": x} for x in widths_c.tolist() if x <= offer.temp_back_c]
     return on_bias + [{**shape, "of_scale": 1.0} for shape in on_bias if table_turns(offer) is None]
 
 

@@ -24,6 +24,7 @@ WHOLE = Offer(
     rates_dps=np.linspace(-100.0, 100.0, 11),
     largest_rate_dps=100.0,
     temp_c=(-10.0, 50.0),
+    temp_span_c=61.0,
     temp_back_c=61.0,
     turn_starts_s=np.arange(1000.0, 80000.0, 1000.0),
     since_power_on_s=30.0,
@@ -32,7 +33,7 @@ WHOLE = Offer(
 )
 #: The same at rest and at one temperature.
 STILL = replace(
-    WHOLE, rates_dps=np.zeros(1), largest_rate_dps=0.0, temp_c=(20.0, 20.0), temp_back_c=0.0, turn_starts_s=np.empty(0),
+    WHOLE, rates_dps=np.zeros(1), largest_rate_dps=0.0, temp_c=(20.0, 20.0), temp_span_c=0.0, temp_back_c=0.0, turn_starts_s=np.empty(0),
 )  # fmt: skip
 
 
@@ -199,5 +200,6 @@ def test_a_hysteresis_needs_heating_and_cooling() -> None:
     one_way = replace(WHOLE, temp_back_c=0.3)
     lacks = [need(one_way) for need in CATALOGUE["thermal_hysteresis"].search.requires]
     assert [lack.why for lack in lacks if isinstance(lack, Lack)] == [Why.ONE_BRANCH]
-    widths = [shape["width_c"] for shape in CATALOGUE["thermal_hysteresis"].search.grid(WHOLE)]
-    assert max(widths) < 0.5 * WHOLE.temp_back_c
+    part = replace(WHOLE, temp_back_c=8.0)
+    widths = [shape["width_c"] for shape in CATALOGUE["thermal_hysteresis"].search.grid(part)]
+    assert 4.0 < max(widths) <= 8.0
