@@ -183,7 +183,7 @@ SHUPE = Effect(
     family="thermal transient",
     equation="e = k dT/dt",
     statement="The bias follows the rate of change of temperature: the two halves of the coil warm unequally (Shupe effect).",
-    parameters=(amplitude("mdeg/s per degC/min", 100.0, 3.0, "bias per temperature rate"),),
+    parameters=(amplitude("mdeg/s per degC/min", 1000.0, 3.0, "bias per temperature rate"),),
     needs=("t_s", "temp_c"),
     seen_in="temperature_rate",
     looks_like=("shupe_gradient", "thermal_lag"),
@@ -201,7 +201,7 @@ SHUPE_GRADIENT = Effect(
     equation="e = k (T - T_in), tau dT_in/dt = T - T_in",
     statement="The bias follows the temperature difference between outside and inside of the coil, and decays after a ramp.",
     parameters=(
-        amplitude("mdeg/s per degC", 100.0, 1.0, "bias per degree of difference"),
+        amplitude("mdeg/s per degC", 1000.0, 1.0, "bias per degree of difference"),
         shape("tau_s", "s", 30.0, 3600.0, 400.0, "time constant of the inside"),
     ),
     needs=("t_s", "temp_c"),
@@ -251,7 +251,7 @@ THERMAL_HYSTERESIS = Effect(
     equation="e = k (P_r[T] - T), P_r the play operator of half width r; of the scale factor times w/(100 deg/s)",
     statement="Heating and cooling give different biases, or scale factors, at the same temperature, after any soak (hysteresis).",
     parameters=(
-        amplitude("mdeg/s per degC", 100.0, 1.0, "bias per degree of play"),
+        amplitude("mdeg/s per degC", 1000.0, 1.0, "bias per degree of play"),
         shape("width_c", "degC", 0.2, 60.0, 5.0, "half width of the play"),
         of_scale(),
     ),
@@ -274,7 +274,7 @@ RATE_HEATING = Effect(
     equation="e = k h / (100 deg/s)^2, tau dh/dt = w^2 - h",
     statement="The bias follows the heat of past turns (drag of the air, bearings, the drive): their squares, and decays after them.",
     parameters=(
-        amplitude("mdeg/s", 1000.0, 3.0, "bias after long turning at 100 deg/s"),
+        amplitude("mdeg/s", 10000.0, 3.0, "bias after long turning at 100 deg/s"),
         # What decays sooner is the table's or the gyro's response to a step of the rate.
         shape("tau_s", "s", 100.0, 7200.0, 600.0, "time constant of the warming"),
     ),
@@ -302,7 +302,7 @@ TEMPERATURE_ORDER = Effect(
     equation="e = k ((T - T_m)/T_s)^n, n = 3, 4, ...",
     statement="The bias, or the scale factor with it, bends more with temperature than a quadratic can.",
     parameters=(
-        amplitude("mdeg/s", 1000.0, 5.0, "size at T_m + T_s"),
+        amplitude("mdeg/s", 10000.0, 5.0, "size at T_m + T_s"),
         count("order", 3.0, 9.0, 3.0, "power"),
         choice("center_c", "degC", -100.0, 150.0, 20.0, "temperature T_m where it vanishes"),
         choice("scale_c", "degC", 1.0, 200.0, 30.0, "scale T_s"),

@@ -107,8 +107,12 @@ def _gain(c: Comparison) -> str:
         f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
         f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
     )
-    if c.beyond:
-        what += f" {c.beyond} more {plural(c.beyond, '[lies|lie] beyond the rates or temperatures of the others, or beside a jump, and [is|are] not judged')}."
+    for count, where in (
+        (c.beyond, "beyond the rates or temperatures of the others"),
+        (c.beside_jumps, "beside a jump"),
+    ):
+        if count:
+            what += f" {count} more {plural(count, f'[lies|lie] {where} and [is|are] not judged')}."
     if c.helps:
         return f"{what} Add the law: {LAW_PYTHON}, {LAW_JSON}."
     if c.worse_at_dps:

@@ -59,9 +59,9 @@ class Comparison:
     ----------
     interval_95 : tuple of float
         Of the drop, by a bootstrap of whole blocks.
-    sets, beyond : int
-        Data sets left out in turn, and those whose rate or temperature the others do not enclose, or beside which something
-        jumps: these are not judged, since no surface knows beyond its data, and no law when it jumped among them.
+    sets, beyond, beside_jumps : int
+        Data sets left out in turn; those whose rate or temperature the others do not enclose, and of the others those beside
+        which something jumps: these are not judged, since no surface knows beyond its data, and no law when it jumped among them.
     worse_at_dps : tuple of float
         Rates at which the simulation is surely farther from the recording with the law.
     """
@@ -71,6 +71,7 @@ class Comparison:
     interval_95: tuple[float, float]
     sets: int
     beyond: int
+    beside_jumps: int
     worse_at_dps: tuple[float, ...] = ()
 
     @property
@@ -86,6 +87,7 @@ class Comparison:
             "drop_interval_95_dps": list(self.interval_95),
             "sets": self.sets,
             "sets_beyond": self.beyond,
+            "sets_beside_jumps": self.beside_jumps,
             "worse_at_dps": list(self.worse_at_dps),
             "helps": self.helps,
         }
@@ -282,7 +284,7 @@ def compare(matched: Match, options: Options) -> Comparison | None:
     simulated = matched.surface.output_dps(difference.rate_dps, difference.temp_c)
     numbers, plain = set_means(difference, difference.gyro_dps - simulated)
     block = np.arange(numbers.size) * _BLOCKS // max(numbers.size, 1)
-    after = np.full(numbers.size, np.nan)
+    after, beside_jumps = np.full(numbers.size, np.nan), 0
     for fold in range(_FOLDS):
         held = block % _FOLDS == fold
         known = ~np.isin(difference.set_index, numbers[held])
@@ -292,8 +294,10 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         except DataError:
             return None
         within = enclosed(difference, difference.take(known & difference.is_set))
-        within &= ~_jumped_meanwhile(law, difference.t_s, difference.t_s[known])
-        judged = held & np.isin(numbers, difference.set_index[within])
+        certain = ~_jumped_meanwhile(law, difference.t_s, difference.t_s[known])
+        enclosed_too = held & np.isin(numbers, difference.set_index[within])
+        judged = enclosed_too & np.isin(numbers, difference.set_index[within & certain])
+        beside_jumps += int(np.sum(enclosed_too & ~judged))
         after[judged] = set_means(difference, left_by(law, difference))[1][judged]
     judged = np.isfinite(after)
     if np.sum(judged) < _FEWEST:
@@ -308,7 +312,8 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         left,
         (float(low), float(high)),
         int(np.sum(judged)),
-        int(np.sum(~judged)),
+        int(np.sum(~judged)) - beside_jumps,
+        beside_jumps,
         _worse_at(rate, squares[1] - squares[0]),
     )
 

@@ -16,6 +16,7 @@ from gyrocal.diagnosis.versus.answer import (
     Versus,
     _jumped_meanwhile,
     _worse_at,
+    counts_from_s,
     left_by,
     versus,
 )
@@ -80,7 +81,7 @@ def warmed(sweeps: int) -> Versus:
     simulated = SURFACE.output_dps(rate, temp)
     real = series_of_table(table("real.csv", t, rate, simulated + lacking + noise, temp))
     answer = versus(real, series_of_table(table("sim.csv", t, rate, simulated, temp)), Options(heldout=False))
-    return replace(answer, comparison=Comparison(2e-3, 1e-3, (5e-4, 1.5e-3), 140, 16))
+    return replace(answer, comparison=Comparison(2e-3, 1e-3, (5e-4, 1.5e-3), 140, 12, 4))
 
 
 def test_a_law_that_helps_most_at_one_rate_and_spoils_another_is_not_added() -> None:
@@ -91,7 +92,7 @@ def test_a_law_that_helps_most_at_one_rate_and_spoils_another_is_not_added() -> 
     assert np.mean([bool(_worse_at(rate, grown)) for grown in noise]) < 0.02
     grown = np.where(np.abs(rate) == 3.0, -0.05, 0.001) + noise[0]
     assert _worse_at(rate, grown) == (-50.0, 50.0)
-    gains = Comparison(0.2, 0.1, (0.05, 0.15), 160, 0)
+    gains = Comparison(0.2, 0.1, (0.05, 0.15), 160, 0, 0)
     assert (gains.helps, replace(gains, worse_at_dps=(50.0,)).helps) == (True, False)
 
 
@@ -142,3 +143,11 @@ def test_what_is_no_output_of_a_gyro_is_named_whichever_side_it_is_on() -> None:
     for pair in ((right, wrong), (wrong, right)):
         with pytest.raises(DataError, match=r"wrong\.csv: .*sign of the output"):
             versus(*pair, Options(heldout=False))
+
+
+def test_a_law_since_power_on_counts_from_the_same_instant_whatever_rows_are_left_out() -> None:
+    t, rate, temp = plan(2)
+    gyro = SURFACE.output_dps(rate, temp)
+    difference = series_of_table(table("real.csv", t + 600.0, rate, gyro, temp))
+    part = difference.take(np.arange(t.size) >= 10)
+    assert counts_from_s(part) == counts_from_s(difference) == 0.0
