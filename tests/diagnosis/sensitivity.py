@@ -45,7 +45,16 @@ from tests.diagnosis.versus.tables import SURFACE, plan, table
 
 PACKAGE = Path(__file__).parents[2] / "gyrocal"
 #: What recordings of either kind do not read, by folder or file of `gyrocal/diagnosis`.
-ONLY_TABLES = ("coil.py", "changes.py", "fresh_run.py", "lag_posterior.py", "table_series.py", "untimed.py")
+ONLY_TABLES = (
+    "candidates.py",
+    "changes.py",
+    "coil.py",
+    "finer.py",
+    "fresh_run.py",
+    "lag_posterior.py",
+    "table_series.py",
+    "untimed.py",
+)
 ONLY_DRIVES, ONLY_VERSUS = "drive/", "versus/"
 #: Share of the data sets that a simulation has, of those that are compared with one.
 _SIMULATED = 0.9

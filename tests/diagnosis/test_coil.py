@@ -446,7 +446,9 @@ def _of_two_gaps(course: int) -> DataSetTable:
 def _sweep() -> Changes:
     t_s, rate_dps = 60.0 * np.arange(40.0), np.linspace(-50.0, 50.0, 40)
     means = means_of(
-        series_of_table(DataSetTable(Path("sweep.csv"), rate_dps, rate_dps, 20.0 + t_s / 60.0, t_s=t_s))
+        series_of_table(
+            DataSetTable(Path("sweep.csv"), rate_dps, rate_dps, 40.0 - np.abs(t_s / 60.0 - 20.0), t_s=t_s)
+        )
     )
     return Changes(means, frame_of(means))
 
