@@ -33,10 +33,10 @@ SIZE_MDPS, PERIOD_DPS = 20.0, 47.8
 
 
 def table() -> DataSetTable:
-    """Data sets at 41 rates and three temperatures, with a ripple under white noise of half a mdeg/s."""
+    """Data sets at 25 rates and three temperatures, with a ripple under white noise of half a mdeg/s."""
     rng = np.random.default_rng(7)
-    rate = np.concatenate([rng.permutation(np.linspace(-100.0, 100.0, 41)) for _ in range(3)])
-    temp = np.repeat([-10.0, 20.0, 50.0], 41) + rng.normal(0.0, 0.2, rate.size)
+    rate = np.concatenate([rng.permutation(np.linspace(-100.0, 100.0, 25)) for _ in range(3)])
+    temp = np.repeat([-10.0, 20.0, 50.0], 25) + rng.normal(0.0, 0.2, rate.size)
     c = np.zeros((4, 3))
     c[0, :2], c[1, 0], c[2, 0], c[3, 0] = (0.02, 0.1), 0.3, 0.1, -0.5
     t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
