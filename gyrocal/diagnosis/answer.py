@@ -19,11 +19,11 @@ from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Law, Model, beyond_input, lagging
-from gyrocal.diagnosis.locate import block_p_value, coordinate_here
+from gyrocal.diagnosis.locate import block_p_value, coordinate_here, place_of
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.rate_errors import largest
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.result import Alternative, Estimate, NamedEffect, UnnamedPart
+from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, UnnamedPart
 from gyrocal.diagnosis.staircase import Step
 from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
@@ -229,6 +229,24 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     return _effect(
         found, searched.effect, known.parameters, searched.p_value, searched.rivals, adds=known.adds
     )
+
+
+def places_of_table(found: Examination) -> list[Located]:
+    """Where the laws act that the search of a table named: no block of its model stands for them."""
+    named = [s for s in _searched(found) if s.p_value <= NAMED_LEVEL]
+    if not named:
+        return []
+    best, series = found.ranked[0], found.series
+    solution, model = best.fitted.solve(), best.fitted.model
+    places = []
+    for s in named:
+        if s.law is not None:
+            places.append(place_of(s.law, solution.amplitudes[s.law.name], series, s.p_value))
+            continue
+        lag_dps = lagging(replace(model.basis, coil=best.coil)) @ model.legendre(solution)
+        where, rms_dps = coordinate_here(THERMAL_LAG.seen_in, series), float(np.sqrt(np.mean(lag_dps**2)))
+        places.append(Located(where, "mean", s.p_value, 1.0, rms_dps=rms_dps))
+    return places
 
 
 def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:

@@ -75,7 +75,7 @@ SHAPES, _OF_RATE = "temperature", ODD
 #: Those that a table may have of its own in each direction.
 _EVEN_IN_RATE = "even rate"
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
-_SPREAD_NATS, _MOST_SPREAD = 2.5, 20
+_SPREAD_NATS, _MOST_SPREAD = 2.5, 40
 
 
 def table_search(base: Model) -> TableSearch:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.groups import distinct
-from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws
+from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws, places_of_table
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.columns import conditions_of
@@ -147,7 +147,14 @@ def diagnose(
     strange = strange_turns(found.series, level)
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [f.place for f in findings]
-    everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
+    everywhere = [
+        *filter(None, [change]),
+        *located(found, level),
+        *strange,
+        *places,
+        *places_of_table(found),
+        *scatter,
+    ]
     told = _of_file(found, withheld, (layered, parts), written, why_not)
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gyrocal.diagnosis.examine import Examination, block_curve
-from gyrocal.diagnosis.layers import NEGLIGIBLE
+from gyrocal.diagnosis.layers import NEGLIGIBLE, Law
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.result import Located, UnnamedPart
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +36,8 @@ _UNITS = {
 _QUANTILES = 25
 #: Values nearer than this share of their range are one.
 _SAME = 1e-6
+#: What acts on the scale factor in time.
+_ON_SCALE = (SCALE_STEP.id, SCALE_DRIFT.id)
 #: The bias in time beyond its laws.
 WANDERING = "bias in time"
 
@@ -107,31 +111,37 @@ def _left(found: Examination, block: str) -> float:
 def _jumps(found: Examination) -> list[Located]:
     """Each jump, from its instant to the end of the record."""
     jumps = [n for n in found.naming.named if not n.block]
-    if not jumps:
-        return []
-    series, amplitudes = found.series, found.naming.fitted.solve().amplitudes
-    coordinate = series.time_coordinate
+    amplitudes = found.naming.fitted.solve().amplitudes if jumps else {}
+    return [
+        place_of(
+            jump.law,
+            amplitudes[jump.law.name],
+            found.series,
+            min(1.0, jump.trials * float(chi2.sf(2.0 * jump.gain, 1))),
+        )
+        for jump in jumps
+    ]
+
+
+def place_of(law: Law, amplitudes: Floats, series: Series, p_value: float) -> Located:
+    """Where a law acts: one that jumps from its instant on, others all along."""
+    coordinate = coordinate_here(CATALOGUE[law.effect].seen_in, series)
+    on_scale = bool(law.shape.get("of_scale")) or law.effect in _ON_SCALE
+    place = Located(
+        coordinate,
+        "mean",
+        p_value,
+        1.0,
+        target="scale factor" if on_scale else "",
+        rms_dps=float(np.sqrt(np.mean((law.columns @ amplitudes) ** 2))),
+    )
+    if "at_s" not in law.shape:
+        return place
     # Data sets without times are an interval of the surrogate clock apart.
     unit_s = 1.0 if coordinate == "time" else SURROGATE_PERIOD_S
-    places = []
-    for jump in jumps:
-        curve = jump.law.columns @ amplitudes[jump.law.name]
-        ends = np.array([jump.law.shape["at_s"], series.t_s[-1]]) / unit_s
-        low, high = ends if coordinate == "time" else ends + 1.0
-        places.append(
-            Located(
-                coordinate,
-                "mean",
-                min(1.0, jump.trials * float(chi2.sf(2.0 * jump.gain, 1))),
-                1.0,
-                low=float(low),
-                high=float(high),
-                unit=_UNITS[coordinate],
-                target="scale factor" if "rate_dps" in CATALOGUE[jump.law.effect].needs else "",
-                rms_dps=float(np.sqrt(np.mean(curve**2))),
-            )
-        )
-    return places
+    ends = np.array([law.shape["at_s"], series.t_s[-1]]) / unit_s
+    low, high = (ends if coordinate == "time" else ends + 1.0).tolist()
+    return replace(place, low=low, high=high, unit=_UNITS[coordinate])
 
 
 def stretch(found: Examination, block: str, curve: Floats) -> dict[str, Any]:
