@@ -115,8 +115,9 @@ def _temperature_order(c: Conditions, p: Mapping[str, float], surface: Surface |
 
 
 def _widths(offer: Offer) -> list[dict[str, float]]:
-    widths_c = np.geomspace(0.012, 0.45, 11) * offer.temp_span_c
-    on_bias = [{"width_c": x} for x in widths_c.tolist() if x <= offer.temp_back_c]
+    least_c, most_c = 0.012 * offer.temp_span_c, min(0.45 * offer.temp_span_c, offer.temp_back_c)
+    widths_c = np.geomspace(least_c, most_c, 11) if most_c > least_c > 0.0 else np.empty(0)
+    on_bias = [{"width_c": x} for x in widths_c.tolist()]
     return on_bias + [{**shape, "of_scale": 1.0} for shape in on_bias if table_turns(offer) is None]
 
 
