@@ -7,7 +7,7 @@ from typing import TypeVar
 
 Value = TypeVar("Value", bound=float)
 
-#: A grid is fine enough where a step of it is less than the square root of so many deviations of the value.
+#: A grid is fine enough where the square of its step is less than this, in deviations of the value.
 _TOLD_APART = 4.0
 #: A step is halved so often at the most: a grid as fine as the output has digits tells no more.
 _HALVINGS = 5
