@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,18 +146,21 @@ class TableSearch:
         """The best between the shapes of a model and those next to them, which are tried from then on."""
         for change in c.changes:
             if change.effect in self.changes.values and change.beside is None:
-
-                def moved(at: float, c: Candidate = c, change: Change = change) -> Candidate:
-                    return self.fit(c.coil, replaced(c.changes, change, change._replace(at=at)), c)
-
-                at = halved(self.changes.values[change.effect], change.at, lambda x: moved(x).score)
-                c = moved(at)
+                at = halved(self.changes.values[change.effect], change.at, partial(self._cost, c, change))
+                c = self._with_shape(c, change, at)
         if c.coil is not None:
             share, tau_s = c.coil
             tau_s = halved(self.lags_s, tau_s, lambda x: self.fit((share, x), c.changes, c).score)
             share = halved(self.shares, share, lambda x: self.fit((x, tau_s), c.changes, c).score)
             c = self.fit((share, tau_s), c.changes, c)
         return c
+
+    def _with_shape(self, c: Candidate, change: Change, at: float) -> Candidate:
+        """A model with one of its laws at another shape."""
+        return self.fit(c.coil, replaced(c.changes, change, change._replace(at=at)), c)
+
+    def _cost(self, c: Candidate, change: Change, at: float) -> float:
+        return self._with_shape(c, change, at).score
 
     def _over(self, base: Model) -> TableSearch:
         """The search over another model, which compares with this one."""
