@@ -9,7 +9,8 @@ Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a tab
 Layers      ``examine`` leads: ``within`` (patterns inside data sets), ``means`` (a row a data set),
             ``parts`` (what a calibration may contain), ``settling`` (what a step response leaves in later rows), ``layers`` (all of it in one model, all variances at once),
             ``rate_errors`` (of which a few may be large), ``edges`` (over temperature, which look like what happens at an instant),
-            ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil``, ``changes``, ``open_loop``.
+            ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil`` with
+            ``changes``, ``finer`` (shapes between those of a grid), ``candidates`` (what it found) and ``open_loop``.
 Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
             ``in_place`` (laws that stand for a block), ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
             ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag).

@@ -146,15 +146,8 @@ def diagnose(
     change = None if coefficients is None else surface_change(found, coefficients, improved)
     strange = strange_turns(found.series, level)
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
-    places = [f.place for f in findings]
-    everywhere = [
-        *filter(None, [change]),
-        *located(found, level),
-        *strange,
-        *places,
-        *places_of_table(found),
-        *scatter,
-    ]
+    places = [*places_of_table(found), *(f.place for f in findings)]
+    everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
     told = _of_file(found, withheld, (layered, parts), written, why_not)
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
