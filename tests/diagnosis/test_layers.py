@@ -78,6 +78,9 @@ def test_layers_of_a_table_are_named_and_a_second_run_is_corrected(layered: Diag
     assert named & {"fit_direction", "sagnac_sine", "rate_order"}
     lag = next(e for e in layered.effects if e.effect == "thermal_lag").parameters["tau_s"]
     assert lag.interval_95[0] < 250.0 < lag.interval_95[1]
+    (where,) = [place for place in layered.located if place.coordinate == "temperature_rate"]
+    assert where.rms_dps is not None
+    assert 2e-3 < where.rms_dps < 0.1
     assert layered.surface is not None
     assert layered.improved is not None
     second, rate = sweeps(2, noise_dps=0.0)
