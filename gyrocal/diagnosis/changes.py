@@ -124,13 +124,20 @@ class Changes:
         return self.values[effect], _SPREADS if effect in (WARM_UP.id, SHUPE_GRADIENT.id) else (0.0,)
 
     @cached_property
+    def tells_of_scale(self) -> bool:
+        """Whether it turned at temperatures enough to tell what changes the scale factor from the surface."""
+        return tells_of_scale(self.means)
+
+    @cached_property
     def lasting(self) -> list[Kind]:
         """What stays with the gyro, each where it may act."""
         kinds = [(effect, False) for effect in (WARM_UP.id, *HISTORY)]
-        return kinds + [(effect, True) for effect in _OF_SCALE if tells_of_scale(self.means)]
+        return kinds + [(effect, True) for effect in _OF_SCALE if self.tells_of_scale]
 
     def shapes(self, effect: str, of_scale: bool = False) -> list[Change]:
         """All shapes of an effect."""
+        if effect in (SCALE_DRIFT.id, SCALE_STEP.id) and not self.tells_of_scale:
+            return []
         if effect in DRIFTS:
             return [Change(effect, *shape) for shape in self._drifts]
         values, spreads = self.grids(effect)
@@ -139,7 +146,7 @@ class Changes:
     def of_scale_too(self, change: Change) -> list[Change]:
         """What a warm-up may do to the scale factor beside the bias, where the record shows it."""
         found = change._replace(of_scale=True)
-        return [found] if found.beside == change and tells_of_scale(self.means) else []
+        return [found] if found.beside == change and self.tells_of_scale else []
 
     def neighbours(self, change: Change) -> list[Change]:
         """The shapes next to one."""

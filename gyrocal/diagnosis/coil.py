@@ -23,6 +23,7 @@ from gyrocal.diagnosis.finer import halved, neighbours
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
+    DRIFTING_BIAS,
     DRIFTING_SCALE,
     EACH_RATE,
     Coil,
@@ -266,6 +267,8 @@ class TableSearch:
         coil, changes, near = candidate.coil, candidate.changes, candidate.fitted
         means, frame = self.base.means, self.base.basis.frame
         more = [*drifts(means, frame), *(c for c in passing(means, frame) if c.name == "scale walk")]
+        if not self.changes.tells_of_scale:
+            more = [c for c in more if c.name == DRIFTING_BIAS]
         model = near.model.with_parts(parts)
         fitted = near.refit(model.with_components(*more))
         paid = self._toll(coil, changes) + (0.0 if coil or changes else _FIRST_NATS)
