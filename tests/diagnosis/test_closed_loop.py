@@ -32,7 +32,7 @@ time_s = 900.0
 slope_c_per_min = 50.0
 slope_over_s = 60.0
 [virtual.effects.warm_up]
-amplitude = 8.0
+amplitude = 16.0
 tau_s = 2400.0
 """
 
