@@ -85,6 +85,7 @@ def test_steps_in_time_are_told_as_drift() -> None:
     assert np.sqrt(scatter.levels[1] * 5 + scatter.levels[3] * 300.0) > 0.005
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_there_is_nothing() -> None:
     runs = 12
     alarms = [alarms_of(simulate(np.random.default_rng([4, k]))) for k in range(runs)]

@@ -39,6 +39,7 @@ def test_it_writes_page_and_tables(tables: list[Path], tmp_path: Path) -> None:
     assert "data:image/png;base64," in (out / "fleet.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_same_units_give_the_same_bytes(tables: list[Path], tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_fleet(measure_fleet(FleetConfig(tuple(tables[:3]), jobs=2), lambda s, w: None), tmp_path / name)
