@@ -84,7 +84,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"record__averaging_s": 0.05}, "p.toml: record.averaging_s is 0.05, and allowed is at least one sample (0.1 s)."),
     (
         {"virtual__effects": {"shupe": {"amplitude": 1e9}}},
-        "p.toml: virtual.effects.shupe.amplitude is 1000000000.0, and allowed is a number from -100 to 100 mdeg/s per "
+        "p.toml: virtual.effects.shupe.amplitude is 1000000000.0, and allowed is a number from -1000 to 1000 mdeg/s per "
         "degC/min.",
     ),
     (

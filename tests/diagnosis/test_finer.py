@@ -26,7 +26,7 @@ def test_the_best_is_found_to_within_a_deviation_and_what_was_tried_stays(
     grid = [*COARSE]
 
     def cost(at: float) -> float:
-        return 0.5 * ((np.log(at) - true) / deviation) ** 2
+        return 0.5 * float((np.log(at) - true) / deviation) ** 2
 
     at = halved(grid, min(grid, key=cost), cost)
     assert cost(at) <= 0.5
@@ -61,7 +61,7 @@ def test_a_warm_up_of_a_small_gyro_has_its_time_constant_and_not_that_of_a_grid(
     rng = np.random.default_rng(3)
     rates = np.tile([0.0, 30.0, -30.0, 60.0, -60.0, 100.0, -100.0], 6)
     temp_c = np.repeat([20.0, 40.0, 20.0, 0.0, 40.0, 20.0], 7) + 0.02 * rng.standard_normal(rates.size)
-    t_s = 3600.0 + 300.0 * np.arange(rates.size)
+    t_s = 3600.0 + 300.0 * np.arange(rates.size, dtype=np.float64)
     gyro = 1.001 * rates + 0.2 + 2e-3 * temp_c + 10.0 * np.exp(-t_s / 2200.0)
     gyro += 2e-3 * rng.standard_normal(rates.size)
     series = series_of_table(DataSetTable(Path("soaked.csv"), rates, gyro, temp_c, t_s=t_s))

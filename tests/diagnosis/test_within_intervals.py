@@ -55,6 +55,7 @@ def test_an_error_of_the_reference_is_turned_by_a_gyro_that_is_not_straight(tmp_
     assert high - low < 1.0
 
 
+@pytest.mark.slow
 def test_a_table_that_wobbles_is_no_error_of_the_gyro(tmp_path: Path) -> None:
     write_run(make_recording([], 22, "even"), tmp_path / "run")
     series = series_of(tmp_path / "run")

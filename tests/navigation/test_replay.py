@@ -44,7 +44,8 @@ def test_calibration_improves_the_return_by_an_order_of_magnitude() -> None:
         assert replay.notes == ()
 
 
-@pytest.mark.parametrize("chunk_rows", [100, pytest.param(501, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("chunk_rows", [100, 501])
 def test_blocks_of_any_size_give_the_same_replay(chunk_rows: int) -> None:
     parts = replay_log(source(drive(), chunk_rows), robot(), calibration())
     for a, b in zip(whole().tracks, parts.tracks, strict=True):

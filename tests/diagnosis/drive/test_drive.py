@@ -134,7 +134,7 @@ def test_a_hidden_effect_is_named_with_its_size(
 @pytest.mark.parametrize(
     ("effects", "name", "truth"),
     [
-        ({"bias_temperature": 4.0}, "bias_temperature", 4.0),
+        pytest.param({"bias_temperature": 4.0}, "bias_temperature", 4.0, marks=pytest.mark.slow),
         pytest.param({"gyro_scale": 1.5}, "gyro_scale", 15000.0, marks=pytest.mark.slow),
         pytest.param({"wheel_scale": -0.5}, "wheel_scale", -0.5, marks=pytest.mark.slow),
     ],
