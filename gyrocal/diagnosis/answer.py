@@ -236,16 +236,17 @@ def places_of_table(found: Examination) -> list[Located]:
     named = [s for s in _searched(found) if s.p_value <= NAMED_LEVEL]
     if not named:
         return []
-    best, series = found.ranked[0], found.series
+    best = found.ranked[0]
     solution, model = best.fitted.solve(), best.fitted.model
     places = []
     for s in named:
-        if s.law is not None:
-            places.append(place_of(s.law, solution.amplitudes[s.law.name], series, s.p_value))
-            continue
-        lag_dps = lagging(replace(model.basis, coil=best.coil)) @ model.legendre(solution)
-        where, rms_dps = coordinate_here(THERMAL_LAG.seen_in, series), float(np.sqrt(np.mean(lag_dps**2)))
-        places.append(Located(where, "mean", s.p_value, 1.0, rms_dps=rms_dps))
+        shape: Mapping[str, float] = {} if s.law is None else s.law.shape
+        added_dps = (
+            lagging(replace(model.basis, coil=best.coil)) @ model.legendre(solution)
+            if s.law is None
+            else s.law.columns @ solution.amplitudes[s.law.name]
+        )
+        places.append(place_of(CATALOGUE[s.effect], shape, added_dps, found.series, s.p_value))
     return places
 
 

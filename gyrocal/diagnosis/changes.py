@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.columns import EDGE
 from gyrocal.diagnosis.finer import neighbours
-from gyrocal.diagnosis.laws import Laws, laws_of
+from gyrocal.diagnosis.laws import Laws, is_of_scale_in_time, laws_of
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import since_on, tells_of_scale
@@ -136,7 +136,7 @@ class Changes:
 
     def shapes(self, effect: str, of_scale: bool = False) -> list[Change]:
         """All shapes of an effect."""
-        if effect in (SCALE_DRIFT.id, SCALE_STEP.id) and not self.tells_of_scale:
+        if is_of_scale_in_time(CATALOGUE[effect]) and not self.tells_of_scale:
             return []
         if effect in DRIFTS:
             return [Change(effect, *shape) for shape in self._drifts]

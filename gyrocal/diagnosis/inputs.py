@@ -13,6 +13,7 @@ from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.offer import fell_c, turned_back_c
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import (
     Odd,
@@ -116,11 +117,9 @@ def _one_way_notes(series: Series) -> tuple[Remark, ...]:
     temp_c, span_c = series.temp_c, float(np.ptp(series.temp_c))
     if np.ptp(series.rate_dps) == 0.0 or not np.any(carried_terms(series) % SHAPE[1]):
         return ()
-    back_c = {
-        rose: float(np.max(np.maximum.accumulate(x) - x)) for rose, x in ((True, temp_c), (False, -temp_c))
-    }
-    rose = min(back_c, key=lambda way: back_c[way])
-    return (Remark(Said.ONE_WAY, {"rose": rose}),) if back_c[rose] < _TURNS_BACK * span_c else ()
+    if turned_back_c(temp_c) >= _TURNS_BACK * span_c:
+        return ()
+    return (Remark(Said.ONE_WAY, {"rose": fell_c(temp_c) <= fell_c(-temp_c)}),)
 
 
 def _few_temperatures_notes(series: Series) -> tuple[Remark, ...]:

@@ -76,7 +76,7 @@ class Laws:
         """All shapes of an effect that this record may show."""
         if not wanted(effect) or effect.why_not(self.offer) is not None:
             return []
-        if _is_of_scale_in_time(effect) and not tells_of_scale(self.means):
+        if is_of_scale_in_time(effect) and not tells_of_scale(self.means):
             return []
         found = []
         for shape in effect.search.grid(self.offer):
@@ -155,13 +155,14 @@ def effects_of(block: str) -> list[Effect]:
             continue
         if own.family == RATE_HEATING.family and (effect is RATE_HEATING) != (block == PAST_RATES):
             continue
-        if own.family == _TIME and _is_of_scale_in_time(effect) != (block == "scale in time"):
+        if own.family == _TIME and is_of_scale_in_time(effect) != (block == "scale in time"):
             continue
         found.append(effect)
     return found
 
 
-def _is_of_scale_in_time(effect: Effect) -> bool:
+def is_of_scale_in_time(effect: Effect) -> bool:
+    """Whether it is a drift or a step of the scale factor."""
     return effect.family == _TIME and "rate_dps" in effect.needs
 
 

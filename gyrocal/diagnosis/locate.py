@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from gyrocal.diagnosis.examine import Examination, block_curve
-from gyrocal.diagnosis.layers import NEGLIGIBLE, Law
+from gyrocal.diagnosis.laws import is_of_scale_in_time
+from gyrocal.diagnosis.layers import NEGLIGIBLE
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.result import Located, UnnamedPart
 from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP
+from gyrocal.physics.effect import Effect
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,8 +37,6 @@ _UNITS = {
 _QUANTILES = 25
 #: Values nearer than this share of their range are one.
 _SAME = 1e-6
-#: What acts on the scale factor in time.
-_ON_SCALE = (SCALE_STEP.id, SCALE_DRIFT.id)
 #: The bias in time beyond its laws.
 WANDERING = "bias in time"
 
@@ -114,8 +113,9 @@ def _jumps(found: Examination) -> list[Located]:
     amplitudes = found.naming.fitted.solve().amplitudes if jumps else {}
     return [
         place_of(
-            jump.law,
-            amplitudes[jump.law.name],
+            CATALOGUE[jump.law.effect],
+            jump.law.shape,
+            jump.law.columns @ amplitudes[jump.law.name],
             found.series,
             min(1.0, jump.trials * float(chi2.sf(2.0 * jump.gain, 1))),
         )
@@ -123,23 +123,25 @@ def _jumps(found: Examination) -> list[Located]:
     ]
 
 
-def place_of(law: Law, amplitudes: Floats, series: Series, p_value: float) -> Located:
-    """Where a law acts: one that jumps from its instant on, others all along."""
-    coordinate = coordinate_here(CATALOGUE[law.effect].seen_in, series)
-    on_scale = bool(law.shape.get("of_scale")) or law.effect in _ON_SCALE
+def place_of(
+    effect: Effect, shape: Mapping[str, float], added_dps: Floats, series: Series, p_value: float
+) -> Located:
+    """Where a law acts, by what it adds to the rows: one that jumps from its instant on, others all along."""
+    coordinate = coordinate_here(effect.seen_in, series)
+    on_scale = bool(shape.get("of_scale")) or is_of_scale_in_time(effect)
     place = Located(
         coordinate,
         "mean",
         p_value,
         1.0,
         target="scale factor" if on_scale else "",
-        rms_dps=float(np.sqrt(np.mean((law.columns @ amplitudes) ** 2))),
+        rms_dps=float(np.sqrt(np.mean(added_dps**2))),
     )
-    if "at_s" not in law.shape:
+    if "at_s" not in shape:
         return place
     # Data sets without times are an interval of the surrogate clock apart.
     unit_s = 1.0 if coordinate == "time" else SURROGATE_PERIOD_S
-    ends = np.array([law.shape["at_s"], series.t_s[-1]]) / unit_s
+    ends = np.array([shape["at_s"], series.t_s[-1]]) / unit_s
     low, high = (ends if coordinate == "time" else ends + 1.0).tolist()
     return replace(place, low=low, high=high, unit=_UNITS[coordinate])
 

@@ -110,9 +110,12 @@ def turned_back_c(temp_c: Floats) -> float:
 
     A play whose half width is above it goes one way only, and is a function of the temperature, as the surface is.
     """
-    rose_c = np.max(temp_c - np.minimum.accumulate(temp_c))
-    fell_c = np.max(np.maximum.accumulate(temp_c) - temp_c)
-    return float(min(rose_c, fell_c))
+    return min(fell_c(temp_c), fell_c(-temp_c))
+
+
+def fell_c(temp_c: Floats) -> float:
+    """The most by which temperatures in the order of time fell from any that was before."""
+    return float(np.max(np.maximum.accumulate(temp_c) - temp_c))
 
 
 #: Why a record does not meet a need of an effect; None: it does.
