@@ -99,7 +99,8 @@ class Change(NamedTuple):
     def prior_nats(self) -> float:
         """Evidence that it starts with."""
         ages = self.effect in DRIFTS and bool(self.spread)
-        return CATALOGUE[self.effect].search.prior_nats + (AGEING_NATS if ages else 0.0)
+        before = CATALOGUE[self.effect].search.nats_before({HISTORY.get(self.effect, ""): self.at})
+        return before + (AGEING_NATS if ages else 0.0)
 
     @property
     def plain(self) -> bool:

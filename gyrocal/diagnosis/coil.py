@@ -371,7 +371,8 @@ class TableSearch:
         tried = self.changes.shapes(effect, of_scale)
         if not tried:
             return []
-        found = gains(self.changes.columns(effect, of_scale), *self._precision(candidate))
+        found = 0.5 * gains(self.changes.columns(effect, of_scale), *self._precision(candidate))
+        found += [change.prior_nats for change in tried]
         return [tried[int(np.argmax(found))]]
 
     def best_coil(self, candidate: Candidate) -> Coil:

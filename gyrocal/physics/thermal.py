@@ -263,8 +263,16 @@ THERMAL_HYSTERESIS = Effect(
     runtime=True,
     error_dps=_hysteresis,
     has_memory=True,
-    # A sum of plays is what hysteresis is in general (Prandtl and Ishlinskii).
-    search=Search(grid=_widths, refined=("width_c",), requires=(temperature_turned_back,), adds_up=True),
+    search=Search(
+        grid=_widths,
+        refined=("width_c",),
+        requires=(temperature_turned_back,),
+        # Friction of parts in each other, freed within some degrees. A wider play has hardly begun to move while a
+        # record turns back, and looks like a step in time.
+        usual={"width_c": (0.5, 15.0)},
+        # A sum of plays is what hysteresis is in general (Prandtl and Ishlinskii).
+        adds_up=True,
+    ),
     fold=on_own("Play of the temperature, P[T] - T, °C"),
     c_text=CText(_hysteresis_c),
 )

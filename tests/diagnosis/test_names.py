@@ -168,9 +168,6 @@ def test_a_name_goes_with_the_smooth_parts_that_stood_for_it() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="a hysteresis of the scale factor, 20 degC wide, is 6 times as likely as the step", strict=True
-)
 def test_a_step_is_not_named_a_shape_in_temperature_beside_itself(tmp_path: Path) -> None:
     """Cubic in temperature until the step was seen: the smooth parts went, and the name had stayed."""
     made = make_up("layers", 160, 3)
