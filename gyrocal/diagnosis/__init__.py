@@ -7,7 +7,7 @@ Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a tab
             ``inputs`` (what is refused or said), ``given`` (what a file that came along has already),
             ``scatter`` (bursts, steps, clocks and a dead gyro, that no mean shows), ``strays`` (data sets that are set aside).
 Layers      ``examine`` leads: ``within`` (patterns inside data sets), ``means`` (a row a data set),
-            ``parts`` (what a calibration may contain), ``settling`` (what a step response leaves in later rows), ``layers`` (all of it in one model, all variances at once),
+            ``visited`` (temperatures and rates that it tells apart), ``parts`` (what a calibration may contain), ``settling`` (what a step response leaves in later rows), ``layers`` (all of it in one model, all variances at once),
             ``rate_errors`` (of which a few may be large), ``edges`` (over temperature, which look like what happens at an instant),
             ``blocks`` (which parts are there). A table of sweeps is searched jointly: ``coil`` with
             ``changes``, ``finer`` (shapes between those of a grid), ``candidates`` (what it found) and ``open_loop``.

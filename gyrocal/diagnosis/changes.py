@@ -19,7 +19,8 @@ from gyrocal.diagnosis.finer import neighbours
 from gyrocal.diagnosis.laws import Laws, is_of_scale_in_time, laws_of
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import since_on, tells_of_scale
+from gyrocal.diagnosis.parts import since_on
+from gyrocal.diagnosis.visited import tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import MDPS, PPM, where_it_acts

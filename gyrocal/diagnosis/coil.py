@@ -23,6 +23,7 @@ from gyrocal.diagnosis.finer import halved, neighbours
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of
 from gyrocal.diagnosis.parts import (
+    AT_FEW,
     DRIFTING_BIAS,
     DRIFTING_SCALE,
     EACH_RATE,
@@ -53,7 +54,7 @@ _FIRST_SHARES, _FIRST_LAGS_S = (-0.25, 0.25, 0.55, 0.85, 1.0), _LAGS_S[3:16:3]
 #: The coil has been through this share of the range of temperatures: of the rest nobody knows what it would do.
 _REACHED = 0.7
 #: What is the surface's, or is freed of it.
-_AT_COIL = ("surface", "temperature")
+_AT_COIL = ("surface", "temperature", AT_FEW)
 #: Laws of time and memory beside the lag: four and more trade their shares freely on the tables that were made up.
 _MOST_CHANGES = 3
 #: Models that the search goes on with, and how often: it costs as much as their number.

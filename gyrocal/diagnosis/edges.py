@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.layers import Fitted, Model
-from gyrocal.diagnosis.parts import Part, tells_of_scale, temperatures_apart, temperatures_turned
+from gyrocal.diagnosis.parts import Part
+from gyrocal.diagnosis.visited import tells_of_scale, temperatures_apart, temperatures_turned
 from gyrocal.inference.additive import gains
 from gyrocal.physics.effect import PPM
 from gyrocal.physics.smooth import Column, Factor

@@ -7,10 +7,10 @@ import numpy as np
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.layers import free_terms
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.parts import shows_scale, temperatures_turned_at
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
+from gyrocal.diagnosis.visited import shows_scale, temperatures_turned_at
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.offer import fell_c, turned_back_c

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.laws import GAIN, Laws
 from gyrocal.diagnosis.layers import WANDERING_BIAS, WANDERING_SCALE, Fitted, Law
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import tells_of_scale
+from gyrocal.diagnosis.visited import tells_of_scale
 from gyrocal.inference.additive import Component, gains
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM

@@ -12,8 +12,9 @@ from scipy.optimize import minimize_scalar
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PAST_RATES, tells_of_scale
+from gyrocal.diagnosis.parts import AT_FEW, BLOCKS, EACH_RATE, PAST_RATES
 from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.visited import tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Effect
@@ -145,6 +146,8 @@ def tied_anew(fitted: Fitted, laws: Laws) -> tuple[Fitted, Laws]:
 def effects_of(block: str) -> list[Effect]:
     """Effects of the catalogue that may be what a block of smooth parts stands for."""
     own = BLOCKS[block]
+    if block == AT_FEW:
+        return []
     found = []
     for effect in CATALOGUE.values():
         if not wanted(effect) or effect.family != own.family:

@@ -16,6 +16,14 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.series import LEAST_SUPPLY_V
 from gyrocal.diagnosis.settling import SETTLING
+from gyrocal.diagnosis.visited import (
+    LEAST_SPAN_C,
+    TEMP_BUMPS,
+    apart,
+    tells_of_scale,
+    temperatures_apart,
+    temperatures_turned,
+)
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
 from gyrocal.physics.conditions import Conditions
@@ -31,6 +39,8 @@ Ints = NDArray[np.int64]
 EACH_RATE = "each rate"
 #: Block of what remembers past rates.
 PAST_RATES = "past rates"
+#: Block of the scale factor's next order in temperature where temperatures are just enough for it: what it is nobody can tell.
+AT_FEW = "scale at few temperatures"
 
 #: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
 Coil = tuple[float, float] | None
@@ -46,10 +56,10 @@ _STEP = 0.2
 _RATE_BUMP, _TEMP_BUMP, _NEAR_ZERO_BUMP = 0.12, 0.3, 0.8
 #: Bumps in rate from rest to the largest, and in temperature from the lowest to the highest: nearer to each other than they
 #: are wide, so that none falls between.
-_RATE_BUMPS, _TEMP_BUMPS = 13, 11
+_RATE_BUMPS = 13
 #: The same of narrow ones in temperature, for ripples and kinks, which the others smooth away and 1/f noise takes in.
 _NARROW_BUMP, _NARROW_BUMPS = 0.1, 31
-_BUMPS = ("temperature", _TEMP_BUMP, _TEMP_BUMPS), ("narrow temperature", _NARROW_BUMP, _NARROW_BUMPS)
+_BUMPS = ("temperature", _TEMP_BUMP, TEMP_BUMPS), ("narrow temperature", _NARROW_BUMP, _NARROW_BUMPS)
 #: Share of their places that a record has to have visited: of the temperatures most, since what is between them can follow
 #: time; of the rates fewer, as they come again, and without bumps a ripple over the rate is a knee.
 _VISITED, _VISITED_RATES = 0.7, 0.5
@@ -66,8 +76,8 @@ _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 _WARMER_C = 0.01
 #: Memories of the processes whose sum is 1/f noise, s: a decade apart it is so to some percent.
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
-#: Fewer temperatures say nothing of their history, degC, and fewer than so many times these of shapes in temperature.
-_LEAST_SPAN_C, _SHAPED = 0.5, 4.0
+#: Fewer degC than so many times those of one temperature say nothing of shapes in temperature.
+_SHAPED = 4.0
 DRIFTING_BIAS, DRIFTING_SCALE = "bias drift", "scale drift"
 #: Rates that differ by less are one: tables repeat theirs closer.
 _SAME_RATE_DPS = 0.01
@@ -137,6 +147,7 @@ BLOCKS = {
     "odd rate": Block("rate shape", "rate"),
     "even rate": Block("rate shape", "rate"),
     "temperature": Block("temperature shape", "temperature"),
+    AT_FEW: Block("temperature shape", "temperature"),
     "warm-up": Block("time", "time_since_power_on"),
     "supply": Block("supply", "supply"),
     "bias in time": Block("time", "time", stays=False, lasts=False),
@@ -280,7 +291,7 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
     if turning:
         found += _of_rate(means, frame)
         found += [_of_past_rates(means)] if memory else []
-    if span_c > _SHAPED * _LEAST_SPAN_C:
+    if span_c > _SHAPED * LEAST_SPAN_C:
         found += _of_temperature(means, frame, turning)
     if memory:
         found += remembering(means)
@@ -301,36 +312,8 @@ def _turns(means: Means) -> bool:
     return np.unique(np.round(means.rate_dps, 2)).size > 3
 
 
-def temperatures_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
-    """How many temperatures, one after the other, the gyro turned at."""
-    apart_c = max(_LEAST_SPAN_C, float(np.ptp(temp_c)) / (_TEMP_BUMPS - 1.0))
-    count, last_c = 0, -np.inf
-    for here_c in temp_c[rate_dps != 0.0].tolist():
-        if abs(here_c - last_c) > apart_c:
-            count, last_c = count + 1, here_c
-    return count
-
-
-def shows_scale(temperatures: int) -> bool:
-    """Whether so many temperatures tell what changes the scale factor beyond the surface: one, or five and more.
-
-    Of four in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
-    """
-    return temperatures == 1 or temperatures >= SHAPE[1] + 2
-
-
-def tells_of_scale(means: Means) -> bool:
-    """The same of a record."""
-    return shows_scale(temperatures_turned_at(means.rate_dps, means.temp_c))
-
-
 def _part(name: str, block: str, columns: tuple[Column, ...], weights: tuple[float, ...] = ()) -> Part:
     return Part(name, block, columns, weights or (1.0,) * len(columns))
-
-
-def _apart(coordinate: Floats, spacing: float) -> int:
-    """How many places the record has visited, that bumps of this spacing can tell from each other."""
-    return int(np.unique(np.round(coordinate / spacing)).size)
 
 
 def _of_rate(means: Means, frame: Frame) -> list[Part]:
@@ -342,7 +325,7 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
     spacing = frame.rate_scale_dps / (_RATE_BUMPS - 1.0)
     sizes = np.abs(means.rate_dps)
     # What is nearer to rest tells of the shapes near zero alone: through it an order of the rate could have any size elsewhere.
-    visited = _apart(sizes[sizes > 0.5 * spacing], spacing)
+    visited = apart(sizes[sizes > 0.5 * spacing], spacing)
     centers = spacing * np.arange(_RATE_BUMPS)
     near_zero = _near_visited(np.arcsinh(sizes / (ASINH_SHARE * frame.rate_scale_dps)))
     for parity, block, orders, first in (
@@ -353,7 +336,7 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
         falling = tuple(_STEP**k for k in range(len(columns)))
         found.append(_part(f"{parity} orders", block, columns, falling))
         # A rate that is near to rest stands for rest, where bumps begin.
-        if _apart(sizes[sizes > 0.0], spacing) > _VISITED_RATES * _RATE_BUMPS:
+        if apart(sizes[sizes > 0.0], spacing) > _VISITED_RATES * _RATE_BUMPS:
             width = _RATE_BUMP * frame.rate_scale_dps
             bumps = [Factor(f"{parity}_bump", (float(c), width)) for c in centers[first:]]
             found.append(_part(f"{parity} bumps", block, tuple(map(Column, bumps))))
@@ -400,23 +383,15 @@ def _of_temperature(means: Means, frame: Frame, turning: bool) -> list[Part]:
                 bumps = (Factor("bump", (float(c), width * frame.temp_scale_c)) for c in centers)
                 columns = tuple(Column(rate, b) for b in bumps)
                 found.append(_part(f"{kind} on {target}", "temperature", columns))
+    if turning and not of_scale and temperatures_apart(temperatures_turned(means), frame) > SHAPE[1]:
+        found.append(_part("next order on scale", AT_FEW, (Column(_LINEAR, _legendre(SHAPE[1])),)))
     return [part for part in found if part.columns]
-
-
-def temperatures_turned(means: Means) -> Floats:
-    """The temperatures at which it turned, which tell of the scale factor, degC."""
-    return np.asarray(means.temp_c[means.rate_dps != 0.0])
-
-
-def temperatures_apart(temp_c: Floats, frame: Frame, places: int = _TEMP_BUMPS) -> int:
-    """How many of the places of bumps over the temperature were visited."""
-    return _apart(temp_c - frame.temp_center_c, 2.0 * frame.temp_scale_c / (places - 1.0))
 
 
 def remembering(means: Means) -> list[Part]:
     """Parts that remember the temperature; none where it does not change."""
     span_c, span_s = float(np.ptp(means.series.history.temp_c)), float(np.ptp(means.t_s))
-    if span_c <= _LEAST_SPAN_C:
+    if span_c <= LEAST_SPAN_C:
         return []
     lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]

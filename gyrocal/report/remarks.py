@@ -132,7 +132,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         "if it were the temperature's, and in no stated uncertainty; heat and cool more than once"
     ),
     Said.FEW_TEMPERATURES: "it turned at {count} temperatures: what changes the scale factor over temperature or time beyond the surface "
-    "is not looked for; turn at five or more, up and down",
+    "has no name here; turn at five or more, up and down",
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",

@@ -1,0 +1,55 @@
+"""Places that a record visited in temperature and rate: how many it can tell apart, and whether they tell of the scale factor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyrocal.diagnosis.means import Means
+from gyrocal.physics.smooth import Frame
+from gyrocal.physics.surface import SHAPE
+
+Floats = NDArray[np.float64]
+
+#: Places in temperature from the lowest to the highest that a record may visit.
+TEMP_BUMPS = 11
+#: Temperatures that differ by less are one, degC.
+LEAST_SPAN_C = 0.5
+
+
+def temperatures_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
+    """How many temperatures, one after the other, the gyro turned at."""
+    apart_c = max(LEAST_SPAN_C, float(np.ptp(temp_c)) / (TEMP_BUMPS - 1.0))
+    count, last_c = 0, -np.inf
+    for here_c in temp_c[rate_dps != 0.0].tolist():
+        if abs(here_c - last_c) > apart_c:
+            count, last_c = count + 1, here_c
+    return count
+
+
+def shows_scale(temperatures: int) -> bool:
+    """Whether so many temperatures tell what changes the scale factor beyond the surface: one, or five and more.
+
+    Of four in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
+    """
+    return temperatures == 1 or temperatures >= SHAPE[1] + 2
+
+
+def tells_of_scale(means: Means) -> bool:
+    """The same of a record."""
+    return shows_scale(temperatures_turned_at(means.rate_dps, means.temp_c))
+
+
+def apart(coordinate: Floats, spacing: float) -> int:
+    """How many places the record has visited, that bumps of this spacing can tell from each other."""
+    return int(np.unique(np.round(coordinate / spacing)).size)
+
+
+def temperatures_turned(means: Means) -> Floats:
+    """The temperatures at which it turned, which tell of the scale factor, degC."""
+    return np.asarray(means.temp_c[means.rate_dps != 0.0])
+
+
+def temperatures_apart(temp_c: Floats, frame: Frame, places: int = TEMP_BUMPS) -> int:
+    """How many of the places of bumps over the temperature were visited."""
+    return apart(temp_c - frame.temp_center_c, 2.0 * frame.temp_scale_c / (places - 1.0))
