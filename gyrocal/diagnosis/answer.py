@@ -17,6 +17,7 @@ from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
 from gyrocal.diagnosis.lag_posterior import lag_estimates
+from gyrocal.diagnosis.law_posterior import posterior_of
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Law, Model, beyond_input, lagging
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here, place_of
@@ -226,9 +227,10 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     shaped = estimates.reshaped(fitted, found.laws)
     law = shaped.model.laws[fitted.model.laws.index(searched.law)]
     known = estimates.of_law(shaped.granting_noise, law, found.laws, [])
-    return _effect(
-        found, searched.effect, known.parameters, searched.p_value, searched.rivals, adds=known.adds
-    )
+    parameters = known.parameters
+    if law.spread and not law.from_end:
+        parameters = posterior_of(averaged(found.ranked), law, parameters)
+    return _effect(found, searched.effect, parameters, searched.p_value, searched.rivals, adds=known.adds)
 
 
 def places_of_table(found: Examination) -> list[Located]:

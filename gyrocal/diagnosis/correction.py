@@ -16,6 +16,7 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import is_passing
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, WANDERING_SCALE, Fitted, Law, Model
+from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.open_loop import given_back
 from gyrocal.diagnosis.parts import (
     BLOCKS,
@@ -23,6 +24,7 @@ from gyrocal.diagnosis.parts import (
     Part,
     legendre_to_powers,
     polynomials,
+    since_on,
 )
 from gyrocal.diagnosis.rising import dead_zone, rising
 from gyrocal.diagnosis.rivals import may_wander, of_one_surface, with_rivals
@@ -455,7 +457,13 @@ def _term(item: _Item, model: Model, values: Floats, covariance: Floats) -> Term
         if name in known:
             uncertain = parameters.get(name, {"std": 0.0, "unit": known[name]})
             parameters[name] = {**uncertain, "value": float(value)}
-    return Term(effect.id, parameters, True)
+    settles = "since_power_on_s" in effect.needs
+    return Term(effect.id, parameters, True, max(_begun_s(model.means), 0.0) if settles else 0.0)
+
+
+def _begun_s(means: Means) -> float:
+    """Time since power-on at which a record began."""
+    return float(since_on(means)[0] - (means.t_s[0] - means.from_s[0]))
 
 
 def _coil_terms(candidates: Sequence[tuple[float, Candidate]]) -> list[Term]:

@@ -258,14 +258,23 @@ def _also_written(
 
 def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list[Remark]:
     """Named laws of the rate that a robot could evaluate and the correction lacks; the sine that it has and that has no name."""
-    held = {term.name for term in written.terms}
+    held = {e.effect for e in layered if _mostly_held(e, written)}
     if written.surface.direction == "input":
         held.add(FIT_DIRECTION.id)
-    if DEAD_ZONE.id in held:
+    if any(term.name == DEAD_ZONE.id for term in written.terms):
         held.add(TRUNCATION.id)
     mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
     lacking = [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
     return lacking if SAGNAC_SINE.id in mine else [*lacking, *_sines(written)]
+
+
+def _mostly_held(named: NamedEffect, written: Coefficients) -> bool:
+    """Whether a correction has at least half of a law, by the least amplitude that it may have."""
+    laws = [t for t in written.terms if isinstance(t, Term) and t.effect == named.effect]
+    held = sum(float(law.parameters["amplitude"]["value"]) for law in laws)
+    known = named.parameters.get("amplitude")
+    least = 0.0 if known is None else min(map(abs, known.interval_95))
+    return bool(laws) and abs(held) >= 0.5 * least
 
 
 def _held(found: Examination, layered: Sequence[NamedEffect]) -> list[Remark]:

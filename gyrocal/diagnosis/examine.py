@@ -15,7 +15,7 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.candidates import Candidate, averaged, best_of_each
+from gyrocal.diagnosis.candidates import Candidate, averaged, best_of_each, standing_for_all
 from gyrocal.diagnosis.coil import BEGUN_WITH, SHAPES, TOLL_NATS, TableSearch, table_search
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.edges import with_edges
@@ -258,10 +258,16 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
         # What has no name yet makes the noise too large for a data set to be off.
         return _table(without(series, more.numbers), found, aside.joined(more))
     search, ranked, naming, laws = last.search, last.ranked, last.naming, last.laws
-    smooth = search.beside_smooth(ranked)
-    of_rate = [c for models in (ranked, last.plain) if models for c in search.with_law_of_rate(models, laws)]
+    smooth = standing_for_all(search.beside_smooth(ranked), ranked)
+    of_rate = [
+        c
+        for models in (ranked, last.plain)
+        if models
+        for c in standing_for_all(search.with_law_of_rate(models, laws), models)
+    ]
     of_rate.sort(key=lambda c: c.score)
-    both = sorted([*ranked, *smooth, *last.plain, *of_rate, *last.by_law], key=lambda c: c.score)
+    by_law = standing_for_all(last.by_law, ranked)
+    both = sorted([*ranked, *smooth, *last.plain, *of_rate, *by_law], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
     near = averaged(both) if joint or naming.named or naming.unnamed else []
     if near:

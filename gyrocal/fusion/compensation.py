@@ -87,7 +87,7 @@ class Compensator:
             for k, (term, error) in enumerate(zip(self.terms, solved.errors_dps, strict=True)):
                 tangent, self._courses[k] = term.tangent(at_rate, surface, error, self._courses[k])
                 tangents.append(tangent)
-                flags = flags | FLAG_TERM * term.beyond(tangent)
+                flags = flags | FLAG_TERM * term.beyond(at_rate, tangent)
             by = sensitivity(surface, self.terms, tangents, solved, c, before)
             sigma = np.sqrt(np.maximum(((by @ self._covariance) * by).sum(axis=1), 0.0))
         return Corrected(solved.rate_dps, sigma, flags)

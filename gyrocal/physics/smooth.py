@@ -255,7 +255,7 @@ class SmoothTerm:
         """Through none."""
         return 0.0
 
-    def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
+    def beyond(self, c: Conditions, tangent: Floats) -> NDArray[np.bool_]:
         """Where a column, shape (n, p), lies outside what was seen of it; shape (n,)."""
         low, high = self.seen.T
         margin = SEEN_MARGIN * (high - low)

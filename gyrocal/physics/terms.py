@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, Protocol
 
@@ -76,7 +76,7 @@ class Part(Protocol):
         """Derivative of its error by the coefficients of a surface that it acts through, shape (n, 12); 0: through none."""
         ...
 
-    def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
+    def beyond(self, c: Conditions, tangent: Floats) -> NDArray[np.bool_]:
         """Which samples lie outside what it was fitted to, shape (n,)."""
         ...
 
@@ -92,12 +92,15 @@ class RuntimeTerm:
     covariance : mapping
         Parameter to its covariance with the twelve coefficients of the surface, and then with every parameter
         that has such an entry (terms in the order of the file, names sorted); empty where the file has none.
+    seen_from_s : float
+        Time since power-on at which the record began that showed it.
     """
 
     effect: Effect
     parameters: Mapping[str, float]
     relative_sigma: float
     covariance: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    seen_from_s: float = 0.0
 
     @property
     def name(self) -> str:
@@ -174,9 +177,11 @@ class RuntimeTerm:
         law = self.effect.by_surface
         return 0.0 if law is None else law(c, self.parameters, surface, memory)
 
-    def beyond(self, tangent: Floats) -> NDArray[np.bool_]:
-        """Nowhere: a law holds beyond the record that showed it, as far as the surface does."""
-        return np.zeros(len(tangent), dtype=np.bool_)
+    def beyond(self, c: Conditions, tangent: Floats) -> NDArray[np.bool_]:
+        """Before the record began that showed how it settles; else a law holds beyond, as far as the surface does."""
+        if not self.seen_from_s:
+            return np.zeros(len(tangent), dtype=np.bool_)
+        return np.asarray(c.need("since_power_on_s") < self.seen_from_s)
 
 
 @dataclass(frozen=True)
@@ -189,11 +194,14 @@ class Term:
         Each parameter's ``value``, ``std`` and ``unit``, and its ``covariance`` (as in `RuntimeTerm`) if known.
     runtime : bool
         Whether a robot takes it off.
+    seen_from_s : float
+        As of `RuntimeTerm`.
     """
 
     effect: str
     parameters: Mapping[str, Mapping[str, Any]]
     runtime: bool
+    seen_from_s: float = 0.0
 
     @property
     def name(self) -> str:
@@ -202,7 +210,7 @@ class Term:
 
     def part(self) -> Part:
         """The term as a robot evaluates it; CoefficientError where it cannot (`runtime_term`)."""
-        return runtime_term(self.effect, self.parameters)
+        return replace(runtime_term(self.effect, self.parameters), seen_from_s=self.seen_from_s)
 
     def error_dps(self, c: Conditions, surface: Surface) -> Floats:
         """Its error over a whole record whose true rates are known, of the bench or not, shape (n,)."""
@@ -212,14 +220,16 @@ class Term:
 
     def to_json(self) -> dict[str, Any]:
         """The entry of the coefficient file's ``terms``."""
-        return asdict(self)
+        entry = {"effect": self.effect, "parameters": dict(self.parameters), "runtime": self.runtime}
+        return entry | ({"seen_since_power_on_from_s": self.seen_from_s} if self.seen_from_s else {})
 
 
 def read_term(entry: Mapping[str, Any]) -> Term | SmoothTerm:
     """An entry of the coefficient file's ``terms``; KeyError, TypeError or ValueError where it is none."""
     if entry["effect"] is None:
         return smooth_term(entry)
-    return Term(entry["effect"], dict(entry["parameters"]), bool(entry["runtime"]))
+    seen_from_s = float(entry.get("seen_since_power_on_from_s", 0.0))
+    return Term(entry["effect"], dict(entry["parameters"]), bool(entry["runtime"]), seen_from_s)
 
 
 def runtime_term(effect_id: str, parameters: Mapping[str, Mapping[str, Any]]) -> RuntimeTerm:

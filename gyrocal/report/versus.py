@@ -13,10 +13,11 @@ from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.versus.answer import Comparison, Versus, counts_from_s
 from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.diagnosis.versus.match import Clock, Match
+from gyrocal.diagnosis.versus.surfaces import Apart
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.report.words import estimate_text, fixed, listed, parameter_words, range_text
-from gyrocal.units import decimals, plural
+from gyrocal.units import NORMAL_95, S_PER_H, decimals, plural
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +27,8 @@ _MOST_RATES = 6
 #: From so many terms on it is said why there are as many, and which share of the law is little.
 _SEVERAL, _LITTLE = 6, 1e-3
 _MDPS = 1e3
+#: Temperatures that differ by less are one, degC.
+_ONE_C = 1.0
 
 
 def law_files(found: Versus) -> dict[str, bytes | str]:
@@ -52,10 +55,28 @@ def told(found: Versus) -> tuple[str, ...]:
     sentences = ["The data sets are too few to leave some out; whether the law helps is not known."]
     if found.comparison is not None:
         sentences = [_gain(found.comparison)]
-    sentences += _partners(found.match)
+    sentences += [*_surfaces(found.surfaces_apart), *_partners(found.match)]
     if found.match.clock is not None:
         sentences.append(_clock(found.match.clock))
     return tuple(sentences)
+
+
+def _surfaces(apart: Apart) -> list[str]:
+    """How far bias and scale factor are apart in the middle of the temperatures, and how that goes over them, where it is sure."""
+    low_c, middle_c, high_c = apart.temp_c.tolist()
+    quantities = [("bias", "deg/h", S_PER_H, apart.bias_dps, apart.bias_std_dps)]
+    if apart.scale_ppm is not None and apart.scale_std_ppm is not None:
+        quantities.append(("scale factor", "ppm", 1.0, apart.scale_ppm, apart.scale_std_ppm))
+    said = []
+    for what, unit, factor, value, std in quantities:
+        if not np.any(np.abs(value) > NORMAL_95 * std):
+            continue
+        at = [plus_minus(factor * x, factor * s) for x, s in zip(value, std, strict=True)]
+        ends = "" if high_c - low_c < _ONE_C else f" ({at[0]} at {low_c:.3g} °C, {at[2]} at {high_c:.3g} °C)"
+        said.append(f"the {what} by {at[1]} {unit}{ends}")
+    if not said:
+        return []
+    return [f"The recording's error surface is above the simulation's at {middle_c:.3g} °C: {listed(said)}."]
 
 
 def _partners(m: Match) -> list[str]:
@@ -89,12 +110,13 @@ def _rates(rates_dps: Sequence[float]) -> str:
 def _clock(clock: Clock) -> str:
     offset, drift = clock.offset_s, clock.drift_ppm
     return (
-        f"The simulation's clock is {_plus_minus(offset, clock.offset_std_s)} s ahead of the recording's and gains "
-        f"{_plus_minus(drift, clock.drift_std_ppm)} ppm on it; that leaves {clock.left_s:.2g} s rms of the starts."
+        f"The simulation's clock is {plus_minus(offset, clock.offset_std_s)} s ahead of the recording's and gains "
+        f"{plus_minus(drift, clock.drift_std_ppm)} ppm on it; that leaves {clock.left_s:.2g} s rms of the starts."
     )
 
 
-def _plus_minus(value: float, std: float) -> str:
+def plus_minus(value: float, std: float) -> str:
+    """A value and its standard deviation, to the digits of that."""
     places = min(max(decimals(2.0 * std), 0), 3) if std > 0 else 3
     known = fixed(std, places)
     return f"{fixed(value, places)} ± {known if float(known) else f'less than {fixed(0.1**places, places)}'}"
@@ -128,7 +150,11 @@ def _valid(found: Versus) -> list[str]:
     ]
     began_s = counts_from_s(d)
     if began_s is not None:
-        lines.append(f"since_power_on_s, where a law needs it, counts from t_s = {began_s:g} s.")
+        t_s = d.t_s - began_s
+        lines.append(
+            f"since_power_on_s, where a law needs it, counts from t_s = {began_s:.12g} s: t_s is on the recording's clock, whose data sets "
+            f"began {t_s.min():.0f} to {t_s.max():.0f} s after that."
+        )
     return lines
 
 

@@ -171,9 +171,9 @@ def test_json_and_back() -> None:
 def test_beyond_what_was_seen() -> None:
     a = term()
     x, _ = columns_of(record(), FRAME, ALL)
-    assert not a.beyond(x).any()
+    assert not a.beyond(record(), x).any()
     x[3, 1] = 2.0  # u was seen up to 1
-    np.testing.assert_array_equal(np.flatnonzero(a.beyond(x)), [3])
+    np.testing.assert_array_equal(np.flatnonzero(a.beyond(record(), x)), [3])
 
 
 @pytest.mark.parametrize(

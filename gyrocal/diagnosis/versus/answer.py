@@ -19,6 +19,7 @@ from gyrocal.diagnosis.remarks import OF_COEFFICIENTS
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.diagnosis.versus.match import Match, enclosed, match, surface_of
+from gyrocal.diagnosis.versus.surfaces import Apart, surfaces_apart
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.resampling import block_means
@@ -145,6 +146,11 @@ class Versus:
         c = conditions_of(self.match.difference)
         return [term.error_dps(c, self.law.surface) for term in self.law.terms]
 
+    @property
+    def surfaces_apart(self) -> Apart:
+        """How far the two surfaces are apart."""
+        return surfaces_apart(self.law, self.match.surface, self.match.difference)
+
     def to_json(self) -> dict[str, Any]:
         """``law.json``."""
         return {
@@ -158,6 +164,7 @@ class Versus:
                 "`in_the_sum` the term has that, and smooth terms the rest of its value",
                 "surface": _surface_json(self.law),
                 "simulated_surface": self.match.surface.to_json(),
+                "surfaces_apart": self.surfaces_apart.to_json(),
                 "valid": _valid_json(self.match.difference),
                 "terms": _terms_json(self.law, self.diagnosis),
             },

@@ -29,7 +29,7 @@ _OWN = {"lag", "heat", "play", "Conditions", "Surface", "need_surface"}
 _HEAD = '''\
 """@title@
 
-Add to the simulated output, sample by sample in time order:
+Add to the simulated output, sample by sample in time order, with t_s on the recording's clock:
 
     output_dps = simulated_dps + added_dps(rate_dps, temp_c, t_s=t_s)
 
@@ -163,6 +163,8 @@ def added_dps(rate_dps, temp_c, **channels):
     given = {name: np.atleast_1d(np.asarray(x, dtype=float)) for name, x in channels.items()}
     if BEGAN_S is not None and "t_s" in given:
         given.setdefault("since_power_on_s", given["t_s"] - BEGAN_S)
+    if np.any(given.get("since_power_on_s", 0.0) < 0.0):
+        raise ValueError("there are samples before power-on: give t_s on the recording's clock, or since_power_on_s")
     c = Conditions(w, temp, **given)
     e = SURFACE.added_dps(w, temp) - SIMULATED.added_dps(w, temp)
 @terms@
