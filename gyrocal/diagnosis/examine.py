@@ -67,8 +67,10 @@ class Examination:
         Less the patterns within data sets, and less `strays`.
     whole : Fitted
         Every part that is alive, no law.
+    settled : Fitted
+        The same with its direction settled, with jumps, and with errors of each rate where these are the simpler account.
     worth : mapping
-        What each block of `whole` is worth, nats.
+        What each block of `settled` is worth, nats.
     naming : Naming
         With laws in place of parts.
     candidates : tuple
@@ -88,6 +90,7 @@ class Examination:
     series: Series
     patterns: tuple[Pattern, ...]
     whole: Fitted
+    settled: Fitted
     worth: Mapping[str, float]
     naming: Naming
     laws: Laws
@@ -145,7 +148,7 @@ def examine(series: Series, level: float) -> Examination:
     still, cost = _at_temperatures(full, fitted, best)
     if still is not None and cost < best.cost - ALIKE_NATS:
         best = still
-    return Examination(left, found, best.whole, best.worth, best.naming, best.laws)
+    return Examination(left, found, best.whole, best.settled, best.worth, best.naming, best.laws)
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,7 @@ class _Account:
     """One account of a run; `cost` is its negative log evidence with what its laws pay, nats."""
 
     whole: Fitted
+    settled: Fitted
     worth: Mapping[str, float]
     naming: Naming
     laws: Laws
@@ -182,7 +186,7 @@ def _account(full: Model, fitted: Fitted) -> _Account:
     settled, worth = present(errors_of_each_rate(beside, draws_of(full)))
     naming, laws = name(settled, worth, laws, [*map(jumped, jumps)], passes)
     paid = sum(paid_by(n) for n in naming.named if naming.fitted.model.holds(n.law))
-    return _Account(whole, worth, naming, laws, naming.fitted.nll + paid)
+    return _Account(whole, settled, worth, naming, laws, naming.fitted.nll + paid)
 
 
 def _at_temperatures(full: Model, fitted: Fitted, first: _Account) -> tuple[_Account | None, float]:
@@ -225,6 +229,7 @@ class _Round:
     search: TableSearch
     ranked: list[Candidate]
     best: Fitted
+    settled: Fitted
     worth: Mapping[str, float]
     plain: list[Candidate]
     naming: Naming
@@ -279,7 +284,9 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
     models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
-    return Examination(series, found, last.best, last.worth, naming, laws, *models, frozenset(mending), aside)
+    return Examination(
+        series, found, last.best, last.settled, last.worth, naming, laws, *models, frozenset(mending), aside
+    )
 
 
 def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
@@ -310,7 +317,7 @@ def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] =
     plain = _plain(worth, search, ranked, laws)
     naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws, held)
     idle = [c.name for c in drifting if c.name not in settled.model.components]
-    return _Round(search, ranked, best, worth, plain, naming, laws, idle)
+    return _Round(search, ranked, best, settled, worth, plain, naming, laws, idle)
 
 
 def _beside_names(before: _Round) -> _Round:

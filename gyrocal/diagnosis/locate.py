@@ -64,8 +64,8 @@ def coordinate_here(coordinate: str, series: Series) -> str:
 def located(found: Examination, level: float) -> list[Located]:
     """Coordinates where there is more than the surface and noise, the strongest first."""
     series = found.series
-    solution = found.whole.solve()
-    curves = {b: block_curve(found.whole, solution, b) for b in found.worth}
+    solution = found.settled.solve()
+    curves = {b: block_curve(found.settled, solution, b) for b in found.worth}
     total = sum(float(np.mean(c**2)) for c in curves.values()) or 1.0
     places = []
     for block, nats in sorted(found.worth.items(), key=lambda item: -item[1]):

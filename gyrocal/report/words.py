@@ -75,12 +75,15 @@ def interval_text(e: Estimate) -> str:
 
 
 def _of_sign(value: float, e: Estimate) -> str:
-    """A number to the digits of the interval, and never as 0 where the interval has numbers of one sign."""
+    """A number to the digits of the interval on its side, and never as 0 where the interval has numbers of one sign."""
     low, high = e.interval_95
-    # Of an interval that is open on one side the other one tells.
-    places = decimals(
-        abs(e.value - (low if math.isinf(high) else high)) if e.at_bound else 0.5 * (high - low)
-    )
+    # Of an interval that is open on one side, or begins at the value, the other one tells.
+    sides = [side for side in (e.value - low, high - e.value) if 0.0 < side < math.inf]
+    own = abs(value - e.value)
+    if own not in sides:
+        own = min(sides, default=0.0)
+    # An end at zero has no digits of its own.
+    places = decimals(own if value else max(sides, default=0.0))
     if low * high >= 0 and math.isfinite(value) and value and round(value, places) == 0:
         return f"{value:.2g}"
     return fixed(value, places)

@@ -66,7 +66,7 @@ def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path, wander_dps: float
     means = means_of(series)
     whole = alive(fit_model(full_model(means, memory=False)))
     blank = Surface(np.zeros(SHAPE), 0.0, 100.0, 25.0, 8.0)
-    found = Examination(series, (), whole, {}, Naming(whole, ()), laws_of(means, blank))
+    found = Examination(series, (), whole, whole, {}, Naming(whole, ()), laws_of(means, blank))
     chosen = fit_chosen(load_recording(path).sets).fit
     alone = surface_alone(found)
     assert alone.surface.direction == chosen.surface.direction == "input"

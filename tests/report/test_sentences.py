@@ -322,7 +322,7 @@ def test_unknown_numbers_are_words() -> None:
     assert value_text(Estimate(nan, nan, "s", (nan, nan))) == "not known"
     # An interval far wider than the value: it is not nothing.
     assert value_text(Estimate(0.042, 30.0, "1", (0.01, 60.0))) == "0.042"
-    assert interval_text(Estimate(0.042, 30.0, "1", (0.01, 60.0))) == "0.01 to 60"
+    assert interval_text(Estimate(0.042, 30.0, "1", (0.01, 60.0))) == "0.010 to 60"
     assert interval_text(Estimate(0.0, nan, "1", (nan, nan))) == "chosen, not estimated"
     assert p_text(nan) == "not known"
     assert fixed(1.234e-9, 11) == "1.23e-09"
