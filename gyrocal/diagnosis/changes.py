@@ -207,8 +207,10 @@ class Changes:
         return sorted(found, key=early)
 
     def _of_drift(self, power: float, knee_s: float) -> dict[str, float]:
-        """The shape of one; what ages does so since the record began."""
-        return {"knee_s": knee_s, "from_s": float(self.means.t_s[0])} if knee_s else {"power": power}
+        """The shape of one; what ages does so since the record began, as does all on a clock of another origin."""
+        if knee_s:
+            return {"knee_s": knee_s, "from_s": float(self.means.t_s[0])}
+        return {"power": power} | ({} if self._laws.offer.from_zero else {"from_s": float(self.means.t_s[0])})
 
     @cached_property
     def _columns(self) -> dict[tuple[str, bool, int], Floats]:

@@ -70,6 +70,11 @@ class Offer:
         return self.t_s[1] - self.t_s[0]
 
     @property
+    def from_zero(self) -> bool:
+        """Whether its clock began to count with it, or no longer before than it is long."""
+        return 0.0 <= self.t_s[0] <= self.span_s
+
+    @property
     def sizes_dps(self) -> Floats:
         """The different sizes of its rates, ascending, deg/s."""
         return np.unique(np.abs(self.rates_dps))

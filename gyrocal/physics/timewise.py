@@ -45,8 +45,8 @@ _KNEE = shape(
     0.0,
     "above 0 it ages: with the logarithm of time, whatever the power, straight until about then",
 )
-_FROM = choice("from_s", "s", -1e9, 1e9, 0.0, "instant from which it ages, on the record's clock")
-_AT = shape("at_s", "s", -1e9, 1e9, 3600.0, "instant of the step, on the record's clock")
+_FROM = choice("from_s", "s", -1e10, 1e10, 0.0, "instant from which it counts, on the record's clock")
+_AT = shape("at_s", "s", -1e10, 1e10, 3600.0, "instant of the step, on the record's clock")
 
 
 def _warm_up(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -55,22 +55,20 @@ def _warm_up(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> 
 
 
 def growth(t_s: Floats, p: Mapping[str, float]) -> Floats:
-    """Growth of a drift, 1 after an hour: of a power since the clock's zero, of one that ages since ``from_s``.
+    """Growth of a drift since ``from_s``, 1 after an hour: with a power of time, or with its logarithm where it ages.
 
-    A clock that began long before makes a power straight. What has aged since some time before ``from_s`` has the same law
-    with a later knee.
+    What has aged since some time before ``from_s`` has the same law with a later knee.
 
     Parameters
     ----------
     t_s : ndarray, shape (n,)
         Time on the record's clock.
     p : mapping
-        Its ``power`` or, of ageing, its ``knee_s`` and ``from_s``.
+        Its ``from_s`` (else the clock's zero), and its ``power`` or, of ageing, its ``knee_s``.
     """
-    knee_s = p.get("knee_s", 0.0)
+    knee_s, since_s = p.get("knee_s", 0.0), t_s - p.get("from_s", 0.0)
     if not knee_s:
-        return np.asarray(np.sign(t_s) * np.abs(t_s / S_PER_H) ** p["power"])
-    since_s = t_s - p.get("from_s", 0.0)
+        return np.asarray(np.sign(since_s) * np.abs(since_s / S_PER_H) ** p["power"])
     return np.asarray(np.sign(since_s) * np.log1p(np.abs(since_s) / knee_s) / np.log1p(S_PER_H / knee_s))
 
 
@@ -97,7 +95,9 @@ def _net(offer: Offer) -> list[dict[str, float]]:
 def _powers(offer: Offer) -> list[dict[str, float]]:
     # What ages since the record began is hardly told from a warm-up of two time constants: only the search of a table weighs
     # it against warm-ups of many.
-    return [{"power": power} for power in POWERS]
+    # On a clock of another origin every power would be straight.
+    begun = {} if offer.from_zero else {"from_s": offer.t_s[0]}
+    return [{"power": power, **begun} for power in POWERS]
 
 
 def _between_turns(offer: Offer) -> list[dict[str, float]]:
