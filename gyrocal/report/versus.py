@@ -55,13 +55,13 @@ def told(found: Versus) -> tuple[str, ...]:
     sentences = ["The data sets are too few to leave some out; whether the law helps is not known."]
     if found.comparison is not None:
         sentences = [_gain(found.comparison)]
-    sentences += [*_surfaces(found.surfaces_apart), *_partners(found.match)]
+    sentences += [*surface_sentences(found.surfaces_apart), *_partners(found.match)]
     if found.match.clock is not None:
         sentences.append(_clock(found.match.clock))
     return tuple(sentences)
 
 
-def _surfaces(apart: Apart) -> list[str]:
+def surface_sentences(apart: Apart) -> list[str]:
     """How far bias and scale factor are apart in the middle of the temperatures, and how that goes over them, where it is sure."""
     low_c, middle_c, high_c = apart.temp_c.tolist()
     quantities = [("bias", "deg/h", S_PER_H, apart.bias_dps, apart.bias_std_dps)]

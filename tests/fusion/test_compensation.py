@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion import Coefficients, Compensator, Term, Valid, parse_coefficients
+from gyrocal.fusion.coefficients import FLAG_TERM
 from gyrocal.physics.catalogue import CATALOGUE, find_effect
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Floats
@@ -211,3 +212,14 @@ def test_terms_survive_the_file() -> None:
     np.testing.assert_array_equal(
         Compensator(again).correct(t, rate, temp), Compensator(c).correct(t, rate, temp)
     )
+
+
+def test_a_settling_is_flagged_before_the_record_that_showed_it_began() -> None:
+    warm_up = replace(entry("warm_up", amplitude=20.0, tau_s=900.0), seen_from_s=600.0)
+    c = parse_coefficients(coefficients(warm_up).to_text(), "c.json")
+    since_s = np.array([0.0, 599.0, 600.0, 5000.0])
+    found = Compensator(c).evaluate(since_s, 10.0, 20.0, since_s)
+    np.testing.assert_array_equal(found.flags, [FLAG_TERM, FLAG_TERM, 0, 0])
+    # A file that does not say it is as it was.
+    again = parse_coefficients(coefficients(replace(warm_up, seen_from_s=0.0)).to_text(), "c.json")
+    np.testing.assert_array_equal(Compensator(again).evaluate(since_s, 10.0, 20.0, since_s).flags, 0)

@@ -343,3 +343,9 @@ def test_truncation_goes_by_the_output_where_its_bias_is_larger_than_the_rate() 
     c = at([-5.0, -0.05, 0.0, 0.05, 5.0])
     loss_mdps = 1e3 * find_effect("truncation").unit_dps(c, {"of_output": 1.0}, surface)
     np.testing.assert_allclose(loss_mdps, [1.0, -1.0, -1.0, -1.0, -1.0])
+
+
+def test_a_drift_counts_from_where_it_is_told_to() -> None:
+    t = 1.76e9 + np.array([0.0, 3600.0, 7200.0])
+    found = error("bias_drift", at([0.0] * 3, t_s=t), amplitude=2.0, power=0.5, from_s=1.76e9)
+    np.testing.assert_allclose(found, [0, 2e-3, 2e-3 * np.sqrt(2.0)])

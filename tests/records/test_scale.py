@@ -7,7 +7,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gyrocal.records.scale import gross_row, odd_output, odd_part, odd_rates, output_scale, unclipped
+from gyrocal.records.scale import (
+    gross_row,
+    odd_order,
+    odd_output,
+    odd_part,
+    odd_rates,
+    output_scale,
+    unclipped,
+)
 
 RATE = np.tile(np.linspace(-100.0, 100.0, 11), 4)
 
@@ -206,3 +214,14 @@ def test_slow_rates_in_degrees_are_no_radians() -> None:
             assert odd_rates(np.asarray(np.round(rate, 2), dtype=np.float64)) is None
     rng = np.random.default_rng(9)
     assert sum(odd_rates(rng.uniform(-10.0, 10.0, 7)) is not None for _ in range(2000)) == 0
+
+
+def test_rate_and_output_in_each_others_place_are_told() -> None:
+    odd = odd_order(output(), RATE)
+    assert odd is not None
+    assert "gyro_dps has 11 values in 44 rows" in odd.what
+    assert odd_order(RATE, output()) is None
+    # A coarse gyro repeats itself, too, but not in both directions alike.
+    assert odd_order(output(), np.round(output(), 0)) is None
+    # A simulation without errors has the rates for an output, and rates of its own.
+    assert odd_order(RATE, RATE) is None

@@ -125,3 +125,17 @@ def test_time_since_power_on_counts_from_where_the_record_began() -> None:
     told = added([10.0, 10.0], [20.0, 20.0], since_power_on_s=[0.0, 60.0])
     np.testing.assert_array_equal(added([10.0, 10.0], [20.0, 20.0], t_s=[40.0, 100.0]), told)
     np.testing.assert_array_equal(added(10.0, 20.0, t_s=40.0), told[:1])
+
+
+def test_a_clock_on_which_samples_come_before_power_on_is_refused() -> None:
+    coefficients = Coefficients(
+        {"model": "test"},
+        SURFACE,
+        np.zeros((12, 12)),
+        Valid((-100, 100), (-10, 50)),
+        terms=(term("warm_up"),),
+    )
+    added = function_of(python_file(coefficients, SURFACE, "T.", "- f", began_s=1.7e9))
+    assert np.isfinite(added(10.0, 20.0, t_s=1.7e9 + 5.0)).all()
+    with pytest.raises(ValueError, match="before power-on: give t_s on the recording's clock"):
+        added(10.0, 20.0, t_s=910.0)

@@ -1,0 +1,69 @@
+"""Temperatures that a table visits, and what so many tell of the scale factor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.laws import effects_of
+from gyrocal.diagnosis.layers import full_model
+from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.parts import AT_FEW
+from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.visited import shows_scale, temperatures_turned_at
+from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.surface import Surface
+from gyrocal.records.datasets import DataSetTable
+
+_CUBIC_DPS, _NOISE_DPS = 0.02, 1e-3
+_SURFACE = Surface(
+    np.array([[0.02, 0.05, 0.01], [0.3, 0.2, -0.05], [0.01, 0.0, 0.0], [-0.2, 0.03, 0.0]]),
+    0,
+    100,
+    20,
+    30,
+    "input",
+)
+
+
+def at_temperatures(temps_c: list[float], seed: int = 3) -> tuple[DataSetTable, np.ndarray]:
+    """A dwell at each, whose scale factor is cubic in temperature; and the true errors beyond the surface."""
+    rng = np.random.default_rng(seed)
+    rate = np.tile(np.array([0.0, 10.0, -10.0, 30.0, -30.0, 60.0, -60.0, 100.0, -100.0] * 2), len(temps_c))
+    temp = np.repeat(np.array(temps_c), 18)
+    t_s = 60.0 * np.arange(rate.size) + 3000.0 * np.repeat(np.arange(len(temps_c)), 18)
+    own = _CUBIC_DPS * rate / 100.0 * ((temp - 20.0) / 30.0) ** 3
+    output = _SURFACE.output_dps(rate, temp) + own + rng.normal(0.0, _NOISE_DPS, rate.size)
+    return DataSetTable(Path("few.csv"), rate, output, temp, t_s=t_s), own
+
+
+@pytest.mark.parametrize(
+    ("temps_c", "has"), [([10.0, 50.0, -10.0], False), ([10.0, 50.0, -10.0, 30.0], True)]
+)
+def test_four_temperatures_tell_the_next_order_of_the_scale_factor_and_three_do_not(
+    temps_c: list[float], has: bool
+) -> None:
+    table, _ = at_temperatures(temps_c)
+    assert temperatures_turned_at(table.rate_dps, table.temp_c) == len(temps_c)
+    assert not shows_scale(len(temps_c))
+    model = full_model(means_of(series_of_table(table)))
+    assert any(p.block == AT_FEW for p in model.parts) == has
+    assert effects_of(AT_FEW) == []
+
+
+def test_what_four_temperatures_tell_is_corrected_without_a_name() -> None:
+    table, _ = at_temperatures([10.0, 50.0, -10.0, 30.0])
+    found = diagnose(table, options=Options(heldout=False))
+    assert not {e.effect for e in found.effects} & {"temperature_order", "scale_step", "scale_drift"}
+    assert [u.coordinate for u in found.unnamed] == ["temperature"]
+    assert found.improved is not None
+    rate, temp = np.full(5, 80.0), np.linspace(0.0, 45.0, 5)
+    output = _SURFACE.output_dps(rate, temp) + _CUBIC_DPS * 0.8 * ((temp - 20.0) / 30.0) ** 3
+    # Each after a long soak.
+    soaked = [Compensator(found.improved).correct(0.0, x, c) for x, c in zip(output, temp, strict=True)]
+    left = np.array(soaked) - rate
+    # The surface alone leaves up to 3 mdeg/s between the temperatures.
+    assert np.max(np.abs(left)) < 1.5e-3
