@@ -58,6 +58,7 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.lacking import Reason
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
 from gyrocal.physics.surface import RATE_ORDER
 from gyrocal.physics.terms import Term
@@ -155,7 +156,7 @@ def diagnose(
         verdict=_verdict(names, lacking),
         located=tuple(sorted(everywhere, key=lambda place: place.p_value)),
         effects=tuple(names),
-        not_testable=dict(series.untestable) | untestable(series, {e.effect for e in names}),
+        not_testable=_not_testable(series, names),
         sentences=(),
         noise=_noise_figures(series, noise, levels),
         improvement=stairs.total,
@@ -266,6 +267,13 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list
     mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
     lacking = [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
     return lacking if SAGNAC_SINE.id in mine else [*lacking, *_sines(written)]
+
+
+def _not_testable(series: Series, names: Sequence[NamedEffect]) -> dict[str, Reason]:
+    """What the record cannot show, but for what was named all the same, from what stands for it."""
+    shown = {CATALOGUE[e.effect].seen_in for e in names}
+    missing = {what: why for what, why in series.untestable.items() if what not in shown}
+    return missing | untestable(series, {e.effect for e in names})
 
 
 def _mostly_held(named: NamedEffect, written: Coefficients) -> bool:

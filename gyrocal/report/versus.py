@@ -15,7 +15,9 @@ from gyrocal.diagnosis.versus.law_file import python_file
 from gyrocal.diagnosis.versus.match import Clock, Match
 from gyrocal.diagnosis.versus.surfaces import Apart
 from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.effect import Effect
 from gyrocal.physics.smooth import SmoothTerm
+from gyrocal.physics.terms import Term
 from gyrocal.report.words import estimate_text, fixed, listed, parameter_words, range_text
 from gyrocal.units import NORMAL_95, S_PER_H, decimals, plural
 
@@ -174,11 +176,21 @@ def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:
             values = [f"{parameter_words(name)} {estimate_text(e)}" for name, e in known.items()]
             held[key] = held.get(key, 0.0) + float(term.parameters["amplitude"]["value"])
             rest = _held_elsewhere(held[key], known.get("amplitude"))
-            lines[key] = f"- {effect.id}: {effect.equation}; {listed(values) or 'not named'}{rest}"
+            lines[key] = (
+                f"- {effect.id}: {_equation(effect, found.law.terms)}; {listed(values) or 'not named'}{rest}"
+            )
         sums[key] = sums.get(key, 0.0) + adds
     largest = sorted(lines, key=lambda key: -rms(sums[key]))
     said = [f"{lines[key]}; {_MDPS * rms(sums[key]):.2g} mdeg/s rms" for key in largest]
     return said or ["- none: the surfaces differ, and nothing else"]
+
+
+def _equation(effect: Effect, terms: Sequence[Term | SmoothTerm]) -> str:
+    """Its equation, without what is of the scale factor where none of its terms acts on that."""
+    own = [t for t in terms if isinstance(t, Term) and t.effect == effect.id]
+    if any(float(t.parameters.get("of_scale", {"value": 0.0})["value"]) for t in own):
+        return effect.equation
+    return effect.equation.partition("; of the scale factor")[0]
 
 
 def _held_elsewhere(held: float, amplitude: Estimate | None) -> str:
