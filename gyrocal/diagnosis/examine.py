@@ -263,7 +263,7 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
         # What has no name yet makes the noise too large for a data set to be off.
         return _table(without(series, more.numbers), found, aside.joined(more))
     search, ranked, naming, laws = last.search, last.ranked, last.naming, last.laws
-    smooth = standing_for_all(search.beside_smooth(ranked), ranked)
+    smooth = search.beside_smooth(ranked)
     of_rate = [
         c
         for models in (ranked, last.plain)

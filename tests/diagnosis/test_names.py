@@ -110,7 +110,7 @@ def heated_c() -> NDArray[np.float64]:
 
 @pytest.mark.parametrize(
     ("width_c", "play", "tau_s", "gradient"),
-    [(5.6, 0.46, 370.0, 0.57), pytest.param(1.6, -0.44, 420.0, -0.41, marks=pytest.mark.slow)],
+    [(5.6, 0.5, 370.0, 0.6), pytest.param(1.6, -0.44, 420.0, -0.41, marks=pytest.mark.slow)],
 )
 def test_thermal_transients_that_hide_each_other_are_named_together(
     width_c: float, play: float, tau_s: float, gradient: float
