@@ -29,7 +29,7 @@ from gyrocal.diagnosis.staircase import Step
 from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
-from gyrocal.physics.rate import FIT_DIRECTION, REFERENCE_RATE_ERROR, SAGNAC_SINE
+from gyrocal.physics.rate import FIT_DIRECTION, RATE_ORDER, REFERENCE_RATE_ERROR, SAGNAC_SINE
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
 
@@ -68,14 +68,20 @@ def named_effects(found: Examination) -> list[NamedEffect]:
 
 
 def _instead_of_each_rate(found: Examination) -> dict[str, float]:
-    """The law that explains what errors of each rate do, though not surely enough for a name; mostly there is none.
+    """What explains what errors of each rate do as well as they: a law, though not surely enough for a name, or shapes in the rate.
 
-    Its evidence, less what it pays, is more than theirs alone, so that it is no less likely: 0 nats.
+    A law's evidence, less what it pays, is more than theirs alone, so that it is no less likely: 0 nats.
     """
     named = {n.law.effect for n in found.naming.named}
     better = [c for c in found.of_rate if c.score < found.ranked[0].score]
     instead = better[0].fitted.model.laws[-1].effect if better else None
-    return {instead: 0.0} if instead is not None and instead not in named else {}
+    rivals = {instead: 0.0} if instead is not None and instead not in named else {}
+    shaped, drawn = found.whole, found.settled
+    odd = [n for n, b in shaped.model.blocks.items() if b == ODD and not shaped.has_died(n)]
+    replaced = odd and ODD not in drawn.model.blocks.values() and shaped.model.laws == drawn.model.laws
+    if replaced and RATE_ORDER.id not in named and shaped.nll - drawn.nll < ALIKE_NATS:
+        rivals[RATE_ORDER.id] = max(shaped.nll - drawn.nll, 0.0)
+    return rivals
 
 
 def _as_one(laws: list[NamedEffect]) -> NamedEffect:
