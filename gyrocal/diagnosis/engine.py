@@ -279,11 +279,10 @@ def _not_testable(series: Series, names: Sequence[NamedEffect]) -> dict[str, Rea
 def _mostly_held(named: NamedEffect, written: Coefficients) -> bool:
     """Whether a correction has at least half of a law, by the least amplitude that it may have."""
     laws = [t for t in written.terms if isinstance(t, Term) and t.effect == named.effect]
-    known = named.parameters.get("amplitude")
-    if known is None or not all("amplitude" in law.parameters for law in laws):
-        return bool(laws)
     held = sum(float(law.parameters["amplitude"]["value"]) for law in laws)
-    return bool(laws) and abs(held) >= 0.5 * min(map(abs, known.interval_95))
+    known = named.parameters.get("amplitude")
+    least = 0.0 if known is None else min(map(abs, known.interval_95))
+    return bool(laws) and abs(held) >= 0.5 * least
 
 
 def _held(found: Examination, layered: Sequence[NamedEffect]) -> list[Remark]:

@@ -47,7 +47,7 @@ def posterior_of(
         amplitudes.append(float(solution.amplitudes[own.name][0]))
         stds.append(float(np.sqrt(solution.covariance[at, at])))
         shapes.append(own.shape[name])
-    if not weights:
+    if not weights or known["amplitude"].at_bound:
         return dict(known)
     share, mean, std = np.array(weights) / np.sum(weights), np.array(amplitudes), np.array(stds)
     amplitude, shape = known["amplitude"], known[name]

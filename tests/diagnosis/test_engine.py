@@ -13,7 +13,7 @@ import pytest
 from gyrocal.diagnosis.engine import Options, _laws_written, _written, diagnose
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Verdict
+from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid, parse_coefficients
 from gyrocal.physics.lacking import Lack, Why
@@ -297,10 +297,12 @@ def test_a_bias_that_walks_is_said_and_its_surface_stands_for_the_mean() -> None
 
 def test_a_law_of_the_rate_that_is_named_and_not_written_is_told() -> None:
     """Models that are averaged may lack what was named; a band in place of a truncation does as much."""
+    size = {"amplitude": Estimate(0.04, 0.001, "1", (0.038, 0.042))}
     named = [
-        NamedEffect(effect, family, {}, 0.0, (), None, runtime)
+        NamedEffect(effect, family, size, 0.0, (), None, runtime)
         for effect, family, runtime in (
             ("saturation", "rate shape", True),
+            ("scale_asymmetry", "rate shape", True),
             ("truncation", "rate shape", True),
             ("mechanical_resonance", "rate shape", True),
             ("reference_rate_error", "rate shape", False),
@@ -308,10 +310,13 @@ def test_a_law_of_the_rate_that_is_named_and_not_written_is_told() -> None:
         )
     ]
     surface = Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0)
-    terms = (Term("mechanical_resonance", {}, True), Term("dead_zone", {}, True))
+    held = {"mechanical_resonance": 0.03, "dead_zone": 0.04, "scale_asymmetry": 0.001}
+    terms = tuple(Term(effect, {"amplitude": {"value": value}}, True) for effect, value in held.items())
     file = Coefficients({}, surface, np.zeros((12, 12)), Valid((-1.0, 1.0), (0.0, 1.0)), terms=terms)
     told = _laws_written(named, file)
-    assert [(r.said, r.facts["effect"]) for r in told] == [(Said.LAW_NOT_WRITTEN, "saturation")]
+    # Of an asymmetry a fortieth is as good as none.
+    lacking = [(Said.LAW_NOT_WRITTEN, effect) for effect in ("saturation", "scale_asymmetry")]
+    assert [(r.said, r.facts["effect"]) for r in told] == lacking
 
 
 @pytest.mark.parametrize(("std", "said"), [(2e-4, 1), (0.0, 0)])
