@@ -54,17 +54,21 @@ from gyrocal.diagnosis.staircase import staircase
 from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
 from gyrocal.diagnosis.surface import surface_alone
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.visited import LEAST_SPAN_C
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.lacking import Reason
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
 from gyrocal.physics.surface import RATE_ORDER
 from gyrocal.physics.terms import Term
+from gyrocal.physics.thermal import RATE_HEATING, SHUPE
 from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
+from gyrocal.units import S_PER_MIN
 
 Floats = NDArray[np.float64]
 
@@ -225,7 +229,7 @@ def _of_file(
     """
     layered, parts = what
     edges = [Remark(Said.EDGE, facts) for facts in told(found.naming.fitted)]
-    remarks = [*temperature_alone(found), *edges]
+    remarks = [*temperature_alone(found), *_not_logged(found.series, layered), *edges]
     if why_not:
         return [*remarks, *why_not]
     seen = {p.coordinate for p in parts}
@@ -243,6 +247,26 @@ def _of_file(
         *_also_written(layered, parts, written),
         *_held(found, layered),
     ]
+
+
+def _not_logged(series: Series, layered: Sequence[NamedEffect]) -> list[Remark]:
+    """Named laws that remember the temperature, of a table whose temperature changed in pauses of the log."""
+    remember = [
+        e.effect
+        for e in layered
+        if CATALOGUE[e.effect].family == SHUPE.family and e.effect != RATE_HEATING.id
+    ]
+    if not (series.is_table and series.has_time and remember):
+        return []
+    step_s = np.diff(series.t_s)
+    paused = step_s > max(PAUSE_S, PAUSE_STEPS * float(np.median(step_s)))
+    changed_c = np.where(paused, np.abs(np.diff(series.temp_c)), 0.0)
+    unseen = changed_c > LEAST_SPAN_C
+    if not unseen.any():
+        return []
+    longest_min, most_c = float(step_s[unseen].max() / S_PER_MIN), float(changed_c.max())
+    facts = {"effects": remember, "pauses": int(unseen.sum()), "longest_min": longest_min, "most_c": most_c}
+    return [Remark(Said.NOT_LOGGED_MEANWHILE, facts)]
 
 
 def _also_written(

@@ -35,6 +35,7 @@ class Said(Enum):
     EDGE = auto()
     ALSO_WRITTEN = auto()
     STATE_AT_END = auto()
+    NOT_LOGGED_MEANWHILE = auto()
     MEAN_OF_DRIFT = auto()
     INPUT_ALREADY = auto()
     NO_SURE_GAIN = auto()

@@ -166,6 +166,11 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"Of {listed(effects)} the improved coefficients have the state at the end of the record: where that does not last to the next "
         "run, as through a switch-off, they are off by it. Record again after one."
     ),
+    Said.NOT_LOGGED_MEANWHILE: lambda effects, pauses, longest_min, most_c: (
+        f"Between data sets the temperature was not logged ({plural(pauses, f'[one pause|{pauses} pauses]')}, up to {longest_min:.0f} min and "
+        f"{most_c:.0f} °C): size and time constant of {listed(effects)} hang on its course there, which is taken for smooth, and their "
+        "intervals know nothing of that. Log it all the time."
+    ),
     Said.MEAN_OF_DRIFT: lambda effects: (
         f"Of {listed(effects)} the improved coefficients have the mean over the record, and what it adds about that in their standard "
         "deviations: where it will stand nobody knows."

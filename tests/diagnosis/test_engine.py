@@ -10,10 +10,11 @@ from typing import cast, get_args
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import Options, _laws_written, _written, diagnose
+from gyrocal.diagnosis.engine import Options, _laws_written, _not_logged, _written, diagnose
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
+from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid, parse_coefficients
 from gyrocal.physics.lacking import Lack, Why
@@ -331,3 +332,22 @@ def test_only_a_whole_sine_is_said_to_be_in_the_file(std: float, said: int) -> N
     assert len(told) == said
     for remark in told:
         assert remark.facts == pytest.approx({"rate_dps": 100.0, "phase_rad": 0.5, "std_rad": 0.02})
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "step_c", "said"), [(1800.0, 15.0, True), (1800.0, 0.1, False), (60.0, 15.0, False)]
+)
+def test_a_memory_of_the_temperature_in_pauses_of_the_log_is_doubted(
+    pause_s: float, step_c: float, said: bool
+) -> None:
+    sweep = np.repeat(np.arange(3.0), 10)
+    t_s = 60.0 * np.arange(30.0) + (pause_s - 60.0) * sweep
+    rate = np.tile(np.linspace(-50.0, 50.0, 10), 3)
+    series = series_of_table(DataSetTable(Path("t.csv"), rate, rate + 0.01, 20.0 + step_c * sweep, t_s=t_s))
+    named = [
+        NamedEffect(effect, family, {}, 0.0, (), None, True)
+        for effect, family in (("shupe_gradient", "thermal transient"), ("warm_up", "time"))
+    ]
+    expected = {"effects": ["shupe_gradient"], "pauses": 2, "longest_min": 30.0, "most_c": 15.0}
+    assert [r.facts for r in _not_logged(series, named)] == ([expected] if said else [])
+    assert _not_logged(series, named[1:]) == []
