@@ -40,7 +40,7 @@ EACH_RATE = "each rate"
 #: Block of what remembers past rates.
 PAST_RATES = "past rates"
 #: Block of the scale factor's next order in temperature where temperatures are just enough for it: what it is nobody can tell.
-AT_FEW = "scale at few temperatures"
+AT_FEW = "scale over temperature"
 
 #: Share of the full lag and time constant (s) of the coil; None: the coil has the sensor's temperature.
 Coil = tuple[float, float] | None
