@@ -47,7 +47,11 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         size = estimates.of_draws(found.naming.fitted, EACH_RATE, found.model.basis.frame.rate_scale_dps)
         p = block_p_value(gain, len(BLOCKS))
         found_as = _effect(
-            found, REFERENCE_RATE_ERROR.id, {"amplitude": size}, p, _instead_of_each_rate(found)
+            found,
+            REFERENCE_RATE_ERROR.id,
+            {"amplitude": size},
+            p,
+            _instead_of_each_rate(found) | _shapes_instead(found),
         )
         where = Remark(Said.LARGEST_RATES, {"rates": largest(found.naming.fitted)})
         named.append((gain, replace(found_as, beside=where)))
@@ -68,20 +72,25 @@ def named_effects(found: Examination) -> list[NamedEffect]:
 
 
 def _instead_of_each_rate(found: Examination) -> dict[str, float]:
-    """What explains what errors of each rate do as well as they: a law, though not surely enough for a name, or shapes in the rate.
+    """The law that explains what errors of each rate do, though not surely enough for a name; mostly there is none.
 
-    A law's evidence, less what it pays, is more than theirs alone, so that it is no less likely: 0 nats.
+    Its evidence, less what it pays, is more than theirs alone, so that it is no less likely: 0 nats.
     """
     named = {n.law.effect for n in found.naming.named}
     better = [c for c in found.of_rate if c.score < found.ranked[0].score]
     instead = better[0].fitted.model.laws[-1].effect if better else None
-    rivals = {instead: 0.0} if instead is not None and instead not in named else {}
+    return {instead: 0.0} if instead is not None and instead not in named else {}
+
+
+def _shapes_instead(found: Examination) -> dict[str, float]:
+    """Orders of the rate, where shapes in the rate explain as much as the errors of each rate that stand in their place, nats behind."""
     shaped, drawn = found.whole, found.settled
     odd = [n for n, b in shaped.model.blocks.items() if b == ODD and not shaped.has_died(n)]
     replaced = odd and ODD not in drawn.model.blocks.values() and shaped.model.laws == drawn.model.laws
-    if replaced and RATE_ORDER.id not in named and shaped.nll - drawn.nll < ALIKE_NATS:
-        rivals[RATE_ORDER.id] = max(shaped.nll - drawn.nll, 0.0)
-    return rivals
+    named = any(n.law.effect == RATE_ORDER.id for n in found.naming.named)
+    if not replaced or named or shaped.nll - drawn.nll >= ALIKE_NATS:
+        return {}
+    return {RATE_ORDER.id: max(shaped.nll - drawn.nll, 0.0)}
 
 
 def _as_one(laws: list[NamedEffect]) -> NamedEffect:
