@@ -37,6 +37,7 @@ from gyrocal.physics.timewise import (
     SCALE_STEP,
     WARM_UP,
     growth,
+    power_shape,
 )
 
 Floats = NDArray[np.float64]
@@ -194,6 +195,14 @@ class Changes:
             self._columns[key] = np.column_stack([self.law(c).columns[:, 0] for c in tried])
         return self._columns[key]
 
+    def priors_nats(self, effect: str, of_scale: bool = False) -> Floats:
+        """Evidence that each shape of an effect starts with, shape (shapes,)."""
+        tried = self.shapes(effect, of_scale)
+        key = effect, of_scale, len(tried)
+        if key not in self._priors:
+            self._priors[key] = np.array([change.prior_nats for change in tried])
+        return self._priors[key]
+
     @cached_property
     def _drifts(self) -> list[tuple[float, float]]:
         """Powers and knees of a drift, one of them zero, in the order of how much of it is there after half of the record."""
@@ -207,13 +216,17 @@ class Changes:
         return sorted(found, key=early)
 
     def _of_drift(self, power: float, knee_s: float) -> dict[str, float]:
-        """The shape of one; what ages does so since the record began, as does all on a clock of another origin."""
+        """The shape of one; what ages does so since the record began."""
         if knee_s:
             return {"knee_s": knee_s, "from_s": float(self.means.t_s[0])}
-        return {"power": power} | ({} if self._laws.offer.from_zero else {"from_s": float(self.means.t_s[0])})
+        return power_shape(power, self._laws.offer)
 
     @cached_property
     def _columns(self) -> dict[tuple[str, bool, int], Floats]:
+        return {}
+
+    @cached_property
+    def _priors(self) -> dict[tuple[str, bool, int], Floats]:
         return {}
 
     @cached_property

@@ -373,7 +373,7 @@ class TableSearch:
         if not tried:
             return []
         found = 0.5 * gains(self.changes.columns(effect, of_scale), *self._precision(candidate))
-        found += [change.prior_nats for change in tried]
+        found += self.changes.priors_nats(effect, of_scale)
         return [tried[int(np.argmax(found))]]
 
     def best_coil(self, candidate: Candidate) -> Coil:

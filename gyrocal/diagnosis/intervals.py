@@ -12,6 +12,8 @@ from scipy.optimize import minimize_scalar
 Floats = NDArray[np.float64]
 Interval = tuple[float, float]
 
+#: Probabilities below the ends of a 95 % interval.
+TAILS = (0.025, 0.975)
 #: Rise of the residual sum of squares at the ends of a 95 % interval: the quantile of chi-square, 1 df.
 RISE_95 = 3.841
 #: The same for the instant of a jump, at which the likelihood has a corner: -2 log(1 - sqrt(0.95))

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.coil import LAG_BOUNDS_S
-from gyrocal.diagnosis.intervals import holding
+from gyrocal.diagnosis.intervals import TAILS, holding
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -23,8 +23,6 @@ Floats = NDArray[np.float64]
 
 #: Grid of the posterior: several times closer than that of the search.
 _SHARES, _LAGS_S = np.linspace(-1.0, 1.0, 81), np.geomspace(*LAG_BOUNDS_S, 60)
-#: Of a 95 % interval.
-_TAILS = (0.025, 0.975)
 
 
 def lag_estimates(candidates: Sequence[tuple[float, Candidate]]) -> dict[str, Estimate]:
@@ -87,5 +85,5 @@ def _whitened(lower: Floats, design: Floats, columns: list[int], weight: Floats)
 
 def _estimate(value: float, grid: Floats, mass: Floats, unit: str) -> Estimate:
     below = np.cumsum(mass) / mass.sum()
-    low, high = (float(np.interp(tail, below, grid)) for tail in _TAILS)
+    low, high = (float(np.interp(tail, below, grid)) for tail in TAILS)
     return Estimate.spanning(value, holding((low, high), value), unit)

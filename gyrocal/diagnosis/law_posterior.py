@@ -13,14 +13,12 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.intervals import holding
+from gyrocal.diagnosis.intervals import TAILS, holding
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.result import Estimate
 
 Floats = NDArray[np.float64]
 
-#: Of a 95 % interval.
-_TAILS = (0.025, 0.975)
 #: Ends between which a quantile is looked for, in standard deviations of the widest model.
 _FAR = 10.0
 
@@ -70,7 +68,7 @@ def _quantiles(share: Floats, mean: Floats, std: Floats) -> tuple[float, float]:
     def beyond(x: float, tail: float) -> float:
         return float(share @ ndtr((x - mean) / std)) - tail
 
-    low, high = (float(brentq(beyond, *ends, args=(tail,))) for tail in _TAILS)
+    low, high = (float(brentq(beyond, *ends, args=(tail,))) for tail in TAILS)
     return low, high
 
 
@@ -82,5 +80,5 @@ def _between(share: Floats, values: Floats) -> tuple[float, float]:
     mass = np.bincount(place, share)
     logs = np.log(each)
     edges = np.concatenate([[logs[0]], 0.5 * (logs[1:] + logs[:-1]), [logs[-1]]])
-    low, high = np.interp(_TAILS, np.concatenate([[0.0], np.cumsum(mass)]), edges)
+    low, high = np.interp(TAILS, np.concatenate([[0.0], np.cumsum(mass)]), edges)
     return float(np.exp(low)), float(np.exp(high))

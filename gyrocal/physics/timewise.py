@@ -95,9 +95,12 @@ def _net(offer: Offer) -> list[dict[str, float]]:
 def _powers(offer: Offer) -> list[dict[str, float]]:
     # What ages since the record began is hardly told from a warm-up of two time constants: only the search of a table weighs
     # it against warm-ups of many.
-    # On a clock of another origin every power would be straight.
-    begun = {} if offer.from_zero else {"from_s": offer.t_s[0]}
-    return [{"power": power, **begun} for power in POWERS]
+    return [power_shape(power, offer) for power in POWERS]
+
+
+def power_shape(power: float, offer: Offer) -> dict[str, float]:
+    """Shape of a drift with a power of time in a record: on a clock of another origin every power would be straight."""
+    return {"power": power} if offer.from_zero else {"power": power, "from_s": offer.t_s[0]}
 
 
 def _between_turns(offer: Offer) -> list[dict[str, float]]:

@@ -73,7 +73,7 @@ def surface_sentences(apart: Apart) -> list[str]:
     for what, unit, factor, value, std in quantities:
         if not np.any(np.abs(value) > NORMAL_95 * std):
             continue
-        at = [plus_minus(factor * x, factor * s) for x, s in zip(value, std, strict=True)]
+        at = [_plus_minus(factor * x, factor * s) for x, s in zip(value, std, strict=True)]
         ends = "" if high_c - low_c < _ONE_C else f" ({at[0]} at {low_c:.3g} °C, {at[2]} at {high_c:.3g} °C)"
         said.append(f"the {what} by {at[1]} {unit}{ends}")
     if not said:
@@ -112,13 +112,12 @@ def _rates(rates_dps: Sequence[float]) -> str:
 def _clock(clock: Clock) -> str:
     offset, drift = clock.offset_s, clock.drift_ppm
     return (
-        f"The simulation's clock is {plus_minus(offset, clock.offset_std_s)} s ahead of the recording's and gains "
-        f"{plus_minus(drift, clock.drift_std_ppm)} ppm on it; that leaves {clock.left_s:.2g} s rms of the starts."
+        f"The simulation's clock is {_plus_minus(offset, clock.offset_std_s)} s ahead of the recording's and gains "
+        f"{_plus_minus(drift, clock.drift_std_ppm)} ppm on it; that leaves {clock.left_s:.2g} s rms of the starts."
     )
 
 
-def plus_minus(value: float, std: float) -> str:
-    """A value and its standard deviation, to the digits of that."""
+def _plus_minus(value: float, std: float) -> str:
     places = min(max(decimals(2.0 * std), 0), 3) if std > 0 else 3
     known = fixed(std, places)
     return f"{fixed(value, places)} ± {known if float(known) else f'less than {fixed(0.1**places, places)}'}"
