@@ -14,6 +14,7 @@ class Why(Enum):
     NO_TURN = auto()
     FEW_RATES = auto()
     FEW_SIZES = auto()
+    FEW_FOR_EVEN = auto()
     FEW_FOR_PEAK = auto()
     ONE_WAY = auto()
     NO_REST = auto()

@@ -145,6 +145,13 @@ def many_sizes(offer: Offer) -> Reason | None:
     return _turning_sizes(offer, _FEWEST_SIZES)
 
 
+def sizes_for_even(offer: Offer) -> Reason | None:
+    """Enough sizes of rate for a shape that is even in it: bias and square take two, a law one, and one is left to check it."""
+    if offer.all_sizes >= _FEWEST_SIZES:
+        return None
+    return Lack(Why.FEW_FOR_EVEN, {"count": offer.all_sizes, "fewest": _FEWEST_SIZES})
+
+
 def sizes_for_knee(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a knee beside the cubic, which has a place and a height, and one to check them by."""
     return _turning_sizes(offer, _FEWEST_FOR_KNEE)

@@ -32,6 +32,7 @@ from gyrocal.physics.offer import (
     data_at_rest,
     many_rates,
     many_sizes,
+    sizes_for_even,
     sizes_for_knee,
     sizes_for_peak,
 )
@@ -288,7 +289,7 @@ SCALE_ASYMMETRY = Effect(
     reference="IEEE Std 952, scale factor asymmetry",
     runtime=True,
     error_dps=memoryless(_asymmetry),
-    search=Search(requires=(many_rates, both_ways)),
+    search=Search(requires=(many_rates, sizes_for_even, both_ways)),
     c_text=CText(_asymmetry_c),
 )
 
@@ -344,7 +345,7 @@ TRUNCATION = Effect(
     acts_on="converter",
     search=Search(
         grid=_rate_or_output,
-        requires=(many_rates, both_ways, cut_or_dead),
+        requires=(many_rates, many_sizes, both_ways, cut_or_dead),
         scatters=True,
         accounts_for=("quantisation",),
     ),
@@ -369,7 +370,7 @@ SAGNAC_SINE = Effect(
     search=Search(
         grid=_phases,
         refined=("phase_rad_per_dps",),
-        requires=(many_rates,),
+        requires=(many_rates, many_sizes),
         # An open loop puts out the sine and nothing beside it; half and double are one sigma off.
         natural=(1.0, 0.7),
     ),

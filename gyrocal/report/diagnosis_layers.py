@@ -72,17 +72,18 @@ def _unnamed(part: UnnamedPart) -> str:
     )
     where = place_words(place, coordinate_words(part.coordinate))
     said = f"Without a name: {where}, {times_text(part.evidence_nats)} to 1 for it"
-    near = sorted(part.nearest.items(), key=lambda item: item[1])[:_MOST_LAWS]
+    tried = sorted(part.nearest.items(), key=lambda item: item[1])[:_MOST_LAWS]
+    shares = {effect: 1.0 - nats / part.evidence_nats for effect, nats in tried}
+    near = [f"{effect} (takes {_taken(share)})" for effect, share in shares.items() if share >= _NEARLY]
+    if shares and not near:
+        said += "; no law that was tried takes any of it"
     if near:
-        took = [f"{effect} (takes {_taken(1.0 - nats / part.evidence_nats)})" for effect, nats in near]
-        said += f"; nearest {'is' if len(near) == 1 else 'are'} {listed(took)}"
+        said += f"; nearest {'is' if len(near) == 1 else 'are'} {listed(near)}"
     return f"{said}. It is {'' if part.corrected else 'not '}corrected."
 
 
 def _taken(share: float) -> str:
-    """How much of the evidence a law takes; beside the rest of a model it can be more than all, or do harm."""
-    if share < _NEARLY:
-        return "none of the evidence"
+    """How much of the evidence a law takes; beside the rest of a model it can be more than all."""
     return "all of it" if share > 1.0 - _NEARLY else f"{100 * share:.0f} % of it"
 
 

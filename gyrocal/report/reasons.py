@@ -10,6 +10,7 @@ from gyrocal.physics.lacking import Lack, Reason, Why
 WORDS: Mapping[Why, str] = {
     Why.NO_TURN: "the table did not turn",
     Why.FEW_RATES: "it has {count} different rates, and shapes in rate need at least {fewest}",
+    Why.FEW_FOR_EVEN: "it has {count} sizes of rate, rest among them, and shapes that are even in the rate need at least {fewest}",
     Why.FEW_FOR_PEAK: "it has {count} sizes of rate, rest among them, and a peak over the rate needs at least {fewest}",
     Why.FEW_SIZES: "it turns at {count} sizes of rate, and shapes that are odd in the rate need at least {fewest}",
     Why.ONE_WAY: "it turns one way only",

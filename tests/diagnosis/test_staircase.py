@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -94,15 +95,15 @@ def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     assert layer_rows(Diagnosis(**{**vars(stepped), "layers": (unknown,)}))[0][0] == "odd rate, no name"
 
 
-def test_a_nearest_law_takes_none_all_or_a_share(stepped: Diagnosis) -> None:
+def test_a_nearest_law_takes_all_or_a_share_or_is_none(stepped: Diagnosis) -> None:
     """Beside the rest of a model it can leave more than there was, or less than nothing."""
     near = {"scale_step": -1.8, "rate_order": 4.0, "scale_drift": 240.0}
     part = UnnamedPart("time", "time", 8.0, 1e-3, None, None, "s", near, corrected=False)
     said = unnamed_sentences(Diagnosis(**{**vars(stepped), "unnamed": (part,)}))[0]
-    assert (
-        "scale_step (takes all of it), rate_order (takes 50 % of it) and scale_drift (takes none of the evidence)"
-        in said
-    )
+    assert "nearest are scale_step (takes all of it) and rate_order (takes 50 % of it). It" in said
+    nothing = replace(part, nearest={"scale_drift": 240.0})
+    said = unnamed_sentences(Diagnosis(**{**vars(stepped), "unnamed": (nothing,)}))[0]
+    assert "; no law that was tried takes any of it. It" in said
 
 
 def test_a_level_of_the_rate_is_a_place_by_itself() -> None:

@@ -179,7 +179,7 @@ def test_a_cubic_leaves_over_what_no_slope_bias_square_or_cubic_can_take() -> No
     assert replace(WHOLE, rates_dps=np.array([-50.0, 50.0])).left_by_cubic == (0, 0)
 
 
-@pytest.mark.parametrize("name", ["saturation", "rate_order"])
+@pytest.mark.parametrize("name", ["saturation", "rate_order", "truncation", "sagnac_sine"])
 def test_three_sizes_of_rate_have_nothing_left_to_check_an_odd_law_by(name: str) -> None:
     """Slope, cubic and any such law go through all three of them, and apart between them."""
     assert find_effect(name).why_not(WHOLE) is None
@@ -187,6 +187,17 @@ def test_three_sizes_of_rate_have_nothing_left_to_check_an_odd_law_by(name: str)
     lack = find_effect(name).why_not(three)
     assert isinstance(lack, Lack)
     assert lack.why is Why.FEW_SIZES
+
+
+def test_three_sizes_with_rest_have_nothing_left_to_check_an_even_law_by() -> None:
+    """Bias, square and an asymmetry go through all three of them: errors of single rates would make one of any size."""
+    assert find_effect("scale_asymmetry").why_not(WHOLE) is None
+    three = replace(WHOLE, rates_dps=np.array([-100.0, -70.0, -30.0, 30.0, 70.0, 100.0]))
+    lack = find_effect("scale_asymmetry").why_not(three)
+    assert isinstance(lack, Lack)
+    assert lack.why is Why.FEW_FOR_EVEN
+    with_rest = replace(three, rates_dps=np.append(three.rates_dps, 0.0))
+    assert find_effect("scale_asymmetry").why_not(with_rest) is None
 
 
 def test_a_temperature_turns_back_by_what_it_both_rose_and_fell() -> None:
