@@ -132,7 +132,7 @@ def _refitted(
 
     def gain_of(trial: Trial) -> float:
         beyond = fitted.contrasts.beyond(trial.columns)
-        return _gain(beyond, score, p, model.law_variance) - _unlikely(trial.effect, beyond, score, p)
+        return _gain(beyond, score, p, model.law_variance) - _unlikely(trial, beyond, score, p)
 
     best: dict[str, tuple[float, Trial]] = {}
     shapes: dict[str, int] = {}
@@ -212,10 +212,10 @@ def _refined(trial: Trial, laws: Laws, gain_of: Callable[[Trial], float]) -> Tri
     return at(refined(trial.shape, names, gain, spans))
 
 
-def _unlikely(effect: Effect, columns: Floats, score: Floats, p: Floats) -> float:
+def _unlikely(trial: Trial, columns: Floats, score: Floats, p: Floats) -> float:
     """What a law loses by the amplitude that it would need, nats; infinite for a sign or size that the catalogue excludes."""
-    along = columns.T @ score
-    if effect.positive and float(np.sum(along)) < 0.0:
+    effect, along = trial.effect, columns.T @ score
+    if effect.positive(trial.shape) and float(np.sum(along)) < 0.0:
         return np.inf
     information = float(np.sum(columns * (p @ columns)))
     if along.size > 1 or information <= 0.0:

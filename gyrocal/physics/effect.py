@@ -157,11 +157,6 @@ class Described:
     reference: str
     runtime: bool
 
-    @property
-    def positive(self) -> bool:
-        """Whether the amplitude is positive by its nature."""
-        return self.parameter("amplitude").low >= 0.0
-
     def typical(self) -> dict[str, float]:
         """The usual size of each parameter."""
         return {p.name: p.typical for p in self.parameters}
@@ -225,6 +220,10 @@ class Effect(Described):
     fold: Fold | None = field(default=None, repr=False)
     c_text: CText | None = field(default=None, repr=False)
     by_surface: BySurface | None = field(default=None, repr=False)
+
+    def positive(self, shape: Shape) -> bool:
+        """Whether the amplitude is positive by its nature."""
+        return self.parameter("amplitude").low >= 0.0 or self.search.one_sign(shape)
 
     def unit_dps(self, c: Conditions, shape: Shape, surface: Surface | None) -> Floats:
         """Its error at unit amplitude, shape (n,), deg/s; what `shape` does not say has its usual size."""

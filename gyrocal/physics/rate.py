@@ -146,6 +146,11 @@ def _reference(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
     return np.asarray(PPM * p["amplitude"] * relative * c.rate_dps)
 
 
+def _loses(shape: Shape) -> bool:
+    """Whether a dead zone takes from any input, and gives none; that at rest is of the sign of what stood there."""
+    return shape["form"] != _AT_REST
+
+
 def _dead_widths(offer: Offer) -> list[dict[str, float]]:
     small = offer.sizes_dps[offer.sizes_dps <= SMALL_DPS]
     if small.size == 0 or small[0] > 0.01:
@@ -320,6 +325,7 @@ DEAD_ZONE = Effect(
         grid=_dead_widths,
         refined=("width_dps",),
         requires=(many_rates, data_at_rest),
+        one_sign=_loses,
         scatters=True,
         in_part=True,
     ),

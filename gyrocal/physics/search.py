@@ -49,6 +49,11 @@ def no_shape(offer: Offer) -> list[dict[str, float]]:
     return [{}]
 
 
+def of_either_sign(shape: Shape) -> bool:
+    """That of a law whose parameters alone say whether its amplitude is positive: never more than they do."""
+    return False
+
+
 def scales(name: str, low: float, high: float, count: int) -> Grid:
     """Time constants `name` from `low` to `high` seconds, evenly in the logarithm, below the length of the record."""
 
@@ -85,6 +90,8 @@ class Search:
     natural : tuple of float, optional
         The amplitude that physics leads one to expect, and the standard deviation of its logarithm about that: without it
         a shape that does next to nothing beyond the surface may have any amplitude.
+    one_sign : callable
+        Whether the amplitude at a shape is positive by its nature, where it is not at all of them.
     draws : bool
         The amplitudes of its columns are independent draws of one size, not parameters each.
     by_columns : bool
@@ -109,6 +116,7 @@ class Search:
     prior_nats: float = 0.0
     usual: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     natural: tuple[float, float] | None = None
+    one_sign: Callable[[Shape], bool] = of_either_sign
     draws: bool = False
     by_columns: bool = True
     scatters: bool = False

@@ -177,7 +177,7 @@ def draw_secret(stage: Rehearsal, rng: np.random.Generator) -> Secret:
             if unit <= 0:
                 continue
             wanted = float(rng.choice(_D_PRIMES)) / unit
-            sign = 1.0 if hidden.positive else float(rng.choice([-1.0, 1.0]))
+            sign = 1.0 if hidden.positive(parameters) else float(rng.choice([-1.0, 1.0]))
             bounds = hidden.parameter("amplitude")
             # What is hardly seen in this record would be larger than any gyro has it.
             parameters["amplitude"] = float(np.clip(sign * wanted, bounds.low, bounds.high))

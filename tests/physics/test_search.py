@@ -174,6 +174,16 @@ def test_without_slow_rates_a_dead_band_and_an_output_that_is_cut_are_the_same()
     np.testing.assert_allclose(steps[0], steps[1])
 
 
+def test_a_dead_zone_takes_of_what_moves_and_gives_none() -> None:
+    """What is lost at rest has the sign of what stood at the input."""
+    zone = find_effect("dead_zone")
+    assert [zone.positive({"width_dps": 0.1, "form": form}) for form in (0.0, 1.0, 2.0, 3.0)] == [False] + [
+        True
+    ] * 3
+    assert not find_effect("truncation").positive({"of_output": 0.0})
+    assert find_effect("sagnac_sine").positive({"phase_rad_per_dps": 0.004})
+
+
 def test_a_cubic_leaves_over_what_no_slope_bias_square_or_cubic_can_take() -> None:
     assert WHOLE.left_by_cubic == (3, 4)
     assert replace(WHOLE, rates_dps=np.array([-50.0, 50.0])).left_by_cubic == (0, 0)
