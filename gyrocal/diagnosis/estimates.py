@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 
@@ -66,6 +66,8 @@ class _Scan:
         Orthonormal basis of the surface's free terms.
     score, precision : ndarray, shape (n,), (n, n)
         ``P y`` and ``P`` of the rest of the model (`Contrasts.precision`).
+    kind : mapping
+        Values of the parameters that are chosen from a few; without any the best of them at every shape.
     """
 
     effect: Effect
@@ -73,20 +75,27 @@ class _Scan:
     surface: Floats
     score: Floats
     precision: Floats
+    kind: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, shape: Mapping[str, float]) -> Point:
         """The point at a shape; a parameter that is chosen from a few values, and not refined, has the best of them."""
-        kinds = [{**shape, **kind} for kind in self._kinds(shape)]
+        kinds = [{**shape, **kind} for kind in self.kinds(shape)]
         points = [self.of(self.laws.at(self.effect, kind), kind) for kind in kinds]
         return min(points, key=lambda p: p.loss)
 
-    def _kinds(self, shape: Mapping[str, float]) -> list[dict[str, float]]:
+    def kinds(self, shape: Mapping[str, float]) -> list[Mapping[str, float]]:
         """Values on the grid of the parameters that are not refined."""
+        if self.kind:
+            return [self.kind]
         search = self.effect.search
         choices = [n for n in shape if n not in search.refined]
         grid = [s for s in search.grid(self.laws.offer) if s.keys() >= {*choices}]
         kinds = {tuple(s[n] for n in choices) for s in grid}
         return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)] or [{}]
+
+    def of_kind(self, shape: Mapping[str, float]) -> _Scan:
+        """The same at the values that a shape has of the parameters that are not refined."""
+        return replace(self, kind={n: x for n, x in shape.items() if n not in self.effect.search.refined})
 
     def of(self, columns: Floats, shape: Mapping[str, float]) -> Point:
         """The point of a law's columns at a shape; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""
@@ -185,7 +194,7 @@ def _shapes_near(
     """
     law = next(x for x in fitted.model.laws if x.effect == before.effect and x.shape == shape)
     free = _free(law)
-    beside = _beside(fitted, law, laws, [])
+    beside = _beside(fitted, law, laws, []).of_kind(shape)
     intervals = _around(beside, shape, free, shape)[0]
     axes = [np.geomspace(*intervals[name], _AVERAGED) for name in free]
     # Points are as far apart as the intervals are wide.
@@ -311,16 +320,22 @@ def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> li
     Of two parameters that are traded for one another there may be several, far apart: a peak that is narrow and high, and
     a wide one beside it.
     """
-    best = [_best_shape(beside, shape, free)]
-    if len(free) < 2:
-        return best
-    best += [_best_shape(beside, start, free) for start in _starts(beside, shape, free)]
-    losses = [beside.at(mode).loss for mode in best]
+    kinds = [beside.of_kind({**shape, **kind}) for kind in beside.kinds(shape)]
+    best = [(kind, _best_shape(kind, {**shape, **kind.kind}, free)) for kind in kinds]
+    if len(free) > 1:
+        best += [
+            (kind, _best_shape(kind, start, free))
+            for kind in kinds
+            for start in _starts(kind, {**shape, **kind.kind}, free)
+        ]
+    ranked = sorted(((kind.at(mode).loss, k) for k, (kind, mode) in enumerate(best)))
     found = list[dict[str, float]]()
-    for k in np.argsort(losses, kind="stable").tolist():
-        near = any(all(abs(np.log(best[k][n] / x[n])) < _SAME_MODE for n in free) for x in found)
-        if losses[k] < min(losses) + RISE_95 and not near:
-            found.append(best[k])
+    for loss, k in ranked[: None if len(free) > 1 else 1]:
+        kind, mode = best[k]
+        same = [x for x in found if all(x[n] == value for n, value in kind.kind.items())]
+        near = any(all(abs(np.log(mode[n] / x[n])) < _SAME_MODE for n in free) for x in same)
+        if loss < ranked[0][0] + RISE_95 and not near:
+            found.append(mode)
     return found
 
 

@@ -49,6 +49,9 @@ ROUNDS = 10
 #: of larger ones as much as of the largest small one (a dead band).
 _AT_REST, _SMALL, _LOCKED, _BAND = 0.0, 1.0, 2.0, 3.0
 
+#: A peak of a resonance: that of one mode in a sweep, and one without its tails, as where a drive dwells on some rates about it.
+_PEAKS = (0.0, 1.0)
+
 _SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
 
@@ -137,7 +140,8 @@ def _resonance(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
     detuning = (np.abs(c.rate_dps) - p["center_dps"]) / p["width_dps"]
     visit = c.t_s / _SAME_TIME_S if c.data_set_index is None else c.data_set_index
     size = p["amplitude"] * (1.0 + p["scatter"] * normal(p["seed"], 1, visit))
-    return np.asarray(MDPS * size / (1.0 + detuning**2))
+    peak = np.exp2(-(detuning**2)) if p["form"] else 1.0 / (1.0 + detuning**2)
+    return np.asarray(MDPS * size * peak)
 
 
 def _reference(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -195,7 +199,13 @@ def _order_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface
 
 def _resonances(offer: Offer) -> list[dict[str, float]]:
     return [
-        {"center_dps": float(center), "width_dps": width * offer.largest_rate_dps, "scatter": 0.0}
+        {
+            "center_dps": float(center),
+            "width_dps": width * offer.largest_rate_dps,
+            "form": form,
+            "scatter": 0.0,
+        }
+        for form in _PEAKS
         # At the largest rate a peak would be no more than a bend.
         for center in offer.sizes_dps[offer.sizes_dps > 0][:-1]
         for width in (0.02, 0.06, 0.12)
@@ -248,6 +258,8 @@ def _sagnac_sine_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 def _resonance_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     # The mean: a robot knows of no visits.
     detuning = f"((fabs@f@(w) - {n(p['center_dps'])}) / {n(p['width_dps'])})"
+    if p["form"]:
+        return f"({n(MDPS * p['amplitude'])} * exp2@f@(-{detuning} * {detuning}))"
     return f"({n(MDPS * p['amplitude'])} / (1 + {detuning} * {detuning}))"
 
 
@@ -450,12 +462,13 @@ FIT_DIRECTION = Effect(
 MECHANICAL_RESONANCE = Effect(
     id="mechanical_resonance",
     family="rate shape",
-    equation="e = k (1 + s n)/(1 + ((|w| - w_r)/b)^2), n a normal draw for each visit",
+    equation="e = k (1 + s n)/(1 + ((|w| - w_r)/b)^2), or k (1 + s n) 2^-((|w| - w_r)/b)^2, n a normal draw for each visit",
     statement="Near certain rates the table, the mount or the gyro vibrates, which shifts the bias and scatters it.",
     parameters=(
         amplitude("mdeg/s", 1000.0, 5.0, "mean shift at resonance"),
         shape("center_dps", "deg/s", 0.0, 10000.0, 60.0, "rate w_r of the resonance"),
         shape("width_dps", "deg/s", 0.01, 1000.0, 5.0, "half width b"),
+        choice("form", "1", *_PEAKS, _PEAKS[0], "0: Lorentz, 1: Gauss"),
         choice("scatter", "1", 0.0, 100.0, 0.5, "scatter as a share of the shift"),
         _SEED,
     ),

@@ -191,6 +191,7 @@ SETS = {effect_id: (typical_term(effect_id),) for effect_id in RUNTIME} | {
     "no state": tuple(map(typical_term, ("sagnac_sine", "temperature_order"))),
     "soft knee": (typical_term("saturation", knee_dps=60.0, softness_dps=2.5),),
     "cut by the sign of the output": (typical_term("truncation", of_output=1.0),),
+    "peak without tails": (typical_term("mechanical_resonance", form=1.0),),
     "cut away from zero": (typical_term("truncation", amplitude=-40.0),),
     **{
         f"dead zone of the form {form:g}": (

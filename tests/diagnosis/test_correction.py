@@ -207,14 +207,15 @@ def test_what_follows_the_supply_is_corrected_on_another_run() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("sizes", "center_dps"),
+    ("sizes", "center_dps", "form"),
     [
-        ((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0),
-        ((7, 21, 40, 68, 119, 155), 62.0),
+        ((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0, "Lorentz"),
+        ((5, 15, 25, 35, 45, 55, 65, 80, 100), 45.0, "Gauss"),
+        ((7, 21, 40, 68, 119, 155), 62.0, "Lorentz"),
     ],
 )
 def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
-    sizes: tuple[float, ...], center_dps: float
+    sizes: tuple[float, ...], center_dps: float, form: str
 ) -> None:
     """Between rates far from each other many peaks are as likely, and the file says how little it knows."""
     rng = np.random.default_rng(11)
@@ -222,7 +223,8 @@ def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
     temp = np.repeat(np.linspace(-10.0, 50.0, 9), 2 * len(sizes) + 1)
 
     def gyro(rate_dps: Floats, temp_c: Floats) -> Floats:
-        peak = 0.02 / (1.0 + ((np.abs(rate_dps) - center_dps) / 8.0) ** 2)
+        squared = ((np.abs(rate_dps) - center_dps) / 8.0) ** 2
+        peak = 0.02 / (1.0 + squared) if form == "Lorentz" else 0.02 * 2.0**-squared
         return np.asarray(1.001 * rate_dps + 0.01 + 1e-4 * temp_c + peak)
 
     noisy = gyro(rate, temp) + 3e-4 * rng.standard_normal(rate.size)

@@ -300,6 +300,14 @@ def test_resonance_is_local_and_scatters() -> None:
     assert np.abs(e[4000:]).max() < 1e-4
 
 
+def test_a_peak_of_either_form_is_half_as_high_half_a_width_off() -> None:
+    c = at([60.0, -58.0, 62.0, 52.0])
+    known = {"amplitude": 8.0, "center_dps": 60.0, "width_dps": 2.0, "scatter": 0.0}
+    lorentz, gauss = (error("mechanical_resonance", c, form=form, **known) for form in (0.0, 1.0))
+    np.testing.assert_allclose(lorentz, [8e-3, 4e-3, 4e-3, 8e-3 / 17.0])
+    np.testing.assert_allclose(gauss, [8e-3, 4e-3, 4e-3, 8e-3 * 2.0**-16])
+
+
 def test_what_cuts_the_output_is_smeared_by_the_noise_of_its_samples() -> None:
     c = replace(at([-5.0, 0.0, 0.0, 0.0, 5.0]), sample_std_dps=0.004)
     bias = np.zeros((4, 3))

@@ -80,6 +80,7 @@ def test_every_law_of_the_catalogue_gives_its_numbers(names: tuple[str, ...], di
     ("name", "kind"),
     [
         ("truncation", {"of_output": 1.0}),
+        ("mechanical_resonance", {"form": 1.0, "scatter": 0.0}),
         ("warm_up", {"of_scale": 1.0}),
         ("thermal_hysteresis", {"of_scale": 1.0}),
         *(("dead_zone", {"form": form}) for form in (0.0, 1.0, 2.0)),
