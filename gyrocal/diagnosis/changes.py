@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.columns import EDGE
 from gyrocal.diagnosis.finer import neighbours
-from gyrocal.diagnosis.laws import Laws, is_of_scale_in_time, laws_of
+from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import since_on
-from gyrocal.diagnosis.visited import tells_of_scale
+from gyrocal.diagnosis.visited import steps_of_scale, tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import MDPS, PPM, where_it_acts
@@ -123,7 +123,10 @@ class Changes:
         if effect in STEPS:
             rise_s = float(np.median(np.diff(m.t_s))) * np.array(_RISES)
             edge = max(_FEWEST_SETS, round(EDGE * len(m)))
-            return range(edge, len(m) - edge), rise_s.tolist()
+            rows = np.arange(edge, len(m) - edge)
+            if effect == SCALE_STEP.id and not self.tells_of_scale:
+                rows = np.intersect1d(rows, steps_of_scale(m, _FEWEST_SETS))
+            return rows.tolist(), rise_s.tolist()
         return self.values[effect], _SPREADS if effect in (WARM_UP.id, SHUPE_GRADIENT.id) else (0.0,)
 
     @cached_property
@@ -139,7 +142,7 @@ class Changes:
 
     def shapes(self, effect: str, of_scale: bool = False) -> list[Change]:
         """All shapes of an effect."""
-        if is_of_scale_in_time(CATALOGUE[effect]) and not self.tells_of_scale:
+        if effect == SCALE_DRIFT.id and not self.tells_of_scale:
             return []
         if effect in DRIFTS:
             return [Change(effect, *shape) for shape in self._drifts]

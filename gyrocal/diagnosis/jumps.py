@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.laws import GAIN, Laws
 from gyrocal.diagnosis.layers import WANDERING_BIAS, WANDERING_SCALE, Fitted, Law
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.visited import tells_of_scale
+from gyrocal.diagnosis.visited import steps_of_scale
 from gyrocal.inference.additive import Component, gains
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS, PPM
@@ -79,7 +79,7 @@ def boundaries(means: Means, effect: str) -> Ints:
         return rows
     # Before the first turns and after the last it is a scale factor for the whole record, which the surface has.
     turning = np.flatnonzero(means.rate_dps != 0.0)
-    return turning[2:-1] if turning.size > 4 and tells_of_scale(means) else np.empty(0, dtype=np.int64)
+    return np.intersect1d(turning[2:-1], steps_of_scale(means, _FEWEST_ROWS))
 
 
 def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:

@@ -10,6 +10,7 @@ from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 #: Places in temperature from the lowest to the highest that a record may visit.
 TEMP_BUMPS = 11
@@ -19,12 +20,18 @@ LEAST_SPAN_C = 0.5
 
 def temperatures_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
     """How many temperatures, one after the other, the gyro turned at."""
-    apart_c = max(LEAST_SPAN_C, float(np.ptp(temp_c)) / (TEMP_BUMPS - 1.0))
-    count, last_c = 0, -np.inf
-    for here_c in temp_c[rate_dps != 0.0].tolist():
-        if abs(here_c - last_c) > apart_c:
-            count, last_c = count + 1, here_c
-    return count
+    return int(np.unique(_visits(temp_c[rate_dps != 0.0], temp_c)).size)
+
+
+def _visits(temp_c: Floats, all_c: Floats) -> Ints:
+    """Number of the visit to a temperature that each of some rows belongs to, of all of a record."""
+    apart_c = max(LEAST_SPAN_C, float(np.ptp(all_c)) / (TEMP_BUMPS - 1.0))
+    visits, last_c = list[int](), -np.inf
+    for here_c in temp_c.tolist():
+        new = abs(here_c - last_c) > apart_c
+        last_c = here_c if new else last_c
+        visits.append((visits[-1] if visits else 0) + new)
+    return np.array(visits, dtype=np.int64)
 
 
 def shows_scale(temperatures: int) -> bool:
@@ -38,6 +45,20 @@ def shows_scale(temperatures: int) -> bool:
 def tells_of_scale(means: Means) -> bool:
     """The same of a record."""
     return shows_scale(temperatures_turned_at(means.rate_dps, means.temp_c))
+
+
+def steps_of_scale(means: Means, fewest: int) -> Ints:
+    """Rows at which it turned, and from which on a scale factor that had jumped could be told from the surface.
+
+    Where the temperatures do not tell of it, those with so many others before and after at the same temperature.
+    """
+    turning = np.flatnonzero(means.rate_dps != 0.0)
+    if tells_of_scale(means):
+        return turning
+    visits = _visits(means.temp_c[turning], means.temp_c)
+    before = np.arange(turning.size) - np.searchsorted(visits, visits)
+    after = np.searchsorted(visits, visits, side="right") - np.arange(turning.size)
+    return np.asarray(turning[np.minimum(before, after) >= fewest])
 
 
 def apart(coordinate: Floats, spacing: float) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import AT_FEW
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.visited import shows_scale, temperatures_turned_at
+from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_turned_at
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
@@ -67,3 +68,30 @@ def test_what_four_temperatures_tell_is_corrected_without_a_name() -> None:
     left = np.array(soaked) - rate
     # The surface alone leaves up to 3 mdeg/s between the temperatures.
     assert np.max(np.abs(left)) < 1.5e-3
+
+
+def test_a_step_within_a_visit_is_told_from_the_surface_and_one_between_two_is_not() -> None:
+    means = means_of(series_of_table(at_temperatures([10.0, 50.0, -10.0])[0]))
+    # Of nine rates, each twice, the first and the tenth of a visit are rest: it turned at sixteen.
+    assert steps_of_scale(means, 4).tolist() == [
+        18 * visit + k for visit in range(3) for k in (5, 6, 7, 8, 10, 11, 12, 13, 14)
+    ]
+    five = means_of(series_of_table(at_temperatures([10.0, 50.0, -10.0, 30.0, 0.0])[0]))
+    assert steps_of_scale(five, 4).tolist() == np.flatnonzero(five.rate_dps).tolist()
+
+
+@pytest.mark.parametrize("from_row", [62, 54])
+def test_a_step_of_the_scale_factor_at_four_temperatures(from_row: int) -> None:
+    """Within the last visit it is named; from its beginning on it is as well the temperature's."""
+    table, own = at_temperatures([10.0, 50.0, -10.0, 30.0])
+    jumped = 1e-3 * table.rate_dps * (np.arange(table.rate_dps.size) >= from_row)
+    found = diagnose(replace(table, gyro_dps=table.gyro_dps - own + jumped), options=Options(heldout=False))
+    steps = [e for e in found.effects if e.effect == "scale_step"]
+    if from_row == 54:
+        assert not steps
+        return
+    low, high = steps[0].parameters["amplitude"].interval_95
+    assert low < 1000.0 < high
+    low, high = steps[0].parameters["at_s"].interval_95
+    assert table.t_s is not None
+    assert low < 0.5 * (table.t_s[from_row - 1] + table.t_s[from_row]) < high
