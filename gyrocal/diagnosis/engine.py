@@ -28,7 +28,9 @@ from gyrocal.diagnosis.given import (
 from gyrocal.diagnosis.in_place import passes
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
+from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
+from gyrocal.diagnosis.parts import FLICKER
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.residual import Residuals, residuals
 from gyrocal.diagnosis.result import (
@@ -59,6 +61,7 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.effect import MDPS
 from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.lacking import Reason
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
@@ -229,7 +232,12 @@ def _of_file(
     """
     layered, parts = what
     edges = [Remark(Said.EDGE, facts) for facts in told(found.naming.fitted)]
-    remarks = [*temperature_alone(found), *_not_logged(found.series, layered), *edges]
+    remarks = [
+        *temperature_alone(found),
+        *_not_logged(found.series, layered),
+        *edges,
+        *_wandering(found.naming.fitted),
+    ]
     if why_not:
         return [*remarks, *why_not]
     seen = {p.coordinate for p in parts}
@@ -247,6 +255,17 @@ def _of_file(
         *_also_written(layered, parts, written),
         *_held(found, layered),
     ]
+
+
+def _wandering(fitted: Fitted) -> list[Remark]:
+    """What is taken for 1/f noise, where it is more than all other noise."""
+    solution = fitted.solve()
+    slow = [curve for name, curve in solution.random.items() if name.startswith(FLICKER)]
+    wandered = np.sum(slow, axis=0) if slow else np.zeros(len(fitted.model.means))
+    slow_dps, fast_dps = (float(np.sqrt(np.mean(x**2))) for x in (wandered, solution.left - wandered))
+    if slow_dps <= fast_dps:
+        return []
+    return [Remark(Said.WANDERS, {"slow_mdps": slow_dps / MDPS, "fast_mdps": fast_dps / MDPS})]
 
 
 def _not_logged(series: Series, layered: Sequence[NamedEffect]) -> list[Remark]:

@@ -74,6 +74,8 @@ _HEATS_S = 150.0 * 2.0 ** np.arange(5)
 _PLAYS = (0.01, 0.02, 0.035, 0.06, 0.10, 0.16, 0.25)
 #: A warming that tells the slope of a surface, degC.
 _WARMER_C = 0.01
+#: Name of the processes whose sum is 1/f noise, before the memory of each.
+FLICKER = "flicker"
 #: Memories of the processes whose sum is 1/f noise, s: a decade apart it is so to some percent.
 _FLICKER_S = (20.0, 200.0, 2000.0, 20000.0)
 #: Fewer degC than so many times those of one temperature say nothing of shapes in temperature.
@@ -467,7 +469,7 @@ def noise(means: Means) -> list[Component]:
     row_s = means.to_s - means.from_s
     nearest = float(np.median(np.diff(means.t_s)))
     found = [
-        Component(f"flicker {tau:g} s", covariance=ornstein_uhlenbeck(means.t_s, row_s, tau))
+        Component(f"{FLICKER} {tau:g} s", covariance=ornstein_uhlenbeck(means.t_s, row_s, tau))
         for tau in _FLICKER_S
         if tau > nearest
     ]

@@ -25,7 +25,6 @@ from gyrocal.physics.fold import near_zero_rate
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import erf, normal
 from gyrocal.physics.offer import (
-    SMALL_DPS,
     Offer,
     both_ways,
     cut_or_dead,
@@ -36,21 +35,31 @@ from gyrocal.physics.offer import (
     sizes_for_knee,
     sizes_for_peak,
 )
-from gyrocal.physics.search import Search, Shape, Unit
+from gyrocal.physics.rate_shapes import (
+    AT_REST,
+    BAND,
+    LOCKED,
+    PEAKS,
+    SAME_RATE_DPS,
+    SMALL,
+    dead_widths,
+    each_rate,
+    knees,
+    loses,
+    order_columns,
+    orders,
+    phases,
+    rate_or_output,
+    resonances,
+)
+from gyrocal.physics.search import Search
 from gyrocal.physics.surface import Surface
 
-#: Two commanded rates nearer than this are the same rate, and two samples nearer than this the same sample.
-_SAME_RATE_DPS, _SAME_TIME_S = 1e-3, 1e-6
+#: Two samples nearer than this are the same sample.
+_SAME_TIME_S = 1e-6
 
 #: Rounds of the inverse of the surface: a slope of 5 % leaves 1e-13 of the error after ten.
 ROUNDS = 10
-
-#: What a dead zone swallows: what stands at the input at rest, every small input, of larger ones less and less (lock-in), or
-#: of larger ones as much as of the largest small one (a dead band).
-_AT_REST, _SMALL, _LOCKED, _BAND = 0.0, 1.0, 2.0, 3.0
-
-#: A peak of a resonance: that of one mode in a sweep, and one without its tails, as where a drive dwells on some rates about it.
-_PEAKS = (0.0, 1.0)
 
 _SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
@@ -61,11 +70,11 @@ def _asymmetry(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     size = np.abs(c.rate_dps) / p["width_dps"]
-    if p["form"] == _AT_REST:
+    if p["form"] == AT_REST:
         return np.where(size < 1.0, -MDPS * p["amplitude"], 0.0)
-    if p["form"] == _SMALL:
+    if p["form"] == SMALL:
         lost = np.where(size < 1.0, size, 0.0)
-    elif p["form"] == _BAND:
+    elif p["form"] == BAND:
         lost = np.minimum(size, 1.0)
     else:
         # size - sqrt(size^2 - 1), without the difference of nearly equal numbers
@@ -146,78 +155,8 @@ def _resonance(c: Conditions, p: Mapping[str, float], surface: Surface | None) -
 
 def _reference(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     command = c.rate_dps if c.command_dps is None else c.command_dps
-    relative = normal(p["seed"], 2, np.abs(command) / _SAME_RATE_DPS)
+    relative = normal(p["seed"], 2, np.abs(command) / SAME_RATE_DPS)
     return np.asarray(PPM * p["amplitude"] * relative * c.rate_dps)
-
-
-def _loses(shape: Shape) -> bool:
-    """Whether a dead zone takes from any input, and gives none; that at rest is of the sign of what stood there."""
-    return shape["form"] != _AT_REST
-
-
-def _dead_widths(offer: Offer) -> list[dict[str, float]]:
-    small = offer.sizes_dps[offer.sizes_dps <= SMALL_DPS]
-    if small.size == 0 or small[0] > 0.01:
-        return []
-    widths = (small[:-1] + small[1:]) / 2 if small.size > 1 else np.empty(0)
-    last = small[-1] * 1.05 + 0.05 if small.size > 1 else 0.05
-    # Two inputs within the zone, or one and the rest, are the same to any form; without any, a dead band is a truncation.
-    forms, moving = [_AT_REST], np.count_nonzero(small > 0)
-    if moving or offer.continuous:
-        forms += [_BAND] if moving <= 2 else [_SMALL, _LOCKED, _BAND]
-    return [{"width_dps": float(x), "form": form} for form in forms for x in (*widths, last)]
-
-
-def _rate_or_output(offer: Offer) -> list[dict[str, float]]:
-    return [{"of_output": 0.0}, {"of_output": 1.0}]
-
-
-def _phases(offer: Offer) -> list[dict[str, float]]:
-    full = offer.largest_rate_dps
-    return [{"phase_rad_per_dps": x / full} for x in (0.2, 0.5, 0.8, 1.2, 1.6)] if full else []
-
-
-def _knees(offer: Offer) -> list[dict[str, float]]:
-    full = offer.largest_rate_dps
-    return [
-        {"knee_dps": float(x) * full, "softness_dps": soft * full}
-        for soft in (0.0, 0.02, 0.04)
-        for x in np.linspace(0.45, 0.95, 11)
-    ]
-
-
-def _orders(offer: Offer) -> list[dict[str, float]]:
-    scale = {"scale_dps": offer.largest_rate_dps or 1.0}
-    single = [{"order": order, **scale} for order in (4.0, 5.0, 6.0)]
-    return [*single, {"order": 5.0, "order_2": 4.0, **scale}]
-
-
-def _order_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
-    orders = [given[name] for name in ("order", "order_2") if name in given]
-    return np.column_stack([unit_dps(c, {**given, "order": order}, surface) for order in orders])
-
-
-def _resonances(offer: Offer) -> list[dict[str, float]]:
-    return [
-        {
-            "center_dps": float(center),
-            "width_dps": width * offer.largest_rate_dps,
-            "form": form,
-            "scatter": 0.0,
-        }
-        for form in _PEAKS
-        # At the largest rate a peak would be no more than a bend.
-        for center in offer.sizes_dps[offer.sizes_dps > 0][:-1]
-        for width in (0.02, 0.06, 0.12)
-    ]
-
-
-def _each_rate(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:
-    """A column for each size of rate, with an error of 1 ppm there."""
-    size = np.round(np.abs(c.rate_dps), 3)
-    sizes = np.unique(size[size > 0])
-    each = [np.where(np.abs(np.abs(c.rate_dps) - s) < _SAME_RATE_DPS, c.rate_dps * PPM, 0.0) for s in sizes]
-    return np.column_stack(each) if each else np.zeros((len(c), 1))
 
 
 def _draw_order(usual: Mapping[str, float], offer: Offer, rng: np.random.Generator) -> dict[str, float]:
@@ -231,12 +170,12 @@ def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 
 def _dead_zone_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     k, size = MDPS * p["amplitude"], f"(fabs@f@(w) / {n(p['width_dps'])})"
-    if p["form"] == _AT_REST:
+    if p["form"] == AT_REST:
         return f"({size} < 1 ? {n(-k)} : 0)"
     lost = {
-        _SMALL: f"({size} < 1 ? {size} : 0)",
-        _LOCKED: f"({size} < 1 ? {size} : 1 / ({size} + sqrt@f@({size} * {size} - 1)))",
-        _BAND: f"fmin@f@({size}, 1)",
+        SMALL: f"({size} < 1 ? {size} : 0)",
+        LOCKED: f"({size} < 1 ? {size} : 1 / ({size} + sqrt@f@({size} * {size} - 1)))",
+        BAND: f"fmin@f@({size}, 1)",
     }[p["form"]]
     rest = n(p["rest"])
     hidden = f"({size} < {rest} ? {n(p['place_dps'])} : 0)"
@@ -321,7 +260,7 @@ DEAD_ZONE = Effect(
         amplitude("mdeg/s", 1000.0, 2.0, "input that is lost, the largest"),
         shape("width_dps", "deg/s", 1e-6, 10.0, 0.01, "half width w_d"),
         choice(
-            "form", "1", _AT_REST, _BAND, _AT_REST, "0: lost at rest, 1: any small input, 2: lock-in, 3: band"
+            "form", "1", AT_REST, BAND, AT_REST, "0: lost at rest, 1: any small input, 2: lock-in, 3: band"
         ),
         shape("rest", "1", 0.0, 1.0, 0.0, "share r of w_d below which a robot takes the output for rest"),
         shape("place_dps", "deg/s", -10.0, 10.0, 0.0, "place p in the zone, of which the spread is known"),
@@ -334,10 +273,10 @@ DEAD_ZONE = Effect(
     error_dps=memoryless(_dead_zone),
     fold=near_zero_rate,
     search=Search(
-        grid=_dead_widths,
+        grid=dead_widths,
         refined=("width_dps",),
         requires=(many_rates, data_at_rest),
-        one_sign=_loses,
+        one_sign=loses,
         scatters=True,
         in_part=True,
     ),
@@ -362,7 +301,7 @@ TRUNCATION = Effect(
     error_dps=memoryless(_truncation),
     acts_on="converter",
     search=Search(
-        grid=_rate_or_output,
+        grid=rate_or_output,
         requires=(many_rates, many_sizes, both_ways, cut_or_dead),
         scatters=True,
         accounts_for=("quantisation",),
@@ -386,7 +325,7 @@ SAGNAC_SINE = Effect(
     runtime=True,
     error_dps=memoryless(_sagnac_sine),
     search=Search(
-        grid=_phases,
+        grid=phases,
         refined=("phase_rad_per_dps",),
         requires=(many_rates, many_sizes),
         # An open loop puts out the sine and nothing beside it; half and double are one sigma off.
@@ -411,7 +350,7 @@ SATURATION = Effect(
     reference="limits of electronics and digitiser",
     runtime=True,
     error_dps=memoryless(_saturation),
-    search=Search(grid=_knees, refined=("knee_dps",), requires=(many_rates, sizes_for_knee)),
+    search=Search(grid=knees, refined=("knee_dps",), requires=(many_rates, sizes_for_knee)),
     c_text=CText(_saturation_c),
 )
 
@@ -432,7 +371,7 @@ RATE_ORDER = Effect(
     runtime=True,
     error_dps=memoryless(_rate_order),
     # Where a mechanism does as well to within 20 to 1, it is the mechanism.
-    search=Search(grid=_orders, columns=_order_columns, requires=(many_rates, many_sizes), prior_nats=-3.0),
+    search=Search(grid=orders, columns=order_columns, requires=(many_rates, many_sizes), prior_nats=-3.0),
     hiding=Hiding(_draw_order),
     c_text=CText(_rate_order_c, (POWER,)),
 )
@@ -468,7 +407,7 @@ MECHANICAL_RESONANCE = Effect(
         amplitude("mdeg/s", 1000.0, 5.0, "mean shift at resonance"),
         shape("center_dps", "deg/s", 0.0, 10000.0, 60.0, "rate w_r of the resonance"),
         shape("width_dps", "deg/s", 0.01, 1000.0, 5.0, "half width b"),
-        choice("form", "1", *_PEAKS, _PEAKS[0], "0: Lorentz, 1: Gauss"),
+        choice("form", "1", *PEAKS, PEAKS[0], "0: Lorentz, 1: Gauss"),
         choice("scatter", "1", 0.0, 100.0, 0.5, "scatter as a share of the shift"),
         _SEED,
     ),
@@ -480,7 +419,7 @@ MECHANICAL_RESONANCE = Effect(
     runtime=True,
     error_dps=memoryless(_resonance),
     search=Search(
-        grid=_resonances,
+        grid=resonances,
         refined=("center_dps", "width_dps"),
         requires=(sizes_for_peak,),
         prior_nats=-1.0,
@@ -502,7 +441,7 @@ REFERENCE_RATE_ERROR = Effect(
     runtime=False,
     error_dps=memoryless(_reference),
     acts_on="reference",
-    search=Search(columns=_each_rate, draws=True),
+    search=Search(columns=each_rate, draws=True),
     # A draw of relative errors has a size of its own.
     hiding=Hiding(own_zero=False),
 )

@@ -171,6 +171,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"{most_c:.0f} °C): size and time constant of {listed(effects)} hang on its course there, which is taken for smooth, and their "
         "intervals know nothing of that. Log it all the time."
     ),
+    Said.WANDERS: "The bias wanders by {slow_mdps:.2g} mdeg/s rms, by more than data sets scatter by themselves ({fast_mdps:.2g}): that is taken "
+    "for 1/f noise, and steps, drifts and shapes over temperature of that size hide in it. Go through the same temperatures more than once.",
     Said.MEAN_OF_DRIFT: lambda effects: (
         f"Of {listed(effects)} the improved coefficients have the mean over the record, and what it adds about that in their standard "
         "deviations: where it will stand nobody knows."

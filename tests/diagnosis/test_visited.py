@@ -13,6 +13,7 @@ from gyrocal.diagnosis.laws import effects_of
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import AT_FEW
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_turned_at
 from gyrocal.fusion.compensation import Compensator
@@ -95,3 +96,23 @@ def test_a_step_of_the_scale_factor_at_four_temperatures(from_row: int) -> None:
     low, high = steps[0].parameters["at_s"].interval_95
     assert table.t_s is not None
     assert low < 0.5 * (table.t_s[from_row - 1] + table.t_s[from_row]) < high
+
+
+@pytest.mark.parametrize(("jump_dps", "seed"), [(0.0, 12), (0.02, 12), (0.02, 14), (0.02, 15)])
+def test_a_step_between_two_of_five_visits_is_found_or_told_as_noise(jump_dps: float, seed: int) -> None:
+    """It is as well a bias that wanders; what stands ten sigmas out of the scatter of a visit is never passed over."""
+    rng = np.random.default_rng(seed)
+    rate = np.tile(np.linspace(-75.0, 75.0, 16), 5)
+    temp = np.repeat(np.linspace(-20.0, 60.0, 5), 16)
+    t_s = 900.0 + 30.0 * np.arange(80) + 1800.0 * np.repeat(np.arange(5), 16)
+    output = 1.002 * rate + 0.01 + 2e-4 * temp + jump_dps * (t_s > t_s[47]) + rng.normal(0.0, 2e-3, 80)
+    found = diagnose(
+        DataSetTable(Path("one.csv"), rate, output, temp, t_s=t_s), options=Options(heldout=False)
+    )
+    told = [n for n in found.notes if isinstance(n, Remark) and n.said is Said.WANDERS]
+    if jump_dps:
+        assert told or found.effects or any(u.coordinate != "rate" for u in found.unnamed)
+    else:
+        assert not told
+    for remark in told:
+        assert remark.facts["slow_mdps"] > 1.5 * remark.facts["fast_mdps"]
