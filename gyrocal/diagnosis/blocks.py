@@ -184,10 +184,19 @@ def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str,
         found = {b: evidence(fitted, b, laws) for b in sorted(set(fitted.model.blocks.values()))}
         weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
         if not weak:
-            return around_itself(fitted), {b: gain for b, (gain, _) in found.items()}
+            return around_itself(fitted), _of_both(fitted, {b: gain for b, (gain, _) in found.items()}, laws)
         # The weakest at once, so that one of two that share a pattern stays.
         fitted = found[weak[0][1]][1]
         for _, block in weak[1:]:
             gain, without = evidence(fitted, block, laws)
             if gain < _ABSENT:
                 fitted = without
+
+
+def _of_both(fitted: Fitted, worth: dict[str, float], laws: Laws | None) -> dict[str, float]:
+    """What blocks are worth; of odd shapes in the rate and errors of single rates, which may hide each other, the stronger then has what both say."""
+    if not {ODD, EACH_RATE} <= worth.keys() or max(worth[ODD], worth[EACH_RATE]) >= GAIN:
+        return worth
+    weaker, stronger = sorted((ODD, EACH_RATE), key=worth.__getitem__)
+    alone = evidence(fitted, weaker, laws)[1]
+    return worth | {stronger: worth[weaker] + evidence(alone, stronger, laws)[0]}

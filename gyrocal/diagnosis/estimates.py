@@ -100,6 +100,9 @@ class _Scan:
     def of(self, columns: Floats, shape: Mapping[str, float]) -> Point:
         """The point of a law's columns at a shape; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""
         information = columns.T @ self.precision @ columns
+        if np.trace(information) < np.sqrt(np.finfo(float).tiny):
+            # Its inverse would overflow: it says nothing of an amplitude.
+            return Point(0.0, 0.0, float("inf"))
         covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
         b = covariance @ (columns.T @ self.score)
         size, along = float(b[0]), np.eye(b.size)[0]
@@ -176,6 +179,10 @@ def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Map
     for mode in modes:
         near = moved(fitted, law, mode, laws)
         found += _shapes_near(fitted.refit(near.model, start=near.fit.log_variance), mode, law, laws)
+    # A shape that does nothing at these rows has neither amplitude nor weight.
+    found = [one for one in found if np.isfinite(one[0])]
+    if not found:
+        return [(1.0, law.shape, fitted)]
     logarithms = np.array([logarithm for logarithm, _, _ in found])
     weights = np.exp(logarithms - logarithms.max())
     weights[weights < _IDLE] = 0.0

@@ -299,7 +299,8 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
         without = less(without, ODD)
     worth = without.nll - whole_nll
     alone = simplest(fitted, without, block, laws, worth)
-    unnamed = _Answer(fitted, [], alone.near, fitted.nll)
+    # Of what says less than any law has to, none takes a share.
+    unnamed = _Answer(fitted, [], alone.near if worth >= GAIN else {}, fitted.nll)
     if not alone.named:
         return replace(unnamed, named=_resembling(alone.nearest, without, block, worth))
     if block == EACH_RATE and alone.fitted.nll > whole_nll:
