@@ -54,7 +54,7 @@ from gyrocal.diagnosis.scatter import (
 from gyrocal.diagnosis.series import Series, series_of_run
 from gyrocal.diagnosis.staircase import staircase
 from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
-from gyrocal.diagnosis.surface import surface_alone
+from gyrocal.diagnosis.surface import surface_alone, with_undetermined
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.visited import LEAST_SPAN_C
 from gyrocal.diagnosis.within import strange_turns
@@ -214,7 +214,7 @@ def _written(
     gain = gain_on_a_fresh_run(improved, surface, means)
     if not gain.is_enough:
         return None, [no_file(improved, means, gain.chance, left_out)]
-    return with_drifts(improved, found), []
+    return with_undetermined(with_drifts(improved, found), means), []
 
 
 def _of_file(

@@ -87,7 +87,28 @@ def _under_noise_found(fitted: Fitted) -> Coefficients:
     noise_dps2 = sum(fitted.fit.variance[n.name] * _spread_of(n) for n in noise)
     covariance[0, 0] += max(float(np.mean(left**2 - noise_dps2)), 0.0)
     surface = Surface(c.reshape(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c)
-    return replace(file_without_surface(fitted), surface=surface, covariance_dps2=covariance)
+    alone = replace(file_without_surface(fitted), surface=surface, covariance_dps2=covariance)
+    return with_undetermined(alone, means)
+
+
+def with_undetermined(file: Coefficients, means: Means) -> Coefficients:
+    """A file with what the terms may be that the temperatures of a record do not tell from the others, and that are nothing in its surface.
+
+    A bend between two temperatures may be as large as what differs from the one to the other.
+    """
+    surface = file.surface
+    kept = np.isin(np.arange(len(SURFACE)), carried_terms(means.series)).reshape(SHAPE)
+    lacking = (~kept & kept.any(axis=1, keepdims=True)).ravel()
+    if not lacking.any():
+        return file
+    own_dps = means.rate_dps if surface.direction == "input" else means.gyro_dps
+    columns = surface.design(own_dps, means.temp_c)
+    changing = np.where(np.arange(len(SURFACE)) % SHAPE[1] > 0, surface.coefficients_dps.ravel(), 0.0)
+    shift = np.zeros((len(SURFACE), int(lacking.sum())))
+    shift[kept.ravel()] = np.linalg.lstsq(columns[:, kept.ravel()], columns[:, lacking], rcond=None)[0]
+    shift[lacking] = -np.eye(shift.shape[1])
+    size_dps2 = float(np.mean((columns @ changing) ** 2))
+    return replace(file, covariance_dps2=file.covariance_dps2 + size_dps2 * shift @ shift.T)
 
 
 def _spread_of(component: Component) -> Floats:

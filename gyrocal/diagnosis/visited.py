@@ -23,6 +23,11 @@ def temperatures_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
     return int(np.unique(_visits(temp_c[rate_dps != 0.0], temp_c)).size)
 
 
+def temperatures_told(temp_c: Floats) -> int:
+    """How many temperatures a record tells apart: what scatters about two of them is no third."""
+    return int(np.unique(_visits(np.sort(temp_c), temp_c)).size)
+
+
 def _visits(temp_c: Floats, all_c: Floats) -> Ints:
     """Number of the visit to a temperature that each of some rows belongs to, of all of a record."""
     apart_c = max(LEAST_SPAN_C, float(np.ptp(all_c)) / (TEMP_BUMPS - 1.0))

@@ -131,7 +131,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"the temperature {'rose' if rose else 'fell'} all along: what time alone did to bias or scale factor stands in the surface as "
         "if it were the temperature's, and in no stated uncertainty; heat and cool more than once"
     ),
-    Said.FEW_TEMPERATURES: "it turned at {count} temperatures: what changes the scale factor over temperature or time beyond the surface "
+    Said.FEW_TEMPERATURES: "it turned at {count} temperatures, one after the other: what changes the scale factor over temperature or time beyond the surface "
     "has no name here; turn at five or more, up and down",
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",
