@@ -41,8 +41,8 @@ _SUPPLY_S = 7.0
 OUTLIER_SIGMAS = 6.0
 #: Standard deviation of the noise in robust spreads of what the median of five leaves: that takes part of the noise with it.
 _OF_MEDIAN = 1.25
-#: Fewest isolated outliers that are bursts; fewer are left out with a note.
-FEWEST_OUTLIERS = 6
+#: Fewest isolated outliers that are bursts; fewer, which noise of heavy tails has as well, are left out with a note.
+FEWEST_OUTLIERS = 5
 #: A supply that changes less shows no dependence on it, V.
 LEAST_SUPPLY_V = 0.02
 #: Levels of samples of different averaging times are those of one white noise where they differ by less than this share.
