@@ -423,6 +423,7 @@ MECHANICAL_RESONANCE = Effect(
         refined=("center_dps", "width_dps"),
         requires=(sizes_for_peak,),
         prior_nats=-1.0,
+        adds_up=True,
         scatters=True,
     ),
     c_text=CText(_resonance_c),
