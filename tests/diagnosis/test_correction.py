@@ -255,6 +255,31 @@ def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
         assert np.mean(off**2) < 0.5 * np.mean((alone - unseen) ** 2)
 
 
+@pytest.mark.slow
+def test_two_peaks_over_the_rate_are_two_and_not_one_between_them() -> None:
+    """One of -49 mdeg/s at 58 deg/s had stood for both, beside a curve: 5.5 became 6.5 mdeg/s on another run."""
+    rng = np.random.default_rng(7)
+    sizes = np.arange(5.0, 94.0, 8.0)
+    rate = np.tile([*-sizes, 0.0, *sizes], 9)
+    temp = np.repeat([-10.0, 5.0, 20.0, 35.0, 50.0, 35.0, 20.0, 5.0, -10.0], 2 * sizes.size + 1)
+
+    def gyro(rate_dps: Floats, temp_c: Floats) -> Floats:
+        size = np.abs(rate_dps)
+        peaks = 0.015 * np.exp(-0.5 * ((size - 30.0) / 6.0) ** 2) + 0.02 / (1.0 + ((size - 70.0) / 5.0) ** 2)
+        return np.asarray(1.001 * rate_dps + 0.01 + 1e-4 * temp_c + peaks)
+
+    noisy = gyro(rate, temp) + 1e-3 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("peaks.csv"), rate, noisy, temp, t_s=40.0 * np.arange(float(rate.size)))
+    found = diagnose(series_of_table(table), None, Options(heldout=False))
+    assert [e.effect for e in found.effects] == ["mechanical_resonance"]
+    low, high = found.effects[0].parameters["center_dps"].interval_95
+    assert low < 70.0 < high
+    assert found.improved is not None
+    unseen, warm = np.linspace(-90.0, 90.0, 181), np.full(181, 12.0)
+    off = Compensator(found.improved).correct(np.arange(181.0), gyro(unseen, warm), warm) - unseen
+    assert np.sqrt(np.mean(off**2)) < 1e-3
+
+
 def _of_two(models: tuple[tuple[float, Fitted], ...]) -> Examination:
     """A table that is about as well explained by either of some models."""
     fitted = models[0][1]

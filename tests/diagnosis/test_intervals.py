@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.estimates import of_draws
+from gyrocal.diagnosis.estimates import _Scan, of_draws
 from gyrocal.diagnosis.intervals import (
     Point,
     along_axis,
@@ -19,9 +19,11 @@ from gyrocal.diagnosis.intervals import (
     profile_interval,
     shapes_within,
 )
+from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.locate import block_p_value
 from gyrocal.diagnosis.result import Estimate
+from gyrocal.physics.catalogue import find_effect
 
 Floats = NDArray[np.float64]
 
@@ -106,3 +108,13 @@ def test_a_variance_that_may_be_zero_is_tested_at_the_edge_of_its_range() -> Non
     assert block_p_value(nats, 1) == pytest.approx(0.001)
     assert block_p_value(nats, 9) == pytest.approx(0.009)
     assert block_p_value(-1.0, 9) == 1.0
+
+
+def test_a_shape_that_does_next_to_nothing_has_no_amplitude_and_no_overflow() -> None:
+    """A Gauss peak far from every rate is all but zero, and the inverse of its square is no number."""
+    n = 12
+    scan = _Scan(
+        find_effect("mechanical_resonance"), cast(Laws, None), np.eye(n)[:, :1], np.ones(n), np.eye(n)
+    )
+    point = scan.of(np.full((n, 1), 1e-160), {"center_dps": 50.0, "width_dps": 1.0})
+    assert (point.loss, point.amplitude, point.std) == (0.0, 0.0, np.inf)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import less
+from gyrocal.diagnosis import blocks
+from gyrocal.diagnosis.blocks import ODD, less
 from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
@@ -385,3 +386,15 @@ def played(temp_c: NDArray[np.float64], width_c: float) -> NDArray[np.float64]:
     for k in range(1, temp_c.size):
         at[k] = min(max(at[k - 1], temp_c[k] - width_c), temp_c[k] + width_c)
     return at
+
+
+def test_of_two_blocks_that_hide_each_other_the_stronger_has_what_both_say(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Odd shapes of 8 mdeg/s and errors of each rate were worth 4 and 3 nats each, and "nothing stood out"."""
+    each = {("both", EACH_RATE): (3.0, "odd alone"), ("odd alone", ODD): (230.0, "neither")}
+    monkeypatch.setattr(blocks, "evidence", lambda fitted, block, laws: each[fitted, block])
+    hidden = {ODD: 4.0, EACH_RATE: 3.0, "warm-up": 20.0}
+    assert blocks._of_both(cast(Fitted, "both"), hidden, None) == {**hidden, ODD: 233.0}
+    told = {ODD: 80.0, EACH_RATE: 3.0}
+    assert blocks._of_both(cast(Fitted, "both"), told, None) == told
