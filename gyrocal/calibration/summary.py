@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
@@ -29,6 +30,10 @@ _WORDS = {
     "data_set_index": "order of the data sets",
     "neighbours": "neighbouring data sets",
 }
+
+
+#: A residual that chance makes as small with less probability than this lies below a noise that is stated wrongly.
+_NEVER = 1e-6
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,13 @@ def _p(value: float) -> str:
 
 def remarks(c: Calibration) -> tuple[str, ...]:
     """Sentences beside the verdict: weights, scatter, outliers, noise, notes."""
-    lines = [_choice_line(c), *_undetermined_line(c), _scatter_line(c), *_rest_line(c)]
+    lines = [
+        _choice_line(c),
+        *_undetermined_line(c),
+        _scatter_line(c),
+        *_stated_noise_line(c),
+        *_rest_line(c),
+    ]
     lines += _odd_rates(c)
     lines.append(
         f"{len(c.outliers)} {plural(len(c.outliers), '[outlier|outliers]')}, listed and kept in the fit (leave out with --exclude)"
@@ -166,6 +177,20 @@ def _scatter_line(c: Calibration) -> str:
         "of a rest, and this random walk what all data sets say, over the whole recording"
     )
     return f"scatter of the data sets beyond sample noise: {', '.join(seen) or 'none seen'}{unseen}{why if both else ''}"
+
+
+def _stated_noise_line(c: Calibration) -> list[str]:
+    """That a stated sample noise is larger than what is left, where it is by more than chance makes it."""
+    floor_dps, left_dps = c.sample_floor_dps, c.fit.residual_dps
+    freedom = left_dps.size - int(c.fit.terms.sum())
+    if floor_dps is None or not floor_dps > 0.0 or freedom < 1:
+        return []
+    if np.sum(left_dps**2) >= chi2.ppf(_NEVER, freedom) * floor_dps**2:
+        return []
+    return [
+        f"the sample noise that the recording states is {floor_dps / np.sqrt(np.mean(left_dps**2)):.3g} times what the fit leaves, and all "
+        "intervals are as much too wide: check the unit of gyro_std_dps, and that n counts its samples"
+    ]
 
 
 def _rest_line(c: Calibration) -> list[str]:

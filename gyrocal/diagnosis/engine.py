@@ -385,7 +385,8 @@ def _noise(series: Series, left: Residuals) -> tuple[NoiseModel, NoiseLevels, li
     levels, p = look_for_walk(model, y, here, still)
     if p > _WALK_LEVEL or not levels.walk:
         return model, still.levels, []
-    wandered = levels.walk * float(np.sqrt(np.ptp(series.t_s)))
+    # Of a record whose 1/f noise a walk stands for it would go farther than all that is left.
+    wandered = min(levels.walk * float(np.sqrt(np.ptp(series.t_s))), float(np.sqrt(np.mean(y**2))))
     place = Located(series.time_coordinate, "variance", p, 1.0, True, target="walk", rms_dps=wandered)
     return model, levels, [place]
 

@@ -181,3 +181,16 @@ def test_a_clipped_gyro_has_outputs_that_no_rate_gives(tmp_path: Path) -> None:
         DataError, match=r"an output that no rate gives \(the first at .* deg/s, .* °C\).*gyrocal diagnose"
     ):
         calibrate(path, FitConfig())
+
+
+@pytest.mark.parametrize("times", [1.0, 1000.0])
+def test_a_stated_noise_far_above_what_is_left_is_told(tmp_path: Path, times: float) -> None:
+    """A column of mdeg/s under a name in deg/s made every standard deviation a thousand times too large without a word."""
+    rng = np.random.default_rng(3)
+    rate, temp = np.tile(np.linspace(-100.0, 100.0, 11), 5), np.repeat(np.linspace(-10.0, 50.0, 5), 11)
+    gyro = 1.001 * rate + 0.01 + 1e-4 * temp + 1e-3 * rng.standard_normal(rate.size)
+    path = tmp_path / "table.csv"
+    rows = [f"{r},{g},{t},{times * 4e-3},16" for r, g, t in zip(rate, gyro, temp, strict=True)]
+    path.write_text("rate_dps,gyro_dps,temp_c,gyro_std_dps,n\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    told = [line for line in remarks(calibrate(path, FitConfig())) if "the recording states" in line]
+    assert bool(told) == (times > 1.0)
