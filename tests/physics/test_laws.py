@@ -302,8 +302,12 @@ def test_resonance_is_local_and_scatters() -> None:
 
 def test_a_peak_of_either_form_is_half_as_high_half_a_width_off() -> None:
     c = at([60.0, -58.0, 62.0, 52.0])
-    known = {"amplitude": 8.0, "center_dps": 60.0, "width_dps": 2.0, "scatter": 0.0}
-    lorentz, gauss = (error("mechanical_resonance", c, form=form, **known) for form in (0.0, 1.0))
+    lorentz, gauss = (
+        error(
+            "mechanical_resonance", c, amplitude=8.0, center_dps=60.0, width_dps=2.0, scatter=0.0, form=form
+        )
+        for form in (0.0, 1.0)
+    )
     np.testing.assert_allclose(lorentz, [8e-3, 4e-3, 4e-3, 8e-3 / 17.0])
     np.testing.assert_allclose(gauss, [8e-3, 4e-3, 4e-3, 8e-3 * 2.0**-16])
 
