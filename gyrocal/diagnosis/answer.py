@@ -149,7 +149,13 @@ def _law(found: Examination, named: Named) -> NamedEffect:
     own = [n for n, b in blocks.items() if b == named.block]
     known = estimates.of_law(found.naming.fitted.granting_noise, named.law, found.laws, own)
     share = min(named.share, 1.0) if own else 1.0
-    return _effect(found, named.law.effect, known.parameters, named.p_value, named.rivals, share, known.adds)
+    effect = _effect(
+        found, named.law.effect, known.parameters, named.p_value, named.rivals, share, known.adds
+    )
+    if (too := known.on_scale) is None:
+        return effect
+    facts = {"of_scale": False, "too": [(too.value, *too.interval_95)], "unit": too.unit}
+    return replace(effect, beside=Remark(Said.OF_SCALE, facts))
 
 
 def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:

@@ -30,7 +30,7 @@ from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM, Effect
+from gyrocal.physics.effect import MDPS, PPM, SCALED_AT_DPS, Effect
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -121,16 +121,26 @@ class _Scan:
         unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
         return Point(loss + lost, amplitude, std, unit_dps)
 
+    def on_scale(self, law: Law) -> Estimate:
+        """Second amplitude of a law that acts on the scale factor beside the bias, at 100 deg/s."""
+        covariance = np.linalg.inv(law.columns.T @ self.precision @ law.columns)
+        b = covariance @ (law.columns.T @ self.score)
+        at = SCALED_AT_DPS / law.shape["rate_scale_dps"]
+        unit = self.effect.parameter("amplitude").unit
+        return Estimate.normal(at * float(b[1]), at * float(np.sqrt(covariance[1, 1])), unit)
+
 
 @dataclass(frozen=True)
 class LawEstimates:
     """Parameters of a law, and what it adds beyond the surface, mdeg/s rms over the rows.
 
-    Of parameters that a record cannot separate the sum of what they do is known all the same.
+    Of parameters that a record cannot separate the sum of what they do is known all the same. `on_scale` is the amplitude on the
+    scale factor of a law that acts on it beside the bias, at 100 deg/s.
     """
 
     parameters: dict[str, Estimate]
     adds: Estimate
+    on_scale: Estimate | None = None
 
 
 def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstimates:
@@ -158,6 +168,7 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     return LawEstimates(
         {"amplitude": amplitude, **_shapes(effect, law.shape, intervals)},
         adds.open_at(-size, size) if amplitude.at_bound else adds,
+        beside.on_scale(law) if "rate_scale_dps" in law.shape else None,
     )
 
 

@@ -20,7 +20,7 @@ from gyrocal.diagnosis.intervals import (
     shapes_within,
 )
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import Fitted
+from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.locate import block_p_value
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.physics.catalogue import find_effect
@@ -118,3 +118,20 @@ def test_a_shape_that_does_next_to_nothing_has_no_amplitude_and_no_overflow() ->
     )
     point = scan.of(np.full((n, 1), 1e-160), {"center_dps": 50.0, "width_dps": 1.0})
     assert (point.loss, point.amplitude, point.std) == (0.0, 0.0, np.inf)
+
+
+def test_what_a_law_does_to_the_scale_factor_is_told_at_a_hundred_degrees_a_second() -> None:
+    """Its only figure had been that of a bias of nothing."""
+    rng = np.random.default_rng(4)
+    rate, cubed = np.tile([-150.0, -50.0, 50.0, 150.0], 30), np.repeat(np.linspace(-1.0, 1.0, 30) ** 3, 4)
+    columns = 1e-3 * np.column_stack([cubed, cubed * rate / 150.0])
+    noise = 1e-3 * rng.standard_normal(rate.size)
+    precision = np.eye(rate.size) / 1e-6
+    law = Law("temperature_order", {"order": 3.0, "rate_scale_dps": 150.0}, columns)
+    score = precision @ (columns @ [0.0, 45.0] + noise)
+    scan = _Scan(find_effect(law.effect), cast(Laws, None), np.ones((rate.size, 1)), score, precision)
+    told = scan.on_scale(law)
+    low, high = told.interval_95
+    assert low < 30.0 < high
+    assert high - low < 2.0
+    assert told.unit == "mdeg/s"
