@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 #: that cancel each other are not believed where small ones do as well (Simpson et al., Stat. Sci. 32, 2017).
 _PRIOR_RATE = 1.0
 #: Steps of the climb before Newton's.
-_CLIMBS = 3
+_CLIMBS = 8
 #: Added to the diagonal, relative to the mean of the diagonal, so that rounding cannot make a matrix indefinite.
 JITTER = 1e-10
 

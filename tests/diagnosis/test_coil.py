@@ -348,16 +348,12 @@ def _knee(rates: int, seed: int) -> DataSetTable:
 
 @pytest.mark.slow
 def test_a_knee_between_few_rates_is_corrected_between_them() -> None:
-    """Errors of each rate follow it as well where it was seen, and know nothing of the rates between."""
+    """Errors of each rate follow it as well where it was seen, know nothing of the rates between, and leave 3 mdeg/s there."""
     found = examine(series_of_table(_knee(6, 0)), 1e-3)
     again = _knee(9, 1)
-
-    def left(candidates: tuple[tuple[float, Candidate], ...]) -> float:
-        file = Compensator(correction(replace(found, candidates=candidates)))
-        assert again.t_s is not None
-        return float(np.std(file.correct(again.t_s, again.gyro_dps, again.temp_c) - again.rate_dps))
-
-    assert left(found.candidates) < 0.5 * left(((1.0, found.ranked[0]),))
+    assert again.t_s is not None
+    file = Compensator(correction(found))
+    assert np.std(file.correct(again.t_s, again.gyro_dps, again.temp_c) - again.rate_dps) < 4e-4
 
 
 @pytest.mark.slow
@@ -398,14 +394,13 @@ def test_errors_of_each_rate_in_each_direction_may_be_the_tables() -> None:
 
 
 @pytest.mark.slow
-def test_a_law_of_the_rate_that_is_as_likely_as_errors_of_each_rate_is_told_beside_them() -> None:
+def test_a_knee_has_its_name_at_six_sizes_where_its_true_softness_explains_all() -> None:
+    """With the grid's softness it was a little worse than errors of each rate, and stood beside them as equally likely."""
     found = examine(series_of_table(_knee(6, 1)), 1e-3)
-    assert found.naming.named == ()
     (effect,) = named_effects(found)
-    assert effect.effect == "reference_rate_error"
-    instead = {a.effect: a.evidence_ratio for a in effect.alternatives}
-    assert instead.keys() == {"saturation", "rate_order"}, "shapes in the rate follow six sizes as well"
-    assert instead["saturation"] == 1.0
+    assert effect.effect == "saturation"
+    low, high = effect.parameters["knee_dps"].interval_95
+    assert low < 62.0 < high
 
 
 @pytest.mark.slow
