@@ -70,7 +70,8 @@ def test_a_name_takes_the_place_of_the_smooth_parts_that_stand_for_it() -> None:
     low, high = terms["scale_asymmetry"]["parameters"]["amplitude"]["interval_95"]
     assert low < 900.0 < high
     added = function_of(python_file(answer.law, answer.match.surface, "T.", "- f"))
-    np.testing.assert_allclose(added(rate, temp, t_s=t, since_power_on_s=t), lacking, atol=5 * NOISE_DPS)
+    # Of the warm-up's beginning it says 14 to 25 mdeg/s.
+    np.testing.assert_allclose(added(rate, temp, t_s=t, since_power_on_s=t), lacking, atol=7 * NOISE_DPS)
 
 
 def warmed(sweeps: int) -> Versus:
