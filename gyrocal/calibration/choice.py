@@ -18,7 +18,7 @@ from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.fit import SurfaceFit, Weights, fit_surface, rms, scaled_surface
 from gyrocal.calibration.groups import determined_order, left_out_groups
 from gyrocal.inference.flicker import Rest
-from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Direction
+from gyrocal.physics.surface import RATE_ORDER, SHAPE, TEMPERATURE_ORDER, Direction, Surface
 from gyrocal.units import DPS_TO_DPH, dph
 
 Floats = NDArray[np.float64]
@@ -201,27 +201,49 @@ def _with_undetermined(fit: SurfaceFit, left_out: tuple[CrossValidation, ...]) -
     the one to the other. A bias is silent about the rate.
     """
     known = [v.rms_dps for v in left_out if v.rms_dps]
-    terms = fit.terms.reshape(SHAPE)
-    unfitted = (~terms & terms.any(axis=1, keepdims=True)).ravel()
+    unfitted = left_out_terms(fit.terms)
     if not unfitted.any() or not known:
         return fit
     own = fit.own_dps
     columns = fit.surface.design(own, fit.sets.temp_c)
     outside = columns[:, unfitted]
     if determined_order(fit.sets.temp_c) < TEMPERATURE_ORDER:
-        by_temperature = np.arange(fit.terms.size) % SHAPE[1] > 0
-        known.append(rms(columns[:, by_temperature] @ fit.surface.coefficients_dps.ravel()[by_temperature]))
+        known.append(rms_over_temperature(fit.surface, columns))
     precision = np.linalg.inv(fit.scatter.matrix)
     inside = precision @ fit.design
     explained = inside @ np.linalg.solve(fit.design.T @ inside, inside.T)
     spread = np.linalg.inv(
         np.eye(outside.shape[1]) / max(known) ** 2 + outside.T @ (precision - explained) @ outside
     )
-    gain = np.linalg.lstsq(fit.design, outside, rcond=None)[0]
-    shift = np.zeros((fit.terms.size, outside.shape[1]))
-    shift[fit.terms] = gain
-    shift[unfitted] = -np.eye(outside.shape[1])
+    shift = shift_by_left_out(columns, fit.terms)
     return replace(fit, covariance_dps2=fit.covariance_dps2 + shift @ spread @ shift.T)
+
+
+def left_out_terms(terms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Terms that a surface of some others may have all the same, shape (12,): a bias is silent about the rate."""
+    kept = terms.reshape(SHAPE)
+    return np.asarray((~kept & kept.any(axis=1, keepdims=True)).ravel())
+
+
+def shift_by_left_out(columns: Floats, terms: NDArray[np.bool_]) -> Floats:
+    """By how much each left-out term, one of it, puts all coefficients off, itself among them, shape (12, left out).
+
+    Parameters
+    ----------
+    columns : all terms at the rows of a record, shape (n, 12)
+    terms : those that were fitted to it, shape (12,)
+    """
+    lacking = left_out_terms(terms)
+    shift = np.zeros((terms.size, int(lacking.sum())))
+    shift[terms] = np.linalg.lstsq(columns[:, terms], columns[:, lacking], rcond=None)[0]
+    shift[lacking] = -np.eye(shift.shape[1])
+    return shift
+
+
+def rms_over_temperature(surface: Surface, columns: Floats) -> float:
+    """What a surface changes by with temperature, rms over some rows, deg/s."""
+    by_temperature = np.arange(columns.shape[1]) % SHAPE[1] > 0
+    return rms(columns[:, by_temperature] @ surface.coefficients_dps.ravel()[by_temperature])
 
 
 def _model_reason(candidates: tuple[Candidate, ...], chosen: Model) -> str:

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from gyrocal.calibration.calibrate import Calibration
 from gyrocal.calibration.choice import PAPER
 from gyrocal.calibration.figure import Figure, bound_said, number, value_said
+from gyrocal.calibration.fit import rms
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import stray_rows
 from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, dph, plural
@@ -188,7 +189,7 @@ def _stated_noise_line(c: Calibration) -> list[str]:
     if np.sum(left_dps**2) >= chi2.ppf(_NEVER, freedom) * floor_dps**2:
         return []
     return [
-        f"the sample noise that the recording states is {floor_dps / np.sqrt(np.mean(left_dps**2)):.3g} times what the fit leaves, and all "
+        f"the sample noise that the recording states is {floor_dps / rms(left_dps):.3g} times what the fit leaves, and all "
         "intervals are as much too wide: check the unit of gyro_std_dps, and that n counts its samples"
     ]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -102,10 +102,14 @@ def _as_one(laws: list[NamedEffect]) -> NamedEffect:
     said = Remark(Said.SEVERAL_LAWS, {"count": len(laws)}) if len(laws) > 1 else None
     amplitudes = [e.parameters["amplitude"] for e in by_size if _of_scale(e) != of_scale]
     if amplitudes or of_scale:
-        too = [(a.value, *a.interval_95) for a in amplitudes[:1]]
-        unit = largest.parameters["amplitude"].unit
-        said = Remark(Said.OF_SCALE, {"of_scale": of_scale, "too": too, "unit": unit})
+        said = _acts_on(of_scale, amplitudes[:1], largest.parameters["amplitude"].unit)
     return replace(largest, p_value=laws[0].p_value, beside=said)
+
+
+def _acts_on(of_scale: bool, too: Sequence[Estimate], unit: str) -> Remark:
+    """Whether what else acts on the bias acts on the scale factor, and what it adds by the other of the two."""
+    facts = {"of_scale": of_scale, "too": [(a.value, *a.interval_95) for a in too], "unit": unit}
+    return Remark(Said.OF_SCALE, facts)
 
 
 def _of_scale(effect: NamedEffect) -> bool:
@@ -154,8 +158,7 @@ def _law(found: Examination, named: Named) -> NamedEffect:
     )
     if (too := known.on_scale) is None:
         return effect
-    facts = {"of_scale": False, "too": [(too.value, *too.interval_95)], "unit": too.unit}
-    return replace(effect, beside=Remark(Said.OF_SCALE, facts))
+    return replace(effect, beside=_acts_on(False, [too], too.unit))
 
 
 def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.visited import LEAST_SPAN_C, temperatures_told
+from gyrocal.diagnosis.visited import temperatures_told
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE, Surface
 
@@ -48,9 +48,8 @@ class Base:
 def carried_terms(series: Series) -> Ints:
     """Coefficients that the rates and temperatures of a record can tell apart, shape (p,)."""
     rates = np.unique(np.round(series.rate_dps, 3)).size
-    span = float(np.ptp(series.temp_c))
     rate_order = min(SHAPE[0], rates)
-    temp_order = min(SHAPE[1], 1 if span < LEAST_SPAN_C else temperatures_told(series.temp_c))
+    temp_order = min(SHAPE[1], temperatures_told(series.temp_c))
     # Few rows have something left to see in only beside fewer terms.
     while temp_order > 1 and 3 * rate_order * temp_order > 2 * len(series):
         temp_order -= 1

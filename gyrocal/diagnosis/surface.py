@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.checks import MOST_DATA_SETS
-from gyrocal.calibration.choice import fit_chosen
+from gyrocal.calibration.choice import fit_chosen, rms_over_temperature, shift_by_left_out
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.diagnosis.base import carried_terms
@@ -97,18 +97,11 @@ def with_undetermined(file: Coefficients, means: Means) -> Coefficients:
     A bend between two temperatures may be as large as what differs from the one to the other.
     """
     surface = file.surface
-    kept = np.isin(np.arange(len(SURFACE)), carried_terms(means.series)).reshape(SHAPE)
-    lacking = (~kept & kept.any(axis=1, keepdims=True)).ravel()
-    if not lacking.any():
-        return file
+    kept = np.isin(np.arange(len(SURFACE)), carried_terms(means.series))
     own_dps = means.rate_dps if surface.direction == "input" else means.gyro_dps
     columns = surface.design(own_dps, means.temp_c)
-    changing = np.where(np.arange(len(SURFACE)) % SHAPE[1] > 0, surface.coefficients_dps.ravel(), 0.0)
-    shift = np.zeros((len(SURFACE), int(lacking.sum())))
-    shift[kept.ravel()] = np.linalg.lstsq(columns[:, kept.ravel()], columns[:, lacking], rcond=None)[0]
-    shift[lacking] = -np.eye(shift.shape[1])
-    size_dps2 = float(np.mean((columns @ changing) ** 2))
-    return replace(file, covariance_dps2=file.covariance_dps2 + size_dps2 * shift @ shift.T)
+    shift = rms_over_temperature(surface, columns) * shift_by_left_out(columns, kept)
+    return replace(file, covariance_dps2=file.covariance_dps2 + shift @ shift.T)
 
 
 def _spread_of(component: Component) -> Floats:

@@ -147,9 +147,7 @@ def many_sizes(offer: Offer) -> Reason | None:
 
 def sizes_for_even(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a shape that is even in it: bias and square take two, a law one, and one is left to check it."""
-    if offer.all_sizes >= _FEWEST_SIZES:
-        return None
-    return Lack(Why.FEW_FOR_EVEN, {"count": offer.all_sizes, "fewest": _FEWEST_SIZES})
+    return _all_sizes(offer, _FEWEST_SIZES, Why.FEW_FOR_EVEN)
 
 
 def sizes_for_knee(offer: Offer) -> Reason | None:
@@ -165,9 +163,13 @@ def _turning_sizes(offer: Offer, fewest: int) -> Reason | None:
 
 def sizes_for_peak(offer: Offer) -> Reason | None:
     """Enough sizes of rate for a peak, which has a place, a width and a height."""
-    if offer.all_sizes >= _FEWEST_FOR_PEAK:
+    return _all_sizes(offer, _FEWEST_FOR_PEAK, Why.FEW_FOR_PEAK)
+
+
+def _all_sizes(offer: Offer, fewest: int, why: Why) -> Reason | None:
+    if offer.all_sizes >= fewest:
         return None
-    return Lack(Why.FEW_FOR_PEAK, {"count": offer.all_sizes, "fewest": _FEWEST_FOR_PEAK})
+    return Lack(why, {"count": offer.all_sizes, "fewest": fewest})
 
 
 def both_ways(offer: Offer) -> Reason | None:

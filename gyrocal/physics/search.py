@@ -50,7 +50,7 @@ def no_shape(offer: Offer) -> list[dict[str, float]]:
 
 
 def of_either_sign(shape: Shape) -> bool:
-    """That of a law whose parameters alone say whether its amplitude is positive: never more than they do."""
+    """No shape has a sign that the bounds of the amplitude do not have."""
     return False
 
 
