@@ -24,6 +24,9 @@ REPLACED = 2.0
 #: Errors of each rate stand for what is odd in the rate where they explain no worse than by this, nats, 20 to 1: beside each
 #: other neither is worth anything, and errors of 150 ppm had no name beside a step.
 _OWN = 3.0
+#: What acts on the scale factor beside the bias is there where it is worth this by itself, nats, 20 to 1: away from the
+#: rates and the temperatures of the record it grows with both.
+_OF_SCALE = 3.0
 #: Block of what is odd in the rate, and all that a wrong direction of the surface looks like.
 ODD = "odd rate"
 BENT = (ODD, "even rate", EACH_RATE)
@@ -184,6 +187,10 @@ def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str,
         found = {b: evidence(fitted, b, laws) for b in sorted(set(fitted.model.blocks.values()))}
         weak = sorted((gain, b) for b, (gain, _) in found.items() if gain < _ABSENT)
         if not weak:
+            of_bias = _of_bias_alone(fitted)
+            if of_bias is not fitted:
+                fitted = of_bias
+                continue
             return around_itself(fitted), _of_both(fitted, {b: gain for b, (gain, _) in found.items()}, laws)
         # The weakest at once, so that one of two that share a pattern stays.
         fitted = found[weak[0][1]][1]
@@ -191,6 +198,18 @@ def present(fitted: Fitted, laws: Laws | None = None) -> tuple[Fitted, dict[str,
             gain, without = evidence(fitted, block, laws)
             if gain < _ABSENT:
                 fitted = without
+
+
+def _of_bias_alone(fitted: Fitted) -> Fitted:
+    """The model less those parts of a block that act on the scale factor, where its others act on the bias and do nearly as well."""
+    for block in sorted(set(fitted.model.blocks.values())):
+        own = [p for p in fitted.model.parts if p.block == block and p.name in fitted.model.components]
+        scale = [p.name for p in own if of_scale(p)]
+        if 0 < len(scale) < len(own):
+            without = fitted.refit(fitted.model.without(scale))
+            if without.nll < fitted.nll + _OF_SCALE:
+                fitted = without
+    return fitted
 
 
 def _of_both(fitted: Fitted, worth: dict[str, float], laws: Laws | None) -> dict[str, float]:

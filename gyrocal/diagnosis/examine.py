@@ -35,7 +35,7 @@ from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, name
 from gyrocal.diagnosis.open_loop import with_open_loop
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING, Basis, passing
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
@@ -49,8 +49,6 @@ from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
 
-#: Blocks that follow the temperature, and with it the order of the plan.
-_FOLLOWING = ("memory", "temperature")
 #: Block of a scale factor that wanders.
 _SCALE_IN_TIME = "scale in time"
 #: Where variances start that are to be tried last.
@@ -369,7 +367,7 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     A plan goes through temperatures in turn: what is smooth in temperature can follow what happened at an instant.
     """
     beside, jumps = with_jumps(whole, passes, laws)
-    following = [n for n, b in whole.model.blocks.items() if b in _FOLLOWING]
+    following = [n for n, b in whole.model.blocks.items() if b in FOLLOWING]
     plain, instead = with_jumps(whole.refit(whole.model.without(following)), passes, laws)
     more = len(instead) - len(jumps)
     return (plain, instead) if instead and plain.nll <= beside.nll + REPLACED + more else (beside, jumps)

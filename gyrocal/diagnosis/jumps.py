@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.blocks import REPLACED
 from gyrocal.diagnosis.laws import GAIN, Laws
 from gyrocal.diagnosis.layers import WANDERING_BIAS, WANDERING_SCALE, Fitted, Law
 from gyrocal.diagnosis.means import Means
@@ -56,7 +57,7 @@ def with_jumps(fitted: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     kinds = [effect for effect, names in _WANDERS.items() if any(c.name in names for c in passes)]
     wide = fitted.refit(fitted.model.with_components(*passes))
     while True:
-        tried = [_best(wide, laws, effect) for effect in kinds]
+        tried = [best_jump(wide, laws, effect) for effect in kinds]
         jumped = [(wide.nll - new.nll, new, count) for new, count in (t for t in tried if t is not None)]
         jumped = [j for j in jumped if j[0] > GAIN + 0.5 * np.log(j[2])]
         if not jumped:
@@ -82,7 +83,7 @@ def boundaries(means: Means, effect: str) -> Ints:
     return np.intersect1d(turning[2:-1], steps_of_scale(means, _FEWEST_ROWS))
 
 
-def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
+def best_jump(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
     """The model with the jump that gains most, and the number of instants."""
     means = fitted.model.means
     rows = boundaries(means, effect)
@@ -93,11 +94,15 @@ def _best(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | None:
     most = CATALOGUE[effect].parameter("amplitude").high
     later = np.where(np.arange(len(means))[:, None] >= rows, unit[:, None], 0.0)
     row = int(rows[int(np.argmax(gains(later, score, p, most)))])
-    at_s, reach_s = float(means.from_s[row]), float(means.to_s[row] - means.from_s[row - 1]) / 2.0
+    between_s, reach_s = float(means.from_s[row]), float(means.to_s[row] - means.from_s[row - 1]) / 2.0
+    at_s = between_s
     for _ in range(_ZOOMS):
-        instants = np.concatenate([[at_s], np.linspace(at_s - reach_s, at_s + reach_s, _WITHIN)])
+        instants = np.concatenate([[between_s, at_s], np.linspace(at_s - reach_s, at_s + reach_s, _WITHIN)])
         near = [laws.at(CATALOGUE[effect], {"at_s": float(at)})[:, 0] for at in instants]
-        best = int(np.argmax(gains(np.column_stack(near), score, p, most)))
+        gained = gains(np.column_stack(near), score, p, most)
+        best = int(np.argmax(gained))
+        # Of a jump in the gap between two rows the means tell no instant within one of them.
+        best = best if gained[best] > gained[0] + REPLACED else 0
         at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
     law = Law(effect, {"at_s": at_s}, near[best][:, None])
     found = fitted.refit(fitted.model.with_laws(law))

@@ -33,7 +33,7 @@ from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import changing, without_mending
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING
-from gyrocal.diagnosis.rivals import or_lasting
+from gyrocal.diagnosis.rivals import or_lasting, or_passing
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
@@ -112,6 +112,9 @@ def name(
     shaped = reshaped(around_itself(fitted), laws)
     named = _as_fitted(named, fitted, shaped)
     shaped, named = or_lasting(shaped, still_there(named, shaped, left), followed, laws)
+    if passes:
+        shaped, named = or_passing(shaped, named, laws)
+        left = {block: nats for block, nats in left.items() if block in shaped.model.blocks.values()}
     shaped, named = _no_misfits(shaped, _mechanisms(named), laws)
     shaped = around_itself(shaped)
     return Naming(shaped, tuple(named), left, nearest, _of_input(shaped)), laws

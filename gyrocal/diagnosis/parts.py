@@ -39,6 +39,8 @@ Ints = NDArray[np.int64]
 EACH_RATE = "each rate"
 #: Block of what remembers past rates.
 PAST_RATES = "past rates"
+#: Blocks that follow the temperature, and with it the order of the plan.
+FOLLOWING = ("memory", "temperature")
 #: Block of the scale factor's next order in temperature where temperatures are just enough for it: what it is nobody can tell.
 AT_FEW = "scale over temperature"
 

@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.blocks import around_itself
 from gyrocal.diagnosis.candidates import AVERAGED_NATS
+from gyrocal.diagnosis.changes import DRIFTS, STEPS
 from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.estimates import reshaped
-from gyrocal.diagnosis.in_place import Named, is_passing
+from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, is_passing
+from gyrocal.diagnosis.jumps import best_jump
 from gyrocal.diagnosis.laws import Laws, tied_anew
 from gyrocal.diagnosis.layers import NEGLIGIBLE, Fitted, Law, Model, beyond_input
-from gyrocal.diagnosis.parts import EACH_RATE, PASSING, passing
+from gyrocal.diagnosis.parts import EACH_RATE, FOLLOWING, PASSING, passing
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
 
@@ -108,6 +110,55 @@ def or_lasting(
             else:
                 named[k] = replace(passes, rivals={**passes.rivals, lasts.law.effect: behind})
     return fitted, named
+
+
+def or_passing(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
+    """The model, and the names, with the likelier of what follows the temperature and a law that passes in its place; the other is its rival.
+
+    Where each temperature comes once, what remembers it can follow a jump or a drift, and a walk hides them.
+    """
+    named = [*named]
+    for block in FOLLOWING:
+        own = [n for n in named if n.block == block]
+        smooth = [name for name, b in fitted.model.blocks.items() if b == block]
+        sets = [[n] for n in own] + ([own] if len(own) > 1 else [])
+        found = []
+        for instead_of in sets:
+            lost = {n.law.name for n in instead_of}
+            kept = replace(fitted.model, laws=tuple(law for law in fitted.model.laws if law.name not in lost))
+            instead = _passing_law(fitted.refit(kept.without(smooth)), laws)
+            if instead is not None:
+                passes, other = instead
+                paid = sum(paid_by(n) for n in instead_of if fitted.model.holds(n.law))
+                behind = other.nll + paid_by(passes) - fitted.nll - paid
+                found.append((behind, instead_of, passes, other))
+        if not found:
+            continue
+        behind, instead_of, passes, other = min(found, key=lambda one: one[0])
+        lasts = max(instead_of, key=lambda n: n.gain)
+        if behind < 0.0:
+            fitted, named = other, [n for n in named if n not in instead_of]
+            named.append(replace(passes, rivals={**passes.rivals, lasts.law.effect: -behind}))
+        else:
+            named[named.index(lasts)] = replace(lasts, rivals={**lasts.rivals, passes.law.effect: behind})
+    return fitted, named
+
+
+def _passing_law(without: Fitted, laws: Laws) -> tuple[Named, Fitted] | None:
+    """The likeliest jump or drift beside a model, and the model with it; None where none is surely there."""
+    found: list[tuple[Named, Fitted]] = []
+    for jump in (best_jump(without, laws, effect) for effect in STEPS):
+        if jump is not None:
+            fitted, rows = jump
+            law = fitted.model.laws[-1]
+            found.append((Named(law, "", without.nll - fitted.nll, 1.0, {}, rows), fitted))
+    drifts = [t for effect in DRIFTS for t in laws.trials(CATALOGUE[effect]) if t.columns.shape[1] == 1]
+    drift = best_law(without, without, "", drifts, laws)
+    if drift is not None:
+        gain = without.nll - drift.fitted.nll
+        found.append((Named(drift.law, "", gain, 1.0, drift.rivals, drift.shapes), drift.fitted))
+    sure = [one for one in found if one[0].p_value <= NAMED_LEVEL]
+    return min(sure, key=lambda one: one[1].nll + paid_by(one[0]), default=None)
 
 
 def may_wander(model: Model, without: Sequence[str] = ()) -> Model:

@@ -15,11 +15,11 @@ from gyrocal.diagnosis.jumps import boundaries
 from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import Means, means_of
-from gyrocal.diagnosis.rivals import or_lasting, with_rivals
+from gyrocal.diagnosis.rivals import or_lasting, or_passing, with_rivals
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER, SATURATION
-from gyrocal.physics.thermal import THERMAL_LAG
+from gyrocal.physics.thermal import THERMAL_HYSTERESIS, THERMAL_LAG
 from gyrocal.physics.timewise import SCALE_STEP
 from gyrocal.records.datasets import DataSetTable
 
@@ -94,6 +94,30 @@ def test_a_step_between_temperatures_that_come_once_is_told_from_a_lag(lagging: 
     assert own == first.effect
     assert rivals.keys() == {other.effect}
     assert rivals[other.effect] > 0.0
+
+
+@pytest.mark.parametrize(("jumped", "up_and_down"), [(True, False), (False, True), (True, True)])
+def test_what_follows_the_temperature_is_told_from_a_jump_in_its_place(
+    jumped: bool, up_and_down: bool
+) -> None:
+    """A play of the scale factor can follow a jump between two temperatures, and a walk hides it."""
+    turned_c = np.array([24.0, 20.0, 28.0, 36.0, 44.0, 52.0, 60.0])
+    temps_c = np.concatenate([turned_c, turned_c[-2::-1]]) if up_and_down else turned_c
+    means = _means(temps_c)
+    shape = {"width_c": 3.0, "of_scale": 1.0}
+    _, play, laws = _with(means, THERMAL_HYSTERESIS, shape)
+    at_s = float(means.t_s[13 * 3] - 30.0)
+    hidden = 3e-4 * means.rate_dps * (means.t_s > at_s) if jumped else 5.0 * play.columns[:, 0]
+    means = replace(means, gyro_dps=means.gyro_dps + hidden)
+    fitted, play, laws = _with(means, THERMAL_HYSTERESIS, shape)
+    without = fitted.refit(replace(fitted.model, laws=()))
+    named = Named(play, "memory", without.nll - fitted.nll, 1.0, {}, 18)
+    found, (only,) = or_passing(fitted, [named], laws)
+    law, rival = (SCALE_STEP, THERMAL_HYSTERESIS) if jumped else (THERMAL_HYSTERESIS, SCALE_STEP)
+    assert only.law.effect == law.id
+    assert [one.effect for one in found.model.laws] == [law.id]
+    assert only.rivals[rival.id] > 3.0
+    assert only.p_value < 1e-6
 
 
 def test_a_law_without_rivals_stands_alone() -> None:
