@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.between import between_sets
 from gyrocal.diagnosis.blocks import (
     REPLACED,
     errors_of_each_rate,
@@ -133,20 +134,32 @@ class Examination:
 def examine(series: Series, level: float) -> Examination:
     """Take a recording apart: patterns within data sets at the false-alarm rate `level`, then its layers."""
     found = tuple(patterns(series, level))
-    left = replace(series, gyro_dps=series.gyro_dps - sum((p.values for p in found), np.zeros(len(series))))
-    means = means_of(left)
+    left = _less(series, found)
     # A table of sweeps has no ramps in which the coil's lag could be seen by itself.
-    if series.is_table and np.ptp(series.rate_dps) > 0:
+    if left.is_table and np.ptp(left.rate_dps) > 0:
         return _table(left, found)
-    full = full_model(means)
-    if any(p.effect == STEP_RESPONSE.id for p in found):
-        full = full.with_components(*settling(means))
-    full, fitted = with_tails(full, fit_anyhow(full))
+    full, fitted = _run(left, found)
+    while (more := between_sets(fitted, found, level)) is not None:
+        found += (more,)
+        left = _less(series, found)
+        full, fitted = _run(left, found)
     best = _account(full, fitted)
     still, cost = _at_temperatures(full, fitted, best)
     if still is not None and cost < best.cost - ALIKE_NATS:
         best = still
     return Examination(left, found, best.whole, best.settled, best.worth, best.naming, best.laws)
+
+
+def _less(series: Series, found: Sequence[Pattern]) -> Series:
+    return replace(series, gyro_dps=series.gyro_dps - sum((p.values for p in found), np.zeros(len(series))))
+
+
+def _run(series: Series, found: Sequence[Pattern]) -> tuple[Model, Fitted]:
+    """All that a run may have beside the patterns that were found, and what of it is there."""
+    full = full_model(means := means_of(series))
+    if any(p.effect == STEP_RESPONSE.id for p in found):
+        full = full.with_components(*settling(means))
+    return with_tails(full, fit_anyhow(full))
 
 
 @dataclass(frozen=True)

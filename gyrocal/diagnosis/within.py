@@ -128,17 +128,29 @@ def patterns(series: Series, level: float) -> list[Pattern]:
         best: dict[object, tuple[float, _Candidate]] = {}
         for candidate in candidates:
             loss = _loss(series, rows, sets, [*found, candidate])
-            kind = _kind(candidate)
+            kind = kind_of(candidate)
             if kind not in best or loss < best[kind][0]:
                 best[kind] = loss, candidate
         tested = [(_test(series, rows, sets, [*found, c])[-1].p_value, c) for _, c in best.values()]
         p, candidate = min(tested, key=lambda x: x[0])
         if p * len(candidates) > level:
             break
-        candidates = [c for c in candidates if _kind(c) != _kind(candidate)]
+        candidates = [c for c in candidates if kind_of(c) != kind_of(candidate)]
         found.append(_refined(laws, series, rows, sets, found, candidate))
         result = _test(series, rows, sets, found)
     return sorted(_with_intervals(laws, series, rows, sets, result), key=lambda p: p.p_value)
+
+
+def tested_alone(series: Series, coordinate: str) -> list[Pattern]:
+    """Every law that runs with a coordinate within data sets, by itself, as the sets show it."""
+    rows = _usable(series)
+    tried = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == coordinate]
+    if not (tried and rows.any()):
+        return []
+    laws, sets = _Laws(series), np.unique(series.set_index[rows], return_inverse=True)[1]
+    found = [_test(series, rows, sets, [laws.at(effect, shape)])[0] for effect, shape in tried]
+    # Where nobody logged the angle of a ramp, nothing is known of it there.
+    return [replace(p, columns=np.nan_to_num(p.columns)) for p in found]
 
 
 def _with_intervals(
@@ -206,7 +218,7 @@ def strange_turns(series: Series, level: float) -> list[Located]:
     return sorted(places, key=lambda place: place.p_value)
 
 
-def _kind(candidate: _Candidate) -> tuple[str, tuple[tuple[str, float], ...]]:
+def kind_of(candidate: _Candidate | Pattern) -> tuple[str, tuple[tuple[str, float], ...]]:
     """What makes two candidates the same pattern: the effect, and of its shape what is not refined."""
     if CATALOGUE[candidate.effect].search.refined:
         return candidate.effect, ()
