@@ -129,7 +129,9 @@ def gross_strays(series: Series) -> Strays:
         at = np.searchsorted(numbers, others[far])
         bad[at], off[at], std[at] = True, left[far], spread[far]
     bad &= ~_of_one_rate(bad, rate) & ~_of_a_transient(off)
-    places = (np.abs(rate), set_means(series, series.temp_c)[1], numbers)
+    places = [np.abs(rate), set_means(series, series.temp_c)[1], numbers.astype(np.float64)]
+    if series.supply_v is not None:
+        places.append(set_means(series, series.supply_v)[1])
     if not (few and bad.any()) or _together(bad, places):
         return NO_STRAYS
     return Strays(numbers[bad], off[bad], std[bad])
@@ -159,12 +161,18 @@ def _off_robustly(series: Series, left_dps: Floats) -> tuple[Ints, Floats, Float
     return numbers, left, spread
 
 
-def _together(bad: NDArray[np.bool_], coordinates: Sequence[NDArray[np.generic]]) -> bool:
-    """Whether several of the sets lie closer to each other along a coordinate, shape (sets,) each, than by chance."""
-    if bad.sum() < 2:
+def _together(bad: NDArray[np.bool_], coordinates: Sequence[Floats]) -> bool:
+    """Whether several of the sets lie closer to each other along a coordinate, shape (sets,) each, than by chance.
+
+    By how they are spread over all of it, and by how short a stretch has them all.
+    """
+    if (count := int(bad.sum())) < 2:
         return False
     places = [(rankdata(x)[bad] - 0.5) / bad.size for x in coordinates]
-    return len(places) * min(float(kstest(p, "uniform").pvalue) for p in places) < _TOGETHER_P
+    by_chance = [float(kstest(p, "uniform").pvalue) for p in places]
+    stretches = [min(float(np.ptp(p)) + 1.0 / bad.size, 1.0) for p in places]
+    by_chance += [count * s ** (count - 1) - (count - 1) * s**count for s in stretches]
+    return len(by_chance) * min(by_chance) < _TOGETHER_P
 
 
 def _of_a_transient(off_dps: Floats) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -201,3 +202,19 @@ def test_sets_of_one_rate_that_are_off_together_are_physics() -> None:
     scattered = here_and_there(4, one_rate.size / 133)
     table.gyro_dps[scattered] += 0.1
     assert gross_strays(series_of_table(table)).numbers.tolist() == scattered.tolist()
+
+
+def test_sets_that_are_off_in_one_stretch_or_at_one_supply_are_physics() -> None:
+    """Seven sets of a brown-out, four of which were off by enough, had been disturbed ones, and its law lost them."""
+    table = make_disturbed(5, here_and_there(5, 0.0))
+    off = np.array([60, 63, 64, 66])
+    table.gyro_dps[off] += 0.1
+    assert len(gross_strays(series_of_table(table))) == 0
+    table.gyro_dps[off] -= 0.1
+    apart = np.array([10, 55, 71, 120])
+    table.gyro_dps[apart] += 0.1
+    series = series_of_table(table)
+    assert gross_strays(series).numbers.tolist() == apart.tolist()
+    supply_v = 12.0 + 1e-3 * np.random.default_rng(6).standard_normal(len(series))
+    supply_v[apart] += 0.6
+    assert len(gross_strays(replace(series, supply_v=supply_v))) == 0
