@@ -336,19 +336,18 @@ def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> li
     """Shapes that are best in their neighbourhood, the likeliest first, and hardly less likely: that in the model was found beside less.
 
     Of two parameters that are traded for one another there may be several, far apart: a peak that is narrow and high, and
-    a wide one beside it.
+    a wide one beside it. Of one as well, as of a knee between two rates.
     """
     kinds = [beside.of_kind({**shape, **kind}) for kind in beside.kinds(shape)]
     best = [(kind, _best_shape(kind, {**shape, **kind.kind}, free)) for kind in kinds]
-    if len(free) > 1:
-        best += [
-            (kind, _best_shape(kind, start, free))
-            for kind in kinds
-            for start in _starts(kind, {**shape, **kind.kind}, free)
-        ]
+    best += [
+        (kind, _best_shape(kind, start, free))
+        for kind in kinds
+        for start in _starts(kind, {**shape, **kind.kind}, free)
+    ]
     ranked = sorted(((kind.at(mode).loss, k) for k, (kind, mode) in enumerate(best)))
     found = list[dict[str, float]]()
-    for loss, k in ranked[: None if len(free) > 1 else 1]:
+    for loss, k in ranked:
         kind, mode = best[k]
         same = [x for x in found if all(x[n] == value for n, value in kind.kind.items())]
         near = any(all(abs(np.log(mode[n] / x[n])) < _SAME_MODE for n in free) for x in same)
@@ -358,14 +357,22 @@ def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> li
 
 
 def _starts(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
-    """The best shapes of the grid, one for each value of the first parameter."""
+    """The best shapes of the grid, one for each value of the first parameter; of one parameter those that are better than those next to them."""
+    if not free:
+        return []
     best: dict[float, tuple[float, dict[str, float]]] = {}
     for at in beside.effect.search.grid(beside.laws.offer):
         tried = {**shape, **{n: at[n] for n in free}}
         loss = beside.at(tried).loss
         if at[free[0]] not in best or loss < best[at[free[0]]][0]:
             best[at[free[0]]] = loss, tried
-    return [tried for _, tried in sorted(best.values(), key=lambda x: x[0])[:_STARTS]]
+    along = [best[value] for value in sorted(best)]
+    if len(free) < 2:
+        losses = np.pad([loss for loss, _ in along], 1, constant_values=np.inf)
+        along = [
+            x for x, near, far in zip(along, losses[:-2], losses[2:], strict=True) if x[0] < min(near, far)
+        ]
+    return [tried for _, tried in sorted(along, key=lambda x: x[0])[:_STARTS]]
 
 
 def _best_shape(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:

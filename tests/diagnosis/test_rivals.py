@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.coil import TOLL_NATS
+from gyrocal.diagnosis.estimates import likely_shapes
 from gyrocal.diagnosis.in_place import Named
 from gyrocal.diagnosis.jumps import boundaries
 from gyrocal.diagnosis.laws import Laws, laws_of
@@ -26,9 +27,11 @@ from gyrocal.records.datasets import DataSetTable
 Floats = NDArray[np.float64]
 
 
-def _means(temps_c: Floats, error_dps: float = 0.0) -> Means:
+_SIZES_DPS = np.array([10.0, 30.0, 50.0, 70.0, 90.0, 100.0])
+
+
+def _means(temps_c: Floats, error_dps: float = 0.0, sizes: Floats = _SIZES_DPS) -> Means:
     """Rates up and down at each temperature; an error of the fifth order in the rate."""
-    sizes = np.array([10.0, 30.0, 50.0, 70.0, 90.0, 100.0])
     rates = np.concatenate([-sizes[::-1], [0.0], sizes])
     rate_dps, temp_c = np.tile(rates, temps_c.size), np.repeat(temps_c, rates.size)
     noise = 1e-3 * np.random.default_rng(2).standard_normal(rate_dps.size)
@@ -142,3 +145,18 @@ def test_four_temperatures_do_not_tell_what_changes_the_scale_factor(temperature
     assert of_temperature.isdisjoint(components) or of_temperature <= components.keys()
     assert ("lag on scale" in components) is (temperatures > 4)
     assert ("temperature rate" in components) is (temperatures > 1)
+
+
+def test_a_knee_between_two_rates_may_be_sharp_and_near_or_soft_and_far() -> None:
+    """Of the shapes that are best among those next to them one had been asked, and the file was sure of it."""
+    means = _means(np.linspace(-10.0, 50.0, 5), 0.0, sizes=np.array([6.85, 17.8, 34.3, 39.1, 60.0]))
+    softly_dps = 3.0 * np.logaddexp(0.0, (np.abs(means.rate_dps) - 46.7) / 3.0) * np.sign(means.rate_dps)
+    means = replace(means, gyro_dps=means.gyro_dps + 0.02 * softly_dps)
+    fitted, law, laws = _with(means, SATURATION, {"knee_dps": 40.6, "softness_dps": 1.2})
+    likely = likely_shapes(fitted, law, laws)
+    assert sum(weight for weight, _, _ in likely) == pytest.approx(1.0)
+    softness = {shape["softness_dps"] for _, shape, _ in likely}
+    assert len(softness) > 1
+    knees_dps = [shape["knee_dps"] for weight, shape, _ in likely if weight > 1e-3]
+    assert min(knees_dps) < 41.0
+    assert max(knees_dps) > 44.0
