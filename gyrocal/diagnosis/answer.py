@@ -16,6 +16,7 @@ from gyrocal.diagnosis.changes import STEPS
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
+from gyrocal.diagnosis.inputs import went_one_way
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.law_posterior import posterior_of
 from gyrocal.diagnosis.laws import GAIN
@@ -30,8 +31,8 @@ from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
 from gyrocal.physics.rate import FIT_DIRECTION, RATE_ORDER, REFERENCE_RATE_ERROR, SAGNAC_SINE
-from gyrocal.physics.thermal import THERMAL_LAG
-from gyrocal.physics.timewise import WARM_UP
+from gyrocal.physics.thermal import TEMPERATURE_ORDER, THERMAL_LAG
+from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 
 #: Of the fifth order of a cubic of the output, what a sine has.
 _SINE_FIFTH = 0.1
@@ -153,9 +154,10 @@ def _law(found: Examination, named: Named) -> NamedEffect:
     own = [n for n, b in blocks.items() if b == named.block]
     known = estimates.of_law(found.naming.fitted.granting_noise, named.law, found.laws, own)
     share = min(named.share, 1.0) if own else 1.0
-    effect = _effect(
-        found, named.law.effect, known.parameters, named.p_value, named.rivals, share, known.adds
-    )
+    # A drift of any course is a shape in a temperature that went one way.
+    timewise = named.law.effect == TEMPERATURE_ORDER.id and went_one_way(found.series)
+    rivals = {**named.rivals, BIAS_DRIFT.id: 0.0} if timewise else named.rivals
+    effect = _effect(found, named.law.effect, known.parameters, named.p_value, rivals, share, known.adds)
     if (too := known.on_scale) is None:
         return effect
     return replace(effect, beside=_acts_on(False, [too], too.unit))

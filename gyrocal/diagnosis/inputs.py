@@ -112,14 +112,18 @@ def _clipped_notes(series: Series) -> tuple[Remark, ...]:
     return (Remark(Said.CLIPPED, facts),)
 
 
-def _one_way_notes(series: Series) -> tuple[Remark, ...]:
-    """What time did looks like what the temperature did where that went one way."""
-    temp_c, span_c = series.temp_c, float(np.ptp(series.temp_c))
+def went_one_way(series: Series) -> bool:
+    """Whether the temperature did, so that what time did looks like what it did."""
     if np.ptp(series.rate_dps) == 0.0 or not np.any(carried_terms(series) % SHAPE[1]):
-        return ()
-    if turned_back_c(temp_c) >= _TURNS_BACK * span_c:
-        return ()
-    return (Remark(Said.ONE_WAY, {"rose": fell_c(temp_c) <= fell_c(-temp_c)}),)
+        return False
+    return turned_back_c(series.temp_c) < _TURNS_BACK * float(np.ptp(series.temp_c))
+
+
+def _one_way_notes(series: Series) -> tuple[Remark, ...]:
+    temp_c = series.temp_c
+    return (
+        (Remark(Said.ONE_WAY, {"rose": fell_c(temp_c) <= fell_c(-temp_c)}),) if went_one_way(series) else ()
+    )
 
 
 def _few_temperatures_notes(series: Series) -> tuple[Remark, ...]:

@@ -351,3 +351,17 @@ def test_a_memory_of_the_temperature_in_pauses_of_the_log_is_doubted(
     expected = {"effects": ["shupe_gradient"], "pauses": 2, "longest_min": 30.0, "most_c": 15.0}
     assert [r.facts for r in _not_logged(series, named)] == ([expected] if said else [])
     assert _not_logged(series, named[1:]) == []
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_shape_in_a_temperature_that_went_one_way_may_be_one_of_time(back: bool) -> None:
+    rng = np.random.default_rng(8)
+    rates, temps = np.linspace(-100.0, 100.0, 9), np.linspace(-10.0, 60.0, 8)
+    temps = np.concatenate([temps, temps[::-1]]) if back else temps
+    rate, temp = np.tile(rates, temps.size), np.repeat(temps, rates.size)
+    gyro = 1.001 * rate + 0.02 * ((temp - 25.0) / 35.0) ** 3 + 1e-3 * rng.standard_normal(rate.size)
+    t_s = 60.0 * np.arange(rate.size, dtype=np.float64)
+    table = DataSetTable(Path("one.csv"), rate, gyro, temp, t_s=t_s)
+    (named,) = diagnose(table, options=Options(heldout=False)).effects
+    assert named.effect == "temperature_order"
+    assert [a.effect for a in named.alternatives] == ([] if back else ["bias_drift"])
