@@ -131,7 +131,7 @@ def _gain(c: Comparison) -> str:
         f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
     )
     for count, where in (
-        (c.beyond, "beyond the rates or temperatures of the others"),
+        (c.beyond, "beyond the rates, the temperatures or the times of the others"),
         (c.beside_jumps, "beside a jump"),
     ):
         if count:

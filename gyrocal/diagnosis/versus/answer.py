@@ -28,6 +28,7 @@ from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.terms import Term
+from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.files import finite
 from gyrocal.units import NORMAL_95, S_PER_H
 
@@ -37,9 +38,9 @@ Bools = NDArray[np.bool_]
 
 SCHEMA = "gyrocal-law/1"
 
-#: Neighbouring data sets are left out together, in so many blocks, a fifth of which is held out at a time: without
-#: half of them few plans have a temperature on either side of those left out.
-_BLOCKS, _FOLDS = 10, 5
+#: Neighbouring data sets are left out together, in so many blocks, a fifth of which is held out at a time. Half as many
+#: would have most of a warm-up in one of them, which the others cannot know.
+_BLOCKS, _FOLDS = 20, 5
 #: So many sets at least tell something of a law.
 _FEWEST = 5
 #: Rate at which any of the figures that are compared is said to differ where none does.
@@ -61,8 +62,9 @@ class Comparison:
     interval_95 : tuple of float
         Of the drop, by a bootstrap of whole blocks.
     sets, beyond, beside_jumps : int
-        Data sets left out in turn; those whose rate or temperature the others do not enclose, and of the others those beside
-        which something jumps: these are not judged, since no surface knows beyond its data, and no law when it jumped among them.
+        Data sets left out in turn; those whose rate or temperature the others do not enclose, or whose time where the law has
+        one of time, and of the others those beside which something jumps: these are not judged, since no surface and no
+        course knows beyond its data, and no law when it jumped among them.
     worse_at_dps : tuple of float
         Rates at which the simulation is surely farther from the recording with the law.
     """
@@ -286,7 +288,7 @@ def left_by(law: Coefficients, difference: Series) -> Floats:
 
 
 def compare(matched: Match, options: Options) -> Comparison | None:
-    """The law without some blocks of data sets, on those of these sets whose rate and temperature the others enclose."""
+    """The law without some blocks of data sets, on those of these sets that the others enclose."""
     difference = matched.difference
     simulated = matched.surface.output_dps(difference.rate_dps, difference.temp_c)
     numbers, plain = set_means(difference, difference.gyro_dps - simulated)
@@ -301,6 +303,8 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         except DataError:
             return None
         within = enclosed(difference, difference.take(known & difference.is_set))
+        if _is_of_time(law):
+            within &= _meanwhile(difference, known & difference.is_set)
         certain = ~_jumped_meanwhile(law, difference.t_s, difference.t_s[known])
         enclosed_too = held & np.isin(numbers, difference.set_index[within])
         judged = enclosed_too & np.isin(numbers, difference.set_index[within & certain])
@@ -323,6 +327,17 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         beside_jumps,
         _worse_at(rate, squares[1] - squares[0]),
     )
+
+
+def _is_of_time(law: Coefficients) -> bool:
+    """Whether a law drifts or settles with time."""
+    laws = [term for term in law.terms if not isinstance(term, SmoothTerm)]
+    return any(find_effect(term.effect).family == WARM_UP.family for term in laws)
+
+
+def _meanwhile(series: Series, known: Bools) -> Bools:
+    """Rows between the first and the last of those that are known, shape (n,)."""
+    return np.asarray((series.t_s >= series.t_s[known].min()) & (series.t_s <= series.t_s[known].max()))
 
 
 def _jumped_meanwhile(law: Coefficients, t_s: Floats, known_s: Floats) -> Bools:

@@ -152,3 +152,19 @@ def test_a_law_since_power_on_counts_from_the_same_instant_whatever_rows_are_lef
     difference = series_of_table(table("real.csv", t + 600.0, rate, gyro, temp))
     part = difference.take(np.arange(t.size) >= 10)
     assert counts_from_s(part) == counts_from_s(difference) == 0.0
+
+
+@pytest.mark.slow
+def test_a_warm_up_is_judged_where_the_others_enclose_its_time() -> None:
+    """Of a fifth of the record its first tenth had most of it and could not be known from the rest: a right law was never sure."""
+    t, rate, temp = plan()
+    noise = np.random.default_rng(3).normal(0, NOISE_DPS, t.size)
+    simulated = SURFACE.output_dps(rate, temp)
+    real = simulated + 0.01 * np.exp(-t / 1200.0) + noise
+    recorded = series_of_table(table("real.csv", t, rate, real, temp))
+    found = versus(recorded, series_of_table(table("sim.csv", t, rate, simulated, temp)), Options())
+    assert [e.effect for e in found.diagnosis.effects] == ["warm_up"]
+    assert found.comparison is not None
+    assert found.helps
+    assert found.comparison.sets + found.comparison.beyond == t.size
+    assert found.comparison.after_dps < 2.0 * NOISE_DPS < found.comparison.before_dps
