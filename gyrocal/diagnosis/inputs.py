@@ -75,7 +75,6 @@ def check_inputs(
         )
     notes: tuple[Note, ...] = (
         *_stray_notes(series),
-        *_clipped_notes(series),
         *_one_way_notes(series),
         *_few_temperatures_notes(series),
     )
@@ -92,24 +91,15 @@ def check_inputs(
 
 
 def _stray_notes(series: Series) -> tuple[Remark, ...]:
-    stray = stray_rows(series.rate_dps, series.gyro_dps) if series.is_table else ()
+    if not series.is_table:
+        return ()
+    free = np.flatnonzero(unclipped(series.rate_dps, series.gyro_dps))
+    stray = free[stray_rows(series.rate_dps[free], series.gyro_dps[free])]
     return (
         (Remark(Said.STRAY_SETS, {"sets": [int(series.set_index[row]) + 1 for row in stray]}),)
         if len(stray)
         else ()
     )
-
-
-def _clipped_notes(series: Series) -> tuple[Remark, ...]:
-    free = unclipped(series.rate_dps, series.gyro_dps)
-    if free.all():
-        return ()
-    facts = {
-        "count": int(np.unique(series.set_index[~free]).size),
-        "sets": int(np.unique(series.set_index).size),
-        "least_dps": float(np.min(np.abs(series.rate_dps[~free]))),
-    }
-    return (Remark(Said.CLIPPED, facts),)
 
 
 def went_one_way(series: Series) -> bool:

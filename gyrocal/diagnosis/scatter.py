@@ -18,8 +18,10 @@ from gyrocal.diagnosis.series import FEWEST_OUTLIERS, OUTLIER_SIGMAS, Series, se
 from gyrocal.errors import DataError
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
-from gyrocal.physics.rate import DEAD_ZONE
+from gyrocal.physics.rate import DEAD_ZONE, SATURATION
 from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
+from gyrocal.physics.surface import SHAPE
+from gyrocal.records.scale import scale_unclipped, unclipped
 from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
@@ -102,6 +104,31 @@ def dead_finding(dead: Ints, lost_dps: Floats, reach: tuple[float, float], sets:
     }
     place = Located("rate", "mean", CERTAIN, 1.0, target="output", finding=DEAD_ZONE.id)
     return Finding(DEAD_ZONE.id, seen, parameters, CERTAIN, place)
+
+
+def clipped_finding(series: Series, output_dps: Floats) -> tuple[Ints, Finding | None]:
+    """Data sets of an output at an end of its range, and what they say of the saturation; none where the others are too few for a surface.
+
+    Parameters
+    ----------
+    output_dps : ndarray, shape (n,)
+        The output as recorded.
+    """
+    free = unclipped(series.rate_dps, output_dps)
+    sets = np.unique(series.set_index[series.is_set])
+    clipped = np.intersect1d(sets, series.set_index[~free])
+    if not 0 < clipped.size < sets.size - SHAPE[0] * SHAPE[1]:
+        return np.empty(0, dtype=np.int64), None
+    rate_dps, lost = np.abs(series.rate_dps), np.isin(series.set_index, clipped)
+    slowest = float(np.min(rate_dps[lost]))
+    fastest = float(np.max(rate_dps[~lost & (rate_dps < slowest)], initial=0.0))
+    at_dps = float(np.median(np.abs(output_dps[~free]))) / scale_unclipped(series.rate_dps, output_dps)
+    knee = Estimate.spanning(float(np.clip(at_dps, fastest, slowest)), (fastest, slowest), "deg/s")
+    facts = {"count": int(clipped.size), "sets": int(sets.size), "least_dps": slowest}
+    # All of the gain is lost: the output is the same at the last digit, or as good as.
+    parameters = {"amplitude": Estimate(1.0, 0.0, "1", (1.0, 1.0)), "knee_dps": knee}
+    place = Located("rate", "mean", CERTAIN, 1.0, target="output", finding=SATURATION.id)
+    return clipped, Finding(SATURATION.id, Remark(Said.CLIPPED, facts), parameters, CERTAIN, place)
 
 
 def outlier_findings(series: Series) -> list[Finding]:

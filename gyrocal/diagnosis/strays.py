@@ -17,7 +17,7 @@ from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.layers import Fitted, contrasts_of
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate, Located
-from gyrocal.diagnosis.scatter import Finding, dead_finding, dead_sets
+from gyrocal.diagnosis.scatter import Finding, clipped_finding, dead_finding, dead_sets
 from gyrocal.diagnosis.series import Series, set_means
 from gyrocal.inference.additive import Component, precision
 from gyrocal.physics.sampling import BURSTS
@@ -92,7 +92,7 @@ def without(series: Series, numbers: Ints) -> Series:
 
 
 def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding], Strays]:
-    """The series without the data sets that say nothing of the surface, what the dead ones tell, and the gross ones.
+    """The series without the data sets that say nothing of the surface, what dead and clipped ones tell, and the gross ones.
 
     Parameters
     ----------
@@ -103,7 +103,11 @@ def set_aside(series: Series, output_dps: Floats) -> tuple[Series, list[Finding]
     dead, lost_dps, reach = dead_sets(series, output_dps)
     if dead.size:
         findings.append(dead_finding(dead, lost_dps, reach, np.unique(series.set_index).size))
-        series = without(series, dead)
+        output_dps, series = output_dps[~np.isin(series.set_index, dead)], without(series, dead)
+    clipped, saturation = clipped_finding(series, output_dps)
+    if saturation is not None:
+        findings.append(saturation)
+        series = without(series, clipped)
     gross = gross_strays(series)
     return without(series, gross.numbers), findings, gross
 

@@ -64,6 +64,9 @@ _DIGITS_SHARE = 1e-6
 #: An output is clipped where rows within this share of its range from its end have rates over a range so many times as wide,
 #: and nearly all faster ones are among them.
 _RAIL_SHARE, _RAIL_TIMES = 0.005, 6.0
+#: At one rate it is where so many rows spread by less than this share of what those of the next slower rate do, which the
+#: temperature moves, and lie no farther from these than this share of what the scale factor says.
+_FEWEST_AT_END, _STILL, _SHORT = 4, 0.1, 0.95
 #: Parts that a sentence lists.
 _LISTED = 3
 
@@ -128,17 +131,37 @@ def output_scale(rate_dps: Floats, gyro_dps: Floats) -> float:
 
 
 def unclipped(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
-    """Rows whose output is at neither end of its range; all where the output does not stand still there while the rate grows."""
+    """Rows whose output is at neither end of its range; all where the output does not stand still there while the rate or the temperature grows."""
     within, rates = _RAIL_SHARE * float(np.ptp(gyro_dps)), float(np.ptp(rate_dps))
     free = np.ones(rate_dps.size, dtype=np.bool_)
     for end in (float(gyro_dps.min()), float(gyro_dps.max())):
         rail = np.abs(gyro_dps - end) <= within
         slow, fast = np.min(np.abs(rate_dps[rail])), np.max(np.abs(rate_dps[rail]))
-        one_way = bool(np.all(rate_dps[rail] > 0.0) or np.all(rate_dps[rail] < 0.0))
-        if one_way and fast - slow > _RAIL_TIMES * _RAIL_SHARE * rates:
+        if _of_one_sign(rate_dps[rail]) and fast - slow > _RAIL_TIMES * _RAIL_SHARE * rates:
             faster = rate_dps * np.sign(rate_dps[rail][0]) > slow
             free &= ~rail if np.mean(rail[faster]) > _ALL_BUT else True
+    for side in (1.0, -1.0):
+        free &= ~_still_at_last_rate(side * rate_dps, side * gyro_dps)
     return free
+
+
+def _of_one_sign(rate_dps: Floats) -> bool:
+    return bool(np.all(rate_dps > 0.0) or np.all(rate_dps < 0.0))
+
+
+def _still_at_last_rate(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
+    """Rows of the largest rate where their output alone stands still."""
+    last = rate_dps > (1.0 - _ONE_RATE) * rate_dps.max()
+    slower = rate_dps[~last].max(initial=-np.inf)
+    before = ~last & (rate_dps > (1.0 - _ONE_RATE) * slower) & (slower > 0.0)
+    none = np.zeros(rate_dps.size, dtype=np.bool_)
+    if min(np.sum(last), np.sum(before)) < _FEWEST_AT_END:
+        return none
+    still = np.ptp(gyro_dps[last]) < _STILL * np.ptp(gyro_dps[before])
+    grown = np.mean(gyro_dps[last]) - np.mean(gyro_dps[before])
+    turned = np.mean(rate_dps[last]) - np.mean(rate_dps[before])
+    short = grown < _SHORT * output_scale(rate_dps, gyro_dps) * turned
+    return last if still and short else none
 
 
 def scale_unclipped(rate_dps: Floats, gyro_dps: Floats) -> float:

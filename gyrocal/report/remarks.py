@@ -141,8 +141,6 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.STRAY_SETS: _stray_sets,
     Said.SCALE_FAR_OFF: "the output is {ratio:.3g} times the rate: far more than a gyro's scale error, and the fitted "
     "surface takes it up; check scale and units",
-    Said.CLIPPED: "the output stands still in {count} of {sets} data sets, from {least_dps:.4g} deg/s on: the gyro is clipped there, "
-    "and no coefficients tell these rates apart. Leave them out, and diagnose again",
     Said.LEFT_OUT_SETS: "whole data sets (every eighth segment) and whole temperatures or sweeps in turn",
     Said.LEFT_OUT_BLOCKS: "every {folds}th block of {block_s:g} s",
     Said.TEMPERATURE_ALONE: "Bias is a function of temperature alone, as far as this record can tell.",
@@ -186,6 +184,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "coefficients are written from {enough} on.",
     Said.DEAD_SETS: "The output is exactly 0 in {count} of {sets} data sets where the others say up to {lost_mdps:.3g} "
     "mdeg/s: small outputs are lost (dead zone, lock-in). [That data set is|Those data sets are] left out of the fit.",
+    Said.CLIPPED: "The output stands still in {count} of {sets} data sets, from {least_dps:.4g} deg/s on: the gyro is clipped there, and "
+    "no coefficients tell these rates apart. [That data set is|Those data sets are] left out of the fit.",
     Said.STRANGE_SETS: _strange_sets,
     Said.FAR_SETS: _far_sets,
     Said.BURST_SAMPLES: "{count} of {samples} samples [stands|stand] out of the noise by more than six standard deviations "

@@ -82,11 +82,10 @@ def test_a_table_in_radians_is_said() -> None:
         assert sum("in rad/s" in str(note) for note in check_inputs(one, None)) == said
 
 
-def test_a_clipped_gyro_is_said_and_not_taken_for_one_of_another_unit() -> None:
+def test_a_clipped_gyro_is_not_taken_for_one_of_another_unit() -> None:
     table = make_table()
     np.clip(table.gyro_dps, -70.0, 70.0, out=table.gyro_dps)
-    (note,) = check_inputs(series_of_table(table), None)
-    assert "stands still in 40 of 55 data sets, from 96 deg/s on: the gyro is clipped" in remark_words(note)
+    assert check_inputs(series_of_table(table), None) == ()
 
 
 def test_kelvin_is_refused() -> None:

@@ -178,6 +178,40 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
     assert [untimed.data_set_at(t) for t in (0.0, 5 * SURROGATE_PERIOD_S)] == [1.0, 6.0]
 
 
+@pytest.mark.parametrize(
+    ("most_dps", "noise_dps", "count"), [(170.0, 0.0, 10), (90.0, 2e-3, 30), (300.0, 0.0, 0)]
+)
+def test_data_sets_of_a_clipped_gyro_are_left_out_and_say_where_it_is(
+    most_dps: float, noise_dps: float, count: int
+) -> None:
+    """At one rate alone, as at several; behind what clips there may be noise. They had been knees, peaks and rates mixed up."""
+    table = make_rates(0.0)
+    clipped = np.clip(table.gyro_dps, -most_dps, most_dps)
+    noise = noise_dps * np.random.default_rng(4).standard_normal(clipped.size)
+    series = series_of_table(replace(table, gyro_dps=clipped + noise))
+    left, findings, strays = set_aside(series, series.gyro_dps)
+    assert len(left) == len(series) - count
+    assert not len(strays)
+    if not count:
+        assert findings == []
+        return
+    (found,) = findings
+    assert found.effect == "saturation"
+    assert found.seen.facts["count"] == count
+    low, high = found.parameters["knee_dps"].interval_95
+    assert low < most_dps / 1.001 < high
+    assert found.parameters["knee_dps"].value == pytest.approx(most_dps, rel=0.02)
+
+
+def test_a_slope_that_makes_up_for_the_bias_at_one_end_is_not_clipped() -> None:
+    """Bias and scale factor over temperature that cancel at the largest rate leave it as still, but where the scale factor says."""
+    table = make_rates(0.0)
+    warm = (table.temp_c - 20.0) / 40.0
+    gyro = 1.001 * table.rate_dps + 2.0 * warm - 0.01 * warm * table.rate_dps
+    series = series_of_table(replace(table, gyro_dps=gyro))
+    assert len(set_aside(series, series.gyro_dps)[0]) == len(series)
+
+
 def make_rates(zone_dps: float, bias_dps: float = 0.3, seed: int = 3) -> DataSetTable:
     """A table of 11 rates at 5 temperatures whose output stays 0 for what is smaller than `zone_dps`."""
     rng = np.random.default_rng(seed)
