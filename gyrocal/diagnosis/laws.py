@@ -12,9 +12,9 @@ from scipy.optimize import minimize_scalar
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import AT_FEW, BLOCKS, EACH_RATE, PAST_RATES
+from gyrocal.diagnosis.parts import AT_FEW, BLOCKS, EACH_RATE, PAST_RATES, frame_of
 from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.visited import tells_of_scale
+from gyrocal.diagnosis.visited import tells_of_scale, temperatures_apart, temperatures_turned
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Effect
@@ -22,7 +22,7 @@ from gyrocal.physics.lacking import Reason
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.thermal import RATE_HEATING
+from gyrocal.physics.thermal import RATE_HEATING, TEMPERATURE_ORDER
 from gyrocal.physics.timewise import BIAS_STEP
 
 Floats = NDArray[np.float64]
@@ -83,10 +83,18 @@ class Laws:
         for shape in effect.search.grid(self.offer):
             if shape.get("of_scale") and not tells_of_scale(self.means):
                 continue
+            if effect is TEMPERATURE_ORDER and not self._tells_of_order(shape):
+                continue
             columns = self.at(effect, shape)
             if np.isfinite(columns).all() and np.any(np.abs(columns) > _NOTHING):
                 found.append(Trial(effect, shape, columns))
         return found
+
+    def _tells_of_order(self, shape: Mapping[str, float]) -> bool:
+        """Whether there are more temperatures than an order: through as many the surface goes by itself."""
+        on_scale = "rate_scale_dps" in shape
+        temp_c = temperatures_turned(self.means) if on_scale else self.means.temp_c
+        return temperatures_apart(temp_c, frame_of(self.means)) > shape["order"]
 
     def of_one_amplitude(self, block: str) -> list[Trial]:
         """All shapes of what a block may stand for that a file can hold."""

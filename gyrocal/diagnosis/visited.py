@@ -30,7 +30,11 @@ def temperatures_told(temp_c: Floats) -> int:
 
 def _visits(temp_c: Floats, all_c: Floats) -> Ints:
     """Number of the visit to a temperature that each of some rows belongs to, of all of a record."""
-    apart_c = max(LEAST_SPAN_C, float(np.ptp(all_c)) / (TEMP_BUMPS - 1.0))
+    return _each_beyond(temp_c, max(LEAST_SPAN_C, float(np.ptp(all_c)) / (TEMP_BUMPS - 1.0)))
+
+
+def _each_beyond(temp_c: Floats, apart_c: float) -> Ints:
+    """Number of the stretch that each of some temperatures belongs to: one that is so far from where the last began begins a new one."""
     visits, last_c = list[int](), -np.inf
     for here_c in temp_c.tolist():
         new = abs(here_c - last_c) > apart_c
@@ -77,5 +81,7 @@ def temperatures_turned(means: Means) -> Floats:
 
 
 def temperatures_apart(temp_c: Floats, frame: Frame, places: int = TEMP_BUMPS) -> int:
-    """How many of the places of bumps over the temperature were visited."""
-    return apart(temp_c - frame.temp_center_c, 2.0 * frame.temp_scale_c / (places - 1.0))
+    """How many of the places of bumps over the temperature were visited: where it drifted by less than half of their distance, one."""
+    spacing_c = 2.0 * frame.temp_scale_c / (places - 1.0)
+    one_by_one = np.unique(_each_beyond(np.sort(temp_c), 0.5 * spacing_c)).size
+    return min(apart(temp_c - frame.temp_center_c, spacing_c), int(one_by_one))

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.laws import effects_of
+from gyrocal.diagnosis.laws import effects_of, laws_of
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import AT_FEW
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_turned_at
+from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_apart, temperatures_turned_at
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.thermal import TEMPERATURE_ORDER
 from gyrocal.records.datasets import DataSetTable
 
 _CUBIC_DPS, _NOISE_DPS = 0.02, 1e-3
@@ -116,3 +118,25 @@ def test_a_step_between_two_of_five_visits_is_found_or_told_as_noise(jump_dps: f
         assert not told
     for remark in told:
         assert remark.facts["slow_mdps"] > 1.5 * remark.facts["fast_mdps"]
+
+
+def test_a_temperature_that_drifts_is_no_second_one() -> None:
+    """45 and 47 degC on either side of an edge had been two of four, and a cubic through three and a half was 20 times off."""
+    visited = np.concatenate([x + np.linspace(0.0, 0.4, 11) for x in (-29.0, 45.2, 59.0, 46.9, -29.3)])
+    frame = Frame(100.0, 15.0, 44.5, 0.0)
+    assert temperatures_apart(visited, frame) == 3
+    assert temperatures_apart(np.linspace(-29.5, 59.5, 11), frame) == 11
+    assert temperatures_apart(np.linspace(-29.5, 59.5, 500), frame) == 11
+
+
+@pytest.mark.parametrize(("temperatures", "orders"), [(3, set()), (4, {3.0}), (5, {3.0, 4.0})])
+def test_an_order_of_the_temperature_needs_more_temperatures_than_it_is(
+    temperatures: int, orders: set[float]
+) -> None:
+    up = np.linspace(-10.0, 60.0, temperatures)
+    temp_c = np.repeat(np.concatenate([up, up[-2::-1]]), 11)
+    rate_dps = np.tile(np.linspace(-100.0, 100.0, 11), 2 * temperatures - 1)
+    gyro_dps = rate_dps + _NOISE_DPS * np.random.default_rng(3).standard_normal(rate_dps.size)
+    means = means_of(series_of_table(DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c)))
+    laws = laws_of(means, _SURFACE)
+    assert {t.shape["order"] for t in laws.trials(TEMPERATURE_ORDER)} == orders
