@@ -365,3 +365,20 @@ def test_a_shape_in_a_temperature_that_went_one_way_may_be_one_of_time(back: boo
     (named,) = diagnose(table, options=Options(heldout=False)).effects
     assert named.effect == "temperature_order"
     assert [a.effect for a in named.alternatives] == ([] if back else ["bias_drift"])
+
+
+def test_a_drift_that_goes_with_the_logarithm_of_time_has_its_figures() -> None:
+    """Of a law that has several forms the shapes of another had been asked for."""
+    rng = np.random.default_rng(3)
+    rates, temps = np.linspace(-100.0, 100.0, 11), np.array([0.0, 20.0, 40.0, 60.0, 30.0, 10.0])
+    rate = np.concatenate([rng.permutation(rates) for _ in temps])
+    temp, t_s = np.repeat(temps, rates.size), 30.0 * np.arange(rate.size, dtype=np.float64)
+    gyro = 1.001 * rate + 0.02 + 1e-4 * temp + 0.01 * np.log1p(t_s / 200.0)
+    gyro += 3e-4 * rng.standard_normal(rate.size)
+    (named,) = diagnose(
+        DataSetTable(Path("aged.csv"), rate, gyro, temp, t_s=t_s), options=Options(heldout=False)
+    ).effects
+    assert named.effect == "bias_drift"
+    assert {"amplitude", "knee_s"} <= named.parameters.keys()
+    low, high = named.parameters["knee_s"].interval_95
+    assert low < 200.0 < high
