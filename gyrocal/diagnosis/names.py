@@ -33,7 +33,7 @@ from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import changing, without_mending
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING
-from gyrocal.diagnosis.rivals import or_lasting, or_passing
+from gyrocal.diagnosis.rivals import or_lasting, or_passing, paid_by
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
@@ -160,13 +160,21 @@ def _instead(
         if not more:
             continue
         both = _with_laws(fitted, [n.law for n in more])
-        if other.nll <= fitted.nll + REPLACED + len(more):
+        if other.nll <= fitted.nll + _may_lose(more):
             return *present(both if own else other, laws), more
         # A block that has followed them may be like a law of its own beside them.
         both, _, mine, _ = _name_blocks(*present(both, laws), [*named, *more], laws)
-        if mine and both.nll <= fitted.nll + REPLACED + len(more) + len(mine):
+        if mine and both.nll <= fitted.nll + _may_lose(more) + len(mine):
             return *present(both, laws), [*more, *mine]
     return fitted, worth, []
+
+
+def _may_lose(laws: Sequence[Named]) -> float:
+    """How much worse laws of other blocks may explain what has no name, nats: one is simpler than smooth parts, each further one pays.
+
+    Seven jumps had stood for a step in temperature of a few degrees.
+    """
+    return REPLACED + 1.0 - sum(sorted(map(paid_by, laws))[1:])
 
 
 def _unseen(

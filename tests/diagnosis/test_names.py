@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis import blocks
-from gyrocal.diagnosis.blocks import ODD, less
+from gyrocal.diagnosis.blocks import ODD, REPLACED, less
 from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
@@ -21,7 +21,7 @@ from gyrocal.diagnosis.in_place import Alone, Named, _paired
 from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming, _least_worth, _mechanisms, still_there
+from gyrocal.diagnosis.names import Naming, _least_worth, _may_lose, _mechanisms, still_there
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import CATALOGUE
@@ -398,3 +398,12 @@ def test_of_two_blocks_that_hide_each_other_the_stronger_has_what_both_say(
     assert blocks._of_both(cast(Fitted, "both"), hidden, None) == {**hidden, ODD: 233.0}
     told = {ODD: 80.0, EACH_RATE: 3.0}
     assert blocks._of_both(cast(Fitted, "both"), told, None) == told
+
+
+def test_of_several_laws_in_place_of_smooth_parts_each_but_one_pays() -> None:
+    law = Law("bias_step", {"at_s": 10.0}, np.ones((4, 1)))
+    jump = Named(law, "", 20.0, 1.0, {}, 100)
+    paid = TOLL_NATS + 0.5 * np.log(100.0)
+    assert [_may_lose([jump] * n) for n in (1, 3)] == pytest.approx(
+        [REPLACED + 1.0, REPLACED + 1.0 - 2.0 * paid]
+    )
