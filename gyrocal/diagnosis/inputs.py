@@ -93,7 +93,7 @@ def check_inputs(
 def _stray_notes(series: Series) -> tuple[Remark, ...]:
     if not series.is_table:
         return ()
-    free = np.flatnonzero(unclipped(series.rate_dps, series.gyro_dps))
+    free = np.flatnonzero(unclipped(series.rate_dps, series.gyro_dps, series.temp_c))
     stray = free[stray_rows(series.rate_dps[free], series.gyro_dps[free])]
     return (
         (Remark(Said.STRAY_SETS, {"sets": [int(series.set_index[row]) + 1 for row in stray]}),)

@@ -137,10 +137,12 @@ def or_passing(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitt
         behind, instead_of, passes, other = min(found, key=lambda one: one[0])
         lasts = max(instead_of, key=lambda n: n.gain)
         if behind < 0.0:
-            fitted, named = other, [n for n in named if n not in instead_of]
+            lost = {n.law.name for n in instead_of}
+            fitted, named = other, [n for n in named if n.law.name not in lost]
             named.append(replace(passes, rivals={**passes.rivals, lasts.law.effect: -behind}))
         else:
-            named[named.index(lasts)] = replace(lasts, rivals={**lasts.rivals, passes.law.effect: behind})
+            beside = replace(lasts, rivals={**lasts.rivals, passes.law.effect: behind})
+            named = [beside if n is lasts else n for n in named]
     return fitted, named
 
 

@@ -21,7 +21,7 @@ from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.rate import DEAD_ZONE, SATURATION
 from gyrocal.physics.sampling import BURSTS, QUANTISATION, TIME_BASE
 from gyrocal.physics.surface import SHAPE
-from gyrocal.records.scale import scale_unclipped, unclipped
+from gyrocal.records.scale import output_scale, unclipped
 from gyrocal.units import STDS_PER_MAD
 
 Floats = NDArray[np.float64]
@@ -114,15 +114,17 @@ def clipped_finding(series: Series, output_dps: Floats) -> tuple[Ints, Finding |
     output_dps : ndarray, shape (n,)
         The output as recorded.
     """
-    free = unclipped(series.rate_dps, output_dps)
-    sets = np.unique(series.set_index[series.is_set])
-    clipped = np.intersect1d(sets, series.set_index[~free])
+    (sets, rate_dps), (_, output_dps), (_, temp_c) = (
+        set_means(series, x) for x in (series.rate_dps, output_dps, series.temp_c)
+    )
+    free = unclipped(rate_dps, output_dps, temp_c)
+    clipped, size_dps = sets[~free], np.abs(rate_dps)
     if not 0 < clipped.size < sets.size - SHAPE[0] * SHAPE[1]:
         return np.empty(0, dtype=np.int64), None
-    rate_dps, lost = np.abs(series.rate_dps), np.isin(series.set_index, clipped)
-    slowest = float(np.min(rate_dps[lost]))
-    fastest = float(np.max(rate_dps[~lost & (rate_dps < slowest)], initial=0.0))
-    at_dps = float(np.median(np.abs(output_dps[~free]))) / scale_unclipped(series.rate_dps, output_dps)
+    slowest = float(np.min(size_dps[~free]))
+    fastest = float(np.max(size_dps[free & (size_dps < slowest)], initial=0.0))
+    scale = output_scale(rate_dps[free], output_dps[free])
+    at_dps = float(np.median(np.abs(output_dps[~free]))) / scale
     knee = Estimate.spanning(float(np.clip(at_dps, fastest, slowest)), (fastest, slowest), "deg/s")
     facts = {"count": int(clipped.size), "sets": int(sets.size), "least_dps": slowest}
     # All of the gain is lost: the output is the same at the last digit, or as good as.

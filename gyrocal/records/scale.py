@@ -130,8 +130,14 @@ def output_scale(rate_dps: Floats, gyro_dps: Floats) -> float:
     return float(np.median((gyro[half:] - gyro[: rate.size - half])[apart] / step[apart]))
 
 
-def unclipped(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
-    """Rows whose output is at neither end of its range; all where the output does not stand still there while the rate or the temperature grows."""
+def unclipped(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats | None = None) -> NDArray[np.bool_]:
+    """Rows whose output is at neither end of its range; all where the output does not stand still there while the rate grows.
+
+    Parameters
+    ----------
+    temp_c : of data sets
+        With it the output is also asked whether it stands still at the largest rate alone, while the temperature changes.
+    """
     within, rates = _RAIL_SHARE * float(np.ptp(gyro_dps)), float(np.ptp(rate_dps))
     free = np.ones(rate_dps.size, dtype=np.bool_)
     for end in (float(gyro_dps.min()), float(gyro_dps.max())):
@@ -140,8 +146,9 @@ def unclipped(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
         if _of_one_sign(rate_dps[rail]) and fast - slow > _RAIL_TIMES * _RAIL_SHARE * rates:
             faster = rate_dps * np.sign(rate_dps[rail][0]) > slow
             free &= ~rail if np.mean(rail[faster]) > _ALL_BUT else True
-    for side in (1.0, -1.0):
-        free &= ~_still_at_last_rate(side * rate_dps, side * gyro_dps)
+    if temp_c is not None:
+        for side in (1.0, -1.0):
+            free &= ~_still_at_last_rate(side * rate_dps, side * gyro_dps, temp_c)
     return free
 
 
@@ -149,15 +156,16 @@ def _of_one_sign(rate_dps: Floats) -> bool:
     return bool(np.all(rate_dps > 0.0) or np.all(rate_dps < 0.0))
 
 
-def _still_at_last_rate(rate_dps: Floats, gyro_dps: Floats) -> NDArray[np.bool_]:
-    """Rows of the largest rate where their output alone stands still."""
+def _still_at_last_rate(rate_dps: Floats, gyro_dps: Floats, temp_c: Floats) -> NDArray[np.bool_]:
+    """Rows of the largest rate where their output alone stands still, though their temperature changes as that of others."""
     last = rate_dps > (1.0 - _ONE_RATE) * rate_dps.max()
     slower = rate_dps[~last].max(initial=-np.inf)
     before = ~last & (rate_dps > (1.0 - _ONE_RATE) * slower) & (slower > 0.0)
     none = np.zeros(rate_dps.size, dtype=np.bool_)
     if min(np.sum(last), np.sum(before)) < _FEWEST_AT_END:
         return none
-    still = np.ptp(gyro_dps[last]) < _STILL * np.ptp(gyro_dps[before])
+    as_warm = np.ptp(temp_c[last]) > 0.5 * np.ptp(temp_c[before])
+    still = as_warm and np.ptp(gyro_dps[last]) < _STILL * np.ptp(gyro_dps[before])
     grown = np.mean(gyro_dps[last]) - np.mean(gyro_dps[before])
     turned = np.mean(rate_dps[last]) - np.mean(rate_dps[before])
     short = grown < _SHORT * output_scale(rate_dps, gyro_dps) * turned

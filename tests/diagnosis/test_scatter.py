@@ -212,6 +212,18 @@ def test_a_slope_that_makes_up_for_the_bias_at_one_end_is_not_clipped() -> None:
     assert len(set_aside(series, series.gyro_dps)[0]) == len(series)
 
 
+def test_a_rate_that_was_visited_at_one_temperature_is_not_clipped_there() -> None:
+    """A scale factor that changes by 3 % over temperature leaves the others ten times as wide."""
+    table = make_rates(0.0)
+    fastest = np.abs(table.rate_dps) == 200.0
+    temp_c = np.where(fastest, 55.0, table.temp_c) + 0.1 * np.random.default_rng(5).standard_normal(
+        fastest.size
+    )
+    gyro = table.rate_dps * (1.0 - 3e-2 * (temp_c - 20.0) / 40.0)
+    series = series_of_table(replace(table, temp_c=temp_c, gyro_dps=gyro))
+    assert len(set_aside(series, series.gyro_dps)[0]) == len(series)
+
+
 def make_rates(zone_dps: float, bias_dps: float = 0.3, seed: int = 3) -> DataSetTable:
     """A table of 11 rates at 5 temperatures whose output stays 0 for what is smaller than `zone_dps`."""
     rng = np.random.default_rng(seed)
