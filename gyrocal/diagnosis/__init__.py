@@ -5,7 +5,7 @@ How a recording goes through the room, file by file; `engine.diagnose` reads in 
 Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a table), ``history`` (the temperature
             behind its readings), ``columns`` (what a record gives the laws), ``base`` (what the surface alone predicts),
             ``inputs`` (what is refused or said), ``given`` (what a file that came along has already),
-            ``scatter`` (bursts, steps, clocks and a dead gyro, that no mean shows), ``strays`` (data sets that are set aside).
+            ``scatter`` (bursts, steps, clocks and a dead or clipped gyro, that no mean shows), ``strays`` (data sets that are set aside).
 Layers      ``examine`` leads: ``within`` (patterns inside data sets) and ``between`` (of the table angle, from one to the next), ``means`` (a row a data set),
             ``visited`` (temperatures and rates that it tells apart), ``parts`` (what a calibration may contain), ``settling`` (what a step response leaves in later rows), ``layers`` (all of it in one model, all variances at once),
             ``rate_errors`` (of which a few may be large), ``edges`` (over temperature, which look like what happens at an instant),

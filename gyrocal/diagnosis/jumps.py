@@ -102,7 +102,7 @@ def best_jump(fitted: Fitted, laws: Laws, effect: str) -> tuple[Fitted, int] | N
         gained = gains(np.column_stack(near), score, p, most)
         best = int(np.argmax(gained))
         # Of a jump in the gap between two rows the means tell no instant within one of them.
-        best = best if gained[best] > gained[0] + REPLACED else 0
+        best = best if gained[best] > gained[0] + 2.0 * REPLACED else 0
         at_s, reach_s = float(instants[best]), 2.0 * reach_s / (_WITHIN - 1)
     law = Law(effect, {"at_s": at_s}, near[best][:, None])
     found = fitted.refit(fitted.model.with_laws(law))
