@@ -307,6 +307,7 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
         found.append(_part("warm-up", "warm-up", warm))
     if means.supply_v is not None and np.ptp(means.supply_v) > LEAST_SUPPLY_V:
         found.append(_part("supply", "supply", (Column(driver=Factor("supply")),)))
+        found.append(_part("supply squared", "supply", (Column(driver=Factor("supply_squared")),)))
         if turning:
             found.append(_part("supply on scale", "supply", (Column(_LINEAR, driver=Factor("supply")),)))
     return [p for p in found if p.columns]

@@ -211,4 +211,11 @@ DRIVERS: dict[str, Driver] = {
         lambda n, f, m: above_usual_c(n, f.supply_v),
         "supply_v",
     ),
+    "supply_squared": Driver(
+        (),
+        _no_traces,
+        lambda c, f, traces: above_usual(c, f.supply_v) ** 2,
+        lambda n, f, m: f"({above_usual_c(n, f.supply_v)} * {above_usual_c(n, f.supply_v)})",
+        "supply_v",
+    ),
 }

@@ -76,7 +76,7 @@ def histories(
 
     Returns
     -------
-    values : for each driver an array of shape (n,): deg C (lag, band, play), deg C/s (temperature_rate), V (supply), 1 (heat)
+    values : for each driver an array of shape (n,): deg C (lag, band, play), deg C/s (temperature_rate), V (supply), V² (supply_squared), 1 (heat)
     memory : for the next block
 
     Raises

@@ -99,7 +99,7 @@ def test_drivers_on_a_ramp_have_their_closed_forms() -> None:
     expected = {
         "one": np.ones(t.size), "lag": behind(300.0), "band": behind(300.0) - behind(600.0),
         "temperature_rate": -behind(30.0) / 30, "play": -np.minimum(ramp * t, 4.0),
-        "warm_up": np.exp(-t / 300), "supply": np.full(t.size, -0.5),
+        "warm_up": np.exp(-t / 300), "supply": np.full(t.size, -0.5), "supply_squared": np.full(t.size, 0.25),
         "heat": 2e-4 * (t + 300.0 * np.expm1(-t / 300.0)),
     }  # fmt: skip
     assert set(expected) == set(DRIVERS)
