@@ -82,10 +82,18 @@ def _by_law(fitted: Fitted, zone: Law | None) -> Fitted:
         found = fitted.refit(each)
         if found.nll <= fitted.nll + REPLACED:
             return found
-    held = [model.law_component(law) for law in model.laws if law.effect == DEAD_ZONE.id]
+    zones = [law for law in model.laws if law.effect == DEAD_ZONE.id]
+    amplitudes = fitted.solve().amplitudes if zones else {}
+    held = [model.law_component(law) for law in zones if not _rises(law, amplitudes[law.name])]
     if not held:
         return fitted
     return replace(fitted, model=model.without_laws([c.name for c in held]).with_components(*held))
+
+
+def _rises(zone: Law, amplitude: Floats) -> bool:
+    """Whether the output rises within a zone all the same, which takes a part of a small rate only."""
+    lost_dps = MDPS * abs(float(amplitude[0]))
+    return zone.shape["form"] > 0.0 and lost_dps < (1.0 - _LEAST_RISE) * zone.shape["width_dps"]
 
 
 def _less_zones(fitted: Fitted) -> list[Model]:

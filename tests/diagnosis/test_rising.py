@@ -10,11 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.layers import fit_model, full_model
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.rising import rising
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]
@@ -149,3 +151,23 @@ def test_small_rates_alone_bring_no_order_of_the_rate() -> None:
     """Through ±0.01 deg/s within the zone a fifth order could pass with any size at the rates between."""
     means = means_of(series_of_table(table([0.01, 30.0, 100.0], 5)))
     assert all(part.name != "odd orders" for part in full_model(means).parts)
+
+
+@pytest.mark.parametrize("share", [2e-4, 1.0])
+def test_a_zone_that_takes_a_part_of_small_rates_stays_in_the_file(share: float) -> None:
+    """Of a gyro that answers in it a robot undoes it; the file had lacked a law that explained all."""
+    rng = np.random.default_rng(5)
+    sizes = np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0])
+    rate = np.tile(np.concatenate([-sizes[::-1], [0.0], sizes]), 6)
+    temp = np.repeat(np.array([-10.0, 10.0, 30.0, 50.0, 20.0, 0.0]), 17)
+    width, form = 1.2, {"width_dps": 1.2, "form": 3.0}
+    gyro = 1.001 * rate - share * np.clip(rate, -width, width) + 1e-5 * rng.standard_normal(rate.size)
+    t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
+    means = means_of(series_of_table(DataSetTable(Path("zone.csv"), rate, gyro, temp, t_s=t_s)))
+    model = full_model(means)
+    kept = {"white", *(p.name for p in model.parts if p.block == "surface")}
+    plain = fit_model(model.without([n for n in model.components if n not in kept]))
+    laws = laws_of(means, surface_of(plain.model, plain.solve()))
+    law = Law("dead_zone", form, laws.at(DEAD_ZONE, form))
+    held = rising(plain.refit(plain.model.with_laws(law)), None).model.holds(law)
+    assert held is (share < 0.5)
