@@ -253,7 +253,7 @@ def file_without_surface(fitted: Fitted) -> Coefficients:
     if not series.has_time:
         origin[SECONDS_A_DATA_SET] = SURROGATE_PERIOD_S
     return Coefficients(
-        sensor={"model": series.sensor_model},
+        sensor=series.sensor,
         surface=Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c),
         covariance_dps2=np.zeros((_TERMS, _TERMS)),
         valid=_valid(series),

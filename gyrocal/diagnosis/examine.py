@@ -34,7 +34,7 @@ from gyrocal.diagnosis.layers import (
 )
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
-from gyrocal.diagnosis.names import Naming, jumped, name
+from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
 from gyrocal.diagnosis.open_loop import with_open_loop
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, PASSING, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
@@ -382,8 +382,9 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     beside, jumps = with_jumps(whole, passes, laws)
     following = [n for n, b in whole.model.blocks.items() if b in FOLLOWING]
     plain, instead = with_jumps(whole.refit(whole.model.without(following)), passes, laws)
-    more = len(instead) - len(jumps)
-    return (plain, instead) if instead and plain.nll <= beside.nll + REPLACED + more else (beside, jumps)
+    more = [*map(jumped, instead)][len(jumps) :]
+    at_most = beside.nll + (may_lose(more) if more else REPLACED + len(instead) - len(jumps))
+    return (plain, instead) if instead and plain.nll <= at_most else (beside, jumps)
 
 
 def draws_of(full: Model) -> Component | None:

@@ -160,16 +160,16 @@ def _instead(
         if not more:
             continue
         both = _with_laws(fitted, [n.law for n in more])
-        if other.nll <= fitted.nll + _may_lose(more):
+        if other.nll <= fitted.nll + may_lose(more):
             return *present(both if own else other, laws), more
         # A block that has followed them may be like a law of its own beside them.
         both, _, mine, _ = _name_blocks(*present(both, laws), [*named, *more], laws)
-        if mine and both.nll <= fitted.nll + _may_lose(more) + len(mine):
+        if mine and both.nll <= fitted.nll + may_lose(more) + len(mine):
             return *present(both, laws), [*more, *mine]
     return fitted, worth, []
 
 
-def _may_lose(laws: Sequence[Named]) -> float:
+def may_lose(laws: Sequence[Named]) -> float:
     """How much worse laws of other blocks may explain what has no name, nats: one is simpler than smooth parts, each further one pays.
 
     Seven jumps had stood for a step in temperature of a few degrees.

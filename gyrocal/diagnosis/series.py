@@ -127,7 +127,8 @@ class Series:
     is_table: bool = False
     #: Rows of a table that repeat an earlier one to the last digit.
     copies: int = 0
-    sensor_model: str = "unknown"
+    #: Model and serial number, as far as they are stated.
+    sensor: Mapping[str, str] = field(default_factory=lambda: {"model": "unknown"})
     reach: Floats | None = None
 
     def __len__(self) -> int:
@@ -405,7 +406,7 @@ def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: 
     raw = _raw_facts(run, taken)
     return Series(
         name=run.path.name,
-        sensor_model=run.sensor.model,
+        sensor={"model": run.sensor.model} | ({"serial": run.sensor.serial} if run.sensor.serial else {}),
         t_s=c["t_s"],
         gyro_dps=c["gyro_dps"],
         rate_dps=c["rate_dps"],

@@ -10,7 +10,7 @@ from typing import cast, get_args
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import Options, _laws_written, _not_logged, _written, diagnose
+from gyrocal.diagnosis.engine import Options, _laws_written, _not_logged, _written, diagnose, series_of
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
@@ -382,3 +382,11 @@ def test_a_drift_that_goes_with_the_logarithm_of_time_has_its_figures() -> None:
     assert {"amplitude", "knee_s"} <= named.parameters.keys()
     low, high = named.parameters["knee_s"].interval_95
     assert low < 200.0 < high
+
+
+def test_a_run_says_which_unit_it_is_of(tmp_path: Path) -> None:
+    """Files had stated the model alone, and were taken for another unit's."""
+    write_run(make_recording([], 23, "even"), tmp_path / "run")
+    assert series_of(tmp_path / "run").sensor.keys() == {"model", "serial"}
+    table = DataSetTable(Path("t.csv"), np.zeros(9), np.zeros(9), np.linspace(20.0, 30.0, 9))
+    assert series_of(table).sensor == {"model": "unknown"}

@@ -21,7 +21,7 @@ from gyrocal.diagnosis.in_place import Alone, Named, _paired
 from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming, _least_worth, _may_lose, _mechanisms, still_there
+from gyrocal.diagnosis.names import Naming, _least_worth, _mechanisms, may_lose, still_there
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import CATALOGUE
@@ -404,6 +404,6 @@ def test_of_several_laws_in_place_of_smooth_parts_each_but_one_pays() -> None:
     law = Law("bias_step", {"at_s": 10.0}, np.ones((4, 1)))
     jump = Named(law, "", 20.0, 1.0, {}, 100)
     paid = TOLL_NATS + 0.5 * np.log(100.0)
-    assert [_may_lose([jump] * n) for n in (1, 3)] == pytest.approx(
+    assert [may_lose([jump] * n) for n in (1, 3)] == pytest.approx(
         [REPLACED + 1.0, REPLACED + 1.0 - 2.0 * paid]
     )
