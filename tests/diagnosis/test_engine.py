@@ -388,5 +388,4 @@ def test_a_run_says_which_unit_it_is_of(tmp_path: Path) -> None:
     """Files had stated the model alone, and were taken for another unit's."""
     write_run(make_recording([], 23, "even"), tmp_path / "run")
     assert series_of(tmp_path / "run").sensor.keys() == {"model", "serial"}
-    table = DataSetTable(Path("t.csv"), np.zeros(9), np.zeros(9), np.linspace(20.0, 30.0, 9))
-    assert series_of(table).sensor == {"model": "unknown"}
+    assert series_of(make_table()).sensor == {"model": "unknown"}
