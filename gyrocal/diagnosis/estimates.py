@@ -359,10 +359,9 @@ def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> li
 def _starts(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
     """The best shapes of the grid, one for each value of the first parameter; of one parameter those that are better than those next to them."""
     best: dict[float, tuple[float, dict[str, float]]] = {}
-    for at in beside.effect.search.grid(beside.laws.offer):
-        # Of a law that has several forms the grid may have others.
-        if not free or not at.keys() >= {*free}:
-            continue
+    # Of a law that has several forms the grid may have others.
+    grid = [at for at in beside.effect.search.grid(beside.laws.offer) if free and at.keys() >= {*free}]
+    for at in grid:
         tried = {**shape, **{n: at[n] for n in free}}
         loss = beside.at(tried).loss
         if at[free[0]] not in best or loss < best[at[free[0]]][0]:

@@ -382,7 +382,7 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     beside, jumps = with_jumps(whole, passes, laws)
     following = [n for n, b in whole.model.blocks.items() if b in FOLLOWING]
     plain, instead = with_jumps(whole.refit(whole.model.without(following)), passes, laws)
-    more = [*map(jumped, instead)][len(jumps) :]
+    more = [*map(jumped, instead[len(jumps) :])]
     at_most = beside.nll + (may_lose(more) if more else REPLACED + len(instead) - len(jumps))
     return (plain, instead) if instead and plain.nll <= at_most else (beside, jumps)
 

@@ -375,10 +375,7 @@ def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named], 
     beside = [n for n in named if n.block in fitted.model.blocks.values() and n.block != "bias in time"]
     named = [n for n in named if n not in beside]
     while named:
-        gains = []
-        for n in named:
-            laws = tuple(law for law in fitted.model.laws if law.name != n.law.name)
-            gains.append((fitted.refit(replace(fitted.model, laws=laws)), n))
+        gains = [(fitted.refit(fitted.model.without_laws([n.law.name])), n) for n in named]
         gains.sort(key=lambda x: x[0].nll - _least_worth(x[1], named))
         without, weakest = gains[0]
         if without.nll - fitted.nll >= _least_worth(weakest, named):

@@ -102,8 +102,8 @@ def or_lasting(
         for k, passes in enumerate(named):
             if not (is_passing(passes) and fitted.model.holds(passes.law)):
                 continue
-            kept = tuple(law for law in fitted.model.laws if law.name != passes.law.name)
-            other, _ = tied_anew(fitted.refit(replace(fitted.model, laws=(*kept, lasts.law))), laws)
+            model = fitted.model.without_laws([passes.law.name]).with_laws(lasts.law)
+            other, _ = tied_anew(fitted.refit(model), laws)
             behind = other.nll + paid_by(lasts) - fitted.nll - paid_by(passes)
             if behind < 0.0:
                 fitted, named[k] = other, replace(lasts, rivals={**lasts.rivals, passes.law.effect: -behind})
@@ -124,9 +124,8 @@ def or_passing(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitt
         sets = [[n] for n in own] + ([own] if len(own) > 1 else [])
         found = []
         for instead_of in sets:
-            lost = {n.law.name for n in instead_of}
-            kept = replace(fitted.model, laws=tuple(law for law in fitted.model.laws if law.name not in lost))
-            instead = _passing_law(fitted.refit(kept.without(smooth)), laws)
+            plain = fitted.model.without_laws([n.law.name for n in instead_of]).without(smooth)
+            instead = _passing_law(fitted.refit(plain), laws)
             if instead is not None:
                 passes, other = instead
                 paid = sum(paid_by(n) for n in instead_of if fitted.model.holds(n.law))
@@ -137,8 +136,7 @@ def or_passing(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitt
         behind, instead_of, passes, other = min(found, key=lambda one: one[0])
         lasts = max(instead_of, key=lambda n: n.gain)
         if behind < 0.0:
-            lost = {n.law.name for n in instead_of}
-            fitted, named = other, [n for n in named if n.law.name not in lost]
+            fitted, named = other, [n for n in named if not any(n is x for x in instead_of)]
             named.append(replace(passes, rivals={**passes.rivals, lasts.law.effect: -behind}))
         else:
             beside = replace(lasts, rivals={**lasts.rivals, passes.law.effect: behind})
@@ -148,17 +146,17 @@ def or_passing(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitt
 
 def _passing_law(without: Fitted, laws: Laws) -> tuple[Named, Fitted] | None:
     """The likeliest jump or drift beside a model, and the model with it; None where none is surely there."""
-    found: list[tuple[Named, Fitted]] = []
-    for jump in (best_jump(without, laws, effect) for effect in STEPS):
-        if jump is not None:
-            fitted, rows = jump
-            law = fitted.model.laws[-1]
-            found.append((Named(law, "", without.nll - fitted.nll, 1.0, {}, rows), fitted))
-    drifts = [t for effect in DRIFTS for t in laws.trials(CATALOGUE[effect]) if t.columns.shape[1] == 1]
-    drift = best_law(without, without, "", drifts, laws)
-    if drift is not None:
-        gain = without.nll - drift.fitted.nll
-        found.append((Named(drift.law, "", gain, 1.0, drift.rivals, drift.shapes), drift.fitted))
+    jumps = (best_jump(without, laws, effect) for effect in STEPS)
+    tried: list[tuple[Fitted, dict[str, float], int]] = [
+        (fitted, {}, rows) for fitted, rows in filter(None, jumps)
+    ]
+    trials = [t for effect in DRIFTS for t in laws.trials(CATALOGUE[effect]) if t.columns.shape[1] == 1]
+    if (drift := best_law(without, without, "", trials, laws)) is not None:
+        tried.append((drift.fitted, drift.rivals, drift.shapes))
+    found = [
+        (Named(fitted.model.laws[-1], "", without.nll - fitted.nll, 1.0, rivals, shapes), fitted)
+        for fitted, rivals, shapes in tried
+    ]
     sure = [one for one in found if one[0].p_value <= NAMED_LEVEL]
     return min(sure, key=lambda one: one[1].nll + paid_by(one[0]), default=None)
 
@@ -174,7 +172,7 @@ def _with_rival(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator
     """Models with each of its rivals in place of a law, with their losses, nats; of what passes with a walk, too."""
     if not fitted.model.holds(one.law):
         return
-    model = replace(fitted.model, laws=tuple(law for law in fitted.model.laws if law.name != one.law.name))
+    model = fitted.model.without_laws([one.law.name])
     own = fitted.nll + paid_by(one)
     if is_passing(one):
         wandering = fitted.refit(may_wander(model))
