@@ -370,7 +370,8 @@ SAME_WORD |= {
     "gyrocal.diagnosis.drive.findings": OF_A_PATH,
     "gyrocal.diagnosis.drive.improved": OF_A_PATH,
     "gyrocal.diagnosis.drive.reckoning": {"wheel_scale"},
-    "gyrocal.diagnosis.drive.truth": OF_A_PATH,
+    "gyrocal.diagnosis.drive.path_laid": OF_A_PATH,
+    "gyrocal.diagnosis.drive.truth": {"gyro_scale"},
 }
 #: The blind trial writes its laws itself, so as to share no formula with the finder, and says which names are right.
 OWN_LAWS = {"gyrocal.trial.laws": set(CATALOGUE) - {"quantisation", "time_base", "rate_heating"}}

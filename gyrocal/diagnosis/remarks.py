@@ -83,6 +83,7 @@ class Said(Enum):
     BIAS_WHILE_MOVING = auto()
     BIAS_NO_REST = auto()
     BIAS_JUMPS = auto()
+    BIAS_SETTLES = auto()
     WHEELS_CHANGE = auto()
     TRACK_CHANGES = auto()
     DELAY_GROWS = auto()

@@ -225,6 +225,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.BIAS_IN_MOTION: "In motion the gyro's bias differs from that of the rest at the start.",
     Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias differs from its bias at rest, as when vibration reaches it.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
+    Said.BIAS_SETTLES: "The gyro's bias changes by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) after the start of the log, "
+    "as that of a gyro does that warms up by itself (time constant {settling_s:.0f} s, 95 %: {quickest_s:.0f} to {slowest_s:.0f}), "
+    "and nothing else explains it as well. A rest at the start takes off what it was then, and no robot file holds the rest: let the "
+    "gyro warm up before a drive.",
     Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",

@@ -34,12 +34,13 @@ from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
 from gyrocal.diagnosis.drive.motions import AS_LIKELY, settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.sides import sides_of
-from gyrocal.diagnosis.drive.truth import ALONE, SCALES, TruthAnswer, ask_truth
+from gyrocal.diagnosis.drive.truth import TruthAnswer, ask_truth
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.diagnosis.remarks import Remark, Said

@@ -12,11 +12,12 @@ from scipy import stats
 from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
-from gyrocal.diagnosis.drive.truth import ALONE, BELIEVED, SCALES, UNEVEN, TruthAnswer
+from gyrocal.diagnosis.drive.truth import BELIEVED, UNEVEN, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, Verdict
 from gyrocal.physics.drive import (

@@ -10,14 +10,22 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given
 from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate, unexpected_bias
-from gyrocal.diagnosis.drive.laws import KINDS, MOVING, PER_SI, SETTLING, reference_temp_c, strangers
+from gyrocal.diagnosis.drive.laws import (
+    KINDS,
+    MOVING,
+    PER_SI,
+    SETTLING,
+    reference_temp_c,
+    settling,
+    strangers,
+)
 from gyrocal.diagnosis.drive.motions import of_motion
-from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
+from gyrocal.diagnosis.drive.path_laid import SCALES
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer
+from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.drive import ROBOT_TILT, START_STOP_SLIP
@@ -95,6 +103,8 @@ def figures_of(
         bias_moving_s=MOVING.get(moving, 0.0),
         bias_before_dps=joint_estimate(yaw, truth, "jump")[0] if "jump" in yaw.chosen else 0.0,
         bias_before_s=yaw.jump_s,
+        bias_settling_dps=joint_estimate(yaw, truth, yaw.settling)[0] if yaw.settling else 0.0,
+        bias_settling_s=SETTLING.get(yaw.settling, np.inf),
         bias_slope_dps_per_c=value("slope"),
         gyro_scale=value("gyro_scale"),
         left_scale=(1 + value("wheel_scale")) * (1 - half) - 1,
@@ -118,10 +128,9 @@ def _foretold_motion(yaw: YawAnswer, name: str, told: tuple[float, float]) -> tu
     A gyro that warms up on one drive does so on the next, which no robot file holds: without that, what cancels it would be
     taken out alone.
     """
-    lasting = {n: x for n, x in yaw.nameless.items() if n not in SETTLING}
-    if len(lasting) == len(yaw.nameless):
+    if not yaw.settling:
         return told
-    alone = replace(yaw, nameless=lasting).less(["jump"])
+    alone = yaw.less([yaw.settling, "jump"])
     away = alone.estimate(name)[0] - yaw.estimate(name)[0]
     return told[0] + away, float(np.hypot(told[1], away))
 
@@ -155,9 +164,10 @@ def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
 def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     """The bias to expect on the next drive, deg/s.
 
-    Of one that changes within the drive nobody knows which is next: it is between, as far as the robot file's own allows.
+    Of one that changes within the drive nobody knows which is next: it is between, as far as the robot file's own allows. One
+    that settles after the start does so on the next drive, too, and counts by its mean.
     """
-    bias, (middle, half) = believed_bias(yaw, truth), _unsteady(yaw, truth)
+    bias, (middle, half) = believed_bias(yaw, truth) + _settles(yaw, truth)[0], _unsteady(yaw, truth)
     if half == 0.0:
         return bias
     robot = yaw.model.frame.series.robot
@@ -171,6 +181,15 @@ def _unsteady(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
         half = 0.5 * joint_estimate(yaw, truth, "jump")[0]
         return half, abs(half)
     return 0.0, 0.0 if truth is None else truth.bias_moves_dps
+
+
+def _settles(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
+    """Mean over the drive of a bias that settles after its start, and how far it lies from that (rms), deg/s."""
+    if not yaw.settling:
+        return 0.0, 0.0
+    faded = settling(yaw.model.frame.series, SETTLING[yaw.settling])
+    value, _ = joint_estimate(yaw, truth, yaw.settling)
+    return value * float(np.mean(faded)), abs(value) * float(np.std(faded))
 
 
 def estimates_of(
@@ -214,8 +233,8 @@ def _of_gyro(
         elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
             if name in yaw.chosen:
                 known = told_estimate(yaw, truth, name)
-            elif name == "jump":
-                # At the best of all instants it is no estimate.
+            elif name == "jump" or name in SETTLING:
+                # At the best of all instants, or time constants, it is no estimate.
                 continue
             else:
                 (value,), ((variance,),) = yaw.beyond([name])
@@ -239,9 +258,9 @@ def _of_gyro(
 
 
 def _spokesman(yaw: YawAnswer, group: str) -> str:
-    """Of laws that stand for each other the one that is told: the one that is named, or the first."""
+    """Of laws that stand for each other the one that is told: the one of the fit, or the first."""
     found = [n for n in yaw.laws if (KINDS[n].group or n) == group]
-    return next((n for n in found if n in yaw.named), found[0])
+    return next((n for n in found if n in yaw.chosen), found[0])
 
 
 def _of_encoders(
@@ -303,7 +322,7 @@ def improved_robot(
     if yaw.window_s > 0:
         keys["encoders.window_s"] = yaw.window_s
     # No robot file holds what turns to one side are off by, and the filter must not trust the gyro beyond it.
-    by_side = 0.0 if truth is None else truth.values.get(ONE_SIZE, 0.0)
+    by_side = 0.0 if truth is None else truth.one_size
     if "gyro_scale" in parts:
         keys["gyro.scale"] = parts["gyro_scale"].value
         keys["gyro.scale_std"] = float(np.hypot(parts["gyro_scale"].std, by_side))
@@ -332,7 +351,8 @@ def improved_robot(
 
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:
     bias, std = joint_estimate(yaw, truth, "bias")
-    changes = float(np.hypot(_CHANGES * bias, _unsteady(yaw, truth)[1]))
+    apart = (_CHANGES * bias, _unsteady(yaw, truth)[1], _settles(yaw, truth)[1])
+    changes = float(np.linalg.norm(apart))
     keys = {
         "gyro.bias_dps": foretold_bias(yaw, truth),
         "gyro.bias_dps_std": std,

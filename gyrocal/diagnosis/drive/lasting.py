@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import KINDS, SETTLING, Law
-from gyrocal.diagnosis.drive.motions import settling_beats, settling_beside
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, weighed_of
 from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, YawModel
@@ -40,7 +39,7 @@ def uneven(
         weight = np.cumsum(column**2)
         part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
         # A bias that settles does so at rest as well: it is no change of what the motion adds.
-        settling = [n for n in laws if n in SETTLING and KINDS[name].group == "motion"]
+        settling = [n for n in laws if n in SETTLING and KINDS[name].group == "motion" and n not in chosen]
         beside = [*chosen, *settling]
         columns = {n: laws[n].column for n in beside}
         more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
@@ -131,37 +130,29 @@ def undenied(
     fitted: Sequence[str],
     named: Mapping[str, float],
     odd: Mapping[str, Test],
-    least_gain: float,
 ) -> tuple[dict[str, float], dict[str, Test]]:
     """Named laws less those that the log itself speaks against, and tests by coordinate with what these gained there.
 
-    A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; a bias
-    that settles by itself did not come with the motion or the temperature; and turns that differ more from place to place than they do in the
-    mean are of the ground: on another path their mean is another.
+    A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; and turns
+    that differ more from place to place than they do in the mean are of the ground: on another path their mean is another.
     """
-    denied = {n: ("time", _test(named[n])) for n in named if f"time:{n}" in fitted}
+    denied = {n: ("time", chance_of(named[n])) for n in named if f"time:{n}" in fitted}
     grown = "delay" in named and odd["delay"][2] < STRANGER_P
     # Gains go by mean squares, and that of a line from -1/2 to 1/2 is a twelfth.
     if grown and 12.0 * odd["delay"][0] > _GROWS**2 * named["delay"]:
         denied["delay"] = ("delay", odd["delay"])
-    for name in (n for n in named if KINDS[n].group == "motion" or n == "slope"):
-        beside = [n for n in fitted if n != name]
-        # Beside one that is there, too, what came with the motion stays.
-        settling = settling_beside(told, fitted, least_gain)
-        stays = bool(settling) and told.added([*beside, *settling], [name]) >= least_gain
-        if settling_beats(told, beside, name) and not stays:
-            denied[name] = ("time", _test(named[name]))
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]
     if any(n in named for n in of_turns):
         values = dict(zip(fitted, told.own.solve(fitted)[0], strict=True))
         slipped = np.sum([values[n] * laws[n].column for n in of_turns], axis=0)
         if np.linalg.norm(slipped) < model.noise.track_wander * np.linalg.norm(laws["track"].column):
-            denied |= {n: ("turn_rate", _test(named[n])) for n in of_turns if n in named}
+            denied |= {n: ("turn_rate", chance_of(named[n])) for n in of_turns if n in named}
     left = dict(odd)
     for coordinate, test in denied.values():
         left = odder(left, coordinate, test)
     return {n: gain for n, gain in named.items() if n not in denied}, left
 
 
-def _test(gain: float) -> Test:
+def chance_of(gain: float) -> Test:
+    """A gain of one law as a test."""
     return gain, 1, float(stats.chi2.sf(gain, 1))

@@ -41,7 +41,7 @@ MOVING_LAGS_S = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 MOVING = {f"moving_{lag_s:g}": lag_s for lag_s in MOVING_LAGS_S}
 AT_ONCE = "moving_0"
 #: Time constants with which a bias may settle after the start of a log, s: gyros warm up by themselves within minutes.
-SETTLING_S = (30.0, 100.0, 300.0, 1000.0)
+SETTLING_S = (30.0, 50.0, 75.0, 110.0, 170.0, 250.0, 400.0, 600.0, 1000.0)
 #: Names of these laws, each with its time.
 SETTLING = {f"settling_{settling_s:g}": settling_s for settling_s in SETTLING_S}
 #: A temperature that changes less tells nothing of the bias over it, degC.
@@ -74,7 +74,7 @@ class Kind:
     group : str
         Laws of one group stand for each other: only one of them is taken.
     lag_s : float
-        By which it follows the motion.
+        By which it follows the motion, or with which it settles after the start.
     said, said_below_zero : Said, optional
         What is said where it is named, whatever its size or below zero.
     """
@@ -89,6 +89,7 @@ class Kind:
 
 
 _SHAKEN = Kind("gyro_bias_while_moving", "bias_moving_dps", "deg/s", "motion", said=Said.BIAS_WHILE_MOVING)
+_SETTLES = Kind("gyro_bias_settling", "bias_settling_dps", "deg/s", "settling")
 _SLIP = Kind(SKID_SLIP.id, group="slip", said_below_zero=Said.TURNS_INWARD)
 #: Every law by its name in a fit.
 KINDS: Mapping[str, Kind] = {
@@ -97,7 +98,7 @@ KINDS: Mapping[str, Kind] = {
     "asymmetry": Kind(WHEEL_ASYMMETRY.id),
     "step": Kind("gyro_bias_in_motion", "bias_motion_dps", "deg/s", "motion", said=Said.BIAS_IN_MOTION),
     **{name: replace(_SHAKEN, lag_s=lag_s) for name, lag_s in MOVING.items()},
-    **dict.fromkeys(SETTLING, Kind("gyro_bias_settling")),
+    **{name: replace(_SETTLES, lag_s=settling_s) for name, settling_s in SETTLING.items()},
     "jump": Kind("gyro_bias_jump", "bias_before_dps", "deg/s"),
     "slope": Kind(BIAS_TEMPERATURE.id, "bias_slope_dps_per_c", "deg/s per degC"),
     "delay": Kind(GYRO_DELAY.id, "delay_s", "s", said_below_zero=Said.ENCODERS_LATE),
@@ -295,9 +296,13 @@ def settling_laws(frame: Frame) -> dict[str, Law]:
     """
     if frame.series.first_rest_s < _LEAST_REST_S and frame.conditions.temp_c is None:
         return {}
-    since_s = frame.series.t_s - frame.series.t_s[0]
-    columns = {n: law(frame, GYRO_BIAS, where=np.exp(-since_s / s)).column for n, s in SETTLING.items()}
+    columns = {n: law(frame, GYRO_BIAS, where=settling(frame.series, s)).column for n, s in SETTLING.items()}
     return {n: Law(BIAS_TEMPERATURE.id, {}, column) for n, column in columns.items()}
+
+
+def settling(series: DriveSeries, settling_s: float) -> Floats:
+    """What is left in each row of a bias that settles after the start of a log."""
+    return np.asarray(np.exp(-(series.t_s - series.t_s[0]) / settling_s))
 
 
 def jump(frame: Frame, at_s: float) -> Law:

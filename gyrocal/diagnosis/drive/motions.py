@@ -94,15 +94,32 @@ def settling_beats(told: Evidence, beside: Sequence[str], name: str, least: floa
     return settling > max(least, told.added(beside, [name]) + AS_LIKELY)
 
 
-def settling_beside(told: Evidence, beside: Sequence[str], least: float) -> tuple[str, ...]:
-    """The likeliest law of a bias that settles by itself beside others; none where it is not there.
+def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[str]:
+    """Laws with one of a bias that settles by itself in place of what it denies, or beside what came with the motion.
+
+    It denies what it explains surely more than, unless that is there beside it, too: gyros warm up by themselves, on drives
+    that go with no temperature and begin with no motion.
 
     Parameters
     ----------
-    least : gain from which on it is there
+    least : gain from which on a law is there
     """
+    found = [n for n in chosen if n not in SETTLING]
+    for name in (n for n in chosen if KINDS[n].group == "motion" or n == "slope"):
+        beside = [n for n in found if n != name]
+        settling = _likeliest_settling(told, found, least)
+        stays = bool(settling) and told.added([*beside, *settling], [name]) >= least
+        if settling_beats(told, beside, name) and not stays:
+            found = beside
+    if len(found) < len(chosen) or of_motion(found):
+        found += _likeliest_settling(told, found, least)
+    return found
+
+
+def _likeliest_settling(told: Evidence, beside: Sequence[str], least: float) -> list[str]:
+    """The likeliest law of a bias that settles by itself beside others; none where it gains less than `least`."""
     gains = {n: told.added(beside, [n]) for n in told.own.names if n in SETTLING}
-    return tuple(n for n in sorted(gains, key=lambda n: -gains[n])[:1] if gains[n] >= least)
+    return [n for n in sorted(gains, key=lambda n: -gains[n])[:1] if gains[n] >= least]
 
 
 def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Sequence[str]) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from gyrocal.diagnosis.drive.motions import AS_LIKELY
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
@@ -102,6 +102,13 @@ def oddities(
     return {c: float(stats.chi2.sf(gain, len(blocks[c]))) for c, gain in gains.items()}
 
 
+def _log_chance(gain: float, columns: int) -> float:
+    """Logarithm of the chance of a gain; by the leading term where the chance is less than a float holds."""
+    exact = float(stats.chi2.logsf(gain, columns))
+    half, k = 0.5 * gain, 0.5 * columns
+    return exact if np.isfinite(exact) else float((k - 1.0) * np.log(half) - half - special.gammaln(k))
+
+
 def spins(
     problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], odd: Mapping[str, float], logs: Floats
 ) -> bool:
@@ -132,8 +139,11 @@ def beside_uneven(
     if size is None:
         return problem, odd, odd
     wider = problem.with_columns({ONE_SIZE: size})
-    p = float(stats.chi2.sf(problem.solve(logs).left - wider.solve(logs).left, 1))
-    surest = p < min([STRANGER_P, *(p for c, p in odd.items() if c != "turn_rate")])
+    gain = problem.solve(logs).left - wider.solve(logs).left
+    p = float(stats.chi2.sf(gain, 1))
+    others = {c: blocks[c] for c in odd if c != "turn_rate"} if p < STRANGER_P else {}
+    chances = [_log_chance(g, len(others[c])) for c, g in _gains(problem, others, logs).items()]
+    surest = _log_chance(gain, 1) < min([float(np.log(STRANGER_P)), *chances])
     if not surest and odd["turn_rate"] < STRANGER_P:
         return problem, odd, odd
     del blocks["turn_rate"][ONE_SIZE]

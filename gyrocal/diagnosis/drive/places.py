@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecided
-from gyrocal.diagnosis.drive.laws import Law
+from gyrocal.diagnosis.drive.laws import SETTLING, Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.prior import known_before
 from gyrocal.diagnosis.drive.search import YawAnswer
@@ -101,6 +101,8 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
     found = []
     if "jump" in yaw.chosen:
         found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
+    if yaw.settling:
+        found.append(_settles(yaw, truth))
     if "delay" in yaw.odd:
         (grown,), ((variance,),) = yaw.beyond(["delay:0"])
         half = 1e3 * NORMAL_95 * float(np.sqrt(variance))
@@ -112,6 +114,31 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
         said = Said.TRACK_CHANGES if name.endswith("track") else Said.WHEELS_CHANGE
         found.append(told(said, 100.0, float(value), float(np.sqrt(variance)), law))
     return found
+
+
+def _settles(yaw: YawAnswer, truth: TruthAnswer | None) -> Remark:
+    """By how much the bias changes after the start of a drive, and how fast, by all time constants that may be."""
+    beside = [n for n in yaw.fitted if n != yaw.settling]
+    gains = {n: yaw.told.added(beside, [n]) for n in SETTLING}
+    likely = [n for n, gain in gains.items() if gain > max(gains.values()) - NORMAL_95**2]
+    by_truth = joint_estimate(yaw, truth, yaw.settling)[0] - yaw.estimate(yaw.settling)[0]
+    changes = []
+    for name in likely:
+        values, covariance = yaw.gram.solve([*beside, name])
+        half = NORMAL_95 * float(np.sqrt(covariance[-1, -1]))
+        changes += [-float(values[-1]) - by_truth - half, -float(values[-1]) - by_truth + half]
+    times_s = list(SETTLING.values())
+    # The next time constant that was looked at is outside.
+    first, last = (times_s.index(SETTLING[n]) for n in (likely[0], likely[-1]))
+    facts = {
+        "change": -joint_estimate(yaw, truth, yaw.settling)[0],
+        "least": min(changes),
+        "most": max(changes),
+        "settling_s": SETTLING[yaw.settling],
+        "quickest_s": times_s[max(first - 1, 0)],
+        "slowest_s": times_s[min(last + 1, len(times_s) - 1)],
+    }
+    return Remark(Said.BIAS_SETTLES, facts)
 
 
 def _noisy(series: DriveSeries, yaw: YawAnswer) -> list[Located]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.laws import reference_temp_c, temperature_c
-from gyrocal.diagnosis.drive.series import Bools, DriveSeries
+from gyrocal.diagnosis.drive.laws import reference_temp_c, settling, temperature_c
+from gyrocal.diagnosis.drive.series import Bools, DriveSeries, between_rows
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.slip import slip_shape
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -28,6 +28,7 @@ class Figures:
     bias_motion_dps : added from the first motion on
     bias_moving_dps, bias_moving_s : follows the motion, with a lag
     bias_before_dps, bias_before_s : added until an instant of the log, s
+    bias_settling_dps, bias_settling_s : added at the start of the log, from where on it fades with this time constant
     bias_slope_dps_per_c : bias by temperature
     gyro_scale, left_scale, right_scale : measured = (1 + scale) times true
     delay_s : the gyro is late; below 0: the encoders are
@@ -42,6 +43,8 @@ class Figures:
     bias_moving_s: float = 0.0
     bias_before_dps: float = 0.0
     bias_before_s: float = 0.0
+    bias_settling_dps: float = 0.0
+    bias_settling_s: float = np.inf
     bias_slope_dps_per_c: float = 0.0
     gyro_scale: float = 0.0
     left_scale: float = 0.0
@@ -96,10 +99,23 @@ def middle(heading: Floats) -> Floats:
     return np.asarray(0.5 * (heading + np.concatenate([heading[:1], heading[:-1]])))
 
 
-def chords(way_m: Floats, heading_rad: Floats) -> Complexes:
-    """Steps of rows, each an arc of this length: over a gap it may be far from straight."""
+def chords(way_m: Floats, heading_rad: Floats, dt_s: Floats, gap: Bools) -> Complexes:
+    """Steps of rows, each an arc of this length: over a gap it may be far from straight.
+
+    More of a row in which the robot speeds up in a turn lies towards its end, and of one in which the turn grows less of the turn
+    has come by its middle: the first moves the step to the side of the turn by (a dt^2)(w dt)/12, the second the other way by
+    v dt (b dt^2)/12, which on slow logs, turn by turn, is as much as ways that are off by (w dt)^2/24.
+    """
     turned = np.diff(heading_rad, prepend=heading_rad[0])
-    return np.asarray(way_m * np.sinc(turned / (2.0 * np.pi)) * np.exp(1j * middle(heading_rad)))
+    aside_m = (_gained(way_m, dt_s) * turned - way_m * _gained(turned, dt_s)) / 12.0
+    along_m = way_m * np.sinc(turned / (2.0 * np.pi))
+    return np.asarray((along_m + 1j * np.where(gap, 0.0, aside_m)) * np.exp(1j * middle(heading_rad)))
+
+
+def _gained(steps: Floats, dt_s: Floats) -> Floats:
+    """How much the steps of rows grow from the beginning of each to its end, by those before and after."""
+    speed = np.divide(steps, dt_s, out=np.zeros_like(steps), where=dt_s > 0)
+    return np.asarray(0.5 * (np.append(speed[1:], speed[-1:]) - np.append(speed[:1], speed[:-1])) * dt_s)
 
 
 def rest_mean_dps(series: DriveSeries) -> tuple[float, float] | None:
@@ -116,9 +132,10 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
     rest = rest_mean_dps(series) if figures.bias_from_rest else None
     bias, at_c = rest if rest is not None else (figures.bias_dps, figures.temp_c)
     before = figures.bias_before_dps * (series.t_s < figures.bias_before_s)
+    before = before + figures.bias_settling_dps * settling(series, figures.bias_settling_s)
     if rest is not None:
         # The rest at the start has seen it.
-        before = before - before[0]
+        before = before - np.mean(before[series.t_s - series.t_s[0] <= series.robot.static_s])
     rate = series.gyro_dps - bias - before - figures.bias_motion_dps * series.moved
     if figures.bias_moving_dps:
         rate = rate - figures.bias_moving_dps * series.moving(figures.bias_moving_s)
@@ -133,12 +150,12 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
     heading = np.cumsum(series.over_gaps(by_gyro, _by_wheels(series, figures, right - left, way)))
     t = series.t_s
     if figures.delay_s > 0:
-        heading = np.interp(t + figures.delay_s, t, heading)
+        heading = between_rows(t + figures.delay_s, t, heading)
     elif figures.delay_s < 0:
-        whole = np.interp(t - figures.delay_s, t, np.cumsum(way))
+        whole = between_rows(t - figures.delay_s, t, np.cumsum(way))
         way = np.diff(whole, prepend=0.0)
     track_m = series.robot.wheel_separation_m * (1.0 + figures.track) if series.differential else 0.0
-    steps = chords(way, heading)
+    steps = chords(way, heading, series.dt_s, series.gap)
     return Reckoned(t, series.dt_s, heading, way, rolled, steps, series.gap, track_m, series.counts_on)
 
 

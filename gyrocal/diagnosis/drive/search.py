@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from gyrocal.diagnosis.drive.alignment import align
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at, less
-from gyrocal.diagnosis.drive.lasting import events, outlasting, undenied
+from gyrocal.diagnosis.drive.lasting import chance_of, events, outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     SETTLING,
@@ -29,13 +30,13 @@ from gyrocal.diagnosis.drive.motions import (
     may_be_another,
     motion_beats_wheels,
     of_motion,
-    settling_beside,
     temperature_for_motion,
     with_central_lag,
+    with_settling,
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
-from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, averaged, nodes_of, rough_bias_dps
+from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, nodes_of, rough_bias_dps
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, gram_of
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import YawModel, yaw_model
@@ -52,12 +53,6 @@ _SLIPS = ("slip", "spinning")
 PAIR_GAIN = float(stats.chi2.isf(stats.chi2.sf(GAIN, 1), 2))
 #: Share of what it explains together with columns of no name from which on a law does not need their leave.
 _MOST = 0.9
-#: Reach and grid of the search for a delay, s; the fit finds it closer.
-_REACH_S, _GRID_S = 2.0, 0.05
-#: Windows over which encoders may average, s.
-_WINDOWS_S = (0.0, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4, 2.0)
-#: What part of the variance a delay or a window must remove before anything else is looked at.
-_CLEARLY = 0.8
 #: A delay beyond this part of a node is taken out, and the rest estimated again, so often at the most.
 _SHIFT, _ROUNDS = 0.2, 3
 _NO_INTERVALS: Ints = np.zeros(0, dtype=np.int64)
@@ -149,6 +144,11 @@ class YawAnswer:
     def law_rad(self, name: str) -> Floats:
         """What a law adds to the difference in each interval."""
         return np.asarray(self.values[self.chosen.index(name)] * self.laws[name].column)
+
+    @property
+    def settling(self) -> str:
+        """The law of a bias that settles after the start; empty where there is none."""
+        return next((n for n in self.chosen if n in SETTLING), "")
 
     @property
     def jump_s(self) -> float:
@@ -267,7 +267,7 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
         ahead_s += float(rest_s)
     # What has no name would swell the noise, the gyro's as well as the wheels', as a law would that is not in the mean; but
     # for wheels that change at an instant, which are no columns of a coordinate.
-    again = not answer.changed and any(n not in SETTLING for n in answer.nameless)
+    again = not answer.changed and bool(answer.nameless)
     before = answer if again else None
     answer = answer if before is None else _examine(series, ahead_s, window_s, before)
     if "asymmetry" not in answer.named:
@@ -276,32 +276,6 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
         return answer
     moving = _examine(series, ahead_s, window_s, before, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
     return moving if of_motion(moving.named) else answer
-
-
-def align(series: DriveSeries) -> tuple[float, float]:
-    """By how much the gyro is late, and over what time the encoders average, by the correlation of their rates.
-
-    Returns
-    -------
-    delay_s, window_s : float
-        Zero each where it removes no clear part of the variance. The delay counts to the middle of the window.
-    """
-    grid = np.arange(series.t_s[0] + _REACH_S, series.t_s[-1] - _REACH_S, _GRID_S)
-    encoder = np.diff(np.interp(grid, series.t_s, series.encoder_rad))
-    best = {}
-    for window_s in _WINDOWS_S:
-        heading = averaged(series.t_s, series.gyro_rad, 0.0, window_s)
-        lags = np.arange(-_REACH_S, _REACH_S + 1e-9, _GRID_S)
-        turned = [np.diff(np.interp(grid + lag, series.t_s, heading)) for lag in lags]
-        left = np.array([1.0 - np.corrcoef(encoder, gyro)[0, 1] ** 2 for gyro in turned])
-        at = int(np.argmin(left))
-        best[window_s] = (float(left[at]), float(lags[at]), float(left[lags.size // 2]))
-    plain = best[0.0][2]
-    window_s = min(best, key=lambda w: best[w][0])
-    if best[window_s][0] > _CLEARLY**2 * best[0.0][0]:
-        window_s = 0.0
-    found, delay_s, _ = best[window_s]
-    return (delay_s, window_s) if found < _CLEARLY * plain else (0.0, 0.0)
 
 
 def _examine(
@@ -323,7 +297,7 @@ def _examine(
     free = evidence(model, columns := _columns_of(everything, blocks))
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
-    jumping = jump_of(model, free, everything, chosen, known, STRANGER_P)
+    jumping = jump_of(model, free, everything, with_settling(told, chosen, GAIN), known, STRANGER_P)
     beyond = wheel_out_of_true(frame, model, everything, chosen, known)
     beyond |= {n: x for n, x in jumping.items() if n in KINDS}
     if beyond or jumping:
@@ -332,22 +306,22 @@ def _examine(
         free = evidence(model, columns)
         told = free.knowing(known)
         chosen = _selected(told, [*least, *beyond], candidates)
-    chosen = temperature_for_motion(told, with_central_lag(told, chosen, of_motion(laws)), candidates, GAIN)
+    chosen, settled = _of_bias(told, chosen, candidates)
     odd, changed = nameless(free, chosen, jumping, blocks)
     beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
     chosen, odd = _with_sure_jump(told, chosen, beside, odd)
     earned = _named(told, chosen, beside, ahead_s)
-    named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd, GAIN)
+    named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
     named, changing = outlasting(model, everything, chosen, named)
     at_once = events(model, {n: columns[n] for n in (*chosen, *beside)}, known, named, GAIN)
     if at_once.size:
         return _examine(series, ahead_s, window_s, before, held, np.union1d(aside, at_once))
-    chosen = [n for n in chosen if n in (*constant, "delay", "jump", *named) or _pair_of(n) in named]
+    chosen = [n for n in chosen if _pair_of(n) in {*constant, "delay", "jump", *named, *SETTLING}]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
-    settling = settling_beside(told, [*chosen, *unnamed], GAIN) if of_motion(named) else ()
-    unnamed = {**unnamed, **{n: columns[n] for n in settling}}
-    odd = odder(odd, "time", *changing.values())
+    lost = [n for n in chosen if n in SETTLING and _gain(told, [*chosen, *unnamed], n) < GAIN]
+    chosen = [n for n in chosen if n not in lost]
+    odd = odder(odd, "time", *changing.values(), *settled.values())
     return YawAnswer(
         model,
         everything,
@@ -360,10 +334,22 @@ def _examine(
         window_s,
         told,
         known,
-        _unlike(changing, ahead_s, jumping) | (earned.keys() - named.keys()),
+        _unlike(changing, ahead_s, jumping).union(settled, earned.keys() - named.keys()),
         changed,
         unnamed,
     )
+
+
+def _of_bias(
+    told: Evidence, chosen: Sequence[str], candidates: Sequence[str]
+) -> tuple[list[str], dict[str, Test]]:
+    """Laws with those of the bias that are likeliest; and those that one settling by itself stands for, with the test of that."""
+    taken = temperature_for_motion(
+        told, with_central_lag(told, chosen, of_motion(candidates)), candidates, GAIN
+    )
+    found = with_settling(told, taken, GAIN)
+    tests = [chance_of(_gain(told, found, n)) for n in found if n in SETTLING]
+    return found, {n: test for test in tests for n in taken if n not in found}
 
 
 def _unlike(changing: Iterable[str], ahead_s: float, jumping: Iterable[str]) -> frozenset[str]:
@@ -471,7 +457,7 @@ def _least(gained: Mapping[str, float]) -> float:
 def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s: float) -> dict[str, float]:
     """Gain of each law that earns its name, the strongest first; `beside` are columns without one."""
     everything = [*chosen, *beside]
-    tested = [n for n in chosen if n not in ("bias", "delay", "jump", "wheel_sin")]
+    tested = [n for n in chosen if n not in ("bias", "delay", "jump", "wheel_sin", *SETTLING)]
     gains = {n: _gain(told, everything, n) for n in tested}
     # Where a law of the turns explains nearly all that it and columns without a name do together, these are its misfit.
     of_turns = [n for n in tested if n == "track" or KINDS[n].group == "slip"]

@@ -8,7 +8,7 @@ rows, whose errors are in part the noise of the same gyro.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,59 +17,44 @@ from gyrocal.diagnosis.drive.laws import (
     AT_ONCE,
     MOVING,
     BiasLaws,
-    reference_temp_c,
-    temperature_c,
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
-from gyrocal.diagnosis.drive.path_gaps import first_turns
+from gyrocal.diagnosis.drive.path_laid import (
+    ALONE,
+    MODEL_STD,
+    SCALE,
+    SCALES,
+    TIMES,
+    Laid,
+    Levels,
+    laid_on_truth,
+    rates_of,
+    reckoned,
+)
 from gyrocal.diagnosis.drive.path_noise import (
-    WANDERS_S,
     Knots,
     cell_edges_s,
-    path_noise,
-    stacked,
 )
 from gyrocal.diagnosis.drive.path_problem import PathProblem, beside_uneven, oddities, one_sided, spins
 from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
-from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, chords, reckon
+from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, reckon
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
 #: A scale is believed at so many standard deviations: at two, drives without any got worse by it.
 BELIEVED = 3.8
-#: What time stamps and straight steps between rows are worth, and the quartz of a clock: no scale is known better, relative.
-_MODEL_STD = 3e-5
 #: Knots that the truth is averaged to, as the cost grows with their cube, and how many a path is laid on at the least.
 _MOST_KNOTS, _LEAST_KNOTS = 150, 12
 #: Truth that spans less of the drive, or a path that spans less of its own size, is none: a receiver that was off or stuck.
 _LEAST_SHARE, _LEAST_SIZE = 0.2, 0.01
-#: What is thought possible beforehand: scales, clock of the truth and course against heading (s), lever arm (m).
-_SCALE, _CLOCK_S, _LEVER_M = 0.2, 0.3, 1.0
-#: What a path against a truth has that is no law of the bias and no scale.
-_TIMES = ("clock", "course")
-#: Laws of the bias, by their names in `KINDS`, that the truth may tell beside its mean, and what is thought possible of each on a
-#: vehicle of one speed: slope (deg/s per degC), and what is added in motion (deg/s).
-ALONE = {"slope": 0.02, AT_ONCE: 0.2}
-#: Parts of the drive over which the path is laid first: over the whole, a heading may be wrong by turns.
-_HORIZONS = (0.06, 0.12, 0.25, 0.5, 1.0)
-#: Levels' logarithms beforehand: the truth's are free, those of dead reckoning are known from the heading difference.
-_FREE, _WAY_FREE = 4.0, 1.0
+#: How often a path is laid anew beside turns that differ from side to side.
+_ROUNDS = 4
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
 #: What a gyro's turns to the one side are usually off by more than those to the other, of its scale's error: half the difference.
 UNEVEN = 0.2
-#: Scales that the truth alone tells apart.
-SCALES = ("gyro_scale", "wheel_scale")
-
-
-@dataclass(frozen=True)
-class _Levels:
-    """Logarithms of the levels of noise, and the memory of what wanders in the truth."""
-
-    logs: Floats
-    wander_s: float
 
 
 @dataclass(frozen=True)
@@ -94,7 +79,7 @@ class TruthAnswer:
         The truth follows the path in a mirror only.
     loss : float
         Minus twice the restricted log-likelihood of what was taken out of the path beforehand.
-    levels : _Levels, optional
+    levels : Levels, optional
         Noise of truth and way.
     bias_moves_dps : float
         How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``bias`` is the mean then.
@@ -109,9 +94,14 @@ class TruthAnswer:
     odd: Mapping[str, float]
     mirrored: bool = False
     loss: float = 0.0
-    levels: _Levels | None = None
+    levels: Levels | None = None
     bias_moves_dps: float = 0.0
     one_way: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def one_size(self) -> float:
+        """`ONE_SIZE` where the truth shows it, and else 0."""
+        return self.values.get(ONE_SIZE, 0.0)
 
     def told(self, name: str) -> float:
         """A figure in its standard deviations; 0 where the truth is mirrored or says nothing of it."""
@@ -119,14 +109,14 @@ class TruthAnswer:
 
     def shows(self, name: str) -> bool:
         """Whether it says of a scale more than was known beforehand: headings say nothing of the way."""
-        return not self.mirrored and self.stds[name] < 0.5 * _SCALE
+        return not self.mirrored and self.stds[name] < 0.5 * SCALE
 
     def believed(self, name: str) -> bool:
         """Whether a scale is sure: far from zero for the noise."""
         return abs(self.told(name)) > BELIEVED
 
 
-def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, Floats], told: int) -> Knots | None:
+def _knots(series: DriveSeries, base: Reckoned, laws: Mapping[str, Floats], told: int) -> Knots | None:
     position, headings = series.truth_x_m + 1j * series.truth_y_m, series.truth_heading_deg
     rows = np.flatnonzero(np.isfinite(position if series.has_truth else headings))
     if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
@@ -140,220 +130,11 @@ def _knots(series: DriveSeries, reckoned: Reckoned, laws: Mapping[str, Floats], 
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
-        apart = DEG_TO_RAD * headings - reckoned.heading_rad
+        apart = DEG_TO_RAD * headings - base.heading_rad
         apart[rows] = np.unwrap(apart[rows])
         heading = knots.mean(apart)
     where = knots.mean(position) if series.has_truth else None
     return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
-
-
-def _rates(series: DriveSeries, laws: Iterable[str], jump_s: float) -> dict[str, Floats]:
-    """What one unit of some laws of the bias adds to the rate in each row, of those that a log could hold."""
-    temp = temperature_c(series)
-    found: dict[str, Floats] = {}
-    for name in laws:
-        if name == "bias":
-            found[name] = np.ones(series.t_s.size)
-        elif name == "slope" and temp is not None:
-            found[name] = temp - reference_temp_c(series)
-        elif name == "step":
-            found[name] = series.moved.astype(np.float64)
-        elif name in MOVING and series.resting.any():
-            found[name] = series.moving(MOVING[name])
-        elif name == "jump":
-            found[name] = (series.t_s < jump_s).astype(np.float64)
-    return {name: series.over_gaps(rate, np.zeros(rate.size)) for name, rate in found.items()}
-
-
-@dataclass(frozen=True)
-class _State:
-    """Where the linearisation stands: parameters, direction of the frame, and turns that the gyro's noise and gaps have made.
-
-    Without the latter every path of a noisy gyro would be too long: a heading that strays by 2 deg shortens by 0.06 %.
-    `held` are scales that the truth does not tell from its lever arm: they had run away.
-    """
-
-    values: Mapping[str, float]
-    turn: float
-    strayed: Floats
-    held: frozenset[str] = frozenset()
-
-
-def _reckoned(knots: Knots, base: Reckoned, state: _State) -> Reckoned:
-    v = state.values
-    turned = np.zeros(base.t_s.size)
-    for name, rate in knots.laws.items():
-        turned = turned + v[name] * np.cumsum(rate * base.dt_s)
-    heading = base.heading_rad / (1.0 + v["gyro_scale"]) - DEG_TO_RAD * turned + state.turn
-    cells = knots.edges_s.size - 1
-    turns = np.concatenate([[0.0], np.cumsum(state.strayed[:cells])])
-    in_gaps = np.zeros(base.t_s.size)
-    in_gaps[base.gap] = state.strayed[cells:]
-    heading = heading + np.interp(base.t_s, knots.edges_s, turns) + np.cumsum(in_gaps)
-    # The truth is of an earlier time.
-    at_s, whole = base.t_s - v["clock"], np.cumsum(base.way_m / (1.0 + v["wheel_scale"]))
-    course = np.interp(at_s + v["course"], base.t_s, heading)
-    heading, whole = (np.interp(at_s, base.t_s, x) for x in (heading, whole))
-    way = np.diff(whole, prepend=whole[0])
-    return replace(base, heading_rad=heading, way_m=way, steps_m=chords(way, course))
-
-
-def _columns(knots: Knots, path: Reckoned) -> dict[str, Floats]:
-    """What each parameter does to positions and headings, ``name -> (rows,)``."""
-    at, heading = path.at_m, path.heading_rad
-    flat, k = np.zeros(knots.count.size), knots.count.size
-    ahead = np.exp(1j * heading)
-    speed = np.divide(path.steps_m, path.dt_s, out=np.zeros_like(path.steps_m), where=path.dt_s > 0)
-    turning = np.gradient(heading) / np.maximum(np.gradient(path.t_s), 1e-9)
-    one = np.ones(k, dtype=np.complex128)
-
-    def by(heading_rad: Floats, way_m: Floats) -> Floats:
-        return stacked(knots, knots.mean(path.moved_by(heading_rad, way_m)), knots.mean(heading_rad))
-
-    nothing = np.zeros(at.size)
-    columns = {
-        "turn": by(np.ones(at.size), nothing),
-        "clock": stacked(knots, -knots.mean(speed), -knots.mean(turning)),
-        "gyro_scale": by(-(heading - heading[0]), nothing),
-        "wheel_scale": by(nothing, -path.way_m),
-    }
-    for at_told, (name, rate) in enumerate(knots.laws.items()):
-        law = by(-DEG_TO_RAD * np.cumsum(rate * path.dt_s), nothing)
-        columns[name] = law + stacked(knots, 0.0 * one, flat, np.arange(knots.told) == at_told)
-    if knots.position is not None:
-        columns |= {
-            "course": stacked(knots, knots.mean(path.moved_by(turning, nothing)), flat),
-            "east": stacked(knots, one, flat),
-            "north": stacked(knots, 1j * one, flat),
-            "lever_ahead": stacked(knots, knots.mean(ahead), flat),
-            "lever_left": stacked(knots, knots.mean(1j * ahead), flat),
-        }
-        if knots.heading is not None:
-            columns["mounting"] = stacked(knots, 0.0 * one, np.ones(k))
-    return columns
-
-
-def _problem(
-    knots: Knots, base: Reckoned, state: _State, laws: BiasLaws, noise: YawNoise, wander_s: float
-) -> PathProblem:
-    path = _reckoned(knots, base, state)
-    at = knots.mean(path.at_m)
-    apart = at if knots.position is None else knots.position - at
-    headings = np.zeros(knots.count.size)
-    if knots.heading is not None:
-        headings = knots.heading - knots.mean(path.heading_rad - base.heading_rad)
-        headings = headings - 2 * np.pi * np.round(np.median(headings) / (2 * np.pi))
-    v = state.values
-    known = {
-        **{name: (-v[name], _MODEL_STD if name in state.held else _SCALE) for name in SCALES},
-        **{name: (-v[name], _CLOCK_S) for name in _TIMES},
-        "lever_ahead": (0.0, _LEVER_M),
-        "lever_left": (0.0, _LEVER_M),
-        **{name: (-v[name], ALONE[name]) for name in knots.laws if name not in laws.names},
-    }
-    spread = path_noise(knots, path, noise, laws, wander_s)
-    residual = stacked(knots, apart, headings, -np.array([v[name] for name in laws.names]))
-    # As noise about zero again; what is known beforehand has not been moved.
-    residual[: -knots.told] += spread.turned[: -knots.told] @ state.strayed
-    return PathProblem(residual, _columns(knots, path), known, spread)
-
-
-def _levels(problem: PathProblem, first: Floats) -> Floats:
-    return problem.likeliest(first, np.array([_WAY_FREE, *[_FREE] * (first.size - 1)]))
-
-
-def _first_levels(knots: Knots) -> Floats:
-    """Levels from neighbouring knots: a path is smooth, noise is not."""
-    if knots.position is not None and knots.count.size > 4:
-        second = knots.position[2:] - 2 * knots.position[1:-1] + knots.position[:-2]
-        # The median of two squared normals is 1.386 of one's variance; a second difference has six times the variance.
-        white = float(np.median(np.abs(second) ** 2) / 1.386 / 6.0 * np.median(knots.count))
-    else:
-        white = 1e-4
-    white = float(np.clip(white, 1e-8, 1.0))
-    logs = [0.0, np.log(white), np.log(0.1 * white)]
-    headings = [np.log(DEG_TO_RAD**2), np.log(0.1 * DEG_TO_RAD**2)]
-    return np.array([*logs, *headings] if knots.heading is not None else logs)
-
-
-@dataclass(frozen=True)
-class _Laid:
-    """A path laid on the truth: where the linearisation stands, and the problem, levels and loss there."""
-
-    state: _State
-    problem: PathProblem
-    levels: _Levels
-    loss: float
-
-    @property
-    def left(self) -> Floats:
-        """Rows that the best coefficients leave."""
-        return self.problem.left(self.problem.solve(self.levels.logs).values)
-
-    def miss_m(self, knots: Knots) -> float:
-        """Rms distance that is left between path and truth, m."""
-        k = knots.count.size
-        return float(np.sqrt(np.mean(self.left[:k] ** 2 + self.left[k : 2 * k] ** 2)))
-
-
-def _laid(
-    knots: Knots,
-    base: Reckoned,
-    laws: BiasLaws,
-    noise: YawNoise,
-    near: _Levels | None = None,
-    held: frozenset[str] = frozenset(),
-) -> _Laid:
-    """Gauss and Newton over growing parts of the drive, then levels and path in turn; levels `near` others once.
-
-    A scale that runs away, as on a circle the wheels' do with the lever arm, is held where it was.
-    """
-    begun = near or _Levels(_first_levels(knots), WANDERS_S[1])
-    logs, wander_s = begun.logs, begun.wander_s
-    wanders_s, rounds = ((wander_s,), (2,)) if near else (WANDERS_S, (0, 2))
-    reach = knots.t_s - knots.t_s[0]
-    counts = [
-        int(np.count_nonzero(reach <= max(horizon * reach[-1], np.sort(reach)[min(5, reach.size - 1)])))
-        for horizon in _HORIZONS
-    ]
-    state = replace(_first_state(knots, base, noise, counts[0]), held=held)
-    for horizon, count in zip(_HORIZONS, counts, strict=True):
-        last, near_by = horizon == _HORIZONS[-1], knots.first(count)
-        for round_ in range(4 if last else 2):
-            part = _problem(near_by, base, state, laws, noise, wander_s)
-            if last and round_ in rounds:
-                first = logs if round_ else _first_levels(knots)
-                tried = {w: replace(part, noise=part.noise.remembering(knots, w)) for w in wanders_s}
-                fitted = {w: _levels(one, first) for w, one in tried.items()}
-                wander_s = min(tried, key=lambda w: tried[w].solve(fitted[w]).loss)
-                part, logs = tried[wander_s], fitted[wander_s]
-            solved = part.solve(logs)
-            step = dict(zip(part.columns, solved.values, strict=True))
-            sought = {n: v + step.get(n, 0.0) for n, v in state.values.items()}
-            moved = {n: float(np.clip(v, -0.5, 0.5)) for n, v in sought.items()}
-            state = replace(state, values=moved, turn=state.turn + step["turn"])
-            if last:
-                state = replace(state, strayed=part.noise.strayed(part.left(solved.values), logs))
-    astray = held | {n for n in SCALES if moved[n] != sought[n]}
-    if astray != held:
-        return _laid(knots, base, laws, noise, near, astray)
-    levels = _Levels(logs, wander_s)
-    return _Laid(state, _problem(knots, base, state, laws, noise, wander_s), levels, solved.loss)
-
-
-def _first_state(knots: Knots, base: Reckoned, noise: YawNoise, count: int) -> _State:
-    """Direction of the frame by the first knots of a drive, and turns in its gaps by the parts between them."""
-    turn, in_gaps = 0.0, np.zeros(np.count_nonzero(base.gap))
-    if knots.position is not None:
-        at = knots.mean(base.at_m)
-        a, b = at[:count] - at[:count].mean(), knots.position[:count] - knots.position[:count].mean()
-        turn = float(np.angle(np.vdot(a, b)))
-        white_m2 = float(np.exp(_first_levels(knots)[1]))
-        in_gaps = first_turns(base, knots.rows, knots.count, (at, knots.position), turn, white_m2, noise)
-    elif knots.heading is not None:
-        turn = float(np.mean(knots.heading[:count]))
-    values = dict.fromkeys((*SCALES, *_TIMES, *knots.laws), 0.0)
-    return _State(values, turn, np.concatenate([np.zeros(knots.edges_s.size - 1), in_gaps]))
 
 
 def ask_truth(
@@ -386,39 +167,48 @@ def ask_truth(
     """
     levels = None if near is None else near.levels
     base = reckon(series, figures)
-    rates = _rates(series, [*laws.names, *alone], figures.bias_before_s)
+    rates = rates_of(series, [*laws.names, *alone], figures.bias_before_s)
     knots = _knots(series, base, rates, len(laws.names))
     if knots is None:
         return None
-    if knots.position is None:
-        laid = _laid(knots, base, laws, noise, levels)
-        return _answer(knots, base, laid, figures, uneven_turns, bias_changes=bias_changes)
-    if np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
+    if knots.position is not None and np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
-    laid = _laid(knots, base, laws, noise, levels)
+    one_size = 0.0 if near is None else near.one_size
+    for _ in range(_ROUNDS):
+        laid = laid_on_truth(knots, base, laws, noise, levels, one_size)
+        answer = _answer(knots, base, laid, figures, uneven_turns, bias_changes=bias_changes)
+        if abs(answer.one_size - one_size) <= answer.stds.get(ONE_SIZE, 0.0):
+            break
+        # About a path that it bends far nothing is as it is about the right one.
+        one_size = answer.one_size
+    if knots.position is None:
+        return answer
     mirrored = near is not None and near.mirrored
     miss = laid.miss_m(knots)
     if near is None and miss > _ODD * float(np.std(knots.position)):
         other = replace(knots, position=np.conj(knots.position), heading=None)
-        turned = _laid(other, base, laws, noise)
-        plain = _laid(replace(knots, heading=None), base, laws, noise)
+        turned = laid_on_truth(other, base, laws, noise)
+        plain = laid_on_truth(replace(knots, heading=None), base, laws, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
-    answer = _answer(knots, base, laid, figures, uneven_turns, bias_changes=bias_changes)
     # What a path misses of its mirror image is no structure of the drive.
     return replace(answer, mirrored=True, odd={}) if mirrored else answer
 
 
 def _answer(
-    knots: Knots, base: Reckoned, laid: _Laid, figures: Figures, uneven_turns: float, *, bias_changes: bool
+    knots: Knots, base: Reckoned, laid: Laid, figures: Figures, uneven_turns: float, *, bias_changes: bool
 ) -> TruthAnswer:
     state, problem, logs = laid.state, laid.problem, laid.levels.logs
-    blocks = path_strangers(knots, _reckoned(knots, base, state))
+    blocks = path_strangers(knots, reckoned(knots, base, state))
+    if state.one_size:
+        # It has been taken out for the sake of the path alone.
+        residual = problem.residual + state.one_size * blocks["turn_rate"][ONE_SIZE]
+        problem = replace(problem, residual=residual)
     odd: Mapping[str, float] = oddities(problem, blocks, logs)
     if spins(problem, blocks, odd, logs):
         problem = problem.with_columns({SPINNING: blocks["acceleration"].pop(SPINNING)})
         odd = oddities(problem, blocks, logs)
     one_way = _one_way(problem, blocks, laid, figures)
-    usual = max(UNEVEN * abs(state.values["gyro_scale"]), uneven_turns, _MODEL_STD)
+    usual = max(UNEVEN * abs(state.values["gyro_scale"]), uneven_turns, MODEL_STD)
     problem, odd, left = beside_uneven(problem, blocks, odd, logs, usual)
     shown = [ONE_SIZE] if ONE_SIZE in problem.columns and ONE_SIZE not in problem.known else []
     beside: dict[str, Floats] = {}
@@ -432,9 +222,7 @@ def _answer(
     values, covariance = solved.values, solved.covariance
     names = list(problem.columns)
     for name in SCALES:
-        covariance[names.index(name), names.index(name)] += (
-            _SCALE if name in state.held else _MODEL_STD
-        ) ** 2
+        covariance[names.index(name), names.index(name)] += (SCALE if name in state.held else MODEL_STD) ** 2
     found = {n: float(v) + state.values.get(n, 0.0) for n, v in zip(names, values, strict=True)}
     stds = {n: float(np.sqrt(covariance[k, k])) for k, n in enumerate(names)}
     spinning = blocks.get("acceleration", {}).get(SPINNING)
@@ -446,7 +234,7 @@ def _answer(
     moves_dps = RAD_TO_DEG * bias_moves(*_of(parts, names, values, covariance)) if parts else 0.0
     told = [
         n
-        for n in (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", *_TIMES, "mounting")
+        for n in (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", *TIMES, "mounting")
         if n in found
     ]
     return TruthAnswer(
@@ -463,7 +251,7 @@ def _answer(
 
 
 def _one_way(
-    problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], laid: _Laid, figures: Figures
+    problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], laid: Laid, figures: Figures
 ) -> dict[str, float]:
     """`TruthAnswer.one_way`; `figures` have what was taken out of the path."""
     size = blocks.get("turn_rate", {}).get(ONE_SIZE)

@@ -15,7 +15,7 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis
 from gyrocal.diagnosis.drive.improved import DriveEstimate
-from gyrocal.diagnosis.drive.truth import SCALES
+from gyrocal.diagnosis.drive.path_laid import SCALES
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.versus.answer import LEVEL, SCHEMA
 from gyrocal.inference.multiple import holm

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
+from gyrocal.diagnosis.drive.alignment import align
 from gyrocal.diagnosis.drive.checks import missing_rows, uneven_clock, wrong_truth
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, diagnose_drive, examine
 from gyrocal.diagnosis.drive.laws import MOVING, candidate_laws, frame_of, law
-from gyrocal.diagnosis.drive.search import align, examine_yaw
+from gyrocal.diagnosis.drive.search import examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of, tick_size
 from gyrocal.diagnosis.drive.yaw import _independent, _Sources, usual_noise
 from gyrocal.diagnosis.remarks import Remark, Said

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown, diagnose_drive
+from gyrocal.diagnosis.drive.path_laid import Levels
 from gyrocal.diagnosis.drive.reckoning import laid_on
-from gyrocal.diagnosis.drive.truth import TruthAnswer, _Levels
+from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.report.drive_words import drive_sentences
 from tests.diagnosis.drive.fleet import Plan, drive
@@ -20,7 +21,7 @@ def test_floor_and_least_difference_are_those_of_drawn_truths() -> None:
     """Truths with white and wandering errors: what a perfect path is off by, and how the difference of two paths scatters."""
     rng = np.random.default_rng(3)
     white_m, wander_m, wander_s = 0.3, 0.8, 60.0
-    levels = _Levels(np.log([1.0, white_m**2, wander_m**2]), wander_s)
+    levels = Levels(np.log([1.0, white_m**2, wander_m**2]), wander_s)
     truth = TruthAnswer({}, {}, np.eye(2), np.zeros((0, 0)), {}, levels=levels)
     t_s = np.arange(0.0, 400.0, 2.0)
     path = 15.0 * np.exp(0.03j * t_s) + 0.05 * t_s
