@@ -84,6 +84,7 @@ class Said(Enum):
     BIAS_NO_REST = auto()
     BIAS_JUMPS = auto()
     BIAS_SETTLES = auto()
+    SIDES_DIFFER = auto()
     WHEELS_CHANGE = auto()
     TRACK_CHANGES = auto()
     DELAY_GROWS = auto()

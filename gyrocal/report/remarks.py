@@ -199,7 +199,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
     Said.OF_SCALE: _of_scale,
     Said.LARGEST_RATES: _largest_rates,
-    Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out",
+    Said.GAPS: "{count} [gap|gaps] of more than {steps:g} usual steps [is|are] left out, the longest of {longest_s:.3g} s at {at_s:.6g} s",
     Said.EMPTY_WHEEL: "{count} [row|rows] without {wheel} [is|are] bridged by the speed of that wheel before and after, and left out of the comparison",
     Said.CALIBRATED: "the gyro was calibrated with the coefficients given",
     Said.GYRO_BRIDGED: "{count} [row|rows] without gyro [is|are] bridged by [its|their] neighbours",
@@ -229,6 +229,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "as that of a gyro does that warms up by itself (time constant {settling_s:.0f} s, 95 %: {quickest_s:.0f} to {slowest_s:.0f}), "
     "and nothing else explains it as well. A rest at the start takes off what it was then, and no robot file holds the rest: let the "
     "gyro warm up before a drive.",
+    Said.SIDES_DIFFER: "By the truth the gyro's scale factor is {change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to "
+    "the left than in turns to the right; no robot file holds that",
     Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",

@@ -142,15 +142,9 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTru
     if abs(c) < _ANY_SCALE and _turns_are_odd(yaw, truth):
         return found
     if found:
-        c = (1 + c) * (1 - tilt.value) - 1
-        g, w = (found[n].value if n in found else 0.0 for n in SCALES)
-        # Laws of the bias are no part of a ratio.
-        spread = float(
-            np.sqrt(std**2 + sum(found[n].std ** 2 for n in (*SCALES, ROBOT_TILT.id) if n in found))
-        )
-        left = (1 + c) * (1 + g) / (1 + w) - 1
-        if left**2 >= GAIN * spread**2 and "track" not in yaw.uneven:
-            found["track"] = OfTruth(left, spread)
+        left = left_of_track(c, std, found)
+        if left.value**2 >= GAIN * left.std**2 and "track" not in yaw.uneven:
+            found["track"] = left
     elif "track" in yaw.named and c**2 >= GAIN * std**2:
         against = _against(c, std, truth)
         best = min(against, key=lambda n: against[n])
@@ -166,6 +160,13 @@ def _turns_and_way(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTru
             std = float(np.hypot(std, UNEVEN * sides_of(yaw).one_sided * value))
         found[best] = OfTruth(value, std)
     return found
+
+
+def left_of_track(c: float, std: float, shown: Mapping[str, OfTruth]) -> OfTruth:
+    """What of a ratio of turns is the track's, less scales and slope that the truth shows; laws of the bias are no part of it."""
+    slope, gyro, wheels = (shown[n] if n in shown else OfTruth(0.0, 0.0) for n in (ROBOT_TILT.id, *SCALES))
+    left = (1 + c) * (1 - slope.value) * (1 + gyro.value) / (1 + wheels.value) - 1
+    return OfTruth(left, float(np.linalg.norm([std, slope.std, gyro.std, wheels.std])))
 
 
 def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> OfTruth | None:

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given
-from gyrocal.diagnosis.drive.findings import OfTruth, joint_estimate, told_estimate, unexpected_bias
+from gyrocal.diagnosis.drive.findings import (
+    OfTruth,
+    joint_estimate,
+    left_of_track,
+    told_estimate,
+    unexpected_bias,
+)
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     MOVING,
@@ -276,6 +282,9 @@ def _of_encoders(
         value, std = joint_estimate(yaw, truth, name)
         if name == "spinning" and START_STOP_SLIP.id in parts:
             value, std = parts[START_STOP_SLIP.id].value, parts[START_STOP_SLIP.id].std
+        if name == "track":
+            left = left_of_track(value, std, parts)
+            value, std = left.value, left.std
         turn = value * yaw.laws[name].column
         if name == "wheel_cos":
             other, _ = joint_estimate(yaw, truth, "wheel_sin")

@@ -33,6 +33,12 @@ def nameless(
     return odd, changed if at_once else {}
 
 
+def unhidden(told: Evidence, fitted: Sequence[str], changed: Mapping[str, Law]) -> dict[str, Law]:
+    """Changes of the wheels that are sure beside all else that is fitted: what else has no name may have looked like one."""
+    gains = {n: told.added([other for other in fitted if other != n], [n]) for n in changed}
+    return {n: law for n, law in changed.items() if chance(gains[n]) < STRANGER_P}
+
+
 def _without_name(free: Evidence, chosen: Sequence[str], prefix: str, block: Floats) -> Test:
     """Whether there is something over a coordinate.
 

@@ -10,6 +10,7 @@ from scipy import stats
 from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecided
 from gyrocal.diagnosis.drive.laws import SETTLING, Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import known_before
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
@@ -89,7 +90,7 @@ def left_out(yaw: YawAnswer) -> list[OffInterval]:
 
 
 def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
-    """When and by how much the bias jumps or what a delay grows, or from when on and by how much track or wheels are others."""
+    """What no robot file holds: how a bias jumps or settles, the gyro's sides differ, a delay grows, track or wheels change."""
     begin_s = yaw.model.frame.series.t_s[0]
 
     def told(said: Said, unit: float, before: float, std: float, law: Law) -> Remark:
@@ -103,6 +104,12 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
         found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
     if yaw.settling:
         found.append(_settles(yaw, truth))
+    if truth is not None and truth.one_size:
+        # What a path lacks of every turn is read too little to the left and too much to the right.
+        change, half = -200.0 * truth.one_size, 200.0 * NORMAL_95 * truth.stds[ONE_SIZE]
+        found.append(
+            Remark(Said.SIDES_DIFFER, {"change": change, "least": change - half, "most": change + half})
+        )
     if "delay" in yaw.odd:
         (grown,), ((variance,),) = yaw.beyond(["delay:0"])
         half = 1e3 * NORMAL_95 * float(np.sqrt(variance))

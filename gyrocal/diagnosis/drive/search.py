@@ -34,7 +34,7 @@ from gyrocal.diagnosis.drive.motions import (
     with_central_lag,
     with_settling,
 )
-from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder, unhidden
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, nodes_of, rough_bias_dps
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, gram_of
@@ -335,7 +335,7 @@ def _examine(
         told,
         known,
         _unlike(changing, ahead_s, jumping).union(settled, earned.keys() - named.keys()),
-        changed,
+        unhidden(told, [*chosen, *unnamed], changed),
         unnamed,
     )
 

@@ -180,7 +180,9 @@ def drive_series(
     gap = dt_s > GAP_STEPS * usual_step_s(t_s)
     notes: list[Note] = []
     if gap.any():
-        notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS}))
+        longest = int(np.argmax(dt_s))
+        facts = {"longest_s": float(dt_s[longest]), "at_s": float(t_s[longest] - dt_s[longest])}
+        notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS, **facts}))
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
     scale = robot.parameters.gyro.scale if coefficients is None else 0.0
