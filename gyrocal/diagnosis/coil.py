@@ -17,7 +17,7 @@ from gyrocal.diagnosis.blocks import ODD, of_scale
 from gyrocal.diagnosis.candidates import Candidate, best_of_each
 from gyrocal.diagnosis.changes import DRIFTS, STEPS, Change, Changes
 from gyrocal.diagnosis.contest import best_law
-from gyrocal.diagnosis.edges import with_edges
+from gyrocal.diagnosis.edges import targets, with_edges
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.finer import halved, neighbours
 from gyrocal.diagnosis.laws import Laws
@@ -176,7 +176,8 @@ class TableSearch:
     def with_edges(self, candidate: Candidate) -> TableSearch | None:
         """The search beside edges over temperature, in the place of what passes in a model; None without any."""
         stays = tuple(change for change in candidate.changes if change.effect not in (*STEPS, *DRIFTS))
-        edged = with_edges(self.fit(candidate.coil, stays, candidate).fitted).model
+        on = targets([change.effect for change in candidate.changes])
+        edged = with_edges(self.fit(candidate.coil, stays, candidate).fitted, on).model
         parts = [p for p in edged.parts if p not in self.base.parts]
         if not parts:
             return None

@@ -19,7 +19,7 @@ from gyrocal.diagnosis.blocks import (
 from gyrocal.diagnosis.candidates import Candidate, averaged, best_of_each, standing_for_all
 from gyrocal.diagnosis.coil import BEGUN_WITH, SHAPES, TOLL_NATS, TableSearch, table_search
 from gyrocal.diagnosis.contest import ALIKE_NATS
-from gyrocal.diagnosis.edges import with_edges
+from gyrocal.diagnosis.edges import targets, with_edges
 from gyrocal.diagnosis.in_place import Named, is_passing
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
@@ -214,7 +214,7 @@ def _at_temperatures(full: Model, fitted: Fitted, first: _Account) -> tuple[_Acc
     """
     model = full.without(first.passing)
     still = fitted.refit(model) if first.passing else fitted
-    edged = with_edges(still)
+    edged = with_edges(still, targets([n.law.effect for n in first.naming.named]))
     more = len(edged.model.parts) - len(still.model.parts)
     if not more:
         return None, np.inf

@@ -20,6 +20,18 @@ def _stray_sets(sets: Sequence[int]) -> str:
     )
 
 
+def _edge(*, of_scale: bool, **facts: float) -> str:
+    """Size in ppm or mdeg/s, center and width in degC, each with its interval."""
+    what, unit, digits = ("scale factor", "ppm", 0) if of_scale else ("bias", "mdeg/s", 2)
+    size, low, high = (f"{facts[key]:.{digits}f}" for key in ("size", "size_low", "size_high"))
+    return (
+        f"The {what} changes by {size} {unit} (95 %: {low} to {high})"
+        " about {center_c:.4g} degC ({center_low:.4g} to {center_high:.4g}), three quarters of it within {width_c:.2g} degC "
+        "({width_low:.2g} to {width_high:.2g}) of there: it goes with the temperature, which came by more than once, and not with "
+        "time. It is a curve without a name.".format(**facts)
+    )
+
+
 def _far_sets(sets: Sequence[int], of: int, times: float) -> str:
     return plural(
         len(sets),
@@ -157,9 +169,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "checked on this table.",
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
-    Said.EDGE: "The scale factor changes by {size_ppm:.0f} ppm (95 %: {size_low:.0f} to {size_high:.0f}) about {center_c:.4g} degC "
-    "({center_low:.4g} to {center_high:.4g}), three quarters of it within {width_c:.2g} degC ({width_low:.2g} to {width_high:.2g}) of "
-    "there: it goes with the temperature, which came by more than once, and not with time. It is a curve without a name.",
+    Said.EDGE: _edge,
     Said.STATE_AT_END: lambda effects: (
         f"Of {listed(effects)} the improved coefficients have the state at the end of the record: where that does not last to the next "
         "run, as through a switch-off, they are off by it. Record again after one."

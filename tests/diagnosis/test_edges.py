@@ -55,7 +55,7 @@ def test_intervals_of_an_edge_cover_nearly_what_they_say() -> None:
     held = []
     for seed in range(20):
         found = examine(series_of_table(warmed_and_cooled(100 + seed, at_temp=True, at_instant=False)), 0.01)
-        edge = max(told(found.naming.fitted), key=lambda e: abs(e["size_ppm"]))
+        edge = max(told(found.naming.fitted), key=lambda e: abs(e["size"]))
         held += [holds(edge, n, true) for n, true in (("size", 300.0), ("center", 26.0), ("width", 0.2))]
     assert sum(held) >= 51
 
