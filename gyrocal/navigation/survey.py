@@ -360,23 +360,23 @@ def _check_stuck(found: Survey, separation_m: float) -> None:
     if found.longest_same_s > _STUCK_S and found.longest_same_s > 0.25 * found.duration_s:
         msg = f"{name}: gyro_dps does not change for {found.longest_same_s:.0f} s of {found.duration_s:.0f} s; the gyro is stuck. Check its cable."
         raise DataError(msg)
-    _check_both_encoders(found)
+    turned_deg = _turned_standing_deg(found)
+    if turned_deg > MIN_TURN_DEG and not found.speed_only:
+        msg = f"{name}: the gyro turns {turned_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
+        raise DataError(msg)
     worst_dps = max(abs(v) for v in found.gyro_dps)
     if found.longest_extreme >= _SATURATED_ROWS and worst_dps > 10.0:
         msg = f"{name}: gyro_dps stays at its extreme ({found.gyro_dps[0]:g} or {found.gyro_dps[1]:g} deg/s) for {found.longest_extreme} rows in a row; it is saturated. Drive slower turns or use a gyro of a wider range."
         raise DataError(msg)
 
 
-def _check_both_encoders(found: Survey) -> None:
-    """Encoders that both stop while the gyro still turns; each alone would show in the turns."""
+def _turned_standing_deg(found: Survey) -> float:
+    """The most that the gyro turns in a window in which no wheel moves; each that stops alone would show in the turns."""
     moved_m = sliding(found, np.abs(found.left_m) + np.abs(found.right_m), WINDOW_S)
     gyro = sliding(found, found.gyro_deg, WINDOW_S)
     # Neither a bias (which the median has) nor a circle (which the median is) may look like a turn at rest.
     turned = np.minimum(np.abs(gyro), np.abs(gyro - np.median(gyro)))[moved_m < _STILL_M]
-    worst_deg = float(turned.max(initial=0.0))
-    if worst_deg > MIN_TURN_DEG:
-        msg = f"{found.source}: the gyro turns {worst_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
-        raise DataError(msg)
+    return float(turned.max(initial=0.0))
 
 
 def _check_rates(found: Survey) -> tuple[str, ...]:
@@ -391,7 +391,13 @@ def _check_rates(found: Survey) -> tuple[str, ...]:
     if across > _ACROSS_MPS2:
         msg = f"{found.source}: speed and gyro_dps make {across:.3g} m/s2 across the way, and no wheel holds more than 10: the gyro is in deg/h, or was converted to degrees twice. Write it in deg/s, or state its unit in a mapping with --columns."
         raise DataError(msg)
-    fastest_dps = float(np.quantile(rate_dps[moving], _RARELY))
+    fastest_dps, turned_deg = float(np.quantile(rate_dps[moving], _RARELY)), _turned_standing_deg(found)
+    if turned_deg > MIN_TURN_DEG:
+        # One speed of both wheels is zero where they turn against each other.
+        return (
+            f"the gyro turns {turned_deg:.0f} deg within {WINDOW_S:g} s in which the speed is zero: if the robot did not turn on the spot, "
+            "the speed was stuck, or somebody turned the robot",
+        )
     if fastest_dps > _SLOW_TURNS_DPS:
         return ()
     return (

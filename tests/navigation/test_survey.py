@@ -92,6 +92,18 @@ def test_the_unit_of_a_gyro_beside_one_speed_is_doubted_by_what_vehicles_do() ->
         replay_log(source(_vehicle(57.2958)), parked)
 
 
+def test_one_speed_may_be_zero_on_the_spot() -> None:
+    """A robot that logs the mean of its wheels shows no turn on the spot: it had been refused for encoders that are stuck."""
+    parked = robot().with_figures({"static_s": 0.0})
+    log = _vehicle()
+    begin, end = log.t_s.searchsorted([log.t_s[0] + 60.0, log.t_s[0] + 75.0])
+    way, rate = log.left_m.copy(), log.gyro_dps.copy()
+    way[begin:end], rate[begin:end] = 0.0, 20.0
+    notes = replay_log(source(replace(log, left_m=way, right_m=way, gyro_dps=rate)), parked).notes
+    assert any("the speed is zero" in note and "turn on the spot" in note for note in notes)
+    assert not any("the speed is zero" in note for note in replay_log(source(log), parked).notes)
+
+
 def test_a_vehicle_without_a_filter_leaves_nothing_to_it() -> None:
     parked = robot().with_figures({"static_s": 0.0})
     notes = replay_log(source(_vehicle()), parked).notes

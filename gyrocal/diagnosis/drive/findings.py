@@ -38,7 +38,7 @@ from gyrocal.physics.drive import (
     WHEEL_SCALE,
 )
 from gyrocal.physics.lacking import Lack, Reason, Why
-from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, RAD_TO_DEG
+from gyrocal.units import DPH_TO_DPS, EARTH_RATE_DPH, NORMAL_95, RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
@@ -235,8 +235,10 @@ def _changes(scale: str, yaw: YawAnswer, truth: TruthAnswer) -> bool:
     A scale of all turns is none where they differ by as much from the one way to the other.
     """
     if truth.odd.get(_CHANGES_BY[scale], 1.0) < STRANGER_P:
-        even = scale == GYRO_SCALE.id and ONE_SIZE in truth.values
-        if not even or abs(truth.values[scale]) <= abs(truth.values[ONE_SIZE]):
+        if scale != GYRO_SCALE.id or not truth.one_size:
+            return True
+        beyond = abs(truth.values[scale]) - abs(truth.one_size)
+        if beyond <= NORMAL_95 * float(np.hypot(truth.stds[scale], truth.stds[ONE_SIZE])):
             return True
     if scale == WHEEL_SCALE.id and yaw.changed:
         return True

@@ -12,9 +12,10 @@ import pytest
 from scipy.stats import norm
 
 from gyrocal.diagnosis.drive import findings, places
+from gyrocal.diagnosis.drive.path_laid import SCALES
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.truth import SCALES, TruthAnswer, bias_moves
+from gyrocal.diagnosis.drive.truth import TruthAnswer, bias_moves
 from gyrocal.diagnosis.remarks import Said
 
 

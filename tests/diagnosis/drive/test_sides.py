@@ -15,6 +15,7 @@ from gyrocal.diagnosis.drive.improved import improved_robot
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
+from gyrocal.diagnosis.remarks import Said
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, robot_of
 from gyrocal.units import DEG_TO_RAD
@@ -98,3 +99,18 @@ def test_a_scale_is_named_that_is_more_than_what_differs_by_the_side() -> None:
         values = {**found.truth.values, "gyro_scale": value}
         truth = replace(found.truth, values=values)
         assert ("gyro_scale" in _turns_and_way(found.yaw, truth)) == named
+
+
+@pytest.mark.slow
+def test_a_path_that_uneven_turns_bend_far_has_no_scale() -> None:
+    """One per cent to either side turns the path by radians: about that one, wheels had been 15 % off."""
+    found, robot = looked_at(0.5, 0.03, 0.0, 0.005, seed=3)
+    assert found.truth is not None
+    # What the path lacks of every turn is half of what the sides differ by.
+    half = -0.5 * ((1.03 - 0.97) / (1.03 * 0.97))
+    assert found.truth.one_size == pytest.approx(half, abs=max(4.0 * found.truth.stds[ONE_SIZE], 2e-4))
+    assert abs(found.truth.values["wheel_scale"]) < 4.0 * found.truth.stds["wheel_scale"] < 0.01
+    assert not {"wheel_scale", "gyro_scale"} & found.parts.keys()
+    assert robot is None
+    (said,) = [note for note in found.notes if note.said is Said.SIDES_DIFFER]
+    assert said.facts["least"] < 6.0 < said.facts["most"]
