@@ -215,6 +215,7 @@ def _beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, Truth
         yaw = yaw.without(["spinning"], "acceleration")
     if truth is None or truth.mirrored:
         return yaw, truth
+    yaw, truth = _jump_at_its_instant(series, yaw, truth)
     # First what the next drive has, too: a jump bends a path much as any of these does.
     yaw, truth = _with_laws(series, yaw, truth)
     jumping, told = _with_jump(series, yaw, truth)
@@ -308,24 +309,8 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
     # Wheels that change bend the path in the mean of both.
     if "jump" in yaw.chosen or yaw.changed or surest >= STRANGER_P or truth.odd["time"] > surest:
         return yaw, truth
-    step_s = series.duration_s / _INSTANTS
-    losses: dict[float, float] = {}
-
-    def look(instants_s: Iterable[float]) -> float:
-        for at_s in instants_s:
-            losses[at_s] = _loss_with_jump(series, yaw, truth, at_s)
-        return min(losses, key=lambda at_s: losses[at_s])
-
-    best_s = look(float(series.t_s[0]) + step_s * (k + 0.5) for k in range(_INSTANTS))
-    for _ in range(_CLOSER):
-        step_s /= 3.0
-        best_s = look([best_s + step_s * k for k in (-2, -1, 1, 2)])
-    likely_s = [at_s for at_s, loss in losses.items() if loss < losses[best_s] + RISE_INSTANT_95]
-    # The next instant that was looked at is outside.
-    span_s = (
-        max(min(likely_s) - step_s, float(series.t_s[0])),
-        min(max(likely_s) + step_s, float(series.t_s[-1])),
-    )
+    whole_s = float(series.t_s[0]), float(series.t_s[-1])
+    best_s, span_s = _likeliest_instant(series, yaw, truth, whole_s)
     wider = yaw.with_jump(instant_of_p(best_s, span_s, truth.odd["time"]))
     found = _asked(series, wider, truth)
     if found is None or found.odd["time"] < truth.odd["time"]:
@@ -333,6 +318,43 @@ def _with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
     # Time may be odd by something else, of which the best instant explains as little as any.
     value, std = joint_estimate(wider, found, "jump")
     return (wider, found) if chance((value / std) ** 2) < STRANGER_P else (yaw, truth)
+
+
+def _jump_at_its_instant(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer
+) -> tuple[YawAnswer, TruthAnswer]:
+    """With the jump that the encoders show at the instant, of those they leave open, that is the truth's.
+
+    A path that jumps some seconds early is bent by degrees, and the truth would have jump and scales be others for it.
+    """
+    if "jump" not in yaw.chosen:
+        return yaw, truth
+    shape, without = yaw.laws["jump"].shape, yaw.less(["jump"])
+    best_s, span_s = _likeliest_instant(series, without, truth, (shape["earliest_s"], shape["latest_s"]))
+    jumping = without.with_jump(instant_of_p(best_s, span_s, yaw.strangers["time"][2]))
+    found = _asked(series, jumping, truth)
+    return (yaw, truth) if found is None or found.loss >= truth.loss else (jumping, found)
+
+
+def _likeliest_instant(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, within_s: tuple[float, float]
+) -> tuple[float, tuple[float, float]]:
+    """When a jump of the bias fits the truth best, and the 95 % interval of that, s."""
+    losses: dict[float, float] = {}
+
+    def look(instants_s: Iterable[float]) -> float:
+        for at_s in instants_s:
+            losses[at_s] = _loss_with_jump(series, yaw, truth, at_s)
+        return min(losses, key=lambda at_s: losses[at_s])
+
+    step_s = (within_s[1] - within_s[0]) / _INSTANTS
+    best_s = look(within_s[0] + step_s * (k + 0.5) for k in range(_INSTANTS))
+    for _ in range(_CLOSER):
+        step_s /= 3.0
+        best_s = look([best_s + step_s * k for k in (-2, -1, 1, 2)])
+    likely_s = [at_s for at_s, loss in losses.items() if loss < losses[best_s] + RISE_INSTANT_95]
+    # The next instant that was looked at is outside.
+    return best_s, (max(min(likely_s) - step_s, within_s[0]), min(max(likely_s) + step_s, within_s[1]))
 
 
 def _loss_with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, at_s: float) -> float:

@@ -461,10 +461,13 @@ def _beside_bias(yaw: YawAnswer, name: str, bias_dps: float) -> tuple[float, flo
 
 
 def _noise_keys(yaw: YawAnswer) -> dict[str, float]:
+    """Levels of the noise; a bias that jumped or settled within the drive walks as far on the next, where nobody knows when."""
     noise = yaw.model.noise
+    rt_s = float(np.sqrt(yaw.model.frame.series.duration_s))
+    walks = [noise.walk_dps_per_rt_s, *(yaw.estimate(n)[0] / rt_s for n in yaw.passing)]
     keys = {
         "noise.angle_random_walk_deg_per_rt_h": noise.arw_dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ,
-        "noise.bias_walk_dps_per_rt_s": noise.walk_dps_per_rt_s,
+        "noise.bias_walk_dps_per_rt_s": float(np.linalg.norm(walks)),
         "noise.flicker_dps": noise.flicker_dps,
         # The gyro's own: wheels that err are not to make it noisier on the next drive.
         "noise.flicker_dps_std": noise.flicker_dps * yaw.model.log_std["flicker_dps"],

@@ -40,8 +40,28 @@ MOVING_LAGS_S = (0.0, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 #: Names of these laws, each with its lag, and that without one.
 MOVING = {f"moving_{lag_s:g}": lag_s for lag_s in MOVING_LAGS_S}
 AT_ONCE = "moving_0"
-#: Time constants with which a bias may settle after the start of a log, s: gyros warm up by themselves within minutes.
-SETTLING_S = (30.0, 50.0, 75.0, 110.0, 170.0, 250.0, 400.0, 600.0, 1000.0)
+#: Time constants with which a bias may settle after the start of a log, s: gyros warm up by themselves within minutes. A tenth of
+#: a decade apart, so that what one lacks of the next is no law of its own.
+SETTLING_S = (
+    20.0,
+    25.0,
+    32.0,
+    40.0,
+    50.0,
+    63.0,
+    80.0,
+    100.0,
+    125.0,
+    160.0,
+    200.0,
+    250.0,
+    320.0,
+    400.0,
+    500.0,
+    630.0,
+    800.0,
+    1000.0,
+)
 #: Names of these laws, each with its time.
 SETTLING = {f"settling_{settling_s:g}": settling_s for settling_s in SETTLING_S}
 #: A temperature that changes less tells nothing of the bias over it, degC.

@@ -113,6 +113,16 @@ class YawAnswer:
         """The same with one law more, which something else shows."""
         return self.solved((*self.chosen, name), {**self.named, name: gain})
 
+    @property
+    def passing(self) -> list[str]:
+        """Laws of a bias that jumps or settles, of which a log is asked when all others were chosen."""
+        return [n for n in self.chosen if n == "jump" or n in SETTLING]
+
+    def beyond_candidates(self, blocks: Mapping[str, Floats]) -> list[Floats]:
+        """What else was found than a log is asked for first: columns of coordinates that are odd, and laws of `passing`."""
+        by_coordinate = [x for c in self.odd if c in blocks for x in blocks[c].T] if self.nameless else []
+        return [*by_coordinate, *(self.laws[n].column for n in self.passing)]
+
     def beyond(self, more: Sequence[str]) -> tuple[Floats, Floats]:
         """Coefficients of columns that are not in the final fit, added to it, and their covariance."""
         values, covariance = self.gram.solve([*(n for n in self.fitted if n not in more), *more])
@@ -267,7 +277,7 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
         ahead_s += float(rest_s)
     # What has no name would swell the noise, the gyro's as well as the wheels', as a law would that is not in the mean; but
     # for wheels that change at an instant, which are no columns of a coordinate.
-    again = not answer.changed and bool(answer.nameless)
+    again = not answer.changed and bool(answer.nameless or answer.passing)
     before = answer if again else None
     answer = answer if before is None else _examine(series, ahead_s, window_s, before)
     if "asymmetry" not in answer.named:
@@ -289,15 +299,15 @@ def _examine(
     nodes = nodes_of(series, max(NODE_S, window_s))
     frame = frame_of(series, nodes, ahead_s, window_s, rough_bias_dps(series))
     constant, laws, blocks = constant_laws(frame), candidate_laws(frame), strangers(frame)
-    odd_before = [] if before is None else [x for c in before.odd if c in blocks for x in blocks[c].T]
+    odd_before = [] if before is None else before.beyond_candidates(blocks)
     model = yaw_model(frame, [*(x.column for x in (constant | laws).values()), *odd_before], aside)
     # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
-    candidates = _of_groups(laws, laws if before is None else before.named)
+    candidates = _of_groups(laws, laws if before is None or not before.nameless else before.named)
     everything = constant | laws | settling_laws(frame)
     free = evidence(model, columns := _columns_of(everything, blocks))
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
-    jumping = jump_of(model, free, everything, with_settling(told, chosen, GAIN), known, STRANGER_P)
+    jumping = jump_of(model, free, everything, chosen, known, STRANGER_P)
     beyond = wheel_out_of_true(frame, model, everything, chosen, known)
     beyond |= {n: x for n, x in jumping.items() if n in KINDS}
     if beyond or jumping:
