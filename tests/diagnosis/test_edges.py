@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,24 @@ def test_an_edge_that_is_passed_twice_is_no_pair_of_steps() -> None:
     corrected_dps = Compensator(correction(found)).correct(t, rate_dps + true_dps, temp_c)
     # Two steps would leave 12 mdeg/s, and noise alone 0.1.
     assert np.sqrt(np.mean((corrected_dps - rate_dps) ** 2)) < 1.2e-3
+
+
+@pytest.mark.slow
+def test_an_edge_of_the_bias_that_is_passed_twice_is_no_pair_of_jumps() -> None:
+    """20 mdeg/s up about 26 degC as the room warms up, and down again as it cools."""
+    table = warmed_and_cooled(3, at_temp=False, at_instant=False)
+    assert table.temp_c is not None
+    by_temp = replace(table, gyro_dps=table.gyro_dps + 0.02 / 3e-4 * logistic(table.temp_c))
+    found = examine(series_of_table(by_temp), 0.01)
+    assert "bias_step" not in [n.law.effect for n in found.naming.named]
+    (edge,) = told(found.naming.fitted)
+    assert not edge["of_scale"]
+    assert holds(edge, "size", 20.0)
+    assert edge["center_c"] == pytest.approx(26.0, abs=0.15)
+    # A jump that stays is passed once, and nothing of the temperature.
+    since = np.arange(table.rate_dps.size) > 80
+    jumps = examine(series_of_table(replace(table, gyro_dps=table.gyro_dps + 0.02 * since)), 0.01)
+    assert not [p for p in jumps.model.parts if "edge" in p.name]
 
 
 @pytest.mark.slow
