@@ -360,9 +360,9 @@ def _check_stuck(found: Survey, separation_m: float) -> None:
     if found.longest_same_s > _STUCK_S and found.longest_same_s > 0.25 * found.duration_s:
         msg = f"{name}: gyro_dps does not change for {found.longest_same_s:.0f} s of {found.duration_s:.0f} s; the gyro is stuck. Check its cable."
         raise DataError(msg)
-    turned_deg = _turned_standing_deg(found)
-    if turned_deg > MIN_TURN_DEG and not found.speed_only:
-        msg = f"{name}: the gyro turns {turned_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
+    standing_deg = 0.0 if found.speed_only else _turned_standing_deg(found)
+    if standing_deg > MIN_TURN_DEG:
+        msg = f"{name}: the gyro turns {standing_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
         raise DataError(msg)
     worst_dps = max(abs(v) for v in found.gyro_dps)
     if found.longest_extreme >= _SATURATED_ROWS and worst_dps > 10.0:

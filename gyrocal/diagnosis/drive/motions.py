@@ -104,7 +104,7 @@ def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[s
     ----------
     least : gain from which on a law is there
     """
-    found = [n for n in chosen if n not in SETTLING]
+    found = list(chosen)
     for name in (n for n in chosen if KINDS[n].group == "motion" or n == "slope"):
         beside = [n for n in found if n != name]
         settling = _likeliest_settling(told, found, least)

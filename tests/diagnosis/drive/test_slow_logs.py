@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +79,7 @@ def test_five_rows_a_second_hide_nothing_and_add_nothing() -> None:
 @pytest.mark.slow
 def test_a_delay_of_half_a_row_is_no_slip_and_hides_no_scale() -> None:
     """On straight lines between rows it had been 29 slips, and what these left had hidden the scale."""
-    found = diagnose_drive("log", replace(arcs(5, late_s=0.1, scale=0.02)), ROBOT)
+    found = diagnose_drive("log", arcs(5, late_s=0.1, scale=0.02), ROBOT)
     assert {e.effect for e in found.diagnosis.effects} == {"gyro_delay", "gyro_scale"}
     assert found.robot is not None
     assert found.robot.parameters.gyro.scale == pytest.approx(0.02, abs=5e-4)
