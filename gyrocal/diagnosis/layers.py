@@ -27,7 +27,7 @@ from gyrocal.diagnosis.parts import (
 from gyrocal.diagnosis.series import Series
 from gyrocal.inference import additive
 from gyrocal.inference.additive import Component, Contrasts, Fit, Solution, solve
-from gyrocal.inference.rounding import harmonic
+from gyrocal.inference.rounding import harmonic, mean_error_std
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import ROUNDS
 from gyrocal.physics.smooth import Frame
@@ -48,11 +48,13 @@ DIRECTION = "direction"
 #: Name of the component of what is not known of the temperature.
 THERMOMETER = "thermometer"
 #: Name of the component of what the steps of the output leave.
-ROUNDING = "rounding"
+ROUNDING, STANDING = "rounding", "rounding where the output stands"
 #: Rounding of less than this share of the scatter of samples is none: means of ten thousand of them know no better.
 _FINE = 0.01
 #: Harmonics of the steps of the output, that stand for all of them.
 _HARMONICS = 5
+#: Share of the variance of its rounding that rows have in common where the output stands on one step.
+_STANDING_ALIKE = 0.5
 #: Rounds in which the surface is freed of rounding and says where between two steps the output is.
 _PHASES = 4
 #: Prior variance of a law for the scan of shapes, in that of what the surface leaves: strong laws hide in it.
@@ -374,7 +376,7 @@ def full_model(means: Means, *, memory: bool = True) -> Model:
     rough[carried] = np.linalg.lstsq(design[:, carried], means.error_dps, rcond=None)[0]
     left = means.error_dps - design @ rough
     components |= {c.name: c for c in of_thermometer(means, basis.frame, rough)}
-    components |= {c.name: c for c in of_steps(means, design, rough)} if memory else {}
+    components |= {c.name: c for c in (*of_steps(means, design, rough), *standing(means))} if memory else {}
     wide = _WIDE * float(np.mean(left**2))
     return Model(means, basis, design, parts, components, law_variance=wide, flat=free_terms(means.series))
 
@@ -414,6 +416,26 @@ def of_steps(means: Means, design: Floats, surface: Floats) -> list[Component]:
         surface = np.linalg.lstsq(both, means.error_dps, rcond=1e-12)[0][: len(surface)]
     waves = [size * f((k + 1) * phase) for k, size in enumerate(sizes_dps) for f in (np.sin, np.cos)]
     return [Component(ROUNDING, np.column_stack(waves), held=0.5)]
+
+
+def standing(means: Means) -> list[Component]:
+    """What rounding leaves in segments whose samples scatter by less than those of the data sets: one error for each step of the output."""
+    raw, own_dps = means.series.raw, means.series.scatter_dps
+    step, scatter_dps = raw.lattice_dps, raw.sample_std_dps
+    if step is None or scatter_dps is None or own_dps is None:
+        return []
+    scatters, segment = np.unique(means.spread(own_dps), return_inverse=True)
+    usual = mean_error_std(step, scatter_dps)
+    variance = np.array([max(mean_error_std(step, one) ** 2 - usual**2, 0.0) for one in scatters])
+    # Nobody says whether the output is rounded or cut, which is off by up to a whole step.
+    off_dps = 2.0 * np.sqrt(variance)[segment]
+    if not np.any(off_dps > _FINE * scatter_dps):
+        return []
+    apart = np.abs(means.gyro_dps[:, None] - means.gyro_dps) / step
+    # While it stands the output goes from one end of its step to the other, or stays anywhere between.
+    alike = _STANDING_ALIKE * np.maximum(1.0 - apart, 0.0) + (1.0 - _STANDING_ALIKE) * np.eye(off_dps.size)
+    covariance = off_dps[:, None] * alike * off_dps
+    return [Component(STANDING, covariance=covariance, held=1.0)]
 
 
 def lagging(rows: Basis) -> Floats:

@@ -88,8 +88,8 @@ class Series:
         Reference rate that the table reported; gyro temperature, smoothed over some seconds.
     white_std_dps : ndarray
         Relative size of the white noise of a row; its level is estimated with the model.
-    averaging_s : ndarray
-        Time that a row averages over.
+    averaging_s, scatter_dps : ndarray
+        Time that a row averages over; scatter of neighbouring samples of the segment that it is of.
     set_index : ndarray of int
         Segment (of a run) or data set (of a table) that the row belongs to.
     is_set : ndarray of bool
@@ -130,6 +130,7 @@ class Series:
     #: Model and serial number, as far as they are stated.
     sensor: Mapping[str, str] = field(default_factory=lambda: {"model": "unknown"})
     reach: Floats | None = None
+    scatter_dps: Floats | None = None
 
     def __len__(self) -> int:
         return int(self.t_s.size)
@@ -222,7 +223,6 @@ class _Samples:
     outliers_t_s, outliers_dps : isolated samples, and how far off they are
     set_aside : samples right after a step that stand out, and are none
     n, missing : good samples, and those that are not there
-    noise_dps : scatter of neighbouring samples
     """
 
     number: int
@@ -237,7 +237,7 @@ class _Samples:
     span_s: float
     n: int
     missing: int
-    noise_dps: float
+    noise_dps: float  # scatter of neighbouring samples
 
 
 def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[dict[str, Floats], _Samples]:
@@ -260,6 +260,7 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         return np.asarray(total[filled] / count[filled])
 
     size = int(filled.sum())
+    scatter_dps = float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0))
     rows = {
         "t_s": mean(t),
         "gyro_dps": mean(gyro),
@@ -267,6 +268,7 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         "rate_dps": np.full(size, rate),
         "count": count[filled],
         "sample_s": np.full(size, averaging_s),
+        "scatter": np.full(size, scatter_dps),
         "set_index": np.full(size, float(number)),
         "is_set": np.full(size, float(segment.record.kind == "rate")),
         # The step is over when a data set begins, though a sample's time may be rounded to before that.
@@ -290,7 +292,7 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         span_s=float(t[-1] - t[0]),
         missing=missing_samples(t),
         n=t.size,
-        noise_dps=float(np.std(np.diff(gyro[keep])) / np.sqrt(2.0)),
+        noise_dps=scatter_dps,
     )
 
 
@@ -394,7 +396,6 @@ def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: 
     history = temperature_history(c["t_s"], logged, c["count"], step_c, all_along=True)
     angle = channel("angle_deg", "table_angle", Why.ANGLE_NOT_LOGGED)
     supply = channel("supply_v", "supply", Why.SUPPLY_NOT_LOGGED)
-    chamber = c["chamber_c"] if np.isfinite(c["chamber_c"]).all() else None
     since_on = None
     if run.power_on_t_s is None:
         untestable["time_since_power_on"] = Lack(Why.NO_POWER_ON)
@@ -402,7 +403,6 @@ def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: 
         since_on = _since_power_on(run, c["t_s"])
     if supply is not None and np.ptp(supply) < LEAST_SUPPLY_V:
         untestable["supply"] = Lack(Why.STEADY_SUPPLY)
-    averaging = c["count"] * c["sample_s"]
     raw = _raw_facts(run, taken)
     return Series(
         name=run.path.name,
@@ -412,13 +412,14 @@ def _assemble_run(run: Run, c: dict[str, Floats], taken: list[_Samples], notes: 
         rate_dps=c["rate_dps"],
         temp_c=history.temp_at(c["t_s"]),
         white_std_dps=_white_std(c, taken, (raw.lattice_dps or 0.0) / np.sqrt(12.0)),
-        averaging_s=averaging,
+        averaging_s=c["count"] * c["sample_s"],
+        scatter_dps=c["scatter"],
         set_index=c["set_index"].astype(np.int64),
         is_set=c["is_set"] > 0,
         temp_rate_c_per_min=history.rate_at(c["t_s"]),
         history=history,
         raw=raw,
-        chamber_c=chamber,
+        chamber_c=c["chamber_c"] if np.isfinite(c["chamber_c"]).all() else None,
         angle_deg=angle,
         supply_v=supply,
         since_power_on_s=since_on,

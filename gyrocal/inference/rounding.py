@@ -192,12 +192,22 @@ def least_noise(records: Sequence[tuple[Floats, Counts]], step: float) -> float:
 
 def mean_error(step: float, scatter: float) -> float:
     """How far the mean of many rounded samples may be off, wherever between two steps it is: all that noise leaves of half a step."""
-    noise = _noise_steps(step, scatter)
+    return step * float(np.max(np.abs(_off_steps(step, scatter))))
+
+
+def mean_error_std(step: float, scatter: float) -> float:
+    """How far the mean of many rounded samples is off, rms over where between two steps it may be."""
+    return step * float(np.sqrt(np.mean(_off_steps(step, scatter) ** 2)))
+
+
+def _off_steps(step: float, scatter: float) -> Floats:
+    """What rounding adds to means, in steps, at places from one step to halfway to the next."""
+    noise, place = _noise_steps(step, scatter), np.linspace(0.0, 0.5, _PLACES.size)
     if noise == 0.0:
-        return 0.5 * step
-    place, edges = np.linspace(0.0, 0.5, _PLACES.size), np.arange(_EDGES) + 0.5
+        return -place
+    edges = np.arange(_EDGES) + 0.5
     up, down = (special.ndtr((x[:, None] - edges) / noise).sum(axis=1) for x in (place, -place))
-    return step * float(np.max(np.abs(up - down - place)))
+    return np.asarray(up - down - place)
 
 
 def harmonic(step: float, scatter: float, order: int = 1) -> float:

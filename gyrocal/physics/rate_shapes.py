@@ -13,6 +13,9 @@ from gyrocal.physics.surface import Surface
 #: Two commanded rates nearer than this are the same rate.
 SAME_RATE_DPS = 1e-3
 
+#: Sizes of rate that two orders of one parity need: beside those of the surface, and with some left to check them.
+_SIZES_FOR_PAIRS = 6
+
 #: What a dead zone swallows: what stands at the input at rest, every small input, of larger ones less and less (lock-in), or
 #: of larger ones as much as of the largest small one (a dead band).
 AT_REST, SMALL, LOCKED, BAND = 0.0, 1.0, 2.0, 3.0
@@ -62,10 +65,11 @@ def knees(offer: Offer) -> list[dict[str, float]]:
 
 
 def orders(offer: Offer) -> list[dict[str, float]]:
-    """Single orders above the cubic, and the fifth beside the fourth."""
+    """Single orders above the cubic, and pairs: the fifth beside the fourth, and two even or odd ones, as of a polynomial of either kind."""
     scale = {"scale_dps": offer.largest_rate_dps or 1.0}
     single = [{"order": order, **scale} for order in (4.0, 5.0, 6.0)]
-    return [*single, {"order": 5.0, "order_2": 4.0, **scale}]
+    alike = ((6.0, 4.0), (7.0, 5.0)) if offer.sizes_dps.size > _SIZES_FOR_PAIRS else ()
+    return [*single, *({"order": n, "order_2": m, **scale} for n, m in ((5.0, 4.0), *alike))]
 
 
 def order_columns(unit_dps: Unit, c: Conditions, given: Shape, surface: Surface | None) -> Floats:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.examine import Examination, examine
+from gyrocal.diagnosis.layers import standing
+from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.rounding import beyond_rounding
-from gyrocal.diagnosis.series import Raw
+from gyrocal.diagnosis.series import Raw, Series
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
@@ -83,3 +85,37 @@ def test_what_follows_the_output_from_step_to_step_is_no_shape_in_temperature() 
     )
     assert examine(replace(series, raw=replace(stepped, lattice_dps=None)), 0.01).worth["temperature"] > 10.0
     assert "temperature" not in examine(replace(series, raw=stepped), 0.01).worth
+
+
+def on_a_stair(scatter_dps: float) -> Series:
+    """Data sets at rest whose bias follows the temperature and comes in steps, with samples that scatter by so much."""
+    t_s = 60.0 * np.arange(150.0)
+    temp = 25.0 + 15.0 * np.sin(t_s / 1500.0)
+    gyro = _STEP_DPS * np.round(0.3 + 0.01 * (temp - 25.0) / _STEP_DPS)
+    series = series_of_table(DataSetTable(Path("rest.csv"), np.zeros(150), gyro, temp, t_s=t_s))
+    return replace(series, raw=raw(0.6 * _STEP_DPS), scatter_dps=np.full(150, scatter_dps))
+
+
+def test_an_output_that_stands_has_one_error_for_each_step() -> None:
+    means = means_of(on_a_stair(0.0))
+    (component,) = standing(means)
+    assert component.covariance is not None
+    stds = np.sqrt(np.diag(component.covariance))
+    # Of rounding a step over the square root of twelve; cut, it is twice that.
+    np.testing.assert_allclose(stds, 2.0 * _STEP_DPS / np.sqrt(12.0), rtol=0.01)
+    alike = component.covariance / np.outer(stds, stds)
+    same = np.abs(means.gyro_dps[:, None] - means.gyro_dps) < 0.01 * _STEP_DPS
+    assert np.all(alike[same] >= 0.5 - 1e-9)
+    np.testing.assert_allclose(alike[~same], 0.0, atol=1e-9)
+
+
+def test_an_output_that_scatters_as_the_data_sets_do_does_not_stand() -> None:
+    assert standing(means_of(on_a_stair(0.6 * _STEP_DPS))) == []
+
+
+def test_a_bias_that_comes_in_steps_has_no_shape_for_them() -> None:
+    series = on_a_stair(0.0)
+    stands = examine(series, 0.01).naming
+    assert (stands.named, stands.unnamed) == ((), {})
+    # The steps are there to be found by what knows nothing of them.
+    assert examine(replace(series, scatter_dps=None), 0.01).naming.named

@@ -13,6 +13,7 @@ from gyrocal.inference.rounding import (
     lattice_of_means,
     least_noise,
     mean_error,
+    mean_error_std,
     slope_error,
 )
 
@@ -26,6 +27,8 @@ def test_the_mean_is_off_by_as_much_at_most(noise_steps: float) -> None:
     means = np.array([np.round(rng.normal(m, noise_steps, 200_000)).mean() for m in truth])
     scatter = np.hypot(noise_steps, 12**-0.5)
     assert np.max(np.abs(means - truth)) == pytest.approx(mean_error(1.0, scatter), rel=0.1, abs=0.003)
+    rms = np.sqrt(np.mean((means - truth)[1:] ** 2))
+    assert rms == pytest.approx(mean_error_std(1.0, scatter), rel=0.1, abs=0.003)
     assert abs(harmonic(1.0, scatter)) == pytest.approx(
         2.0 * abs(np.mean((means - truth)[1:] * np.sin(2.0 * np.pi * truth[1:]))), rel=0.1, abs=0.003
     )

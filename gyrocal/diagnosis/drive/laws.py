@@ -365,7 +365,12 @@ def strangers(frame: Frame) -> dict[str, Floats]:
         + [f(heading) * c.dt_s for f in (np.cos, np.sin)],
         "turn_rate": [turn * (turn > 0), turn * c.gyro_dps, turn * c.gyro_dps**2],
         # Wheels that slide as they brake beside those that spin, which have a name.
-        "acceleration": [acceleration * c.dt_s, np.abs(acceleration) * way, turn * np.maximum(-growth, 0.0)],
+        "acceleration": [
+            acceleration * c.dt_s,
+            np.abs(acceleration) * way,
+            growth * way,
+            turn * np.maximum(-growth, 0.0),
+        ],
     }
     ground = by_place(c.t_s, heading, way, turn)
     if ground:
