@@ -14,7 +14,7 @@ from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLIN
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
-from gyrocal.diagnosis.drive.search import GAIN, YawAnswer
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, other_slips
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
 from gyrocal.diagnosis.drive.truth import BELIEVED, UNEVEN, TruthAnswer
@@ -181,8 +181,8 @@ def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> OfTruth | None:
         told.append(yaw.estimate("spinning"))
     elif told and "spinning" in yaw.laws:
         # By themselves turns have not told it.
-        (value,), ((variance,),) = yaw.beyond(["spinning"])
-        told.append((float(value), float(np.sqrt(variance))))
+        values, covariance = yaw.beyond([*other_slips(yaw.gram, yaw.fitted), "spinning"])
+        told.append((float(values[-1]), float(np.sqrt(covariance[-1, -1]))))
     weights = np.array([std**-2 for _, std in told])
     if not told or not np.isfinite(weights).all():
         return None

@@ -104,6 +104,11 @@ def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[s
     ----------
     least : gain from which on a law is there
     """
+    if "jump" in chosen:
+        # A jump beside a slope over temperature may be what the slope lacks of it.
+        settled = with_settling(told, [n for n in chosen if n != "jump"], least)
+        if any(n in SETTLING for n in settled) and told.added(settled, ["jump"]) < least:
+            return settled
     found = list(chosen)
     for name in (n for n in chosen if KINDS[n].group == "motion" or n == "slope"):
         beside = [n for n in found if n != name]

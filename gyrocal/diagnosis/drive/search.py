@@ -464,11 +464,21 @@ def _least(gained: Mapping[str, float]) -> float:
     return max(GAIN, SECOND * max((g for n, g in gained.items() if KINDS[n].group in _SLIPS), default=0.0))
 
 
+def other_slips(gram: Gram, fitted: Sequence[str]) -> list[str]:
+    """Laws of slip beside those of a fit, for whatever goes by how the speed grows.
+
+    Slip has many shapes, and what its law misses of it looks like wheels that slip more in some turns than in others.
+    """
+    return [n for n in gram.names if n in KINDS and KINDS[n].group == "slip" and n not in fitted]
+
+
 def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s: float) -> dict[str, float]:
     """Gain of each law that earns its name, the strongest first; `beside` are columns without one."""
     everything = [*chosen, *beside]
     tested = [n for n in chosen if n not in ("bias", "delay", "jump", "wheel_sin", *SETTLING)]
     gains = {n: _gain(told, everything, n) for n in tested}
+    if "spinning" in gains:
+        gains["spinning"] = _gain(told, [*everything, *other_slips(told.own, everything)], "spinning")
     # Where a law of the turns explains nearly all that it and columns without a name do together, these are its misfit.
     of_turns = [n for n in tested if n == "track" or KINDS[n].group == "slip"]
     for name in (n for n in of_turns if beside and gains[n] < GAIN):

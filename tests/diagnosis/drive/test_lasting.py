@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from scipy.signal import lfilter
 from gyrocal.diagnosis.drive.engine import _wheels_beside_structure, diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
-from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats
+from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats, with_settling
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.places import left_out
+from gyrocal.diagnosis.drive.search import GAIN
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram
 from gyrocal.diagnosis.drive.yaw import usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -155,6 +157,24 @@ def at_any_level(gram: Gram) -> Evidence:
     """The same whatever the level of 1/f noise."""
     levels = Gram(gram.names, np.tile(gram.matrix, (9, 1, 1)), np.tile(gram.right, (9, 1)))
     return Evidence(gram, levels, np.zeros(9))
+
+
+def told_of(columns: Mapping[str, Floats], y: Floats) -> Evidence:
+    """What columns of any names tell of values in unit noise."""
+    x = np.stack([*columns.values()], axis=1)
+    return at_any_level(Gram(tuple(columns), x.T @ x, x.T @ y))
+
+
+@pytest.mark.parametrize("settles", [True, False])
+def test_a_slope_and_a_jump_are_no_bias_that_settles_unless_that_does_as_well(*, settles: bool) -> None:
+    t_s = np.arange(1200.0)
+    columns = {n: np.exp(-t_s / SETTLING[n]) for n in SETTLING}
+    columns |= {"bias": np.ones(t_s.size), "slope": 1.0 - np.exp(-t_s / 700.0), "jump": 1.0 * (t_s < 600.0)}
+    y = 1.5 * columns["settling_200"] if settles else 3.0 * columns["slope"] + 3.0 * columns["jump"]
+    y = y + np.random.default_rng(1).normal(size=t_s.size)
+    found = with_settling(told_of(columns, y), ["bias", "slope", "jump"], GAIN)
+    assert ("jump" in found) != settles
+    assert any(n in SETTLING for n in found) == settles
 
 
 @pytest.mark.parametrize(

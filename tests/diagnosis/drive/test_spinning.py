@@ -10,10 +10,11 @@ import pytest
 from gyrocal.diagnosis.drive import findings
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
-from gyrocal.diagnosis.drive.search import YawAnswer
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _named
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot
 from tests.diagnosis.drive.fleet import Plan, drive
+from tests.diagnosis.drive.test_lasting import told_of
 
 PLAN = Plan("random", 6.0, 20.0, tick_m=2e-4, arw_dps_rt_s=0.002, bias_walk=0.0, wheel_noise=2e-4)
 
@@ -84,3 +85,25 @@ def test_a_way_along_an_earlier_or_later_heading_is_no_slip(resting: Robot, cour
     (course,) = [e for e in found.estimates if e.name == "truth_course"]
     assert 5e-4 < course.std < 5e-3
     assert course.value == pytest.approx(course_s, abs=3.0 * course.std)
+
+
+@pytest.mark.slow
+def test_one_wheel_that_spins_makes_no_other_law_of_wheels(resting: Robot) -> None:
+    """The one that goes further while the speed grows turns the robot then, and has no name by that alone."""
+    log = drive(PLAN, 6)
+    found = diagnose_drive("log", replace(log, left_m=spinning(log, 0.1).left_m), resting)
+    assert "acceleration" in [p.coordinate for p in found.diagnosis.located if p.remains]
+    assert not {e.effect for e in found.diagnosis.effects} & {"wheel_asymmetry", "wheel_eccentricity"}
+
+
+@pytest.mark.parametrize("spins", [0.0, 8.0])
+def test_what_the_law_of_a_slip_misses_is_no_spinning(spins: float) -> None:
+    """Another shape of slip explains it as well; wheels that spin do what none of them does."""
+    rng = np.random.default_rng(4)
+    turns, curved, saturates, own = np.linalg.qr(rng.normal(size=(400, 4)))[0].T
+    columns = {"track": turns, "slip_curvature": curved, "slip_saturating_0.3": saturates}
+    columns["spinning"] = np.sqrt(0.5) * (saturates + own)
+    told = told_of(columns, 40.0 * curved + 9.0 * saturates + spins * own)
+    chosen = ["track", "slip_curvature", "spinning"]
+    assert told.added(chosen[:2], ["spinning"]) > 2.0 * GAIN
+    assert ("spinning" in _named(told, chosen, [], 0.0)) == (spins > 0.0)
