@@ -38,6 +38,8 @@ COLUMNS = (
     *_QUATERNION,
 )
 _CHUNK_ROWS = 200_000
+#: Of a log with positions as angles, which bags hold (NavSatFix) and are projected there.
+_PROJECT = " Latitude and longitude are not read from CSV: project them to metres, east as truth_x_m, north as truth_y_m."
 #: Rows that tell the usual time step and whether columns are streams of different rates.
 _HEAD_ROWS = 1000
 #: Streams are of different rates when more than this share of one's rows has nothing of the other.
@@ -272,7 +274,10 @@ def _merge_files(
 def _native_rules(path: Path, header: list[str]) -> dict[str, ColumnRule]:
     found = [way for way in _WAYS if not set(way[0]).isdisjoint(header)]
     names, rule_names, unit = found[0] if found else _WAYS[-1]
-    require_columns(path, header, ("t_s", *names, "gyro_dps"), COLUMNS, MAP_THEM)
+    angles = any(name.lower().startswith(("lat", "lon")) for name in header)
+    require_columns(
+        path, header, ("t_s", *names, "gyro_dps"), COLUMNS, MAP_THEM + (_PROJECT if angles else "")
+    )
     if len(found) > 1:
         what = {"left_ticks": "ticks", "left_m": "metres"}
         both = " and ".join(what.get(way[0][0], way[0][0]) for way in found[:2])

@@ -8,6 +8,7 @@ from typing import Any
 from gyrocal.calibration.compare import ALARM_RATE, Change
 from gyrocal.calibration.figure import value_said
 from gyrocal.calibration.summary import said
+from gyrocal.report.words import p_equals
 
 
 def changes_sentence(changes: Sequence[Change]) -> str:
@@ -50,7 +51,7 @@ def _change(change: Change) -> str:
     if change.change is None or change.low is None or change.high is None:
         return "-"
     said_change = value_said(change.change, change.low, change.high)
-    return f"{said_change} p = {change.p_value:.2g}" if change.changed else said_change
+    return f"{said_change} {p_equals(change.p_value)}" if change.changed else said_change
 
 
 def to_json(changes: Sequence[Change], names: Sequence[str]) -> dict[str, Any]:

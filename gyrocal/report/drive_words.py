@@ -50,7 +50,7 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
         first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.2f} s" for x in largest)
         rest = f" and {len(slips) - _SLIPS} lesser ones" if len(slips) > _SLIPS else ""
         lines.append(
-            "Intervals in which a wheel slips, the gyro or the clock jumps, or a hand turns the robot, are left out of all fits: "
+            "Intervals in which a wheel may have slipped, gyro or clock jumped, or a hand turned the robot, are left out of all fits: "
             f"{first}{rest} (all in diagnosis.json)"
         )
     if left:

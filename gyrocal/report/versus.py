@@ -57,10 +57,22 @@ def told(found: Versus) -> tuple[str, ...]:
     sentences = ["The data sets are too few to leave some out; whether the law helps is not known."]
     if found.comparison is not None:
         sentences = [_gain(found.comparison)]
-    sentences += [*surface_sentences(found.surfaces_apart), *_partners(found.match)]
+    sentences += [*_named_elsewhere(found), *surface_sentences(found.surfaces_apart), *_partners(found.match)]
     if found.match.clock is not None:
         sentences.append(_clock(found.match.clock))
     return tuple(sentences)
+
+
+def _named_elsewhere(found: Versus) -> list[str]:
+    """Laws that are named and that the function has not: parts without a name stand for them."""
+    held = {term.name for term in found.law.terms}
+    lacking = [e.effect for e in found.diagnosis.effects if e.effect not in held and e.runtime]
+    if not lacking:
+        return []
+    return [
+        f"The law has no {listed(lacking)} by name: it is the mean of models that are about as likely, in which curves without a "
+        "name stand for that. Add the function, not the figures of the names"
+    ]
 
 
 def surface_sentences(apart: Apart) -> list[str]:
@@ -78,7 +90,9 @@ def surface_sentences(apart: Apart) -> list[str]:
         said.append(f"the {what} by {at[1]} {unit}{ends}")
     if not said:
         return []
-    return [f"The recording's error surface is above the simulation's at {middle_c:.3g} °C: {listed(said)}."]
+    return [
+        f"The recording's error surface is above the simulation's at {middle_c:.3g} °C: {listed(said)} (one standard deviation)."
+    ]
 
 
 def _partners(m: Match) -> list[str]:

@@ -206,6 +206,12 @@ def test_times_in_another_unit_are_refused_with_the_remedy(
     )
 
 
+def test_positions_as_angles_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = csv(tmp_path, "t_s,left_m,right_m,gyro_dps,latitude_deg,longitude_deg", ["0,0,0,1,47,8"])
+    with pytest.raises(InputError, match="project them to metres, east as truth_x_m, north as truth_y_m"):
+        read_drive_log(path)
+
+
 @pytest.mark.parametrize("chunk_rows", [7, 10_000])
 def test_a_row_without_a_speed_is_left_to_the_navigator_and_its_way_is_not_told_again(
     tmp_path: Path, chunk_rows: int

@@ -58,6 +58,8 @@ def test_a_step_of_the_clock_begins_a_segment(tmp_path: Path, chunk_rows: int, s
         ("t_s,gyro_dps\n0,1\n1,1e999\n", "line 3: gyro_dps is infinite. Repair the log."),
         ("t_s,gyro_dps\n0,1\n-1,1\n", "line 3: time goes backwards by 1 s."),
         ("t_s,gyro_dps\n1e18,1\n", "are nanoseconds since 1970."),
+        # Since power-on, as a clock that does not know the day has them.
+        ("t_s,gyro_dps\n" + "".join(f"{k * 10**7},1\n" for k in range(20000)), "they look like nanoseconds"),
     ],
 )
 def test_bad_logs_are_refused(tmp_path: Path, text: str, message: str) -> None:

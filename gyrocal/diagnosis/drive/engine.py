@@ -44,10 +44,10 @@ from gyrocal.diagnosis.drive.truth import TruthAnswer, ask_truth
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.result import Diagnosis
+from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.physics.drive import GYRO_SCALE
+from gyrocal.physics.drive import GYRO_SCALE, UNIT_OR_SIGN
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
@@ -190,12 +190,17 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
     series, notes = wrong_truth(series)
     yaw, truth = _told_from_nothing(series, *_beside_truth(series, examine_yaw(series)))
+    checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
     if truth is not None and truth.mirrored:
-        notes.append(Remark(Said.TRUTH_MIRRORED))
+        seen = Remark(Said.TRUTH_MIRRORED)
+        # Where no wheel tells which way the gyro turned, the wrong sign may be its.
+        if series.differential:
+            notes.append(seen)
+        else:
+            checks.append(Found(UNIT_OR_SIGN.id, Estimate.exact(-1.0, "1"), seen))
     parts = of_truth(yaw, truth)
     notes += instants(yaw, truth)
     clock = uneven_clock(log.t_s)
-    checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
     return Examined(
         series,
         yaw,

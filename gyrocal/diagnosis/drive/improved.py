@@ -26,7 +26,7 @@ from gyrocal.diagnosis.drive.laws import (
     strangers,
 )
 from gyrocal.diagnosis.drive.motions import of_motion
-from gyrocal.diagnosis.drive.path_laid import SCALES
+from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
@@ -243,8 +243,10 @@ def _of_gyro(
                 # At the best of all instants, or time constants, it is no estimate.
                 continue
             else:
-                (value,), ((variance,),) = yaw.beyond([name])
-                known = float(value), float(np.sqrt(max(variance, 0.0)))
+                known = _beyond(yaw, truth, name)
+                if known[1] > ALONE.get(name, np.inf):
+                    # No less was known of it before the drive.
+                    continue
             told = (*known, name in yaw.named)
         if told is not None:
             value, std, named = told
@@ -261,6 +263,15 @@ def _of_gyro(
             percent = (100 * scale.value, 100 * scale.std, "%")
             found.append(DriveEstimate(name, *percent, metres, "gyro", name in parts))
     return found
+
+
+def _beyond(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
+    """Value and standard deviation of a law that is not in the fit, by whichever of encoders and truth knows it better."""
+    (value,), ((variance,),) = yaw.beyond([name])
+    by_encoders = float(value), float(np.sqrt(max(variance, 0.0)))
+    if truth is None or truth.mirrored or truth.stds.get(name, np.inf) > by_encoders[1]:
+        return by_encoders
+    return truth.values[name], truth.stds[name]
 
 
 def _spokesman(yaw: YawAnswer, group: str) -> str:

@@ -11,6 +11,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from types import ModuleType
 from typing import Any
 
@@ -19,9 +20,11 @@ import numpy as np
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.c_text import CMemory
 from gyrocal.physics.catalogue import find_effect
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.thermal import temperature_rate_c_per_s
 
 #: What the file defines by itself.
 _OWN = {"lag", "heat", "play", "Conditions", "Surface", "need_surface"}
@@ -31,7 +34,7 @@ _HEAD = '''\
 
 Add to the simulated output, sample by sample in time order, with t_s on the recording's clock:
 
-    output_dps = simulated_dps + added_dps(rate_dps, temp_c, t_s=t_s)
+    output_dps = simulated_dps + added_dps(rate_dps, temp_c, t_s=t_s@by_rate@)
 
 Channels that a law needs and that were not given are named in the error. Arrays of shape (n,), NaN nowhere.
 
@@ -157,19 +160,39 @@ _TAIL = '''
 def added_dps(rate_dps, temp_c, **channels):
     """What the simulation lacks at true rates (deg/s) and temperatures (deg C), deg/s, shape (n,).
 
-    Channels by name: t_s, since_power_on_s (s), angle_deg, supply_v, since_step_s, step_dps, data_set_index.
+    Channels by name: @channels@.
     """
+    unknown = sorted(channels.keys() - {@quoted@})
+    if unknown:
+        raise TypeError(f"{unknown[0]} is no channel of the law; see the list in its docstring")
     w, temp = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (rate_dps, temp_c))
     given = {name: np.atleast_1d(np.asarray(x, dtype=float)) for name, x in channels.items()}
     if BEGAN_S is not None and "t_s" in given:
         given.setdefault("since_power_on_s", given["t_s"] - BEGAN_S)
-    if np.any(given.get("since_power_on_s", 0.0) < 0.0):
-        raise ValueError("there are samples before power-on: give t_s on the recording's clock, or since_power_on_s")
-    c = Conditions(w, temp, **given)
+@checks@    c = Conditions(w, temp, **given)
     e = SURFACE.added_dps(w, temp) - SIMULATED.added_dps(w, temp)
 @terms@
     return e
 '''
+
+
+#: Where the law counts from power-on.
+_SINCE_ON = """\
+    if np.any(given.get("since_power_on_s", 0.0) < 0.0):
+        raise ValueError("there are samples before power-on: give t_s on the recording's clock, or since_power_on_s")
+"""
+#: Where it goes with the rate of the temperature, which samples far apart do not tell.
+_BY_RATE = """\
+    far_s = np.median(np.diff(given["t_s"])) if len(given.get("t_s", ())) > 1 else 0.0
+    if far_s > SMOOTHING_S and "temp_rate_c_per_s" not in given:
+        raise ValueError(
+            f"the law needs temp_rate_c_per_s, deg C/s, of samples {far_s:.3g} s apart: give it by this name"
+        )
+"""
+#: What samples may have beside rate and temperature.
+_CHANNELS = tuple(
+    f.name for f in fields(Conditions) if f.name not in ("rate_dps", "temp_c", "sample_std_dps")
+)
 
 
 def python_file(
@@ -218,7 +241,13 @@ def python_file(
     )
     body = "\n\n".join([*laws.values(), *parts, *surfaces])
     began = f"#: t_s from which since_power_on_s counts where it is not given.\nBEGAN_S = {began_s!r}\n"
-    return head + smooth + "\n" + began + "\n" + body + "\n\n" + _TAIL.replace("@terms@", "\n".join(lines))
+    by_rate = temperature_rate_c_per_s.__name__ in laws
+    head = head.replace("@by_rate@", ", temp_rate_c_per_s=temp_rate_c_per_s" if by_rate else "")
+    checks = (_SINCE_ON if "since_power_on_s" in body else "") + (_BY_RATE if by_rate else "")
+    tail = _TAIL.replace("@terms@", "\n".join(lines)).replace("@checks@", checks)
+    tail = tail.replace("@channels@", ", ".join(_CHANNELS))
+    tail = tail.replace("@quoted@", ", ".join(f'"{name}"' for name in _CHANNELS))
+    return head + smooth + "\n" + began + "\n" + body + "\n\n" + tail
 
 
 def _size_comment(rms_dps: float) -> str:

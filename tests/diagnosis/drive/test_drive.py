@@ -486,6 +486,14 @@ def test_mirrored_truth_is_seen_and_correlated_errors_are_no_mirror(resting: Rob
     assert Remark(Said.TRUTH_MIRRORED) in mirrored.notes
 
 
+@pytest.mark.slow
+def test_a_mirrored_truth_of_one_speed_is_a_wrong_sign_of_either(resting: Robot) -> None:
+    log = _speed_only(drive(Plan("random", 3.0, 10.0, truth_m=0.05), 7))
+    for one in (replace(log, truth_y_m=-log.truth_y_m), replace(log, gyro_dps=-log.gyro_dps)):
+        found = diagnose_drive("car.csv", one, resting).diagnosis
+        assert [e.effect for e in found.effects] == ["unit_or_sign"]
+
+
 def test_a_truth_that_stands_still_says_nothing(resting: Robot) -> None:
     log = drive(Plan("lawn", 2.0, 10.0, truth_m=0.02, tick_m=4e-4), 3)
     rng = np.random.default_rng(3)

@@ -140,3 +140,30 @@ def test_a_clock_on_which_samples_come_before_power_on_is_refused() -> None:
     assert np.isfinite(added(10.0, 20.0, t_s=1.7e9 + 5.0)).all()
     with pytest.raises(ValueError, match="before power-on: give t_s on the recording's clock"):
         added(10.0, 20.0, t_s=910.0)
+
+
+def law_file_of(effect: str, began_s: float | None = None) -> Callable[..., Floats]:
+    """The function of a law file with one effect of the catalogue."""
+    valid = Valid((-100.0, 100.0), (-10.0, 50.0))
+    law = Coefficients({"model": "t"}, SURFACE, np.eye(12), valid, terms=(term(effect),))
+    return function_of(python_file(law, SURFACE, "Title.", "- formula", began_s=began_s))
+
+
+def test_a_law_that_does_not_count_from_power_on_takes_any_time() -> None:
+    assert np.isfinite(law_file_of("scale_step", began_s=1.7e9)(10.0, 20.0, t_s=910.0)).all()
+
+
+def test_a_channel_of_another_name_or_unit_is_refused() -> None:
+    with pytest.raises(TypeError, match="temp_rate_c_per_min is no channel of the law"):
+        law_file_of("shupe")([10.0], [20.0], t_s=[0.0], temp_rate_c_per_min=[1.0])
+
+
+def test_samples_too_far_apart_to_tell_the_temperature_rate_have_to_come_with_it() -> None:
+    added, rate = law_file_of("shupe"), np.zeros(4)
+    temp_c = 20.0 + np.array([0.0, 1.0, 2.0, 3.0])
+    assert np.isfinite(added(rate, temp_c, t_s=np.arange(4.0))).all()
+    with pytest.raises(ValueError, match="the law needs temp_rate_c_per_s, deg C/s, of samples 40 s apart"):
+        added(rate, temp_c, t_s=40.0 * np.arange(4.0))
+    told = added(rate, temp_c, t_s=40.0 * np.arange(4.0), temp_rate_c_per_s=np.full(4, 0.025))
+    assert np.ptp(told) == 0.0
+    assert told[0] != 0.0
