@@ -23,7 +23,8 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.errors import DataError
-from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.fusion.coefficients import Coefficients, Term, Valid
+from gyrocal.physics.rate_shapes import LOCKED
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
 from tests.diagnosis.test_layers import sweeps
@@ -54,6 +55,16 @@ def test_the_chance_of_gain_is_that_of_the_stated_uncertainty(means: Means) -> N
         gain = gain_on_a_fresh_run(improved, surface(0.0), means)
         assert gain.chance == pytest.approx(chance, abs=2e-3)
         assert gain.error_ratio == pytest.approx(ratio, abs=2e-3)
+
+
+def test_what_is_lost_in_a_dead_zone_counts_although_few_rates_are_in_it(means: Means) -> None:
+    """A fifth of a degree a second of a hundred: of even rates next to none is in it, and a little doubt of the bias outweighs it."""
+    # A zone that is known well, about rates that were visited.
+    slow = replace(means, rate_dps=np.where(np.abs(means.rate_dps) < 15.0, 0.1, means.rate_dps))
+    values = {"amplitude": 50.0, "width_dps": 0.2, "form": LOCKED, "rest": 0.0, "place_dps": 0.0}
+    zone = Term("dead_zone", {name: {"value": value, "std": 0.0} for name, value in values.items()}, True)
+    doubtful = replace(surface(0.0, 0.01**2), terms=(zone,))
+    assert gain_on_a_fresh_run(doubtful, surface(0.0), slow).chance > 0.95
 
 
 def test_a_file_is_written_that_is_surely_or_much_better() -> None:
