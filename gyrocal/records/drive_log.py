@@ -274,7 +274,9 @@ def _merge_files(
 def _native_rules(path: Path, header: list[str]) -> dict[str, ColumnRule]:
     found = [way for way in _WAYS if not set(way[0]).isdisjoint(header)]
     names, rule_names, unit = found[0] if found else _WAYS[-1]
-    angles = any(name.lower().startswith(("lat", "lon")) for name in header)
+    angles = any(
+        name.lower().split("_")[0] in ("lat", "latitude", "lon", "lng", "longitude") for name in header
+    )
     require_columns(
         path, header, ("t_s", *names, "gyro_dps"), COLUMNS, MAP_THEM + (_PROJECT if angles else "")
     )

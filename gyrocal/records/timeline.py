@@ -105,18 +105,16 @@ def usual_step(path: Path, t_s: Floats, *, mapped: bool = True) -> float:
     steps = steps[steps > 0]
     usual_s = float(np.median(steps)) if steps.size else 0.0
     enough = steps.size >= _FEW_STEPS
-    # Rows tell the unit by how far apart they are; times since power-on may be any number of nanoseconds.
-    for border, unit in () if enough else _EPOCH_UNITS:
-        if abs(float(finite[-1])) > border:
-            _refuse(path, f"its times ({finite[-1]:.6g}) are {_NAMES[unit]} since 1970", unit, mapped)
-    if not enough:
-        return min(usual_s, _LONGEST_USUAL_STEP_S)
-    if usual_s > _LONGEST_USUAL_STEP_S:
+    # How far apart rows are tells the unit first: times since power-on may be any number of nanoseconds.
+    if enough and usual_s > _LONGEST_USUAL_STEP_S:
         unit = "ms" if usual_s < 5e3 else "us" if usual_s < 5e6 else "ns"
         _refuse(
             path, f"its rows would come every {usual_s:.6g} s; they look like {_NAMES[unit]}", unit, mapped
         )
-    return usual_s
+    for border, unit in _EPOCH_UNITS:
+        if abs(float(finite[-1])) > border:
+            _refuse(path, f"its times ({finite[-1]:.6g}) are {_NAMES[unit]} since 1970", unit, mapped)
+    return usual_s if enough else min(usual_s, _LONGEST_USUAL_STEP_S)
 
 
 def _refuse(path: Path, what: str, unit: str, mapped: bool) -> None:

@@ -67,7 +67,7 @@ def _named_elsewhere(found: Versus) -> list[str]:
     """Laws that are named and that the function has not: parts without a name stand for them."""
     held = {term.name for term in found.law.terms}
     lacking = [e.effect for e in found.diagnosis.effects if e.effect not in held and e.runtime]
-    if not lacking:
+    if not (lacking and found.helps):
         return []
     return [
         f"The law has no {listed(lacking)} by name: it is the mean of models that are about as likely, in which curves without a "
@@ -91,7 +91,7 @@ def surface_sentences(apart: Apart) -> list[str]:
     if not said:
         return []
     return [
-        f"The recording's error surface is above the simulation's at {middle_c:.3g} °C: {listed(said)} (one standard deviation)."
+        f"The recording's error surface is above the simulation's at {middle_c:.3g} °C: {listed(said)} (± one standard deviation)."
     ]
 
 

@@ -190,6 +190,7 @@ def test_a_short_loss_of_samples_is_no_step_of_the_clock(tmp_path: Path) -> None
         (1.7e18, 1e7, "ns"),
         (1.7e15, 1e4, "us"),
         (1.7e12, 10.0, "ms"),
+        (1.7e12, 1.0, "ms"),
         (0.0, 1e7, "ns"),
         (0.0, 1e4, "us"),
         (0.0, 10.0, "ms"),
