@@ -23,7 +23,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.errors import DataError
-from gyrocal.fusion.coefficients import Coefficients, Term, Valid
+from gyrocal.fusion import Coefficients, Term, Valid
 from gyrocal.physics.rate_shapes import LOCKED
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
