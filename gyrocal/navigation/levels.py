@@ -49,7 +49,7 @@ NIS_RANGE, LAG1_LIMIT = (0.75, 1.33), 0.1
 _SUMMED, _SELDOM = 100, 1e-3
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Shares of the bias that is thought possible beforehand, from which the rests of a log choose.
-_BIAS_SHARES = tuple(2.0**-k for k in range(6))
+BIAS_SHARES = tuple(2.0**-k for k in range(6))
 #: No noise figure is known better than this share of its value.
 _FIRMEST = 0.05
 #: Misfit of a filter whose path is no longer finite: more than that of any other.
@@ -137,7 +137,7 @@ def _likely_bias(
         return replace(parameters, initial_std=replace(parameters.initial_std, gyro_bias_dps=std_dps))
 
     return min(
-        (told(share) for share in _BIAS_SHARES), key=lambda one: misfit(rows, navigator(one, filtering=False))
+        (told(share) for share in BIAS_SHARES), key=lambda one: misfit(rows, navigator(one, filtering=False))
     )
 
 

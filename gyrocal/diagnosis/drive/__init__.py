@@ -6,6 +6,7 @@ bias that comes with them) and ``jumps`` (of one at an instant), ``wheels`` (one
 makes), ``lasting`` (what speaks against a name), ``alignment`` and ``search`` (which laws it holds), ``reckoning`` (the path), ``path_gaps`` (what a gap hides of it),
 ``path_noise``, ``path_strangers``,
 ``path_problem`` (one linearisation of it), ``path_laid`` (Gauss and Newton over it) and ``truth`` (the path against true positions),
+``beside_truth`` (laws that it denies or adds),
 ``sides`` (left turns against right), ``findings`` (names) and ``places`` (where), ``heldout`` (their worth on parts left out), ``filed`` and ``improved`` (the given robot
 file and the one that is written),
 ``visible`` (what the noise of the truth hides of a gain).

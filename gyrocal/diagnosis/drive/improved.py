@@ -34,6 +34,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
+from gyrocal.navigation.levels import BIAS_SHARES
 from gyrocal.physics.drive import ROBOT_TILT, START_STOP_SLIP
 from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.files import finite
@@ -149,22 +150,21 @@ def _moving(told: Iterable[str]) -> str:
 def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     """The constant bias at the end of a drive as far as it is to be believed, deg/s.
 
-    Where the robot file does not say how well it knows the bias, its own figure is taken to be off by what the drive
-    makes likeliest, and by no more than is granted (empirical Bayes): an estimate that is off from it by no more than its
-    own error would make half of all drives worse.
+    The robot file's own figure may be off by all that it grants, or by a small share of that: some drivers take the bias
+    off, and some files grant what any gyro may have. The drive chooses among such shares by its likelihood: an estimate that
+    is off from the file's by no more than its own error would make half of all drives worse.
     """
     bias, std = joint_estimate(yaw, truth, "bias")
-    series = yaw.model.frame.series
-    given, granted = yaw.known.get("bias", (series.robot.parameters.gyro.bias_dps, np.inf))
-    if "initial_std.gyro_bias_dps" in series.robot.given:
-        return bias
+    given, granted = yaw.known["bias"]
     # What the drive says by itself, without what was granted.
     own = std**-2 - granted**-2
     if own <= 0.0:
         return given
     away = (bias - given) / (own * std**2)
-    likeliest = min(max(away**2 - 1.0 / own, 0.0), granted**2)
-    return float(given + away * likeliest * own / (likeliest * own + 1.0))
+    off = (granted * np.array(BIAS_SHARES)) ** 2
+    spread = off + 1.0 / own
+    likely = np.exp(0.5 * away**2 * (1.0 / spread[0] - 1.0 / spread)) / np.sqrt(spread)
+    return float(given + away * (likely @ (off / spread)) / likely.sum())
 
 
 def foretold_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:

@@ -180,6 +180,9 @@ class Frame:
         together from them and the mean distance: a law must share no noise with the difference that it explains.
     steady : DriveConditions
         The same with a speed averaged over longer, for what goes by speed.
+    growing : DriveConditions
+        The same with a speed averaged twice, for what goes by its changes: whole ticks come and go from row to row, and what of
+        that rises would be a scale of the wheels.
     rate_rad_s : ndarray, shape (n,)
         Turn rate at the time of each row.
     """
@@ -190,6 +193,7 @@ class Frame:
     window_s: float
     conditions: DriveConditions
     steady: DriveConditions
+    growing: DriveConditions
     rate_rad_s: Floats
 
     @property
@@ -241,15 +245,18 @@ def frame_of(series: DriveSeries, nodes: Nodes, ahead_s: float, window_s: float,
     rate = slope(t - 0.5 * dt_s, heading, spread_s)
     across = 0.5 * series.robot.wheel_separation_m * rate
 
-    def over(time_s: float) -> DriveConditions:
-        speed = slope(t - 0.5 * dt_s, way, time_s)
+    def over(time_s: float, gone: Floats = way) -> DriveConditions:
+        speed = slope(t - 0.5 * dt_s, gone, time_s)
         return DriveConditions(
             t, dt_s, (speed - across) * dt_s, (speed + across) * dt_s, RAD_TO_DEG * rate,
             series.robot.wheel_separation_m, temp,
         )  # fmt: skip
 
-    steady = over(max(spread_s, SPEED_SMOOTH_S))
-    return Frame(series, nodes, ahead_s, window_s, over(spread_s), steady, slope(t, heading, spread_s))
+    long_s = max(spread_s, SPEED_SMOOTH_S)
+    steady, growing = over(long_s), over(long_s, averaged(t, way, 0.0, long_s))
+    return Frame(
+        series, nodes, ahead_s, window_s, over(spread_s), steady, growing, slope(t, heading, spread_s)
+    )
 
 
 def difference(frame: Frame) -> Floats:
@@ -262,7 +269,8 @@ def difference(frame: Frame) -> Floats:
 def law(frame: Frame, effect: DriveEffect, where: Floats | None = None, **shape: float) -> Law:
     """One law of the catalogue at a small amplitude, divided by it; `where` weighs its rows."""
     size = _SMALL * PER_SI[effect.parameters[0].unit]
-    conditions = frame.steady if effect in (SKID_SLIP, START_STOP_SLIP) else frame.conditions
+    by_speed = {SKID_SLIP: frame.steady, START_STOP_SLIP: frame.growing}
+    conditions = by_speed.get(effect, frame.conditions)
     change, _ = effect.change(conditions, effect.complete({"amplitude": size, **shape}), None)
     turn = (change.encoder_yaw_rad - change.gyro_yaw_rad) / _SMALL
     return Law(effect.id, shape, frame.nodes.between(np.cumsum(turn if where is None else turn * where)))
@@ -349,8 +357,9 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     speed = np.divide(frame.steady.distance_m, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
     share = (c.t_s - c.t_s[0]) / series.duration_s - 0.5
     heading = np.cumsum(turn)
-    acceleration = np.gradient(speed, c.t_s) if np.all(np.diff(c.t_s) > 0) else np.zeros_like(speed)
-    growth = acceleration * np.sign(speed)
+    even = np.divide(frame.growing.distance_m, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
+    acceleration = np.gradient(even, c.t_s) if np.all(np.diff(c.t_s) > 0) else np.zeros_like(even)
+    growth = acceleration * np.sign(even)
     delay = late(frame).column
     moving = np.abs(speed) > 0
     edges = np.quantile(np.abs(speed[moving]), [1 / 3, 2 / 3]) if moving.any() else np.zeros(2)

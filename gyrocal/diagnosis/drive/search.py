@@ -52,7 +52,7 @@ _SLIPS = ("slip", "spinning")
 #: What two laws must gain together that alone gain nothing: as improbable by chance as one's gain.
 PAIR_GAIN = float(stats.chi2.isf(stats.chi2.sf(GAIN, 1), 2))
 #: Share of what it explains together with columns of no name from which on a law does not need their leave.
-_MOST = 0.9
+MOST = 0.9
 #: A delay beyond this part of a node is taken out, and the rest estimated again, so often at the most.
 _SHIFT, _ROUNDS = 0.2, 3
 _NO_INTERVALS: Ints = np.zeros(0, dtype=np.int64)
@@ -483,7 +483,7 @@ def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s
     of_turns = [n for n in tested if n == "track" or KINDS[n].group == "slip"]
     for name in (n for n in of_turns if beside and gains[n] < GAIN):
         alone, others = _gain(told, chosen, name), [n for n in chosen if n != name]
-        if alone >= _MOST * told.added(others, [name, *beside]):
+        if alone >= MOST * told.added(others, [name, *beside]):
             gains[name] = alone
     if "wheel_cos" in chosen:
         others = [n for n in everything if _pair_of(n) != "wheel_cos"]

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.drive.engine import _loss_with_jump, diagnose_drive, examine
+from gyrocal.diagnosis.drive import improved
+from gyrocal.diagnosis.drive.beside_truth import _loss_with_jump
+from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
-from gyrocal.diagnosis.drive.search import GAIN, _gain
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _gain
 from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.diagnosis.drive.weighing import evidence
 from gyrocal.diagnosis.remarks import Said
@@ -214,6 +218,47 @@ def test_the_truth_tells_a_bias_in_motion_of_a_vehicle_of_one_speed(added_dps: f
     assert found.robot is not None
     assert found.robot.parameters.gyro.bias_moving_dps == pytest.approx(0.05, abs=0.005)
     assert found.diagnosis.verdict == "explained"
+
+
+@pytest.mark.slow
+def test_a_bias_in_motion_bends_a_path_that_is_nearly_exact(tmp_path: Path) -> None:
+    """Skidding wheels hide it, and what it leaves of the path is odd over everything, surer than its figure is."""
+    path = tmp_path / "rested.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 40.0\n[initial_std]\ngyro_bias_dps = 0.0004\n")
+    plan = Plan(
+        "rests", 6.0, 20.0, rest_s=45.0, arw_dps_rt_s=0.0009, bias_walk=0.0, turn_noise=0.02, wheel_noise=0.002,
+        truth_m=0.0027, truth_every_s=0.1, truth_heading_deg=0.3,
+    )  # fmt: skip
+    log = drive(plan, 3)
+    moving = np.abs(log.left_m) + np.abs(log.right_m) > 0
+    found = diagnose_drive("log", replace(log, gyro_dps=log.gyro_dps - 0.004 * moving), read_robot(path))
+    (effect,) = found.diagnosis.effects
+    assert effect.effect == "gyro_bias"
+    amplitude = effect.parameters["amplitude"]
+    assert amplitude.value == pytest.approx(-4.0, abs=3 * amplitude.std)
+    assert amplitude.std < 0.5
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25, 0.0])
+def test_a_bias_that_a_drive_hardly_tells_is_believed_as_far_as_it_helps(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever share of what the file grants the bias has, and little more than the estimate where that is at its best."""
+    granted_dps, error_dps = 0.02, 0.03
+    rng = np.random.default_rng(4)
+    std_dps = (granted_dps**-2 + error_dps**-2) ** -0.5
+    bias_dps = share * granted_dps * rng.normal(size=4000)
+    estimates = (bias_dps + error_dps * rng.normal(size=4000)) * (std_dps / error_dps) ** 2
+    answer = SimpleNamespace(known={"bias": (0.0, granted_dps)})
+    believed = []
+    for one in estimates:
+        monkeypatch.setattr(improved, "joint_estimate", lambda *_, one=one: (float(one), std_dps))
+        believed.append(improved.believed_bias(cast(YawAnswer, answer), None))
+    errs, of_file, of_estimate = (
+        float(np.sqrt(np.mean((x - bias_dps) ** 2))) for x in (np.array(believed), 0.0, estimates)
+    )
+    assert errs < 1.15 * max(of_file, 0.1 * error_dps)
+    assert errs < 1.15 * of_estimate
 
 
 @pytest.mark.slow

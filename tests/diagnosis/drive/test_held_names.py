@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.engine import _asked, _told_from_nothing, diagnose_drive, examine
+from gyrocal.diagnosis.drive.beside_truth import _asked, told_from_nothing
+from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.improved import estimates_of
 from gyrocal.diagnosis.drive.jumps import _likeliest, within_motion
@@ -60,7 +61,7 @@ def test_a_law_whose_interval_holds_zero_has_no_name(resting: Robot) -> None:
     (law,) = [n for n in ("step",) if n in found.yaw.laws]
     claimed = found.yaw.with_law(law, 20.0)
     claimed = replace(claimed, named={**claimed.named, "asymmetry": 20.0})
-    yaw, truth = _told_from_nothing(found.series, claimed, _asked(found.series, claimed, found.truth))
+    yaw, truth = told_from_nothing(found.series, claimed, _asked(found.series, claimed, found.truth))
     assert not yaw.named
     assert law not in yaw.chosen
     told = {e.name: e for e in estimates_of(found.series, yaw, truth, {}, found.figures)}

@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.drive.engine import _wheels_beside_structure, diagnose_drive, examine
+from gyrocal.diagnosis.drive.beside_truth import _wheels_beside_structure
+from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
 from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats, with_settling

@@ -58,6 +58,35 @@ def test_wheels_that_spin_while_the_speed_grows_are_named(
         assert amplitude.value == pytest.approx(share, abs=max(3.0 * amplitude.std, 0.15 * share))
 
 
+def in_ticks(log: DriveBlock, tick_m: float) -> DriveBlock:
+    """The log of wheels that count whole ticks."""
+    left_m, right_m = (
+        tick_m * np.diff(np.floor(np.cumsum(w) / tick_m), prepend=0.0) for w in (log.left_m, log.right_m)
+    )
+    return replace(log, left_m=left_m, right_m=right_m)
+
+
+def test_whole_ticks_that_come_and_go_are_no_growth_of_the_speed(resting: Robot) -> None:
+    """From row to row they rise as often as they fall, and what rises alone would be slip in every turn."""
+    log = drive(replace(PLAN, minutes=3.0, hz=50.0, tick_m=0.0), 6)
+    fine, coarse = (
+        float(np.sum(np.abs(examine("log", one, resting, None).yaw.laws["spinning"].column)))
+        for one in (log, in_ticks(log, 1.7e-3))
+    )
+    assert coarse == pytest.approx(fine, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.1, 0.0])
+def test_coarse_ticks_leave_wheels_that_spin_their_name_and_no_scale(share: float, resting: Robot) -> None:
+    plan = replace(PLAN, minutes=5.0, hz=50.0, tick_m=0.0, truth_m=0.003, truth_every_s=0.1)
+    found = diagnose_drive("log", in_ticks(spinning(drive(plan, 6), share), 1.7e-3), resting)
+    assert [e.effect for e in found.diagnosis.effects] == ["start_stop_slip"] * (share > 0.0)
+    for effect in found.diagnosis.effects:
+        amplitude = effect.parameters["amplitude"]
+        assert amplitude.value == pytest.approx(share, abs=max(3 * amplitude.std, 0.15 * share))
+
+
 @pytest.mark.slow
 def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
     resting: Robot, monkeypatch: pytest.MonkeyPatch
