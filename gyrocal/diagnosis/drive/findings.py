@@ -172,7 +172,8 @@ def left_of_track(c: float, std: float, shown: Mapping[str, OfTruth]) -> OfTruth
 def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> OfTruth | None:
     """Share of the way by which wheels spin for each m/s^2 that the speed grows, where turns and way together show it.
 
-    In turns the encoders' heading tells it, on all of the way the truth: two measurements of one figure.
+    In turns the encoders' heading tells it, on all of the way the truth: two measurements of one figure. Where they deny each
+    other the truth is believed: of wheels that both go further by as much, no turn is longer.
     """
     told = []
     if truth is not None and not truth.mirrored and SPINNING in truth.values:
@@ -187,6 +188,8 @@ def spinning(yaw: YawAnswer, truth: TruthAnswer | None) -> OfTruth | None:
     if not told or not np.isfinite(weights).all():
         return None
     value, std = float(np.average([v for v, _ in told], weights=weights)), float(weights.sum() ** -0.5)
+    if stats.chi2.sf(sum(((v - value) / s) ** 2 for v, s in told), 1) < STRANGER_P:
+        value, std = told[0]
     return OfTruth(value, std) if value > 0.0 and (value / std) ** 2 >= GAIN else None
 
 

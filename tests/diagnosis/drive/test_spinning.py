@@ -103,6 +103,11 @@ def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
         )
         assert (findings.spinning(least, weak) is not None) == told
     assert value > 0.0
+    # Wheels that both go further by as much turn no robot further.
+    monkeypatch.setattr(YawAnswer, "beyond", lambda *_: (np.zeros(1), np.array([[(0.1 * std) ** 2]])))
+    alike = findings.spinning(least, found.truth)
+    assert alike is not None
+    assert alike.value == value
 
 
 @pytest.mark.parametrize("course_s", [0.025, pytest.param(-0.025, marks=pytest.mark.slow)])
