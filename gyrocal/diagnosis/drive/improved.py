@@ -151,8 +151,8 @@ def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     """The constant bias at the end of a drive as far as it is to be believed, deg/s.
 
     The robot file's own figure may be off by all that it grants, or by a small share of that: some drivers take the bias
-    off, and some files grant what any gyro may have. The drive chooses among such shares by its likelihood: an estimate that
-    is off from the file's by no more than its own error would make half of all drives worse.
+    off, and some files grant what any gyro may have. The drive chooses among such shares, any as likely beforehand, by its
+    likelihood: an estimate that is off from the file's by no more than its own error would make half of all drives worse.
     """
     bias, std = joint_estimate(yaw, truth, "bias")
     given, granted = yaw.known["bias"]
@@ -161,7 +161,8 @@ def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     if own <= 0.0:
         return given
     away = (bias - given) / (own * std**2)
-    off = (granted * np.array(BIAS_SHARES)) ** 2
+    least = BIAS_SHARES[-1] * min(granted, own**-0.5)
+    off = np.geomspace(granted, least, 2 * len(BIAS_SHARES)) ** 2
     spread = off + 1.0 / own
     likely = np.exp(0.5 * away**2 * (1.0 / spread[0] - 1.0 / spread)) / np.sqrt(spread)
     return float(given + away * (likely @ (off / spread)) / likely.sum())
