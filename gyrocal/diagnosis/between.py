@@ -29,7 +29,8 @@ def between_sets(fitted: Fitted, known: Sequence[Pattern], level: float) -> Patt
     """The further pattern of the table angle that data sets show most surely, within and between them together; None where none does.
 
     Of 204 that were not there (runs by another author) 3 % had a probability below 0.05, and none one below 0.01.
-    Between them it is tested by what is not the same at each rate: there it could be a shape in the rate.
+    Between them it is tested by what is not the same at each rate: there it could be a shape in the rate. What one tells and
+    the other denies is as improbable by chance, and is none: both together have to be sure of its amplitude.
 
     Parameters
     ----------
@@ -45,8 +46,8 @@ def between_sets(fitted: Fitted, known: Sequence[Pattern], level: float) -> Patt
     rates = np.round(means.rate_dps, 2)
     each_rate = (rates[:, None] == np.unique(rates)).astype(np.float64)
     tested = [_with_means(p, means, each_rate, score, precision) for p in candidates]
-    best = min(tested, key=lambda p: p.p_value)
-    return best if best.p_value * len(tested) <= level else None
+    sure = [p for p in tested if p.is_sure and p.p_value * len(tested) <= level]
+    return min(sure, key=lambda p: p.p_value, default=None)
 
 
 def _with_means(

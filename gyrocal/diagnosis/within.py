@@ -79,6 +79,13 @@ class Pattern:
         return CATALOGUE[self.effect].family
 
     @property
+    def is_sure(self) -> bool:
+        """Whether the 95 % interval of its amplitude does not hold zero."""
+        b = self.amplitudes
+        std = float(np.sqrt(b @ self.covariance @ b) / np.linalg.norm(b))
+        return float(np.linalg.norm(b)) > float(student.ppf(0.975, self.dof)) * std
+
+    @property
     def values(self) -> Floats:
         """What it adds to each row, deg/s."""
         return np.asarray(self.columns @ self.amplitudes)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis import between
 from gyrocal.diagnosis.between import between_sets
 from gyrocal.diagnosis.engine import series_of
 from gyrocal.diagnosis.estimates import of_pattern
@@ -65,3 +66,23 @@ def test_what_begins_at_one_angle_for_each_rate_may_be_a_shape_in_the_rate(parts
     tilted = 1.5 * MDPS * np.cos(np.deg2rad(angle_deg))
     series = replace(parts_of_a_turn, angle_deg=angle_deg, gyro_dps=parts_of_a_turn.gyro_dps + tilted)
     assert _between(series) is None
+
+
+@pytest.mark.parametrize("std", [0.2, 0.8])
+def test_what_sets_tell_within_and_deny_between_them_is_none(
+    std: float, parts_of_a_turn: Series, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are improbable by chance, and together they hold zero."""
+
+    def told(within: Pattern, *_: object) -> Pattern:
+        size = within.amplitudes.size
+        return replace(
+            within,
+            amplitudes=np.full(size, size**-0.5),
+            covariance=std**2 * np.eye(size),
+            p_value=1e-9,
+            dof=100.0,
+        )
+
+    monkeypatch.setattr(between, "_with_means", told)
+    assert (_between(parts_of_a_turn) is None) == (std > 0.5)
