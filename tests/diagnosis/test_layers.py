@@ -236,6 +236,7 @@ def test_flicker_within_data_sets_makes_no_pattern(tmp_path: Path) -> None:
     assert alarms <= 1
 
 
+@pytest.mark.slow
 def test_a_creep_after_steps_has_its_time_constant_though_the_first_sample_is_early(tmp_path: Path) -> None:
     """Among steps of very different sizes, of which few tell most: the shape is that which fits."""
     write_run(make_recording([], 310, "even"), tmp_path / "run")

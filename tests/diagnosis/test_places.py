@@ -73,6 +73,7 @@ def test_a_ripple_at_seven_sizes_of_rate_is_no_knee() -> None:
     assert found.verdict != "explained"
 
 
+@pytest.mark.slow
 def test_what_a_file_has_in_smooth_terms_is_taken_off_before_another_run_is_examined(
     ripple: Diagnosis,
 ) -> None:

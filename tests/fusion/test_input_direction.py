@@ -202,6 +202,7 @@ def test_one_bad_sample_does_not_poison_the_memory(bad: str) -> None:
         np.testing.assert_allclose(hurt.rate_dps[others][-50:], whole[-50:], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_sigma_is_that_of_drawn_calibrations() -> None:
     """Surface and term with a joint covariance, where the slope of the output is a third to one."""
     rng = np.random.default_rng(8)

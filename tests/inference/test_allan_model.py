@@ -227,6 +227,7 @@ def test_noise_of_slope_minus_one_has_no_angle_random_walk() -> None:
     assert white.high < 30.0 * longest.avar[-1] * longest.tau_s[-1]
 
 
+@pytest.mark.slow
 def test_a_curve_that_is_no_noise_fits_no_stretch_of_it_all() -> None:
     rng = np.random.default_rng(16)
     t_s = 0.1 * np.arange(72_000)

@@ -102,6 +102,7 @@ def test_a_poor_thermometer_is_seen_through(step: float, noise: float) -> None:
     assert 0.12 < np.mean(left) / np.mean(stated) < 1.5
 
 
+@pytest.mark.slow
 def test_whole_degrees_of_a_quiet_thermometer_are_seen_through_in_a_warming_room() -> None:
     """When it goes to the next degree is told to a hundredth of it: with more noise granted the course was a staircase."""
     t = np.arange(0.0, 6000.0, 0.5)

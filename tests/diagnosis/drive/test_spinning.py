@@ -110,7 +110,8 @@ def test_turns_and_way_together_show_wheels_that_neither_shows_alone(
     assert alike.value == value
 
 
-@pytest.mark.parametrize("course_s", [0.025, pytest.param(-0.025, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("course_s", [0.025, -0.025])
 def test_a_way_along_an_earlier_or_later_heading_is_no_slip(resting: Robot, course_s: float) -> None:
     """As a simulator makes it that steps along the last heading: wheels had slipped as the speed grew, beside their noise."""
     plan = replace(PLAN, truth_m=0.003, truth_every_s=0.05, truth_heading_deg=0.1, wheel_noise=4e-3)
