@@ -46,7 +46,7 @@ def between_sets(fitted: Fitted, known: Sequence[Pattern], level: float) -> Patt
     rates = np.round(means.rate_dps, 2)
     each_rate = (rates[:, None] == np.unique(rates)).astype(np.float64)
     tested = [_with_means(p, means, each_rate, score, precision) for p in candidates]
-    sure = [p for p in tested if p.is_sure and p.p_value * len(tested) <= level]
+    sure = [p for p in tested if p.p_value * len(tested) <= level and p.is_sure]
     return min(sure, key=lambda p: p.p_value, default=None)
 
 

@@ -25,10 +25,10 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, dict[str, Floats]]
     speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     rate, nothing = np.abs(turning), np.zeros(share.size)
-    whole = np.cumsum(path.way_m)
-    ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (SPEED_SMOOTH_S, -SPEED_SMOOTH_S))
+    whole, span_s = np.cumsum(path.way_m), max(SPEED_SMOOTH_S, float(np.median(path.dt_s)))
+    ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (span_s, -span_s))
     # From row to row whole ticks come and go, and what rises of that alone would grow with the way.
-    growth = (np.abs(ahead - whole) - np.abs(whole - behind)) / SPEED_SMOOTH_S**2
+    growth = (np.abs(ahead - whole) - np.abs(whole - behind)) / span_s**2
     # Wheels that stand for the gyro have no bias.
     seen_s = np.where(path.gap, 0.0, path.dt_s) if path.track_m > 0.0 else path.dt_s
     part = np.minimum(np.floor(_PARTS * (share + 0.5)), _PARTS - 1)
