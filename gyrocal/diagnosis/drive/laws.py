@@ -354,10 +354,12 @@ def strangers(frame: Frame) -> dict[str, Floats]:
     if not series.differential:
         return {}
     turn, way = c.gyro_yaw_rad, c.distance_m
-    speed = np.divide(frame.steady.distance_m, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
+    speed, even = (
+        np.divide(smooth.distance_m, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
+        for smooth in (frame.steady, frame.growing)
+    )
     share = (c.t_s - c.t_s[0]) / series.duration_s - 0.5
     heading = np.cumsum(turn)
-    even = np.divide(frame.growing.distance_m, c.dt_s, out=np.zeros_like(way), where=c.dt_s > 0)
     acceleration = np.gradient(even, c.t_s) if np.all(np.diff(c.t_s) > 0) else np.zeros_like(even)
     growth = acceleration * np.sign(even)
     delay = late(frame).column

@@ -157,14 +157,18 @@ def legendre(x, order):
 """
 
 _TAIL = '''
+#: What samples may have beside rate and temperature.
+CHANNELS = @channels@
+
+
 def added_dps(rate_dps, temp_c, **channels):
     """What the simulation lacks at true rates (deg/s) and temperatures (deg C), deg/s, shape (n,).
 
-    Channels by name: @channels@.
+    Channels by name: those of `CHANNELS`.
     """
-    unknown = sorted(channels.keys() - {@quoted@})
+    unknown = sorted(channels.keys() - set(CHANNELS))
     if unknown:
-        raise TypeError(f"{unknown[0]} is no channel of the law; see the list in its docstring")
+        raise TypeError(f"{unknown[0]} is no channel of the law; CHANNELS lists them")
     w, temp = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (rate_dps, temp_c))
     given = {name: np.atleast_1d(np.asarray(x, dtype=float)) for name, x in channels.items()}
     if BEGAN_S is not None and "t_s" in given:
@@ -189,7 +193,6 @@ _BY_RATE = """\
             f"the law needs temp_rate_c_per_s, deg C/s, of samples {far_s:.3g} s apart: give it by this name"
         )
 """
-#: What samples may have beside rate and temperature.
 _CHANNELS = tuple(
     f.name for f in fields(Conditions) if f.name not in ("rate_dps", "temp_c", "sample_std_dps")
 )
@@ -245,8 +248,7 @@ def python_file(
     head = head.replace("@by_rate@", ", temp_rate_c_per_s=temp_rate_c_per_s" if by_rate else "")
     checks = (_SINCE_ON if "since_power_on_s" in body else "") + (_BY_RATE if by_rate else "")
     tail = _TAIL.replace("@terms@", "\n".join(lines)).replace("@checks@", checks)
-    tail = tail.replace("@channels@", ", ".join(_CHANNELS))
-    tail = tail.replace("@quoted@", ", ".join(f'"{name}"' for name in _CHANNELS))
+    tail = tail.replace("@channels@", repr(_CHANNELS))
     return head + smooth + "\n" + began + "\n" + body + "\n\n" + tail
 
 
