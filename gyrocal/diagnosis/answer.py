@@ -27,6 +27,7 @@ from gyrocal.diagnosis.rate_errors import largest
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, UnnamedPart
 from gyrocal.diagnosis.staircase import Step
+from gyrocal.diagnosis.unclocked import lacks_clock
 from gyrocal.diagnosis.untimed import between_sets, by_data_set
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE, twins_of
@@ -292,7 +293,8 @@ def open_laws(found: Examination, level: float) -> tuple[UnnamedPart, ...]:
             continue
         adds = estimates.of_law(fitted.granting_noise, s.law, found.laws, []).adds
         effect = CATALOGUE[s.effect]
-        taken = effect.runtime and (s.effect != WARM_UP.id or found.comes_again > 0.5)
+        taken = effect.runtime and not lacks_clock(found.series, s.effect)
+        taken &= s.effect != WARM_UP.id or found.comes_again > 0.5
         near = {s.effect: 0.0, **{e: max(left, 0.0) for e, left in s.rivals.items()}}
         where = coordinate_here(effect.seen_in, found.series)
         parts.append(UnnamedPart(where, effect.family, nats, 1e-3 * adds.value, None, None, "", near, taken))

@@ -18,6 +18,7 @@ from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, WANDERING_SCALE, Fitted, Law, Model
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.open_loop import given_back
+from gyrocal.diagnosis.order import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.parts import (
     BLOCKS,
     SURFACE,
@@ -28,8 +29,9 @@ from gyrocal.diagnosis.parts import (
 )
 from gyrocal.diagnosis.rising import dead_zone, rising
 from gyrocal.diagnosis.rivals import may_wander, of_one_surface, with_rivals
-from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.standing import left_by_drifts, state_of_laws, state_of_walks
+from gyrocal.diagnosis.unclocked import leaps, without_clock
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
@@ -157,7 +159,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
         file_without_surface(first),
         surface=surface,
         covariance_dps2=covariance[:_TERMS, :_TERMS],
-        terms=(*terms, *_coil_terms(found.candidates)),
+        terms=(*terms, *(() if leaps(first.model.means.series) else _coil_terms(found.candidates))),
     )
 
 
@@ -293,6 +295,7 @@ def _items(models: Sequence[tuple[float, Model, Solution]], again: float) -> tup
         laws = _lasting(model)
         parts = {p.name: p for p in model.parts if p.block != "surface"}
         passed = set(_since_power_on(model)) if again < _SURELY_NOT else set()
+        passed |= without_clock(model)
         for name in solution.order:
             if name in passed:
                 continue
@@ -384,7 +387,7 @@ def _estimate(
     for name, (constant, share) in state_of_laws(model).items():
         to_file[0, starts[name]] += constant
         to_file[SHAPE[1], starts[name]] += share
-    stood, left_dps2 = state_of_walks(model, solution, fallen)
+    stood, left_dps2 = state_of_walks(model, solution, {*fallen, *without_clock(model)})
     values += to_file @ amplitudes
     values[:_TERMS] += stood
     covariance = to_file @ solution.covariance @ to_file.T

@@ -56,6 +56,7 @@ from gyrocal.diagnosis.staircase import staircase
 from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
 from gyrocal.diagnosis.surface import surface_alone, with_undetermined
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.unclocked import ask_for_times
 from gyrocal.diagnosis.visited import LEAST_SPAN_C
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
@@ -235,6 +236,7 @@ def _of_file(
     remarks = [
         *temperature_alone(found),
         *_not_logged(found.series, layered),
+        *ask_for_times(found.series, [e.effect for e in layered]),
         *edges,
         *_wandering(found.naming.fitted),
     ]

@@ -42,6 +42,7 @@ from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.settling import settling
 from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
+from gyrocal.diagnosis.unclocked import leaps
 from gyrocal.diagnosis.within import Pattern, patterns
 from gyrocal.inference.additive import Component, Solution
 from gyrocal.physics.catalogue import CATALOGUE
@@ -108,6 +109,8 @@ class Examination:
         counts from its own.
         """
         if not self.series.is_table and self.series.since_power_on_s is None:
+            return 0.0
+        if leaps(self.series):
             return 0.0
         if not self.ranked:
             return self.naming.comes_again

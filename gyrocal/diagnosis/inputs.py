@@ -7,13 +7,14 @@ import numpy as np
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.layers import free_terms
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.order import one_way
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
 from gyrocal.diagnosis.visited import shows_scale, temperatures_turned_at
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.physics.offer import fell_c, turned_back_c
+from gyrocal.physics.offer import fell_c
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import (
     Odd,
@@ -28,8 +29,6 @@ from gyrocal.records.scale import (
 )
 from gyrocal.units import plural
 
-#: A temperature that never turns back by more than this share of its range was seen once, early or late.
-_TURNS_BACK = 0.1
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1
 
@@ -106,7 +105,7 @@ def went_one_way(series: Series) -> bool:
     """Whether the temperature did, so that what time did looks like what it did."""
     if np.ptp(series.rate_dps) == 0.0 or not np.any(carried_terms(series) % SHAPE[1]):
         return False
-    return turned_back_c(series.temp_c) < _TURNS_BACK * float(np.ptp(series.temp_c))
+    return one_way(series.temp_c)
 
 
 def _one_way_notes(series: Series) -> tuple[Remark, ...]:

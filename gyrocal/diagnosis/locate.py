@@ -15,7 +15,8 @@ from gyrocal.diagnosis.laws import is_of_scale_in_time
 from gyrocal.diagnosis.layers import NEGLIGIBLE
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
 from gyrocal.diagnosis.result import Located, UnnamedPart
-from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.unclocked import without_clock
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
 
@@ -139,10 +140,9 @@ def place_of(
     )
     if "at_s" not in shape:
         return place
-    # Data sets without times are an interval of the surrogate clock apart.
-    unit_s = 1.0 if coordinate == "time" else SURROGATE_PERIOD_S
-    ends = np.array([shape["at_s"], series.t_s[-1]]) / unit_s
-    low, high = (ends if coordinate == "time" else ends + 1.0).tolist()
+    low, high = shape["at_s"], float(series.t_s[-1])
+    if coordinate != "time":
+        low, high = series.data_set_at(low), series.data_set_at(high)
     return replace(place, low=low, high=high, unit=_UNITS[coordinate])
 
 
@@ -198,7 +198,8 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     fitted = found.naming.fitted
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
-    passed = () if found.comes_again > 0.5 else ("warm-up",)
+    passed = {b for n, b in fitted.model.blocks.items() if n in without_clock(fitted.model)}
+    passed |= set() if found.comes_again > 0.5 else {"warm-up"}
     least_dps = NEGLIGIBLE * float(np.std(solution.left))
     told = {*named, WANDERING, *([EACH_RATE] if found.rate_errors_nats else [])}
     parts = []

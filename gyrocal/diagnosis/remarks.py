@@ -36,6 +36,7 @@ class Said(Enum):
     ALSO_WRITTEN = auto()
     STATE_AT_END = auto()
     NOT_LOGGED_MEANWHILE = auto()
+    GIVE_TIMES = auto()
     WANDERS = auto()
     MEAN_OF_DRIFT = auto()
     INPUT_ALREADY = auto()

@@ -270,7 +270,11 @@ def _when(series: Series, from_s: float, to_s: float) -> dict[str, Any]:
     """A stretch of the record, in time or, where there is none, in data sets."""
     if series.has_time:
         return {"low": from_s, "high": to_s, "unit": "s"}
-    return {"low": series.data_set_at(from_s), "high": series.data_set_at(to_s), "unit": "data set"}
+    return {
+        "low": round(series.data_set_at(from_s)),
+        "high": round(series.data_set_at(to_s)),
+        "unit": "data set",
+    }
 
 
 def _groupings(series: Series) -> list[tuple[str, Ints, Sequence[Mapping[str, Any]]]]:

@@ -53,8 +53,6 @@ _NATIVE = 0.2
 _EVEN, _EVENLY = 0.2, 0.95
 #: Share of the samples from which on it is said that they are missing.
 _FEW_MISSING = 1e-3
-#: Stand-in for the time between data sets where a table has no time stamps.
-SURROGATE_PERIOD_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -136,8 +134,8 @@ class Series:
         return int(self.t_s.size)
 
     def data_set_at(self, t_s: float) -> float:
-        """Number of the data set, from 1, at a stand-in time."""
-        return float(round(t_s / SURROGATE_PERIOD_S) + 1)
+        """Number of the data set, from 1, at a stand-in time; between two it is between theirs."""
+        return float(np.interp(t_s, self.t_s, self.set_index)) + 1.0
 
     @property
     def time_coordinate(self) -> str:

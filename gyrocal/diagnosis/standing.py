@@ -44,8 +44,9 @@ def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) ->
         Their end is no state of the gyro: the surface takes what it can of them over the whole record.
     """
     walked = dict(solution.random)
+    columns_of = {c.name: c.columns for c in model.all}
     for name in fallen:
-        if (columns := model.components[name].columns) is not None:
+        if (columns := columns_of[name]) is not None:
             walked[name] = columns @ solution.amplitudes[name]
     whole = sum((walked[name] for name in fallen), np.zeros(len(model.means)))
     free = list(model.flat)

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.history import COARSEST_C, TemperatureHistory, temperature_history
+from gyrocal.diagnosis.order import clock_s
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import (
     BIN_LONG_S,
     OUTLIER_SIGMAS,
-    SURROGATE_PERIOD_S,
     Raw,
     Series,
     outliers,
@@ -76,7 +76,7 @@ def series_of_table(table: DataSetTable) -> Series:
             f"{table.source.name}: has {n} {plural(n, '[row|rows]')}; a diagnosis needs at least {FEWEST_ROWS}. "
             "Record longer."
         )
-    t_s: Floats = SURROGATE_PERIOD_S * np.arange(n, dtype=np.float64) if table.t_s is None else table.t_s
+    t_s = clock_s(table.temp_c) if table.t_s is None else table.t_s
     one_rate = bool(np.ptp(table.rate_dps) == 0)
     wild = outliers(table.gyro_dps) if one_rate else np.zeros(n, dtype=bool)
     groups = _groups(t_s, binned=one_rate and table.t_s is not None and n > _LONG_LOG)

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gyrocal.diagnosis.order import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.diagnosis.series import Series
 from gyrocal.physics.timewise import growth
 from gyrocal.units import S_PER_H, S_PER_MIN
 
@@ -32,9 +33,11 @@ def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str,
     found: dict[str, Estimate] = {}
     for name, e in parameters.items():
         if name in _INSTANTS:
-            found[_INSTANTS[name]] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 1.0, "1")
+            low, high = map(series.data_set_at, e.interval_95)
+            std = e.std / SURROGATE_PERIOD_S
+            found[_INSTANTS[name]] = Estimate(series.data_set_at(e.value), std, "1", (low, high))
         elif name in _SPANS:
-            found[_SPANS[name]] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, 0.0, "data sets")
+            found[_SPANS[name]] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, "data sets")
         else:
             found[name] = _per_set(e, {n: p.value for n, p in parameters.items()})
     return found
@@ -73,7 +76,7 @@ def between_sets(parameters: Mapping[str, Estimate]) -> Remark | None:
 def _per_set(e: Estimate, shape: Mapping[str, float]) -> Estimate:
     for per_time, per_set, factor in _PER_TIME:
         if e.unit.endswith(per_time):
-            return _scaled(e, _grown(factor, shape), 0.0, e.unit.removesuffix(per_time) + per_set)
+            return _scaled(e, _grown(factor, shape), e.unit.removesuffix(per_time) + per_set)
     return e
 
 
@@ -82,6 +85,6 @@ def _grown(factor: float, shape: Mapping[str, float]) -> float:
     return float(growth(np.array([factor * S_PER_H]), {"power": 1.0, **shape, "from_s": 0.0})[0])
 
 
-def _scaled(e: Estimate, factor: float, offset: float, unit: str) -> Estimate:
-    low, high = (x * factor + offset for x in e.interval_95)
-    return Estimate(e.value * factor + offset, e.std * factor, unit, (low, high))
+def _scaled(e: Estimate, factor: float, unit: str) -> Estimate:
+    low, high = (x * factor for x in e.interval_95)
+    return Estimate(e.value * factor, e.std * factor, unit, (low, high))

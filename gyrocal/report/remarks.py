@@ -32,6 +32,17 @@ def _edge(*, of_scale: bool, **facts: float) -> str:
     )
 
 
+def _give_times(leaps: int, sets: float, effects: list[str], left_out: list[str]) -> str:
+    """What of a table without times depends on how long its leaps of temperature took."""
+    taken = f"is taken for {sets:.0f} data sets" if sets else "counts as no time"
+    lacking = f" {listed(left_out)} [is|are] not in the improved coefficients." if left_out else ""
+    return (
+        f"Without times (t_s) nobody knows how long the temperature took for its {plural(leaps, f'[leap|{leaps} leaps]')} from one data set to "
+        f"the next: each {taken}, and {listed(effects)} {plural(len(effects), '[hangs|hang]')} on it."
+        f"{plural(len(left_out), lacking)} Give the times."
+    )
+
+
 def _far_sets(sets: Sequence[int], of: int, times: float) -> str:
     return plural(
         len(sets),
@@ -179,6 +190,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"{most_c:.0f} °C): size and time constant of {listed(effects)} hang on its course there, which is taken for smooth, and their "
         "intervals know nothing of that. Log it all the time."
     ),
+    Said.GIVE_TIMES: _give_times,
     Said.WANDERS: "The bias wanders by {slow_mdps:.2g} mdeg/s rms, by more than data sets scatter by themselves ({fast_mdps:.2g}): that is taken "
     "for 1/f noise, and steps, drifts and shapes over temperature of that size hide in it. Go through the same temperatures more than once.",
     Said.MEAN_OF_DRIFT: lambda effects: (

@@ -79,7 +79,7 @@ def test_a_log_without_temperature(tmp_path: Path) -> None:
     json.dumps(found.to_json(), allow_nan=False)
 
 
-@pytest.mark.parametrize("size_dps", [2.0, 90.0])
+@pytest.mark.parametrize("size_dps", [2.0, pytest.param(90.0, marks=pytest.mark.slow)])
 def test_a_turn_in_a_log_is_left_out_of_its_noise(tmp_path: Path, size_dps: float) -> None:
     """Ten seconds in half an hour: taken for noise they are a random walk of the rate, and its interval is short."""
     rng = np.random.default_rng(5)

@@ -90,7 +90,7 @@ def test_a_clipped_gyro_is_not_taken_for_one_of_another_unit() -> None:
 
 def test_kelvin_is_refused() -> None:
     table = make_table()
-    with pytest.raises(DataError, match=r"from 253 to 333.\d °C, and no gyro works so hot. Convert"):
+    with pytest.raises(DataError, match=r"from 253.2 to 333.\d °C, and no gyro works so hot. Convert"):
         check_inputs(series_of_table(replace(table, temp_c=table.temp_c + 273.15)), None)
 
 

@@ -10,6 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.order import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.scatter import (
@@ -19,7 +20,7 @@ from gyrocal.diagnosis.scatter import (
     step_findings,
     variance_places,
 )
-from gyrocal.diagnosis.series import SURROGATE_PERIOD_S, Series
+from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.strays import set_aside
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.untimed import between_sets, by_data_set, by_time
