@@ -8,7 +8,7 @@ import numpy as np
 
 from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.layers import Model
-from gyrocal.diagnosis.order import LEAP_SETS, leaps_before, one_way
+from gyrocal.diagnosis.order import LEAP_SETS, SURROGATE_PERIOD_S, leaps_before
 from gyrocal.diagnosis.parts import Part
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import Series
@@ -49,7 +49,8 @@ def ask_for_times(series: Series, effects: Sequence[str]) -> list[Remark]:
     timed = [e for e in effects if e in DRIFTS or lacks_clock(series, e)]
     if not (timed and (count := leaps(series))):
         return []
-    counted = 0.0 if one_way(series.temp_c) else LEAP_SETS
+    # The clock alone knows whether a leap took any time of it.
+    counted = LEAP_SETS if np.ptp(series.t_s) > SURROGATE_PERIOD_S * np.ptp(series.set_index) else 0.0
     left_out = [e for e in timed if e not in DRIFTS]
     return [
         Remark(Said.GIVE_TIMES, {"leaps": count, "sets": counted, "effects": timed, "left_out": left_out})
