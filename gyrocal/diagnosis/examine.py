@@ -105,12 +105,10 @@ class Examination:
     def comes_again(self) -> float:
         """Probability that what the bias did since power-on begins anew with the next one.
 
-        Zero for a run of which nobody says when that was: its beginning is as good as any for a name, but not for a robot that
+        Zero for a table without a clock, and for a run of which nobody says when that was: its beginning is as good as any for a name, but not for a robot that
         counts from its own.
         """
-        if not self.series.is_table and self.series.since_power_on_s is None:
-            return 0.0
-        if leaps(self.series):
+        if (not self.series.is_table and self.series.since_power_on_s is None) or leaps(self.series):
             return 0.0
         if not self.ranked:
             return self.naming.comes_again

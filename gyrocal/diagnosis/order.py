@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.visited import LEAST_SPAN_C, TEMP_BUMPS
+from gyrocal.diagnosis.visited import next_visit_c
 from gyrocal.physics.offer import turned_back_c
 
 Floats = NDArray[np.float64]
@@ -14,10 +14,10 @@ Bools = NDArray[np.bool_]
 #: Stand-in for the time between data sets, s.
 SURROGATE_PERIOD_S = 20.0
 #: Data sets that stand for a leap of the temperature: with the stand-in above half an hour, as a chamber takes to get there and
-#: to soak. Of eight tables with soaks of other lengths the evidence at 30, 100 and 300 was that of none or more in seven.
+#: to soak. Of eight tables with soaks of other lengths the evidence at 30 and at 100 was more than at none in seven.
 LEAP_SETS = 100.0
 #: A temperature that never turns back by more than this share of its range was seen once, early or late.
-TURNS_BACK = 0.1
+_TURNS_BACK = 0.1
 #: Where leaps make up more than this share of the way that the temperature went, a chamber held it in between.
 _MOST_OF_THE_WAY = 0.5
 
@@ -27,15 +27,14 @@ def leaps_before(temp_c: Floats) -> Bools:
 
     Before none where it drifts as well: a pause in it is no soak.
     """
-    apart_c = max(LEAST_SPAN_C, float(np.ptp(temp_c)) / (TEMP_BUMPS - 1.0))
     way_c = np.abs(np.diff(temp_c, prepend=temp_c[0]))
-    leaps = way_c > apart_c
+    leaps = way_c > next_visit_c(temp_c)
     return leaps & (float(way_c[leaps].sum()) > _MOST_OF_THE_WAY * float(way_c.sum()))
 
 
 def one_way(temp_c: Floats) -> bool:
     """Whether a temperature was gone through once, so that what time does looks like what it does."""
-    return turned_back_c(temp_c) < TURNS_BACK * float(np.ptp(temp_c))
+    return turned_back_c(temp_c) < _TURNS_BACK * float(np.ptp(temp_c))
 
 
 def clock_s(temp_c: Floats) -> Floats:

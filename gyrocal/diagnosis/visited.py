@@ -30,7 +30,12 @@ def temperatures_told(temp_c: Floats) -> int:
 
 def _visits(temp_c: Floats, all_c: Floats) -> Ints:
     """Number of the visit to a temperature that each of some rows belongs to, of all of a record."""
-    return _each_beyond(temp_c, max(LEAST_SPAN_C, float(np.ptp(all_c)) / (TEMP_BUMPS - 1.0)))
+    return _each_beyond(temp_c, next_visit_c(all_c))
+
+
+def next_visit_c(temp_c: Floats) -> float:
+    """By how much two temperatures of a record differ that are not one visit, degC."""
+    return max(LEAST_SPAN_C, float(np.ptp(temp_c)) / (TEMP_BUMPS - 1.0))
 
 
 def _each_beyond(temp_c: Floats, apart_c: float) -> Ints:
