@@ -25,6 +25,7 @@ from gyrocal.physics.terms import Part
 from gyrocal.records.datasets import DataSetTable, read_data_sets, switched_on_s
 from gyrocal.records.files import check_output_file, writing_atomically
 from gyrocal.records.run import Run, read_run
+from gyrocal.records.scale import odd_output, odd_temperature
 
 Floats = NDArray[np.float64]
 
@@ -146,6 +147,7 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
         applied.segments = table.rate_dps.size
     applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
     if not config.recording.is_dir():
+        applied.notes += _odd_columns(table, block, coefficients, power_on_t_s, force=config.force_sensor)
         applied.notes += tuple(
             f"{config.recording.name}: {name} counts from t_s = {power_on_t_s:g} s; a table does not say when the gyro was switched on"
             for name in dict.fromkeys(term.name for term in compensator.terms if _since_on(term))
@@ -160,6 +162,29 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
             file.write(text.encode())
             applied.count(flags)
     return applied
+
+
+def _odd_columns(
+    table: DataSetTable, block: _Block, coefficients: Coefficients, power_on_t_s: float | None, *, force: bool
+) -> tuple[str, ...]:
+    """Refuse columns in another unit, of another sign or in another's place; forced, notes.
+
+    The output is asked corrected: its scale may be what the coefficients are for.
+    """
+    since = None if power_on_t_s is None else block.t_s - power_on_t_s
+    # One of its own: a compensator remembers what went through it.
+    compensator = Compensator(coefficients)
+    corrected = compensator.evaluate(block.t_s, block.gyro_dps, block.temp_c, since, block.supply_v).rate_dps
+    known = np.isfinite(corrected)
+    scale = odd_output(table.rate_dps[known], corrected[known], ideal=True) if known.any() else None
+    said = []
+    for odd in filter(None, (scale if scale and scale.a_scale else None, odd_temperature(table.temp_c))):
+        if not force:
+            raise DataError(
+                f"{table.source}: {'corrected, ' * odd.a_scale}{odd.what}. {odd.remedy}, or say --force-sensor."
+            )
+        said.append(f"{table.source}: {'corrected, ' * odd.a_scale}{odd.what} (--force-sensor)")
+    return tuple(said)
 
 
 def _corrected(

@@ -22,7 +22,11 @@ from gyrocal.cli.console import overwrite_option
 @click.option(
     "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
 )
-@click.option("--force-sensor", is_flag=True, help="Accept coefficients of another model or serial number.")
+@click.option(
+    "--force-sensor",
+    is_flag=True,
+    help="Accept coefficients of another model or serial number, and columns of a table that do not look like what they say.",
+)
 @overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
 def command(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,52 @@ def test_rows_that_were_averaged_are_within_their_own_calibration(
     )
     (tmp_path / "out.csv").unlink()
     assert apply_recording(config(tmp_path, table), quiet).flagged_rows == 1
+
+
+@pytest.mark.parametrize(
+    ("output", "why"),
+    [
+        (lambda rate, temp: np.deg2rad(rate), r"it is in rad/s.*Convert the output, or say --force-sensor"),
+        (lambda rate, temp: -rate, "sign"),
+        (lambda rate, temp: temp, "does not follow the rate"),
+    ],
+)
+def test_an_output_that_does_not_follow_the_rates_of_its_table(
+    tmp_path: Path, output: Callable[[Any, Any], Any], why: str
+) -> None:
+    write_coefficients(tmp_path / "c.json")
+    rate = np.tile([-100.0, -50.0, 0.0, 50.0, 100.0], 6)
+    temp = np.repeat([18.0, 20.0, 22.0, 22.0, 20.0, 18.0], 5)
+    table = pd.DataFrame({"rate_dps": rate, "gyro_dps": output(rate, temp), "temp_c": temp})
+    table.to_csv(tmp_path / "t.csv", index=False)
+    with pytest.raises(DataError, match=why):
+        apply_recording(config(tmp_path, tmp_path / "t.csv"), quiet)
+    assert not (tmp_path / "out.csv").exists()
+    applied = apply_recording(config(tmp_path, tmp_path / "t.csv", force_sensor=True), quiet)
+    assert "(--force-sensor)" in applied.notes[-1]
+    assert applied.rows == rate.size
+
+
+def test_a_table_goes_once_through_terms_that_remember(tmp_path: Path) -> None:
+    """To ask whether its columns are what they say, it had gone through the same compensator twice."""
+    coefficients = write_coefficients(tmp_path / "c.json", LAG)
+    rows = {
+        "gyro_dps": [10.0, 20.0, -5.0, 30.0],
+        "temp_c": [20.0, 22.0, 24.0, 26.0],
+        "t_s": [5.0, 65.0, 125.0, 185.0],
+    }
+    pd.DataFrame({"rate_dps": rows["gyro_dps"], **rows}).to_csv(tmp_path / "t.csv", index=False)
+    apply_recording(config(tmp_path, tmp_path / "t.csv"), quiet)
+    t_s, gyro, temp = (np.array(rows[name]) for name in ("t_s", "gyro_dps", "temp_c"))
+    expected = Compensator(coefficients).evaluate(t_s, gyro, temp, None, np.full(4, np.nan)).rate_dps
+    np.testing.assert_allclose(pd.read_csv(tmp_path / "out.csv")["corrected_dps"], expected, atol=1e-9)
+
+
+def test_temperatures_in_kelvin_are_refused(tmp_path: Path) -> None:
+    write_coefficients(tmp_path / "c.json")
+    (tmp_path / "t.csv").write_text("rate_dps,gyro_dps,temp_c\n10,10,290\n-20,-20,295\n")
+    with pytest.raises(DataError, match="no gyro works so hot"):
+        apply_recording(config(tmp_path, tmp_path / "t.csv"), quiet)
 
 
 def test_rates_without_noise_are_corrected_like_others(tmp_path: Path) -> None:
