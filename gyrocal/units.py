@@ -30,6 +30,9 @@ NORMAL_95 = 1.959963984540054
 #: Standard deviations of a normal law in its median absolute deviation.
 STDS_PER_MAD = 1.4826
 
+#: Below this a p-value is a matter of the tail that was assumed, not of the data.
+_LEAST_P = 1e-12
+
 _FORMS = re.compile(r"\[([^][|]*)\|([^][|]*)\]")
 
 
@@ -49,3 +52,13 @@ def dph(value_dps: float | None) -> str:
 def decimals(half_width: float) -> int:
     """Decimals that show two digits of a half width; negative: tens, hundreds."""
     return 1 - math.floor(math.log10(half_width)) if half_width > 0 and math.isfinite(half_width) else 3
+
+
+def p_text(p: float) -> str:
+    """``< 1e-12`` or the number: a p-value as people read it."""
+    return f"< {_LEAST_P:.0e}" if p < _LEAST_P else f"{p:.2g}" if math.isfinite(p) else "not known"
+
+
+def p_equals(p: float) -> str:
+    """The same in a sentence: ``p < 1e-12`` or ``p = 0.0054``."""
+    return f"p {p_text(p)}" if p < _LEAST_P else f"p = {p_text(p)}"

@@ -20,7 +20,7 @@ from gyrocal.errors import DataError
 from gyrocal.inference.allan import AllanCurve, AllanSums
 from gyrocal.inference.allan_model import FLICKER, NoiseModel, Part, fit_noise
 from gyrocal.records.run import Run, SegmentRecord
-from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH, p_equals
 
 Floats = NDArray[np.float64]
 
@@ -235,13 +235,13 @@ def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
     used_s = np.concatenate([p.tau_s for p in points])[model.used]
     span = f"averaging times from {used_s.min():.4g} to {used_s.max():.4g} s"
     if not model.fits:
-        said = f"not to be had: no stretch of averaging times follows the model (best {span}, p = {model.p_value:.1g}){_rise(points)}"
+        said = f"not to be had: no stretch of averaging times follows the model (best {span}, {p_equals(model.p_value)}){_rise(points)}"
         return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
     figures = {
         name: _figure(name, unit, definition, factor, part, span)
         for (name, unit, definition, factor), part in zip(_PARTS, model.parts, strict=True)
     }
-    fit = f"the model fits {span} (p = {model.p_value:.2g}); {_left_out(points, model)}"
+    fit = f"the model fits {span} ({p_equals(model.p_value)}); {_left_out(points, model)}"
     bias = figures["bias_instability"]
     statement = f"resolved up to {longest_s:.0f} s" if bias.interval else bias.reason
     return NoiseFigures(figures | _floor(points), statement, fit, points, model, record_s)

@@ -14,7 +14,7 @@ from gyrocal.calibration.figure import Figure, bound_said, number, value_said
 from gyrocal.calibration.fit import rms
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import stray_rows
-from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, dph, plural
+from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, dph, p_equals, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
@@ -51,9 +51,9 @@ def verdict(c: Calibration) -> str:
     names = [_WORDS[name] for name in c.structured]
     worst = min((t.p_holm for t in c.structure), default=1.0)
     structure = (
-        f"the residual is structured in {', '.join(names)} (p {_p(worst)})"
+        f"the residual is structured in {', '.join(names)} ({p_equals(worst)})"
         if names
-        else f"no structure in the residual (smallest p {_p(worst)})"
+        else f"no structure in the residual (smallest {p_equals(worst)})"
     )
     floor = (
         "sample noise unknown"
@@ -97,10 +97,6 @@ def _stray_part(c: Calibration) -> str:
         f". Do not use it: {far} ({listed}). Look whether rows were swapped, or the sign or unit of some is another, and "
         f"repair them or leave them out with --exclude {ids}"
     )
-
-
-def _p(value: float) -> str:
-    return f"= {value:.2g}" if value >= 1e-4 else "< 0.0001"
 
 
 def remarks(c: Calibration) -> tuple[str, ...]:
@@ -215,12 +211,12 @@ def _odd_rates(c: Calibration) -> list[str]:
         return []
     lines = []
     if by_rate.growth_p_value < _ODD:
-        lines.append(f"the scatter grows with |rate| (p {_p(by_rate.growth_p_value)})")
+        lines.append(f"the scatter grows with |rate| ({p_equals(by_rate.growth_p_value)})")
     for k in np.flatnonzero(by_rate.p_value < _ODD):
         more = by_rate.neighbours[k] > 1
         lines.append(
             f"data sets at |rate| {by_rate.rate_dps[k]:.4g} deg/s scatter {by_rate.neighbours[k]:.2g} times as much as "
-            f"at the neighbouring rates ({dph(by_rate.std_dps[k])} deg/h, p {_p(float(by_rate.p_value[k]))}): "
+            f"at the neighbouring rates ({dph(by_rate.std_dps[k])} deg/h, {p_equals(float(by_rate.p_value[k]))}): "
             f"{'look for resonance, table or mount' if more else 'look for a dead band or clipping'} there"
         )
     return lines

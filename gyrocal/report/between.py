@@ -10,8 +10,8 @@ from gyrocal.diagnosis.versus.answer import Versus
 from gyrocal.diagnosis.versus.between import Between, between_to_json
 from gyrocal.report.page import Table
 from gyrocal.report.tables import csv_text
-from gyrocal.report.words import fixed, listed, p_equals, parameter_words, range_text
-from gyrocal.units import decimals
+from gyrocal.report.words import fixed, listed, parameter_words, range_text
+from gyrocal.units import decimals, p_equals
 
 BETWEEN_JSON = "between.json"
 

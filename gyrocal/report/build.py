@@ -16,7 +16,7 @@ from gyrocal.report.drawings import DRAWINGS
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.scatter import scatter_statements, signed_scatter
 from gyrocal.report.style import render
-from gyrocal.units import DPS_TO_DPH, plural
+from gyrocal.units import DPS_TO_DPH, p_equals, plural
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def _structure(m: Material) -> list[str]:
     p_values = m.coefficients.figures.get("fit", {}).get("structure_p_values", {})
     if not (m.own and p_values):
         return []
-    found = [f"{name.replace('_', ' ')} (p = {p:.1g})" for name, p in p_values.items() if p < ALARM_RATE]
+    found = [f"{name.replace('_', ' ')} ({p_equals(p)})" for name, p in p_values.items() if p < ALARM_RATE]
     if not found:
         return [
             "The residual holds no structure beyond its noise: the surface says all that these data show."

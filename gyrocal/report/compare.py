@@ -8,7 +8,7 @@ from typing import Any
 from gyrocal.calibration.compare import ALARM_RATE, Change
 from gyrocal.calibration.figure import value_said
 from gyrocal.calibration.summary import said
-from gyrocal.report.words import p_equals
+from gyrocal.units import p_equals
 
 
 def changes_sentence(changes: Sequence[Change]) -> str:

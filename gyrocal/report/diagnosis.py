@@ -41,12 +41,11 @@ from gyrocal.report.words import (
     fixed,
     interval_text,
     listed,
-    p_text,
     range_text,
     region_words,
     value_text,
 )
-from gyrocal.units import decimals
+from gyrocal.units import decimals, p_text
 
 #: Fewer rows than this on a turning table are no picture of a turn.
 _LEAST_TURNING = 100

@@ -18,8 +18,8 @@ from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, 
 from gyrocal.physics.drive import GYRO_BIAS
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import statement
-from gyrocal.report.words import listed, p_equals, part_words, region_words, times_text
-from gyrocal.units import NORMAL_95
+from gyrocal.report.words import listed, part_words, region_words, times_text
+from gyrocal.units import NORMAL_95, p_equals
 
 #: Evidence that tells nothing apart.
 _ALIKE = 3.0

@@ -20,7 +20,7 @@ from gyrocal.records.files import finite
 from gyrocal.records.output import write_directory
 from gyrocal.report import style
 from gyrocal.report.page import Page, Picture, Table, render_page
-from gyrocal.units import plural
+from gyrocal.units import p_text, plural
 
 #: Figures a picture shows: those of a gyro, not its coefficients.
 _LISTED = 40
@@ -171,11 +171,11 @@ def tables(fleet: Fleet) -> list[Table]:
         for s in fleet.spreads
     ]
     out = [
-        (o.serial, _words(o.figure), _cell(o.value), f"{o.deviations:+.1f}", f"{o.p_value:.1g}")
+        (o.serial, _words(o.figure), _cell(o.value), f"{o.deviations:+.1f}", p_text(o.p_value))
         for o in fleet.outlying
     ]
     drift = [
-        (_words(d.figure), _cell(d.per_unit), interval_said(d.low, d.high), f"{d.p_value:.1g}")
+        (_words(d.figure), _cell(d.per_unit), interval_said(d.low, d.high), p_text(d.p_value))
         for d in fleet.drifts
     ]
     columns = ("figure", "units", "median", "least", "largest", "between units", "within a unit")

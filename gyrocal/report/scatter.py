@@ -11,6 +11,7 @@ from scipy import stats
 from gyrocal.calibration.corrected import Examined, Floats
 from gyrocal.calibration.residuals import ALARM_RATE, ScatterByRate
 from gyrocal.report.levels import levels
+from gyrocal.units import p_equals
 
 #: Data sets at one rate below which its scatter is not estimated.
 _FEWEST = 4
@@ -88,12 +89,12 @@ def scatter_statements(scatter: ScatterByRate) -> list[str]:
         low, high = trend[0], trend[-1]
         said.append(
             f"Scatter between data sets grows with |rate|, from {low * 3600:.3g} deg/h at {scatter.rate_dps[0]:.1f} deg/s "
-            f"to {high * 3600:.3g} deg/h at {scatter.rate_dps[-1]:.1f} deg/s (p = {scatter.growth_p_value:.1g})."
+            f"to {high * 3600:.3g} deg/h at {scatter.rate_dps[-1]:.1f} deg/s ({p_equals(scatter.growth_p_value)})."
         )
     for i in odd_rates(scatter):
         sign = "±" if scatter.rate_dps[i] > 0 else ""
         said.append(
             f"Data sets at {sign}{scatter.rate_dps[i]:.1f} deg/s scatter {scatter.neighbours[i]:.1f} times as much as "
-            f"those at the neighbouring rates (p = {scatter.p_value[i]:.1g}): suspect the table or its mount there."
+            f"those at the neighbouring rates ({p_equals(float(scatter.p_value[i]))}): suspect the table or its mount there."
         )
     return said

@@ -21,7 +21,6 @@ from gyrocal.report.words import (
     estimate_text,
     fixed,
     listed,
-    p_equals,
     parameter_words,
     part_words,
     place_words,
@@ -29,7 +28,7 @@ from gyrocal.report.words import (
     region_words,
     times_text,
 )
-from gyrocal.units import decimals
+from gyrocal.units import decimals, p_equals
 
 #: An amplitude that is so much less known than what the effect adds is traded for a shape.
 _TRADED = 4.0

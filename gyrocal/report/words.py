@@ -7,8 +7,6 @@ import math
 from gyrocal.diagnosis.result import Estimate, Located
 from gyrocal.units import S_PER_H, decimals
 
-#: Below this a p-value is a matter of the tail that was assumed, not of the data.
-LEAST_P = 1e-12
 #: More decimals than this are read as a power of ten.
 _MOST_DECIMALS = 6
 #: Larger logarithms of odds are a matter of what was assumed of the noise, not of the data: a million to one.
@@ -112,16 +110,6 @@ def range_text(low: float, high: float, scale: float = 1.0) -> str:
     """An interval whose ends have the digits of its half width."""
     places = decimals(0.5 * scale * (high - low))
     return f"{fixed(scale * low, places)} to {fixed(scale * high, places)}"
-
-
-def p_text(p: float) -> str:
-    """``< 1e-12`` or the number: a p-value as people read it."""
-    return f"< {LEAST_P:.0e}" if p < LEAST_P else f"{p:.2g}" if math.isfinite(p) else "not known"
-
-
-def p_equals(p: float) -> str:
-    """The same in a sentence: ``p < 1e-12`` or ``p = 0.0054``."""
-    return f"p {p_text(p)}" if p < LEAST_P else f"p = {p_text(p)}"
 
 
 def span_text(low: float, high: float) -> str:

@@ -27,14 +27,13 @@ from gyrocal.report.words import (
     estimate_text,
     fixed,
     interval_text,
-    p_equals,
-    p_text,
     parameter_words,
     region_words,
     span_text,
     times_text,
     value_text,
 )
+from gyrocal.units import p_equals, p_text
 from tests.diagnosis.concealed_bench import make_recording
 from tests.diagnosis.made_up import made_up_diagnosis
 
