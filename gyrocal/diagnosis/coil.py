@@ -453,7 +453,10 @@ class TableSearch:
         return bool(np.ptp(coil_c) >= _REACHED * np.ptp(m.temp_c))
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
-        """What the laws of a model pay, nats: for their priors, too, as a coil's time constant does."""
+        """What the laws of a model pay, nats: for their priors, too, as a coil's time constant does.
+
+        A coil behind its sensor is what gyros have: it pays for its shapes, and no toll.
+        """
         shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
         # What stands beside another law has the shape of that.
         own = [change for change in changes if change.beside is None]
@@ -461,7 +464,8 @@ class TableSearch:
         shapes += [1.0] * (len(changes) - len(own))
         paid = _ODD_NATS * sum(not change.plain for change in own)
         paid -= sum(change.prior_nats for change in changes)
-        paid += _FIRST_NATS + float(np.sum(TOLL_NATS + 0.5 * np.log(shapes))) if shapes else 0.0
+        paid += TOLL_NATS * len(changes)
+        paid += _FIRST_NATS + float(np.sum(0.5 * np.log(shapes))) if shapes else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
 
 

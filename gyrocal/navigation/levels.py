@@ -8,7 +8,7 @@ runtime must have the levels with which this very filter, its gates, its file an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +50,8 @@ _SUMMED, _SELDOM = 100, 1e-3
 _WALK = "angle_random_walk_deg_per_rt_h"
 #: Shares of the bias that is thought possible beforehand, from which the rests of a log choose.
 BIAS_SHARES = tuple(2.0**-k for k in range(6))
+#: And multiples of it, for a file that is too sure.
+_WIDER = (2.0, 4.0, 8.0, 16.0)
 #: No noise figure is known better than this share of its value.
 _FIRMEST = 0.05
 #: Misfit of a filter whose path is no longer finite: more than that of any other.
@@ -90,8 +92,9 @@ def fit_noise(
         silent = "initial_std.gyro_bias_dps" not in robot.given
         std = replace(parameters.initial_std, gyro_bias_dps=None) if silent else parameters.initial_std
         parameters = replace(parameters, noise=noise, initial_std=std)
-    if robot.static_s == 0.0 and "initial_std.gyro_bias_dps" not in robot.given:
-        parameters = _likely_bias(rows, parameters, navigator)
+    if robot.static_s == 0.0:
+        smaller = () if "initial_std.gyro_bias_dps" in robot.given else BIAS_SHARES[1:]
+        parameters = _likely_bias(rows, parameters, navigator, (1.0, *_WIDER, *smaller))
     names, usual, spread = _priors(
         robot, parameters, open_walk=walk is None and f"noise.{_WALK}" not in robot.given
     )
@@ -124,21 +127,28 @@ def fit_noise(
 
 
 def _likely_bias(
-    rows: Rows, parameters: RobotParameters, navigator: Callable[..., Navigator]
+    rows: Rows, parameters: RobotParameters, navigator: Callable[..., Navigator], shares: Sequence[float]
 ) -> RobotParameters:
-    """The robot with the spread of its bias that makes the log's rests the likeliest: the empirical Bayes prior.
+    """The robot with the spread of its bias, of shares of the given, that makes the log's rests the likeliest.
 
-    Some drivers take the bias off and some do not. The first rest turns the whole way before it by what it says of the
-    bias, and one no larger than its own error would make half of all paths worse.
+    The empirical Bayes prior. Some drivers take the bias off and some do not, and on a hot day it is farther from that of
+    the file than any switch-on before. The first rest turns the whole way before it by what it says of the bias: one no
+    larger than its own error would make half of all paths worse, and one beyond its gate leaves the way as it is.
     """
 
     def told(share: float) -> RobotParameters:
-        std_dps = share * (parameters.initial_std.gyro_bias_dps or 0.0)
-        return replace(parameters, initial_std=replace(parameters.initial_std, gyro_bias_dps=std_dps))
+        std, gyro = parameters.initial_std, parameters.gyro
+        return replace(
+            parameters,
+            initial_std=replace(std, gyro_bias_dps=share * (std.gyro_bias_dps or 0.0)),
+            gyro=replace(
+                gyro,
+                bias_dps_std=share * gyro.bias_dps_std,
+                repeatability_dps=share * gyro.repeatability_dps,
+            ),
+        )
 
-    return min(
-        (told(share) for share in BIAS_SHARES), key=lambda one: misfit(rows, navigator(one, filtering=False))
-    )
+    return min(map(told, shares), key=lambda one: misfit(rows, navigator(one, filtering=False)))
 
 
 def _usual_walk(parameters: RobotParameters) -> float:

@@ -15,7 +15,7 @@ from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.drive.laws import KINDS
 from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
-from gyrocal.physics.drive import GYRO_BIAS
+from gyrocal.physics.drive import GYRO_BIAS, GYRO_SCALE
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import statement
 from gyrocal.report.words import listed, part_words, region_words, times_text
@@ -44,7 +44,10 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     lines += [_shown_sentence(s) for s in found.shown]
     left = [place for place in diagnosis.located if place.remains]
     at_rest = found.series.robot.static_s > 0
-    lines += _estimate_sentences(found.estimates, at_rest=at_rest, nameless=bool(left))
+    withheld = found.robot is not None and found.robot.parameters.gyro.scale == 0.0
+    lines += _estimate_sentences(
+        found.estimates, at_rest=at_rest, nameless=bool(left), scale_withheld=withheld
+    )
     if slips := left_out(found.yaw):
         largest = sorted(slips, key=lambda x: -abs(x.turn_deg))[:_SLIPS]
         first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.2f} s" for x in largest)
@@ -125,7 +128,9 @@ def _shown_sentence(shown: Shown) -> str:
     return f"{said}, which tells nothing: {own}, and it hides differences of less than {shown.seen_m:.2g} m"
 
 
-def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool, nameless: bool) -> list[str]:
+def _estimate_sentences(
+    estimates: tuple[DriveEstimate, ...], *, at_rest: bool, nameless: bool, scale_withheld: bool
+) -> list[str]:
     """What the log says of every figure that matters: those that stand out with what they cost, then those that may be nothing."""
     said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
     jumps = any(e.name == KINDS["jump"].shown for e in estimates)
@@ -135,6 +140,8 @@ def _estimate_sentences(estimates: tuple[DriveEstimate, ...], *, at_rest: bool, 
         remark = "" if e.named else _why_unnamed(nameless)
         if e.name == KINDS["jump"].shown:
             remark = "; no robot file holds it"
+        elif e.name == GYRO_SCALE.id and e.named and scale_withheld:
+            remark = "; not in the robot file, for what is left over the turns may be a tilt's, which the next drive need not have"
         elif e.name == GYRO_BIAS.id and not e.named:
             remark = "; the rest at the start takes it off" if at_rest else "; the robot file grants as much"
             remark = "; that after its jump" if jumps else remark

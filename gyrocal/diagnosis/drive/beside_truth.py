@@ -95,7 +95,7 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
             # What was taken first may have stood for this one.
             less = yaw.less([other]).with_law(name, gain)
             alone = _asked(series, less, truth)
-            if alone is not None and _with_truth(series, less, alone, other)[0] < GAIN:
+            if alone is not None and _with_truth(series, less, alone, other)[0] < AS_LIKELY:
                 return less, alone
         yaw, truth = yaw.with_law(name, gain), found
 

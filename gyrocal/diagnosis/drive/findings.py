@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLIN
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
+from gyrocal.diagnosis.drive.prior import may_be_tilted
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, other_slips
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
@@ -46,8 +47,6 @@ Floats = NDArray[np.float64]
 OUT = 20.0
 #: A track so near to half or twice the true one is a mix-up as likely as a slip.
 _MIXED_UP, _MIXED_UP_BY = (0.5, 2.0), 0.1
-#: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
-_TILT_STDS = 3.0
 #: Columns of the heading difference that a slope alone makes: what the gyro lacks of a turn goes by twice the heading.
 _TILT = ("heading:2", "heading:3")
 #: A scale that the truth knows to less than this is said to be not testable: no maker is as far off.
@@ -422,8 +421,7 @@ def _of_scale(
             odds = float(np.exp(np.clip(0.5 * (chi2 - against[name]), -50, 50)))
             if other != name and odds < OUT:
                 others[SKID_SLIP.id if other == "track" else other] = odds
-    tilted = -_TILT_STDS * series.robot.initial_std["gyro_scale"]
-    if name == "gyro_scale" and scale.value < tilted:
+    if name == "gyro_scale" and may_be_tilted(series, scale.value):
         others[ROBOT_TILT.id] = 1.0
     if name == "wheel_scale" and scale.value > 0:
         others[ENCODER_OVERCOUNT.id] = 1.0

@@ -27,7 +27,7 @@ from gyrocal.diagnosis.drive.laws import (
 )
 from gyrocal.diagnosis.drive.motions import of_motion
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
-from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES
+from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, may_be_tilted
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -74,7 +74,6 @@ class DriveEstimate:
     def to_json(self) -> dict[str, Any]:
         """Entry of ``estimates``."""
         half = NORMAL_95 * self.std
-
         entry: dict[str, Any] = finite(
             {
                 "name": self.name,
@@ -344,9 +343,11 @@ def improved_robot(
         keys["encoders.window_s"] = yaw.window_s
     # No robot file holds what turns to one side are off by, and the filter must not trust the gyro beyond it.
     by_side = 0.0 if truth is None else truth.one_size
-    if "gyro_scale" in parts:
-        keys["gyro.scale"] = parts["gyro_scale"].value
-        keys["gyro.scale_std"] = float(np.hypot(parts["gyro_scale"].std, by_side))
+    # What a tilt lacks of turns is no share of them, and the next drive need not have it.
+    scale = parts.get("gyro_scale")
+    if scale is not None and not (yaw.odd and may_be_tilted(series, scale.value)):
+        keys["gyro.scale"] = scale.value
+        keys["gyro.scale_std"] = float(np.hypot(scale.std, by_side))
     if slip := _slip(yaw, lasting):
         keys |= {f"slip.{key}": getattr(slip, key) for key in ("law", "amplitude", "amplitude_std", "shape")}
     # A slope stays where it is.

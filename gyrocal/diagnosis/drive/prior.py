@@ -12,6 +12,8 @@ from gyrocal.fusion.robot import BIAS_STD_DPS
 
 #: What the difference of the wheels changes by from one drive to the next, relative: standard deviation.
 ASYMMETRY_CHANGES = 3e-4
+#: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
+_TILT_STDS = 3.0
 
 
 def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
@@ -48,3 +50,8 @@ def widened(
         likeliest = (values[at] - mean) ** 2 - covariance[at, at]
         found[name] = (mean, float(np.sqrt(max(likeliest, std**2))))
     return found
+
+
+def may_be_tilted(series: DriveSeries, gyro_scale: float) -> bool:
+    """Whether a scale of the gyro may be as well that it stands at a tilt, where it lacks a share of every turn."""
+    return gyro_scale < -_TILT_STDS * series.robot.initial_std["gyro_scale"]
