@@ -9,6 +9,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.weighing import Gram
 from gyrocal.fusion.robot import BIAS_STD_DPS
+from gyrocal.physics.drive import GYRO_SCALE
 
 #: What the difference of the wheels changes by from one drive to the next, relative: standard deviation.
 ASYMMETRY_CHANGES = 3e-4
@@ -54,4 +55,4 @@ def widened(
 
 def may_be_tilted(series: DriveSeries, gyro_scale: float) -> bool:
     """Whether a scale of the gyro may be as well that it stands at a tilt, where it lacks a share of every turn."""
-    return gyro_scale < -_TILT_STDS * series.robot.initial_std["gyro_scale"]
+    return gyro_scale < -_TILT_STDS * series.robot.initial_std[GYRO_SCALE.id]
