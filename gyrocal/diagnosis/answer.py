@@ -13,7 +13,6 @@ from gyrocal.diagnosis import estimates
 from gyrocal.diagnosis.blocks import ODD, plain
 from gyrocal.diagnosis.candidates import averaged
 from gyrocal.diagnosis.changes import STEPS
-from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
@@ -227,8 +226,7 @@ def _searched(found: Examination) -> list[_Searched]:
     best = found.ranked[0]
     searched = []
     if best.coil is not None:
-        # In the file it pays for its shapes alone, for its name what any law does.
-        nats = min(c.score for c in found.ranked if c.coil is None) - best.score - TOLL_NATS
+        nats = min(c.score for c in found.ranked if c.coil is None) - best.score
         searched.append(_Searched(THERMAL_LAG.id, nats, None, {}))
     for law in (law for law in best.fitted.model.laws if law.effect in best.effects):
         # No smooth part is like a step; a drift and what remembers have those that are.

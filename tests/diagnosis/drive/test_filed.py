@@ -140,3 +140,20 @@ def test_a_slip_that_changes_within_the_drive_is_a_wider_track_in_the_file() -> 
         assert written is not None
         assert (written.parameters.slip.amplitude > 0.2) == (not uneven)
         assert (written.wheel_separation_m > 0.54) == bool(uneven)
+
+
+@pytest.mark.slow
+def test_a_scale_that_may_be_a_tilt_stays_out_of_the_file() -> None:
+    """Beside something left over the turns; where nothing is, a gyro that reads less than was granted is what it seems."""
+    log = drive(Plan(minutes=6.0, tick_m=2e-4, truth_m=0.02), 3)
+    less = replace(log, gyro_dps=0.95 * log.gyro_dps)
+    found = examine("log", less, robot(initial_std={"gyro_scale": 0.01}), None)
+    assert "gyro_scale" in found.parts
+
+    def written(yaw: YawAnswer) -> float:
+        better = improved_robot(found.series, yaw, found.truth, found.parts, found.figures)
+        assert better is not None
+        return better.parameters.gyro.scale
+
+    assert written(replace(found.yaw, odd=())) == pytest.approx(-0.05, abs=0.01)
+    assert written(replace(found.yaw, odd=("turn_rate",))) == 0.0
