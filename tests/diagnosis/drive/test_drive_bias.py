@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.drive import improved
+from gyrocal.diagnosis.drive import beside_truth, improved
 from gyrocal.diagnosis.drive.beside_truth import _loss_with_jump
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
@@ -537,3 +537,42 @@ def test_a_bias_in_motion_is_no_wheel_that_differs_where_it_ends_before_the_last
     assert amplitude.std < 20.0
     asymmetry = next(e for e in found.estimates if e.name == "wheel_asymmetry")
     assert abs(asymmetry.value) < 3 * asymmetry.std
+
+
+class _Laws:
+    """Laws of the bias as `_with_laws` takes and drops them, with what each is worth."""
+
+    laws = ("slope", "step")
+    uneven: frozenset[str] = frozenset()
+
+    def __init__(self, named: dict[str, float]) -> None:
+        self.named = named
+
+    @property
+    def chosen(self) -> tuple[str, ...]:
+        return tuple(self.named)
+
+    def less(self, names: list[str]) -> _Laws:
+        return _Laws({n: g for n, g in self.named.items() if n not in names})
+
+    def with_law(self, name: str, gain: float) -> _Laws:
+        return _Laws({**self.named, name: gain})
+
+
+@pytest.mark.parametrize(("beside", "stays"), [(10.0, True), (4.0, False)])
+def test_a_law_that_was_found_first_stays_beside_another_that_leaves_it_20_to_1(
+    beside: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A slope that the encoders show, and a step that the truth adds: with the step alone that held the share of both."""
+
+    def gain(series: object, yaw: _Laws, truth: object, name: str) -> tuple[float, object]:
+        return ({"step": 40.0, "slope": beside}[name], truth)
+
+    monkeypatch.setattr(beside_truth, "_with_truth", gain)
+    monkeypatch.setattr(beside_truth, "_asked", lambda series, yaw, near: near)
+    found, _ = beside_truth._with_laws(
+        cast("Any", SimpleNamespace(differential=True)),
+        cast("Any", _Laws({"slope": 20.0})),
+        cast("Any", "truth"),
+    )
+    assert set(found.named) == ({"slope", "step"} if stays else {"step"})
