@@ -47,6 +47,9 @@ _STILL_M = 1e-3
 #: Wheels of a robot that turns go apart by more than this share of their way, even on a square kilometre; rounding of a speed
 #: that is written twice makes less.
 _ONE_SPEED = 1e-4
+#: Sides that count one way each lie apart by so many times their largest difference in a row at the most, so often. On 12 made-up
+#: logs they did by 1.6 times, 2,000 times and more; on 108 of two wheels by 40 times at least.
+_TICKS_APART, _AND_AGAIN = 3.0, 20.0
 #: The usual time step is the median of this many; as many of the longest are looked at for gaps.
 _STEPS = 10_000
 
@@ -264,8 +267,14 @@ class _Tally:
 
 
 def one_speed(left_m: Floats, right_m: Floats) -> bool:
-    """Whether the distances of both sides are one vehicle's speed written twice."""
-    return float(np.sum(np.abs(right_m - left_m))) <= _ONE_SPEED * float(np.sum(np.abs(right_m)))
+    """Whether the distances of both sides are one vehicle's speed written twice, or counted in ticks of each."""
+    apart = right_m - left_m
+    whole = float(np.sum(np.abs(apart)))
+    if whole <= _ONE_SPEED * float(np.sum(np.abs(right_m))):
+        return True
+    # Counts of one way part by a tick and come together again; those of a robot that turns do not.
+    range_m = float(np.ptp(np.cumsum(apart)))
+    return range_m <= _TICKS_APART * float(np.max(np.abs(apart))) and whole >= _AND_AGAIN * range_m
 
 
 def _widen(span: tuple[float, float], values: Floats) -> tuple[float, float]:

@@ -73,6 +73,17 @@ def test_one_speed_in_both_columns_is_one_speed() -> None:
     assert any("one speed" in note for note in replayed.notes)
 
 
+def test_one_speed_that_each_side_counts_in_ticks_is_one_speed() -> None:
+    """Sides that part by a tick and come together again had an effective track of -95 %, and `skid_slip`."""
+    log = drive()
+    way = np.cumsum(0.5 * (log.left_m + log.right_m))
+    sides = [np.diff(np.floor(way / 1e-3 + phase), prepend=0.0) * 1e-3 for phase in (0.0, 0.4)]
+    assert survey("log", [replace(log, left_m=sides[0], right_m=sides[1])]).speed_only
+    # Two wheels of a robot that turns, in ticks as coarse.
+    turning = [np.diff(np.floor(np.cumsum(x) / 1e-3), prepend=0.0) * 1e-3 for x in (log.left_m, log.right_m)]
+    assert not survey("log", [replace(log, left_m=turning[0], right_m=turning[1])]).speed_only
+
+
 def _vehicle(rate: float = 1.0, way: float = 1.0) -> DriveBlock:
     """A drive of one speed without truth, its rates and its way times so much."""
     log = fleet_drive(Plan("random", 3.0, 10.0), 1)
