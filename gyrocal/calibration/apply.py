@@ -179,11 +179,10 @@ def _odd_columns(
     scale = odd_output(table.rate_dps[known], corrected[known], ideal=True) if known.any() else None
     said = []
     for odd in filter(None, (scale if scale and scale.a_scale else None, odd_temperature(table.temp_c))):
+        what = f"{table.source}: {'corrected, ' * odd.a_scale}{odd.what}"
         if not force:
-            raise DataError(
-                f"{table.source}: {'corrected, ' * odd.a_scale}{odd.what}. {odd.remedy}, or say --force-sensor."
-            )
-        said.append(f"{table.source}: {'corrected, ' * odd.a_scale}{odd.what} (--force-sensor)")
+            raise DataError(f"{what}. {odd.remedy}, or say --force-sensor.")
+        said.append(f"{what} (--force-sensor)")
     return tuple(said)
 
 

@@ -457,15 +457,14 @@ class TableSearch:
 
         A coil behind its sensor is what gyros have: it pays for its shapes, and no toll.
         """
-        shapes = [float(len(_FIRST_SHARES) * len(_FIRST_LAGS_S))] if coil else []
+        shapes = [len(_FIRST_SHARES) * len(_FIRST_LAGS_S)] if coil else []
         # What stands beside another law has the shape of that.
         own = [change for change in changes if change.beside is None]
-        shapes += [float(len(self.changes.shapes(*change.kind))) for change in own]
-        shapes += [1.0] * (len(changes) - len(own))
+        shapes += [len(self.changes.shapes(*change.kind)) for change in own]
         paid = _ODD_NATS * sum(not change.plain for change in own)
         paid -= sum(change.prior_nats for change in changes)
-        paid += TOLL_NATS * len(changes)
-        paid += _FIRST_NATS + float(np.sum(0.5 * np.log(shapes))) if shapes else 0.0
+        paid += TOLL_NATS * len(changes) + 0.5 * float(np.sum(np.log(shapes)))
+        paid += _FIRST_NATS if coil or changes else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
 
 

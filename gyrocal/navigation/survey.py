@@ -48,7 +48,7 @@ _STILL_M = 1e-3
 #: that is written twice makes less.
 _ONE_SPEED = 1e-4
 #: Sides that count one way each lie apart by so many times their largest difference in a row at the most, so often. On 12 made-up
-#: logs they did by 1.6 times, 2,000 times and more; on 108 of two wheels by 40 times at least.
+#: logs they did by 1.6 times, 2,000 times and more; on 126 of two wheels by 43 times at least.
 _TICKS_APART, _AND_AGAIN = 3.0, 20.0
 #: The usual time step is the median of this many; as many of the longest are looked at for gaps.
 _STEPS = 10_000

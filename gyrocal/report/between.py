@@ -11,7 +11,7 @@ from gyrocal.diagnosis.versus.between import Between, between_to_json
 from gyrocal.report.page import Table
 from gyrocal.report.tables import csv_text
 from gyrocal.report.words import fixed, listed, parameter_words, range_text
-from gyrocal.units import decimals, p_equals
+from gyrocal.units import decimals, p_equals, p_text
 
 BETWEEN_JSON = "between.json"
 
@@ -55,7 +55,7 @@ def between_table(answers: Sequence[Versus], found: Sequence[Between]) -> Table:
             parameter_words(b.name),
             _mean(b),
             f"{range_text(*b.spread.spread_interval_95)} {_unit(b)}",
-            p_equals(b.spread.p_value).removeprefix("p = ").removeprefix("p "),
+            p_text(b.spread.p_value),
             "yes" if b.differs else "no",
             *(_value(e) for e in b.estimates),
         )

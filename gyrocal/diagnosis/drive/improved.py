@@ -363,7 +363,7 @@ def improved_robot(
         for side in ("left", "right"):
             keys[f"encoders.{side}_scale"] = parts["wheel_scale"].value
             keys[f"encoders.{side}_scale_std"] = parts["wheel_scale"].std
-    if truth is not None and not truth.mirrored and "gyro_scale" not in parts:
+    if truth is not None and not truth.mirrored and scale is None:
         # Not sure enough to be taken out, and yet better known than before.
         left = float(np.linalg.norm([truth.values["gyro_scale"], truth.stds["gyro_scale"], by_side]))
         keys["gyro.scale_std"] = min(left, series.robot.initial_std["gyro_scale"])
