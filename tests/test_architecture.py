@@ -8,7 +8,7 @@ import graphlib
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -96,6 +96,12 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
 
+@functools.cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """Every node of the parsed source."""
+    return list(ast.walk(tree_of(path)))
+
+
 def imports(nodes: Iterator[ast.AST], module: str, is_package: bool) -> Iterator[tuple[int, str]]:
     """``(line, dotted name)`` of everything imported by `nodes`, relative imports resolved."""
     for node in nodes:
@@ -145,24 +151,23 @@ def imports_of(path: Path) -> list[tuple[int, str]]:
 
 def numba_is_optional(path: Path) -> bool:
     """Whether every import of numba in the file stands under ``try`` or ``suppress(ImportError)``."""
-    tree = tree_of(path)
     guards = [
         t
-        for t in ast.walk(tree)
+        for t in nodes_of(path)
         if isinstance(t, ast.Try)
         or (isinstance(t, ast.With) and "suppress(ImportError)" in ast.unparse(t.items[0]))
     ]
     guarded = {id(n) for t in guards for n in ast.walk(t)}
-    for node in ast.walk(tree):
+    for node in nodes_of(path):
         names = list(imports(iter([node]), module_name(path), False))
         if any(name.split(".")[0] == "numba" for _, name in names) and id(node) not in guarded:
             return False
     return True
 
 
-def definitions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
-    """Every function and class, nested ones included."""
-    for node in ast.walk(tree):
+def definitions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef]:
+    """Every function and class of a source file, nested ones included."""
+    for node in nodes_of(path):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield node
 
@@ -179,12 +184,30 @@ def public_definitions(body: list[ast.stmt]) -> Iterator[ast.stmt]:
             yield from public_definitions(node.body)
 
 
-def ids(path: Path) -> str:
-    """Readable test id."""
-    return module_name(path)
+def each(paths: Iterable[Path]) -> Callable[[Callable[[Path], None]], Callable[[], None]]:
+    """A test that holds a rule against each of these files, and tells of all that break it."""
+
+    def over(rule: Callable[[Path], None]) -> Callable[[], None]:
+        def test() -> None:
+            broken = []
+            for path in paths:
+                try:
+                    rule(path)
+                except AssertionError as error:
+                    broken.append(str(error))
+            assert not broken, "\n".join(broken)
+
+        return test
+
+    return over
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
+def modules_in(*rooms: str) -> list[Path]:
+    """Modules of these rooms."""
+    return [p for p in MODULES if room(module_name(p)) in rooms]
+
+
+@each(MODULES)
 def test_import_table(path: Path) -> None:
     name = module_name(path)
     here = room(name)
@@ -212,7 +235,7 @@ def test_no_module_imports_itself_in_a_circle() -> None:
     graph: dict[str, set[str]] = {}
     for name, path in known.items():
         graph[name] = set()
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             for _, base in imports(iter([node]), name, path.name == "__init__.py"):
                 names = [a.name for a in node.names] if isinstance(node, ast.ImportFrom) else []
                 parts = {f"{base}.{n}" for n in names} & known.keys()
@@ -220,7 +243,7 @@ def test_no_module_imports_itself_in_a_circle() -> None:
     graphlib.TopologicalSorter(graph).prepare()
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) in LIGHT_ROOMS], ids=ids)
+@each(modules_in(*LIGHT_ROOMS))
 def test_light_rooms_need_numpy_only(path: Path) -> None:
     allowed = LIGHT_ROOMS[room(module_name(path))] | {"gyrocal"} | set(sys.stdlib_module_names)
     for line, imported in imports_of(path):
@@ -228,10 +251,10 @@ def test_light_rooms_need_numpy_only(path: Path) -> None:
     assert numba_is_optional(path), f"{path}: numba must be imported under try"
 
 
-CLI = [p for p in MODULES if room(module_name(p)) == "cli"]
+CLI = modules_in("cli")
 
 
-@pytest.mark.parametrize("path", CLI, ids=ids)
+@each(CLI)
 def test_command_files_are_thin(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").count("\n")
     assert lines < 150, f"{path}: {lines} lines; a command is options, one library call, render"
@@ -239,7 +262,7 @@ def test_command_files_are_thin(path: Path) -> None:
         assert imported.split(".")[0] != "numpy", f"{path}:{line}: no numpy in cli"
 
 
-@pytest.mark.parametrize("path", CLI, ids=ids)
+@each(CLI)
 def test_commands_import_late(path: Path) -> None:
     nodes = top_level_nodes(tree_of(path))
     for line, imported in imports(nodes, module_name(path), path.name == "__init__.py"):
@@ -276,17 +299,17 @@ def test_runtime_is_small() -> None:
     assert lines < 1800, f"gyrocal.fusion has {lines} lines; a robot imports it, so it stays under 1,800"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
+@each(MODULES)
 def test_sizes(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").count("\n")
     assert lines <= 500, f"{path}: {lines} lines"
-    for node in definitions(tree_of(path)):
+    for node in definitions(path):
         if not isinstance(node, ast.ClassDef):
             length = (node.end_lineno or node.lineno) - node.lineno + 1
             assert length <= 60, f"{path}:{node.lineno}: {node.name} has {length} lines"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
+@each(MODULES)
 def test_public_things_have_docstrings(path: Path) -> None:
     tree = tree_of(path)
     assert ast.get_docstring(tree), f"{path}: no module docstring"
@@ -304,10 +327,10 @@ def test_a_large_folder_says_in_which_order_to_read_it(folder: str) -> None:
         )
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
+@each(MODULES)
 def test_habits(path: Path) -> None:
     name = module_name(path)
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         where = f"{path}:{getattr(node, 'lineno', 0)}"
         assert not isinstance(node, ast.Assert), f"{where}: assert vanishes under python -O; raise"
         if isinstance(node, ast.Call):
@@ -339,9 +362,7 @@ def constants(path: Path) -> Iterator[ast.Assign]:
                 yield node
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in MODULES if room(module_name(p)) in ("diagnosis", "inference")], ids=ids
-)
+@each(modules_in("diagnosis", "inference"))
 def test_constants_give_their_reason(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").splitlines()
     for node in constants(path):
@@ -349,7 +370,7 @@ def test_constants_give_their_reason(path: Path) -> None:
         assert above.startswith("#:"), f"{path}:{node.lineno}: say in a line '#: ...' above why this number"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=ids)
+@each(MODULES)
 def test_nothing_unfinished(path: Path) -> None:
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         for word in ("TODO", "FIXME", "XXX", "NotImplementedError"):
@@ -380,13 +401,11 @@ OWN_LAWS = {"gyrocal.trial.laws": set(CATALOGUE) - {"quantisation", "time_base",
 def ids_in(path: Path) -> set[str]:
     """Ids of effects that stand as text in a module."""
     known = set(CATALOGUE) | set(DRIVE_CATALOGUE)
-    texts = {
-        n.value for n in ast.walk(tree_of(path)) if isinstance(n, ast.Constant) and isinstance(n.value, str)
-    }
+    texts = {n.value for n in nodes_of(path) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     return texts & known
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) != "physics"], ids=ids)
+@each([p for p in MODULES if room(module_name(p)) != "physics"])
 def test_only_physics_knows_an_effect(path: Path) -> None:
     """What a module has to know of an effect it asks its object; where one is meant, it is imported."""
     name = module_name(path)
@@ -439,9 +458,9 @@ ENGINES = {
 }
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if room(module_name(p)) == "report"], ids=ids)
+@each(modules_in("report"))
 def test_report_runs_nothing(path: Path) -> None:
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom):
             called = {a.name for a in node.names} & ENGINES
             assert not called, f"{path}:{node.lineno}: {sorted(called)} belongs to gyrocal.commands"
@@ -459,19 +478,16 @@ _WORDS = 6
 
 def sentences_in(path: Path) -> Iterator[tuple[int, str]]:
     """Sentences that a module holds beside docstrings and what it raises."""
-    tree = tree_of(path)
-    raised = {id(n) for r in ast.walk(tree) if isinstance(r, ast.Raise) for n in ast.walk(r)}
-    alone = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-    for node in ast.walk(tree):
+    raised = {id(n) for r in nodes_of(path) if isinstance(r, ast.Raise) for n in ast.walk(r)}
+    alone = {id(n.value) for n in nodes_of(path) if isinstance(n, ast.Expr)}
+    for node in nodes_of(path):
         if not (isinstance(node, ast.Constant) and isinstance(node.value, str)):
             continue
         if id(node) not in raised | alone and len(node.value.split()) >= _WORDS:
             yield node.lineno, node.value
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in MODULES if room(module_name(p)) in ("diagnosis", "inference")], ids=ids
-)
+@each(modules_in("diagnosis", "inference"))
 def test_sentences_are_made_at_the_edge(path: Path) -> None:
     found = list(sentences_in(path))
     if module_name(path) in SENTENCES:
@@ -485,6 +501,37 @@ def error_classes() -> list[type[GyrocalError]]:
     """Every error class of errors.py but the base."""
     found = vars(gyrocal.errors).values()
     return [c for c in found if isinstance(c, type) and issubclass(c, GyrocalError) and c is not GyrocalError]
+
+
+def messages(path: Path) -> list[tuple[int, str]]:
+    """Constant text of every error raised in a source file, with its line."""
+    found = []
+    names = {cls.__name__ for cls in EXIT_CODES}
+    for node in nodes_of(path):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in names
+            and node.args
+        ):
+            text = "".join(
+                part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else "…"
+                for part in (
+                    node.args[0].values if isinstance(node.args[0], ast.JoinedStr) else [node.args[0]]
+                )
+            )
+            if text != "…":
+                found.append((node.lineno, text))
+    return found
+
+
+@each(MODULES)
+def test_error_texts_are_sentences(path: Path) -> None:
+    for line, text in messages(path):
+        assert text.rstrip().endswith((".", "…", ")")), (
+            f"{path}:{line}: {text!r} does not end like a sentence"
+        )
+        assert "\n" not in text, f"{path}:{line}: an error is one line"
 
 
 def test_every_error_has_its_own_exit_code() -> None:
@@ -506,6 +553,6 @@ def test_error_classes_live_in_one_place() -> None:
     for path in MODULES:
         if path.name == "errors.py" and path.parent == PACKAGE:
             continue
-        for node in definitions(tree_of(path)):
+        for node in definitions(path):
             bases = [ast.unparse(b).split(".")[-1] for b in getattr(node, "bases", ())]
             assert names.isdisjoint(bases), f"{path}:{node.lineno}: define errors in errors.py"

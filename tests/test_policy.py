@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import shlex
 from pathlib import Path
@@ -96,39 +95,6 @@ def test_an_error_is_one_sentence_and_its_exit_code(
     (line,) = captured.err.strip().splitlines()
     assert line == f"gyrocal: {tmp_path / 'nothing.csv'}: no such file or directory. Check the path."
     assert list(tmp_path.iterdir()) == []
-
-
-def messages(path: Path) -> list[tuple[int, str]]:
-    """Constant text of every error raised in a source file, with its line."""
-    found = []
-    names = {cls.__name__ for cls in EXIT_CODES}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and node.func.id in names
-            and node.args
-        ):
-            text = "".join(
-                part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else "…"
-                for part in (
-                    node.args[0].values if isinstance(node.args[0], ast.JoinedStr) else [node.args[0]]
-                )
-            )
-            if text != "…":
-                found.append((node.lineno, text))
-    return found
-
-
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "gyrocal").rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT))
-)
-def test_error_texts_are_sentences(path: Path) -> None:
-    for line, text in messages(path):
-        assert text.rstrip().endswith((".", "…", ")")), (
-            f"{path}:{line}: {text!r} does not end like a sentence"
-        )
-        assert "\n" not in text, f"{path}:{line}: an error is one line"
 
 
 def test_exit_codes_are_in_the_readme() -> None:

@@ -359,9 +359,18 @@ def runs_of(rows: Ints) -> list[Ints]:
 
 
 def nodes_of(series: DriveSeries, spacing_s: float = NODE_S) -> Nodes:
-    """Nodes at most every `spacing_s` in motion and `REST_NODE_S` at rest, always on a row."""
+    """Nodes at most every `spacing_s` in motion and `REST_NODE_S` at rest, always on a row.
+
+    A rest is three intervals where it is long enough for them: what a law says of it does not hang on one.
+    """
     since = series.t_s - series.t_s[0]
-    step_s = np.where(series.resting, max(REST_NODE_S, spacing_s), spacing_s)
+    run = np.cumsum(np.diff(series.resting, prepend=series.resting[0]))
+    length_s = np.diff(since[np.flatnonzero(np.diff(run, prepend=-1))], append=since[-1])
+    step_s = np.where(
+        series.resting,
+        np.clip(length_s[run] / 3.0, spacing_s, max(REST_NODE_S, spacing_s)),
+        spacing_s,
+    )
     # Half a nanosecond keeps a row that lies on a border of the grid on one side of it.
     key = 2 * np.floor(since / step_s + 1e-9).astype(np.int64) + series.resting
     ends = np.flatnonzero(np.diff(key, append=-1) != 0)
