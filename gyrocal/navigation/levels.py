@@ -122,7 +122,7 @@ def fit_noise(
     )
     # Levels that were bent to innovations of another law are worth less than the usual ones.
     fitted = told(best.x, parameters)
-    seen = whiteness(_innovations(rows, navigator(fitted))[0])
+    seen = whiteness(as_taken(_innovations(rows, navigator(fitted))[0], fitted.gate_sigma))
     return fitted if seen.describes else told(usual, parameters)
 
 
@@ -234,6 +234,14 @@ class Whiteness:
         """Whether they are those of a filter that describes the log."""
         white = NIS_RANGE[0] < self.nis < NIS_RANGE[1] and abs(self.lag1) < LAG1_LIMIT
         return bool(white and (not self.sums or self.slow * self.sums < chi2.isf(_SELDOM, self.sums)))
+
+
+def as_taken(normalised: Floats, gate_sigma: float) -> Floats:
+    """Normalised innovations as the filter takes them: one beyond its gate is a slip, and counts as the gate's edge.
+
+    So a filter that gates a few bumps describes the log, and one that gates every hundredth row does not.
+    """
+    return np.clip(normalised, -gate_sigma, gate_sigma)
 
 
 def summed(normalised: Floats) -> tuple[Floats, Floats]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.fusion import Counts, Navigator, RobotParameters, StaticBias, Trajectory
 from gyrocal.navigation.align import Alignment, HeadingErrors, PositionErrors
-from gyrocal.navigation.levels import Whiteness, summed
+from gyrocal.navigation.levels import Whiteness, as_taken, summed
 
 Floats = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ class Recorder:
         self._drift_sum += float(t.drift_m @ t.drift_m)
         self._rows += t.drift_m.size
         normalised = t.innovation_deg / t.innovation_sigma_deg
-        normalised = normalised[np.isfinite(normalised)]
+        normalised = as_taken(normalised[np.isfinite(normalised)], self._navigator.robot.gate_sigma)
         if normalised.size:
             self._nis_sum += float(normalised @ normalised)
             self._nis_rows += normalised.size

@@ -353,7 +353,7 @@ def test_a_memory_of_the_temperature_in_pauses_of_the_log_is_doubted(
     assert _not_logged(series, named[1:]) == []
 
 
-@pytest.mark.parametrize("back", [False, True])
+@pytest.mark.parametrize("back", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_shape_in_a_temperature_that_went_one_way_may_be_one_of_time(back: bool) -> None:
     rng = np.random.default_rng(8)
     rates, temps = np.linspace(-100.0, 100.0, 9), np.linspace(-10.0, 60.0, 8)

@@ -56,6 +56,7 @@ def test_the_ends_of_a_grid_and_what_is_not_on_it() -> None:
     assert grid == [*COARSE]
 
 
+@pytest.mark.slow
 def test_a_warm_up_of_a_small_gyro_has_its_time_constant_and_not_that_of_a_grid() -> None:
     """2 deg/s at the first row, 10 at power-on, which was soaked through: a step of the grid would leave 50 mdeg/s."""
     rng = np.random.default_rng(3)

@@ -60,7 +60,8 @@ def test_times_leave_no_leap() -> None:
     assert counts == [8, 0]
 
 
-@pytest.mark.parametrize("timed", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("timed", [False, True])
 def test_a_drift_over_the_soaks_leaves_the_surface_as_it_is(timed: bool) -> None:
     """By the order alone it goes by steps: a hysteresis and an order of the temperature had been named in its place."""
     rate, temp, t_s = held(CYCLE)

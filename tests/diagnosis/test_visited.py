@@ -83,7 +83,7 @@ def test_a_step_within_a_visit_is_told_from_the_surface_and_one_between_two_is_n
     assert steps_of_scale(five, 4).tolist() == np.flatnonzero(five.rate_dps).tolist()
 
 
-@pytest.mark.parametrize("from_row", [62, 54])
+@pytest.mark.parametrize("from_row", [pytest.param(62, marks=pytest.mark.slow), 54])
 def test_a_step_of_the_scale_factor_at_four_temperatures(from_row: int) -> None:
     """Within the last visit it is named; from its beginning on it is as well the temperature's."""
     table, own = at_temperatures([10.0, 50.0, -10.0, 30.0])
@@ -102,7 +102,7 @@ def test_a_step_of_the_scale_factor_at_four_temperatures(from_row: int) -> None:
 
 @pytest.mark.parametrize(
     ("jump_dps", "seed"),
-    [(0.0, 12), (0.02, 12), *(pytest.param(0.02, seed, marks=pytest.mark.slow) for seed in (14, 15))],
+    [(0.0, 12), *(pytest.param(0.02, seed, marks=pytest.mark.slow) for seed in (12, 14, 15))],
 )
 def test_a_step_between_two_of_five_visits_is_found_or_told_as_noise(jump_dps: float, seed: int) -> None:
     """It is as well a bias that wanders; what stands ten sigmas out of the scatter of a visit is never passed over."""

@@ -81,7 +81,7 @@ def test_several_strong_terms_at_once() -> None:
     np.testing.assert_allclose(corrected, rate, atol=1e-9)
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(cuts=st.lists(st.integers(0, 80), max_size=8), seed=st.integers(0, 100))
 def test_any_split_gives_the_same_numbers(cuts: list[int], seed: int) -> None:
     c = coefficients(*(entry(e.id, runtime=True, **e.typical()) for e in RUNTIME))

@@ -13,7 +13,8 @@ from gyrocal.navigation.track import Recorder, Track
 
 def recorded(innovation_deg: np.ndarray[Any, np.dtype[np.float64]], cuts: list[int]) -> Track:
     """A track of innovations of deviation two, with nothing else in it."""
-    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=None)
+    robot = SimpleNamespace(gate_sigma=5.0)
+    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=robot)
     recorder = Recorder(cast(Any, navigator))
     for part in np.split(innovation_deg, cuts):
         nothing, rows = np.zeros(part.size), np.zeros((part.size, 9))
@@ -40,3 +41,13 @@ def test_sums_of_innovations_go_on_across_blocks() -> None:
     slow = [recorded(nu, cuts).whiteness for cuts in ([], [7, 130, 399])]
     assert slow[0].slow == pytest.approx(slow[1].slow)
     assert [one.sums for one in slow] == [4, 4]
+
+
+def test_a_slip_that_the_gate_takes_counts_as_its_edge() -> None:
+    """A path with a few bumps is described by a filter that gates them, and one with many is not."""
+    nu = 2.0 * np.random.default_rng(2).normal(size=2000)
+    few, many = nu.copy(), nu.copy()
+    few[::400], many[::40] = 80.0, 80.0
+    assert recorded(few, []).whiteness.nis == pytest.approx(1.0 + 25.0 / 400.0, abs=0.1)
+    assert recorded(few, []).whiteness.describes
+    assert not recorded(many, []).whiteness.describes
