@@ -56,7 +56,7 @@ _LEAST_TICK_M, _STILL = 1e-6, 1e-5
 _TOLD = 1e-9
 #: An interval that says nothing: a gap, a spinning wheel, rad^2.
 LEFT_OUT = 1.0
-#: Share of the usual speed below which wheels creep.
+#: Share of the usual speed, and of the usual difference of the sides, below which wheels creep.
 _CREEPING = 0.1
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, NEIGHBOURS = 5.0, 2
@@ -296,16 +296,21 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
 def _creeping(frame: Frame) -> NDArray[np.bool_]:
     """Intervals in which wheels set off or come to stand: what motion adds to a bias may begin and end at any speed of these.
 
-    Slow wheels err by nothing, and by the shape of its edges alone a bias in motion would be sure.
+    Slow wheels err by nothing, and by the shape of its edges alone a bias in motion would be sure. A robot that turns on the
+    spot has slow wheels, too, and is in full motion: it is slow in its turn as well where it creeps.
     """
     nodes = frame.nodes
     # Wheels that jump by themselves creep no more than those of a robot that goes on do.
     smooth, own = (np.abs(x.left_m) + np.abs(x.right_m) for x in (frame.steady, frame.series))
-    way_m = np.cumsum(np.maximum(smooth, own))
-    speed_mps = nodes.between(way_m) / np.where(nodes.dt_s > 0, nodes.dt_s, np.inf)
+    between_s = np.where(nodes.dt_s > 0, nodes.dt_s, np.inf)
+    speed_mps = nodes.between(np.cumsum(np.maximum(smooth, own))) / between_s
+    apart_mps = np.abs(nodes.between(np.cumsum(frame.series.right_m - frame.series.left_m))) / between_s
     moving = ~nodes.resting
-    usual_mps = float(np.median(speed_mps[moving])) if moving.any() else 0.0
-    return np.asarray(moving & (speed_mps < _CREEPING * usual_mps))
+    if not moving.any():
+        return moving
+    usual_mps = float(np.median(speed_mps[moving]))
+    turning_mps = float(np.sqrt(np.mean(apart_mps[moving] ** 2)))
+    return np.asarray(moving & (speed_mps < _CREEPING * usual_mps) & (apart_mps <= _CREEPING * turning_mps))
 
 
 def _with_usual_flicker(model: YawModel) -> YawModel:

@@ -16,8 +16,8 @@ from gyrocal.diagnosis.drive.beside_truth import _loss_with_jump
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
-from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _gain
-from gyrocal.diagnosis.drive.series import drive_series
+from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _gain, examine_yaw
+from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.weighing import evidence
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.records.drive import DriveBlock
@@ -51,6 +51,32 @@ def test_the_end_of_a_short_turn_is_no_spike_and_a_spike_is_one(resting: Robot) 
     assert np.count_nonzero(mended != spiked) == 1
 
 
+def test_a_fast_robot_that_turns_on_the_spot_does_not_creep(resting: Robot) -> None:
+    """Its wheels are slower there by a factor of ten, and nothing else tells the track as well as these turns do."""
+    hz, legs = 20.0, 8
+    up = np.minimum(np.arange(400), np.arange(400)[::-1]) / 40.0
+    straight, stand = 1.5 * np.minimum(up, 1.0), np.zeros(60)
+    spin_dps = 30.0 * np.minimum(np.minimum(np.arange(70), np.arange(70)[::-1]) / 5.0, 1.0)
+    one = [straight, stand, np.zeros(70), stand]
+    speed = np.concatenate([np.zeros(200), *one * legs])
+    rate_dps = np.concatenate([np.zeros(200), *[np.zeros(400), stand, spin_dps, stand] * legs])
+    rng = np.random.default_rng(3)
+    half = 0.25 * np.radians(rate_dps) / hz
+    wheels = (speed / hz + side * half for side in (-1.0, 1.0))
+    left, right = (x + 2e-4 * rng.normal(size=x.size) * (x != 0.0) for x in wheels)
+    gyro = rate_dps + 0.02 * rng.normal(size=rate_dps.size)
+    nan = np.full(speed.size, np.nan)
+    log = DriveBlock(2, np.arange(speed.size) / hz, left, right, gyro, nan, nan, nan, nan)
+    model = examine_yaw(drive_series("log", log, resting, None)).model
+    nodes = model.frame.nodes
+    turned = np.abs(nodes.between(np.cumsum(rate_dps / hz))) / nodes.dt_s
+    way = nodes.between(np.cumsum(speed / hz)) / nodes.dt_s
+    assert not model.left_out[turned > 15.0].any()
+    setting_off = (way > 0.0) & (way < 0.1)
+    assert setting_off.any()
+    assert model.left_out[setting_off].all()
+
+
 @pytest.mark.parametrize(("tick_m", "least_s"), [(2e-4, 1.6), (1e-2, 0.7)])
 def test_a_short_stop_is_a_rest_but_for_the_last_tick(tick_m: float, least_s: float, resting: Robot) -> None:
     speed = 0.5 + 0.2 * np.sin(np.arange(6000) / 70.0)
@@ -62,6 +88,8 @@ def test_a_short_stop_is_a_rest_but_for_the_last_tick(tick_m: float, least_s: fl
     series = drive_series("log", log, resting, None)
     stopped_s = float(np.sum(series.dt_s[series.resting]))
     assert least_s < stopped_s < least_s + 0.3
+    # What a law says of it does not hang on one interval, which an event is.
+    assert np.count_nonzero(nodes_of(series).resting) >= 3
 
 
 @pytest.mark.parametrize("hz", [20.0, 40.0, 50.0, 80.0])
