@@ -91,6 +91,7 @@ def test_flicker_sum_has_the_spectrum_of_bias_instability() -> None:
     np.testing.assert_allclose(one_sided * f * np.log(10.0), 1.0, rtol=0.06)
 
 
+@pytest.mark.slow
 def test_levels_of_the_scatter_are_found() -> None:
     rng = np.random.default_rng(5)
     found = []

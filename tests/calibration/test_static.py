@@ -361,7 +361,8 @@ def test_the_interval_of_the_mean_covers(tmp_path: Path) -> None:
     assert hits >= stats.binom.ppf(FALSE_ALARM, runs, 0.92)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_mean_of_a_walk_is_as_unsure_as_the_walk_went(tmp_path: Path, seed: int) -> None:
     """The mean of a walk of K over T is off its beginning by K sqrt(T / 3)."""
     samples, step_dps = 4000, 1e-4

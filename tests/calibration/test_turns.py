@@ -54,6 +54,7 @@ def test_it_finds_scale_asymmetry_and_bias() -> None:
     assert found.bias.low < -0.12 < found.bias.high
 
 
+@pytest.mark.slow
 def test_intervals_cover() -> None:
     inside, n = [0, 0], 120
     for seed in range(n):

@@ -80,6 +80,7 @@ def test_an_edge_that_is_passed_twice_is_no_pair_of_steps() -> None:
     assert np.sqrt(np.mean((corrected_dps - rate_dps) ** 2)) < 1.2e-3
 
 
+@pytest.mark.slow
 def test_a_bias_is_asked_for_edges_where_it_jumps_more_than_once() -> None:
     """20 mdeg/s up about 26 degC as the room warms up, and down again as it cools."""
     assert targets(["scale_step", "bias_step"]) == ("scale",)

@@ -367,6 +367,7 @@ def test_a_shape_in_a_temperature_that_went_one_way_may_be_one_of_time(back: boo
     assert [a.effect for a in named.alternatives] == ([] if back else ["bias_drift"])
 
 
+@pytest.mark.slow
 def test_a_drift_that_goes_with_the_logarithm_of_time_has_its_figures() -> None:
     """Of a law that has several forms the shapes of another had been asked for."""
     rng = np.random.default_rng(3)

@@ -127,10 +127,10 @@ def _trial(kind: str, seed: int, number: int) -> dict[str, Any]:
 
 QUICK: dict[str, Callable[[], dict[str, Any]]] = {
     "asymmetry": _asymmetry,
-    "step": _step,
     "drive": _drive,
 }
 SLOW: dict[str, Callable[[], dict[str, Any]]] = {
+    "step": _step,
     "another_gyro": _another_gyro,
     "warm_up": _warm_up,
     "resonance": _resonance,

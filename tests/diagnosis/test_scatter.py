@@ -60,6 +60,7 @@ def test_bursts_of_a_static_log_are_found_before_rows_are_averaged(timed: bool) 
     assert np.max(np.abs(left)) < 5 * NOISE_DPS
 
 
+@pytest.mark.slow
 def test_noise_alone_has_no_bursts() -> None:
     for seed in range(20):
         assert outlier_findings(series_of_table(make_log(seed))) == []

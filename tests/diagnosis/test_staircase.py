@@ -95,6 +95,7 @@ def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     assert layer_rows(Diagnosis(**{**vars(stepped), "layers": (unknown,)}))[0][0] == "odd rate, no name"
 
 
+@pytest.mark.slow
 def test_a_nearest_law_takes_all_or_a_share_or_is_none(stepped: Diagnosis) -> None:
     """Beside the rest of a model it can leave more than there was, or less than nothing."""
     near = {"scale_step": -1.8, "rate_order": 4.0, "scale_drift": 240.0}

@@ -83,6 +83,7 @@ def test_the_surface_alone_is_what_fit_chooses(tmp_path: Path, wander_dps: float
     )
 
 
+@pytest.mark.slow
 def test_a_bend_between_two_temperatures_is_in_the_band_and_not_in_the_surface() -> None:
     """Readings scatter by tenths of a degree about either of them: an improved file had such a bend of 8 mdeg/s from that."""
     rng = np.random.default_rng(5)

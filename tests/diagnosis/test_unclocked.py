@@ -79,6 +79,7 @@ def test_a_drift_over_the_soaks_leaves_the_surface_as_it_is(timed: bool) -> None
     assert np.std(right - again) < 0.012
 
 
+@pytest.mark.slow
 def test_a_transient_after_a_leap_is_told_and_not_taken_to_another_run() -> None:
     """How large one is depends on how long the temperature took, and a soak elsewhere is another."""
     rate, temp, t_s = held(CYCLE)

@@ -154,7 +154,7 @@ def test_where_no_rate_has_the_output_it_is_flagged() -> None:
     assert np.isnan(coefficients(STRONG).correct(top + 0.5, 20.0))
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(cuts=st.lists(st.integers(0, 80), max_size=8), seed=st.integers(0, 100))
 def test_any_split_gives_the_same_bits(cuts: list[int], seed: int) -> None:
     c = coefficients(STRONG, *NAMED, smooth())

@@ -24,6 +24,7 @@ from gyrocal.physics.gyro import rd2100_unit
 SMALL = World(runs=1)
 
 
+@pytest.mark.slow
 def test_the_processes_do_not_change_the_result() -> None:
     said: list[int] = []
     alone = monte_carlo(SMALL, 2, 7, said.append, workers=1)

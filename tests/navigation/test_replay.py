@@ -58,6 +58,7 @@ def test_blocks_of_any_size_give_the_same_replay(chunk_rows: int) -> None:
         assert b.errors.end_m == pytest.approx(a.errors.end_m)
 
 
+@pytest.mark.slow
 def test_few_rows_are_kept_of_a_long_log(monkeypatch: pytest.MonkeyPatch) -> None:
     full = whole()
     monkeypatch.setattr(module, "KEPT_ROWS", 100)

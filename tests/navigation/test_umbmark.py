@@ -48,6 +48,7 @@ def test_it_finds_wheels_and_track(ratio: float, track: float) -> None:
     )
 
 
+@pytest.mark.slow
 def test_intervals_cover() -> None:
     rng = np.random.default_rng(5)
     truth_cw, truth_ccw = return_error(-1, 1.0005, 1.02), return_error(1, 1.0005, 1.02)
