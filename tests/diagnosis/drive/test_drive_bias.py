@@ -534,7 +534,7 @@ def test_a_bias_that_settles_is_no_step_that_the_next_drive_has(resting: Robot) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("warm_dps", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("warm_dps", [0.0, 0.3])
 def test_a_bias_in_motion_is_no_wheel_that_differs_where_it_ends_before_the_last_tick(
     warm_dps: float, resting: Robot
 ) -> None:
