@@ -8,7 +8,7 @@ import graphlib
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -184,7 +184,7 @@ def public_definitions(body: list[ast.stmt]) -> Iterator[ast.stmt]:
             yield from public_definitions(node.body)
 
 
-def each(paths: Iterable[Path]) -> Callable[[Callable[[Path], None]], Callable[[], None]]:
+def each(paths: Sequence[Path]) -> Callable[[Callable[[Path], None]], Callable[[], None]]:
     """A test that holds a rule against each of these files, and tells of all that break it."""
 
     def over(rule: Callable[[Path], None]) -> Callable[[], None]:

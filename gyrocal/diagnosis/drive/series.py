@@ -364,13 +364,10 @@ def nodes_of(series: DriveSeries, spacing_s: float = NODE_S) -> Nodes:
     A rest is three intervals where it is long enough for them: what a law says of it does not hang on one.
     """
     since = series.t_s - series.t_s[0]
-    run = np.cumsum(np.diff(series.resting, prepend=series.resting[0]))
-    length_s = np.diff(since[np.flatnonzero(np.diff(run, prepend=-1))], append=since[-1])
-    step_s = np.where(
-        series.resting,
-        np.clip(length_s[run] / 3.0, spacing_s, max(REST_NODE_S, spacing_s)),
-        spacing_s,
-    )
+    step_s = np.full(since.size, spacing_s)
+    for rest in runs_of(np.flatnonzero(series.resting)):
+        length_s = since[min(rest[-1] + 1, since.size - 1)] - since[rest[0]]
+        step_s[rest] = np.clip(length_s / 3.0, spacing_s, max(REST_NODE_S, spacing_s))
     # Half a nanosecond keeps a row that lies on a border of the grid on one side of it.
     key = 2 * np.floor(since / step_s + 1e-9).astype(np.int64) + series.resting
     ends = np.flatnonzero(np.diff(key, append=-1) != 0)
