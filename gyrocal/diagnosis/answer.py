@@ -10,7 +10,7 @@ from operator import attrgetter
 import numpy as np
 
 from gyrocal.diagnosis import estimates
-from gyrocal.diagnosis.blocks import ODD, plain
+from gyrocal.diagnosis.blocks import plain
 from gyrocal.diagnosis.candidates import averaged
 from gyrocal.diagnosis.changes import STEPS
 from gyrocal.diagnosis.contest import ALIKE_NATS
@@ -22,7 +22,7 @@ from gyrocal.diagnosis.law_posterior import posterior_of
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Law, Model, beyond_input, lagging
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here, place_of
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, ODD
 from gyrocal.diagnosis.rate_errors import largest
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Estimate, Located, NamedEffect, UnnamedPart
@@ -87,7 +87,7 @@ def _instead_of_each_rate(found: Examination) -> dict[str, float]:
 def _shapes_instead(found: Examination) -> dict[str, float]:
     """Orders of the rate, where shapes in the rate explain as much as the errors of each rate that stand in their place, nats behind."""
     shaped, drawn = found.whole, found.settled
-    odd = [n for n, b in shaped.model.blocks.items() if b == ODD and not shaped.has_died(n)]
+    odd = [n for n in shaped.model.of_block(ODD) if not shaped.has_died(n)]
     replaced = odd and ODD not in drawn.model.blocks.values() and shaped.model.laws == drawn.model.laws
     named = any(n.law.effect == RATE_ORDER.id for n in found.naming.named)
     if not replaced or named or shaped.nll - drawn.nll >= ALIKE_NATS:
@@ -99,8 +99,10 @@ def _as_one(laws: list[NamedEffect]) -> NamedEffect:
     """Several laws of one effect, the strongest first, as one: figures of the one that adds most."""
     by_size = sorted(laws, key=lambda e: -(e.adds.value if e.adds else 0.0))
     largest, of_scale = by_size[0], _of_scale(by_size[0])
-    if largest.beside:
-        return largest
+    if (between := largest.beside) is not None:
+        if len(laws) > 1:
+            between = replace(between, facts={**between.facts, "others": len(laws) - 1})
+        return replace(largest, p_value=laws[0].p_value, beside=between)
     said = Remark(Said.SEVERAL_LAWS, {"count": len(laws)}) if len(laws) > 1 else None
     amplitudes = [e.parameters["amplitude"] for e in by_size if _of_scale(e) != of_scale]
     if amplitudes or of_scale:
@@ -317,10 +319,10 @@ def layers_of(found: Examination, level: float) -> list[Step]:
         own = [n for n in found.naming.named if n.law.effect == effect and model.holds(n.law)]
         if own:
             less = partial(Model.without_laws, names=[n.law.name for n in own])
-            beside = tuple(n for n, b in model.blocks.items() if b in {law.block for law in own})
+            beside = tuple(model.of_block(*{law.block for law in own}))
             steps.append(Step(effect, max(n.gain for n in own), less, beside))
     for block, nats in found.naming.unnamed.items():
-        names = [n for n, b in model.blocks.items() if b == block]
+        names = model.of_block(block)
         owners = [n.law.effect for n in found.naming.named if n.block == block and not model.holds(n.law)]
         title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == EACH_RATE else block
         told = owners or block_p_value(nats, len(BLOCKS)) <= level

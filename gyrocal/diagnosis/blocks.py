@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.laws import GAIN, Laws, tied_anew
 from gyrocal.diagnosis.layers import DIRECTION, Fitted, Law, Model
-from gyrocal.diagnosis.parts import EACH_RATE, SURFACE, Part
+from gyrocal.diagnosis.parts import EACH_RATE, EVEN, ODD, SURFACE, Part
 from gyrocal.inference.additive import Component
 from gyrocal.physics.smooth import Factor
 from gyrocal.units import NORMAL_95
@@ -28,8 +28,7 @@ _OWN = 3.0
 #: rates and the temperatures of the record it grows with both.
 _OF_SCALE = 3.0
 #: Block of what is odd in the rate, and all that a wrong direction of the surface looks like.
-ODD = "odd rate"
-BENT = (ODD, "even rate", EACH_RATE)
+BENT = (ODD, EVEN, EACH_RATE)
 #: Where the variance of the surface's own terms starts a second time (logarithm of the share of the record's).
 _AWAKE = 0.0
 #: Rounds in which the bend of a surface follows the surface; each leaves its slope (percents) of the change before.
@@ -76,7 +75,7 @@ def _is_between(free: Fitted) -> bool:
 
 def plain(model: Model, direction: str, bend: Floats) -> Model:
     """The model with a surface of this direction and without what is odd in the rate, which makes up for a wrong one."""
-    return model.without([n for n, b in model.blocks.items() if b == ODD]).directed(direction, bend)
+    return model.without(model.of_block(ODD)).directed(direction, bend)
 
 
 def gain_of_input(fitted: Fitted) -> tuple[float, float]:
@@ -140,7 +139,7 @@ def errors_of_each_rate(fitted: Fitted, draws: Component | None) -> Fitted:
 
     A few rates can be followed by anything smooth; independent errors of one size are the simpler account of them.
     """
-    odd = [n for n, b in fitted.model.blocks.items() if b == ODD]
+    odd = fitted.model.of_block(ODD)
     if draws is None or not odd:
         return fitted
     without = fitted.model.without(odd)
@@ -159,7 +158,7 @@ def _either_surface(fitted: Fitted, model: Model) -> list[Fitted]:
 
 def less(fitted: Fitted, block: str) -> Fitted:
     """The model without a block, its surface of the same direction."""
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    names = fitted.model.of_block(block)
     return min(_either_surface(fitted, fitted.model.without(names)), key=lambda f: f.nll)
 
 
@@ -170,7 +169,7 @@ def of_scale(part: Part) -> bool:
 
 def evidence(fitted: Fitted, block: str, laws: Laws | None = None) -> tuple[float, Fitted]:
     """What a block is worth, nats, and the model without it, in which laws act through the surface that it leaves."""
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    names = fitted.model.of_block(block)
     model, bend = fitted.model.without(names), fitted.model.bend
     ways = [model]
     if block in BENT and bend is not None:

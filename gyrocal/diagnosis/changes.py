@@ -46,6 +46,7 @@ Kind = tuple[str, bool]
 
 STEPS = (SCALE_STEP.id, BIAS_STEP.id)
 DRIFTS = (SCALE_DRIFT.id, BIAS_DRIFT.id)
+_IN_TIME = tuple((effect, False) for effect in (*STEPS, *DRIFTS))
 #: Laws of what is remembered, and their shape; the first has none. Heat of past turns grows as a
 #: warm-up does: only beside each other are they told apart.
 HISTORY = {
@@ -148,6 +149,11 @@ class Changes:
             return [Change(effect, *shape) for shape in self._drifts]
         values, spreads = self.grids(effect)
         return [Change(effect, float(at), float(spread), of_scale) for at in values for spread in spreads]
+
+    @cached_property
+    def trials(self) -> dict[Kind, int]:
+        """How many shapes each may have at first: what it pays does not depend on how fine its grid became since."""
+        return {kind: len(self.shapes(*kind)) for kind in (*self.lasting, *_IN_TIME)}
 
     def of_scale_too(self, change: Change) -> list[Change]:
         """What a warm-up may do to the scale factor beside the bias, where the record shows it."""

@@ -13,10 +13,10 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import ODD, of_scale
+from gyrocal.diagnosis.blocks import of_scale
 from gyrocal.diagnosis.candidates import Candidate, best_of_each
 from gyrocal.diagnosis.changes import DRIFTS, STEPS, Change, Changes
-from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.contest import best_law, price
 from gyrocal.diagnosis.edges import targets, with_edges
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.finer import halved, neighbours
@@ -27,6 +27,8 @@ from gyrocal.diagnosis.parts import (
     DRIFTING_BIAS,
     DRIFTING_SCALE,
     EACH_RATE,
+    EVEN,
+    ODD,
     Coil,
     Part,
     drifts,
@@ -75,7 +77,6 @@ BEGUN_WITH = 6
 #: Block of smooth shapes in temperature, and that of the rate whose laws may stand beside it.
 SHAPES, _OF_RATE = "temperature", ODD
 #: Those that a table may have of its own in each direction.
-_EVEN_IN_RATE = "even rate"
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
 _SPREAD_NATS, _MOST_SPREAD = 2.5, 40
 
@@ -231,7 +232,7 @@ class TableSearch:
         found, nearest = [], best_of_each(ranked)[:BEGUN_WITH]
         for c in nearest:
             fitted = shaped if c is ranked[0] else c.fitted.refit(c.fitted.model.with_laws(law))
-            paid = TOLL_NATS + 0.5 * float(np.log(won.shapes))
+            paid = price(law, won.shapes, TOLL_NATS)
             found.append(replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll + paid))
         # With a sine of so small a phase that the cubic does as well, neither surface nor law would be what it says.
         return [with_law for with_law, c in zip(found, nearest, strict=True) if with_law.score < c.score]
@@ -248,8 +249,8 @@ class TableSearch:
         odd = [c for c in near if self._shapes(c.fitted.model, _OF_RATE)]
         plain = [self._with_draws(c, _OF_RATE, [draws], TOLL_NATS) for c in odd]
         own = [draws, of_each_direction(self.base.means, self.base.basis.frame)]
-        even = [c for c in (*near, *plain) if self._shapes(c.fitted.model.alive(c.fitted.fit), _EVEN_IN_RATE)]
-        return plain + [self._with_draws(c, _EVEN_IN_RATE, own, 0.0) for c in even]
+        even = [c for c in (*near, *plain) if self._shapes(c.fitted.model.alive(c.fitted.fit), EVEN)]
+        return plain + [self._with_draws(c, EVEN, own, 0.0) for c in even]
 
     def _shapes(self, model: Model, block: str) -> list[str]:
         """Components of a block that a model has."""
@@ -460,7 +461,7 @@ class TableSearch:
         shapes = [len(_FIRST_SHARES) * len(_FIRST_LAGS_S)] if coil else []
         # What stands beside another law has the shape of that.
         own = [change for change in changes if change.beside is None]
-        shapes += [len(self.changes.shapes(*change.kind)) for change in own]
+        shapes += [self.changes.trials[change.kind] for change in own]
         paid = _ODD_NATS * sum(not change.plain for change in own)
         paid -= sum(change.prior_nats for change in changes)
         paid += TOLL_NATS * len(changes) + 0.5 * float(np.sum(np.log(shapes)))

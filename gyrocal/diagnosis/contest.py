@@ -14,6 +14,7 @@ from gyrocal.diagnosis.intervals import refined
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, likeliest
 from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.diagnosis.misfit import changing
+from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
 from gyrocal.units import NORMAL_95
 
@@ -25,6 +26,11 @@ ALIKE_NATS = 3.0
 _BEAM = 3
 #: So many effects are fitted, each at its best shape; the others are far behind by a gain under fixed variances.
 _REFITTED = 3
+
+
+def price(law: Law, shapes: int, base: float) -> float:
+    """What a law pays for being there, nats: a base, for the shapes that it had to choose from, and for an unusual one."""
+    return base + 0.5 * float(np.log(max(1, shapes))) - CATALOGUE[law.effect].search.nats_before(law.shape)
 
 
 @dataclass(frozen=True)
@@ -43,8 +49,8 @@ class Winner:
 
     @property
     def least_nats(self) -> float:
-        """What it has to gain to be believed: more where it had more shapes to choose from, or has an unusual one."""
-        return GAIN + 0.5 * float(np.log(self.shapes)) - self.effect.search.nats_before(self.law.shape)
+        """What it has to gain to be believed."""
+        return price(self.law, self.shapes, GAIN)
 
 
 def best_law(
@@ -179,7 +185,7 @@ def best_pair(fitted: Fitted, current: Fitted, block: str, trials: Sequence[Tria
 
 def _without(fitted: Fitted, current: Fitted, block: str) -> tuple[Model, dict[str, float]]:
     """The model with the laws of `current` in place of a block, and variances (logarithms) that the block leaves it."""
-    names = [n for n, b in fitted.model.blocks.items() if b == block]
+    names = fitted.model.of_block(block)
     model = replace(fitted.model.without(names), laws=current.model.laws)
     return model, {**current.fit.log_variance, **fitted.fit.log_variance}
 

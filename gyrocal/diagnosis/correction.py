@@ -16,11 +16,14 @@ from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.in_place import is_passing
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import DIRECTION, NEGLIGIBLE, PHASE, WANDERING_SCALE, Fitted, Law, Model
-from gyrocal.diagnosis.means import Means
+from gyrocal.diagnosis.means import Means, angle_random_walk
 from gyrocal.diagnosis.open_loop import given_back
 from gyrocal.diagnosis.order import SURROGATE_PERIOD_S
 from gyrocal.diagnosis.parts import (
+    BIAS_IN_TIME,
     BLOCKS,
+    SCALE_IN_TIME,
+    SINCE_ON,
     SURFACE,
     Part,
     legendre_to_powers,
@@ -42,7 +45,6 @@ from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
-from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -204,14 +206,14 @@ def _less(found: Examination, blocks: Sequence[str]) -> Fitted:
     What a law of time explains is that law's: a walk beside it would take it along.
     """
     fitted = found.naming.fitted
-    names = [n for n, b in fitted.model.blocks.items() if b in blocks]
+    names = fitted.model.of_block(*blocks)
     if not names:
         return fitted
     passing = [CATALOGUE[n.law.effect] for n in found.naming.named if is_passing(n)]
-    taken = ["scale in time" if "rate_dps" in effect.needs else "bias in time" for effect in passing]
+    taken = [SCALE_IN_TIME if "rate_dps" in effect.needs else BIAS_IN_TIME for effect in passing]
     if not _any_of_scale(fitted.model, blocks):
         # What acted on the bias alone leaves the scale factor as it was.
-        taken.append("scale in time")
+        taken.append(SCALE_IN_TIME)
     return around_itself(fitted.refit(may_wander(fitted.model.without(names), [*blocks, *taken])))
 
 
@@ -259,7 +261,7 @@ def file_without_surface(fitted: Fitted) -> Coefficients:
         surface=Surface(np.zeros(SHAPE), 0.0, frame.rate_scale_dps, frame.temp_center_c, frame.temp_scale_c),
         covariance_dps2=np.zeros((_TERMS, _TERMS)),
         valid=_valid(series),
-        noise=_noise(fitted),
+        noise=Noise(angle_random_walk_deg_per_rt_h=angle_random_walk(series)),
         provenance=origin,
     )
 
@@ -273,15 +275,6 @@ def _valid(series: Series) -> Valid:
     gyro_low, _, temp_low, _ = np.fmin.reduce(series.reach).tolist()
     _, gyro_high, _, temp_high = np.fmax.reduce(series.reach).tolist()
     return Valid((gyro_low, gyro_high), (min(temp[0], temp_low), max(temp[1], temp_high)))
-
-
-def _noise(fitted: Fitted) -> Noise:
-    series = fitted.model.means.series
-    if not np.all(series.averaging_s > 0):
-        return Noise()
-    walk = 60.0 * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
-    spread = NORMAL_95 / np.sqrt(2.0 * len(series))
-    return Noise(angle_random_walk_deg_per_rt_h=(walk, walk * (1.0 - spread), walk * (1.0 + spread)))
 
 
 def _items(models: Sequence[tuple[float, Model, Solution]], again: float) -> tuple[list[_Item], int]:
@@ -402,7 +395,7 @@ def _since_power_on(model: Model) -> dict[str, Floats]:
     parts = {
         p.name: model.components[p.name].columns
         for p in model.parts
-        if p.block == "warm-up" and p.name in model.components
+        if p.block == SINCE_ON and p.name in model.components
     }
     laws = {law.name: law.columns for law in model.laws if law.effect == WARM_UP.id and not law.from_end}
     return laws | {n: columns for n, columns in parts.items() if columns is not None}

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.intervals import RISE_95
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import Part
 from gyrocal.diagnosis.visited import tells_of_scale, temperatures_apart, temperatures_turned
@@ -21,7 +22,6 @@ from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Column, Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.timewise import BIAS_STEP
-from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ _PASSAGES = 2
 #: how many tell the ends, and how often they are looked for closer.
 _ALL_OVER, _FARTHEST, _WIDEST, _TELLING, _CLOSER = 25, 2.0, 6.0, 9, 4
 #: Fall of the log-likelihood at the ends of a 95 % interval.
-_LIKELY = 0.5 * NORMAL_95**2
+_LIKELY = 0.5 * RISE_95
 #: Edges of one record.
 _MOST_EDGES = 2
 #: What is nearer to the center of an edge, in widths, may have passed it by noise.

@@ -30,6 +30,7 @@ from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable
 from gyrocal.diagnosis.layers import Fitted
 from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
+from gyrocal.diagnosis.means import angle_random_walk
 from gyrocal.diagnosis.parts import FLICKER
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.residual import Residuals, residuals
@@ -394,14 +395,14 @@ def _noise(series: Series, left: Residuals) -> tuple[NoiseModel, NoiseLevels, li
 
 
 def _noise_figures(series: Series, model: NoiseModel, levels: NoiseLevels) -> NoiseFigures:
-    walk = None
-    if np.all(series.averaging_s > 0):
-        walk = 60.0 * levels.white * float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
+    walk = angle_random_walk(series)
     # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
     # IEEE 952 gives for both signs of the frequency, over a decade.
     flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
     wander = levels.walk * 3600.0 * 60.0 if levels.walk and series.has_time else None
-    return NoiseFigures(levels.white * model.typical_white, walk, float(flicker), 1e6 * levels.jitter, wander)
+    return NoiseFigures(
+        levels.white * model.typical_white, walk and walk[0], float(flicker), 1e6 * levels.jitter, wander
+    )
 
 
 def _rows(series: Series, left: Residuals, coefficients: Coefficients | None, levels: NoiseLevels) -> Rows:

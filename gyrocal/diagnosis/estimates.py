@@ -10,7 +10,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import fmin
-from scipy.stats import chi2
 from scipy.stats import t as student
 
 from gyrocal.diagnosis.intervals import (
@@ -478,7 +477,7 @@ def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:
     ]
     between = np.linspace(steps[0], steps[-1], 1001)
     likely = np.interp(between, steps, nll)
-    inside = between[likely < min(nll) + 0.5 * float(chi2.ppf(0.95, 1))]
+    inside = between[likely < min(nll) + 0.5 * RISE_95]
     # The variance was fitted before the last laws were there; beside them another may be likelier.
     shifts = np.array([between[np.argmin(likely)], inside[0], inside[-1]])
     fitted_ppm = float(np.sqrt(fitted.fit.variance[component])) / rate_scale_dps / PPM

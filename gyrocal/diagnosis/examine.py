@@ -36,7 +36,7 @@ from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
 from gyrocal.diagnosis.open_loop import with_open_loop
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, PASSING, Basis, passing
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, PASSING, SCALE_IN_TIME, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
@@ -52,7 +52,6 @@ from gyrocal.physics.timewise import BIAS_DRIFT
 Floats = NDArray[np.float64]
 
 #: Block of a scale factor that wanders.
-_SCALE_IN_TIME = "scale in time"
 #: Where variances start that are to be tried last.
 _LOW_START = -9.0
 
@@ -105,7 +104,7 @@ class Examination:
     def comes_again(self) -> float:
         """Probability that what the bias did since power-on begins anew with the next one.
 
-        Zero for a table without a clock, and for a run of which nobody says when that was: its beginning is as good as any for a name, but not for a robot that
+        Zero for a table without a clock whose temperature leaps, and for a run of which nobody says when that was: its beginning is as good as any for a name, but not for a robot that
         counts from its own.
         """
         if (not self.series.is_table and self.series.since_power_on_s is None) or leaps(self.series):
@@ -178,7 +177,7 @@ class _Account:
     def passing(self) -> list[str]:
         """Components of what wanders in it, or has a name that could be that."""
         of_scale = ["rate_dps" in CATALOGUE[n.law.effect].needs for n in self.naming.named if is_passing(n)]
-        names = [*WANDERING_SCALE] if any(of_scale) or _SCALE_IN_TIME in self.naming.unnamed else []
+        names = [*WANDERING_SCALE] if any(of_scale) or SCALE_IN_TIME in self.naming.unnamed else []
         return names if all(of_scale) else [*names, *WANDERING_BIAS]
 
 
@@ -255,13 +254,9 @@ class _Round:
             return []
         best, fitted = self.ranked[0], self.naming.fitted
         fitted = fitted.refit(fitted.model.without(self.idle))
-        paid = sum(_paid(n) for n in self.naming.named if not self.search.base.holds(n.law))
+        paid = sum(paid_by(n) for n in self.naming.named if not self.search.base.holds(n.law))
         paid += self.search.cancelled_nats(fitted, WANDERING_SCALE)
         return [replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)]
-
-
-def _paid(named: Named) -> float:
-    return TOLL_NATS + 0.5 * float(np.log(max(1, named.trials)))
 
 
 def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
@@ -343,7 +338,7 @@ def _beside_names(before: _Round) -> _Round:
     search = before.search.beside([n.law for n in held])
     ranked = search.run(best_of_each(before.ranked)[:BEGUN_WITH])
     # Nothing new gains less than what a further law would pay.
-    gained = before.by_law[0].score - ranked[0].score - sum(map(_paid, held))
+    gained = before.by_law[0].score - ranked[0].score - sum(map(paid_by, held))
     return _round(search, ranked, held) if gained > TOLL_NATS else before
 
 
@@ -381,7 +376,7 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     A plan goes through temperatures in turn: what is smooth in temperature can follow what happened at an instant.
     """
     beside, jumps = with_jumps(whole, passes, laws)
-    following = [n for n, b in whole.model.blocks.items() if b in FOLLOWING]
+    following = whole.model.of_block(*FOLLOWING)
     plain, instead = with_jumps(whole.refit(whole.model.without(following)), passes, laws)
     more = [*map(jumped, instead[len(jumps) :])]
     at_most = beside.nll + (may_lose(more) if more else REPLACED + len(instead) - len(jumps))

@@ -12,7 +12,7 @@ from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.means import rows_of
-from gyrocal.diagnosis.parts import Basis
+from gyrocal.diagnosis.parts import BIAS_IN_TIME, MEMORY, SINCE_ON, Basis
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series
@@ -31,7 +31,7 @@ _LEAST_SPAN_C = 10.0
 _STRETCHES, _FEWEST_ROWS, _MOVING_C_PER_MIN = 20, 5, 0.1
 #: Evidence that something else than the temperature moves the bias, nats: odds of 150; and the blocks that say so.
 _HISTORY_NATS = 5.0
-_NO_TEMPERATURE = ("memory", "warm-up", "bias in time")
+_NO_TEMPERATURE = (MEMORY, SINCE_ON, BIAS_IN_TIME)
 
 
 def without_terms(series: Series, coefficients: Coefficients | None) -> Series:

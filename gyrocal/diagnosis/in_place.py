@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.blocks import BENT, ODD, REPLACED
-from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law, best_pair, best_together, mechanism
+from gyrocal.diagnosis.blocks import BENT, REPLACED
+from gyrocal.diagnosis.contest import ALIKE_NATS, Winner, best_law, best_pair, best_together, mechanism, price
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.laws import GAIN, Laws, Trial, effects_of
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import with_misfit
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import Effect
 from gyrocal.physics.thermal import SHUPE
@@ -72,7 +72,7 @@ class Named:
 
 def passes(effect: Effect) -> bool:
     """Whether it is of what passes: its state at the end is held, and it does not begin anew."""
-    return effect.family == BLOCKS["bias in time"].family and not effect.runtime
+    return effect.family == BLOCKS[BIAS_IN_TIME].family and not effect.runtime
 
 
 def is_passing(named: Named) -> bool:
@@ -144,7 +144,7 @@ def _together(
     if len(winners) < 2:
         return best
     several = reshaped(winners[-1].fitted, laws, [w.law.name for w in winners])
-    paid = [GAIN + 0.5 * float(np.log(n.trials)) for n in best.named]
+    paid = [price(n.law, n.trials, GAIN) for n in best.named]
     ahead = best.fitted.nll + sum(paid) - several.nll - sum(w.least_nats for w in winners)
     if ahead <= ALIKE_NATS or several.nll > nothing + max(REPLACED + len(winners), _MISFIT * worth):
         return best
@@ -257,7 +257,8 @@ def _paired(
     # Laws of other blocks keep the shapes by which their names know them.
     pair = reshaped(pair, laws, [one.name for one in pair.model.laws[-2:]])
     gain = found.fitted.nll - pair.nll
-    if gain < GAIN + 0.5 * np.log(len(own)):
+    both = pair.model.laws[-2:]
+    if gain < sum(price(one, len(own), GAIN) for one in both) - price(law, len(own), GAIN):
         return found
-    two = [replace(found.named[0], law=one) for one in pair.model.laws[-2:]]
+    two = [replace(found.named[0], law=one) for one in both]
     return replace(found, fitted=pair, named=[two[0], replace(two[1], gain=gain)])

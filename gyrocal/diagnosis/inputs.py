@@ -11,7 +11,7 @@ from gyrocal.diagnosis.order import one_way
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.table_series import FEWEST_ROWS
-from gyrocal.diagnosis.visited import shows_scale, temperatures_turned_at
+from gyrocal.diagnosis.visited import shows_scale, visits_turned_at
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.offer import fell_c
@@ -117,7 +117,7 @@ def _one_way_notes(series: Series) -> tuple[Remark, ...]:
 
 def _few_temperatures_notes(series: Series) -> tuple[Remark, ...]:
     """What is not looked for where the gyro turned at a few temperatures."""
-    count = temperatures_turned_at(series.rate_dps, series.temp_c)
+    count = visits_turned_at(series.rate_dps, series.temp_c)
     return () if count == 0 or shows_scale(count) else (Remark(Said.FEW_TEMPERATURES, {"count": count}),)
 
 

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.coil import LAG_BOUNDS_S
-from gyrocal.diagnosis.intervals import TAILS, holding
+from gyrocal.diagnosis.intervals import holding, of_mass
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -40,9 +40,11 @@ def lag_estimates(candidates: Sequence[tuple[float, Candidate]]) -> dict[str, Es
     for change in changes:
         same = [(w, c) for w, c in candidates if c.changes == change]
         posterior += sum(w for w, _ in same) * _posterior(same[0][1])
+    shares = of_mass(_SHARES, posterior.sum(axis=0))
+    low_s, high_s = np.exp(of_mass(np.log(_LAGS_S), posterior.sum(axis=1)))
     return {
-        "amplitude": _estimate(float(share), _SHARES, posterior.sum(axis=0), "1"),
-        "tau_s": _estimate(float(tau_s), _LAGS_S, posterior.sum(axis=1), "s"),
+        "amplitude": Estimate.spanning(float(share), holding(shares, float(share)), "1"),
+        "tau_s": Estimate.spanning(float(tau_s), holding((float(low_s), float(high_s)), float(tau_s)), "s"),
     }
 
 
@@ -81,9 +83,3 @@ def _posterior(candidate: Candidate) -> Floats:
 
 def _whitened(lower: Floats, design: Floats, columns: list[int], weight: Floats) -> Floats:
     return np.asarray(linalg.solve_triangular(lower, design[:, columns] * weight, lower=True))
-
-
-def _estimate(value: float, grid: Floats, mass: Floats, unit: str) -> Estimate:
-    below = np.cumsum(mass) / mass.sum()
-    low, high = (float(np.interp(tail, below, grid)) for tail in TAILS)
-    return Estimate.spanning(value, holding((low, high), value), unit)

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.intervals import TAILS, holding
+from gyrocal.diagnosis.intervals import TAILS, holding, of_mass
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.result import Estimate
 
@@ -26,7 +26,7 @@ _FAR = 10.0
 def posterior_of(
     candidates: Sequence[tuple[float, Candidate]], law: Law, known: Mapping[str, Estimate]
 ) -> dict[str, Estimate]:
-    """Parameters of a law, with the value of one model and the intervals of all.
+    """Parameters of a law of a spread time constant, with the value of one model and the intervals of all.
 
     Parameters
     ----------
@@ -34,7 +34,6 @@ def posterior_of(
     known : the parameters in the best of them
     """
     weights, amplitudes, stds, shapes = [], [], [], []
-    (name,) = known.keys() & {"tau_s", "width_c"}
     for weight, c in candidates:
         own = next((x for x in c.fitted.model.laws if _same(x, law)), None)
         if own is None:
@@ -44,16 +43,16 @@ def posterior_of(
         weights.append(weight)
         amplitudes.append(float(solution.amplitudes[own.name][0]))
         stds.append(float(np.sqrt(solution.covariance[at, at])))
-        shapes.append(own.shape[name])
+        shapes.append(own.shape["tau_s"])
     if not weights or known["amplitude"].at_bound:
         return dict(known)
     share, mean, std = np.array(weights) / np.sum(weights), np.array(amplitudes), np.array(stds)
-    amplitude, shape = known["amplitude"], known[name]
+    amplitude, tau_s = known["amplitude"], known["tau_s"]
     of_all = _quantiles(share, mean, std), _between(share, np.array(shapes))
     return {
         **known,
         "amplitude": Estimate.spanning(amplitude.value, holding(of_all[0], amplitude.value), amplitude.unit),
-        name: Estimate.spanning(shape.value, holding(of_all[1], shape.value), shape.unit),
+        "tau_s": Estimate.spanning(tau_s.value, holding(of_all[1], tau_s.value), tau_s.unit),
     }
 
 
@@ -77,8 +76,5 @@ def _between(share: Floats, values: Floats) -> tuple[float, float]:
     each, place = np.unique(values, return_inverse=True)
     if each.size < 2:
         return float(each[0]), float(each[0])
-    mass = np.bincount(place, share)
-    logs = np.log(each)
-    edges = np.concatenate([[logs[0]], 0.5 * (logs[1:] + logs[:-1]), [logs[-1]]])
-    low, high = np.interp(TAILS, np.concatenate([[0.0], np.cumsum(mass)]), edges)
-    return float(np.exp(low)), float(np.exp(high))
+    low, high = np.exp(of_mass(np.log(each), np.bincount(place, share).astype(np.float64)))
+    return float(low), float(high)

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.layers import Fitted, Law, surface_of
 from gyrocal.diagnosis.means import Means
-from gyrocal.diagnosis.parts import AT_FEW, BLOCKS, EACH_RATE, PAST_RATES, frame_of
+from gyrocal.diagnosis.parts import AT_FEW, BLOCKS, EACH_RATE, PAST_RATES, SCALE_IN_TIME, frame_of
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.visited import tells_of_scale, temperatures_apart, temperatures_turned
 from gyrocal.physics.catalogue import CATALOGUE, law_of
@@ -166,7 +166,7 @@ def effects_of(block: str) -> list[Effect]:
             continue
         if own.family == RATE_HEATING.family and (effect is RATE_HEATING) != (block == PAST_RATES):
             continue
-        if own.family == _TIME and is_of_scale_in_time(effect) != (block == "scale in time"):
+        if own.family == _TIME and is_of_scale_in_time(effect) != (block == SCALE_IN_TIME):
             continue
         found.append(effect)
     return found

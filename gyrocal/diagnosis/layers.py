@@ -13,6 +13,7 @@ from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.parts import (
     FLAT,
+    ODD,
     PASSING,
     SURFACE,
     Basis,
@@ -241,8 +242,12 @@ class Model:
         """Component to the block that it is taken out with; noise and surface belong to none."""
         own = {p.name: p.block for p in self.parts if p.block != "surface"}
         # What is neither of the input nor of the output bends with the rate as odd orders do.
-        own |= {DIRECTION: "odd rate", **PASSING}
+        own |= {DIRECTION: ODD, **PASSING}
         return {n: b for n, b in own.items() if n in self.components}
+
+    def of_block(self, *blocks: str) -> list[str]:
+        """Components of some blocks."""
+        return [n for n, b in self.blocks.items() if b in blocks]
 
     @property
     def all(self) -> list[Component]:

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import is_of_scale_in_time
 from gyrocal.diagnosis.layers import NEGLIGIBLE
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, SCALE_IN_TIME, SINCE_ON
 from gyrocal.diagnosis.result import Located, UnnamedPart
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.unclocked import without_clock
@@ -39,7 +39,6 @@ _QUANTILES = 25
 #: Values nearer than this share of their range are one.
 _SAME = 1e-6
 #: The bias in time beyond its laws.
-WANDERING = "bias in time"
 
 
 def block_p_value(nats: float, blocks: int) -> float:
@@ -75,7 +74,7 @@ def located(found: Examination, level: float) -> list[Located]:
             continue
         share = float(np.mean(curves[block] ** 2)) / total
         remains = block_p_value(_left(found, block), len(BLOCKS)) < level
-        if block == WANDERING and remains:
+        if block == BIAS_IN_TIME and remains:
             # A bias that wanders by no law is noise, and is told as such (`engine._noise`).
             continue
         places.append(
@@ -87,7 +86,7 @@ def located(found: Examination, level: float) -> list[Located]:
                 remains,
                 # Whatever is left of a block is in the model as its smooth part.
                 curve=remains,
-                target="scale factor" if block == "scale in time" else "",
+                target="scale factor" if block == SCALE_IN_TIME else "",
                 **stretch(found, block, curves[block]),
             )
         )
@@ -118,7 +117,7 @@ def _jumps(found: Examination) -> list[Located]:
             jump.law.shape,
             jump.law.columns @ amplitudes[jump.law.name],
             found.series,
-            min(1.0, jump.trials * float(chi2.sf(2.0 * jump.gain, 1))),
+            jump.p_value,
         )
         for jump in jumps
     ]
@@ -199,9 +198,9 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     solution = fitted.solve()
     named = {n.block for n in found.naming.named}
     passed = {b for n, b in fitted.model.blocks.items() if n in without_clock(fitted.model)}
-    passed |= set() if found.comes_again > 0.5 else {"warm-up"}
+    passed |= set() if found.comes_again > 0.5 else {SINCE_ON}
     least_dps = NEGLIGIBLE * float(np.std(solution.left))
-    told = {*named, WANDERING, *([EACH_RATE] if found.rate_errors_nats else [])}
+    told = {*named, BIAS_IN_TIME, *([EACH_RATE] if found.rate_errors_nats else [])}
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
         if block in told or block_p_value(nats, len(BLOCKS)) > level:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.series import Series
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, NORMAL_95
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -117,6 +118,15 @@ def rows_of(series: Series) -> Means:
         series.since_power_on_s,
         np.arange(len(series), dtype=np.int64),
     )
+
+
+def angle_random_walk(series: Series) -> tuple[float, float, float] | None:
+    """What neighbouring samples scatter by, as a walk of the angle with its 95 % interval, deg/sqrt(h); None where nothing says how long samples are."""
+    if not np.all(series.averaging_s > 0):
+        return None
+    dps_per_rt_hz = float(np.median(series.white_std_dps * np.sqrt(series.averaging_s)))
+    walk, spread = dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ, NORMAL_95 / np.sqrt(2.0 * len(series))
+    return walk, walk * (1.0 - spread), walk * (1.0 + spread)
 
 
 def _mean(group: Ints, weight: Floats, values: Floats) -> Floats:

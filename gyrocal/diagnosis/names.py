@@ -15,7 +15,6 @@ from scipy.stats import chi2
 
 from gyrocal.diagnosis.blocks import (
     BENT,
-    ODD,
     REPLACED,
     around_itself,
     beside_laws,
@@ -32,7 +31,7 @@ from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, tied_anew
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.misfit import changing, without_mending
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, PASSING
+from gyrocal.diagnosis.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD, PASSING, SINCE_ON
 from gyrocal.diagnosis.rivals import or_lasting, or_passing, paid_by
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
@@ -66,7 +65,7 @@ class Naming:
     @property
     def comes_again(self) -> float:
         """Probability that what the bias did since power-on begins anew with the next one: of a warm-up, not a drift."""
-        near = self.nearest.get("warm-up") or self.nearest.get("bias in time", {})
+        near = self.nearest.get(SINCE_ON) or self.nearest.get(BIAS_IN_TIME, {})
         behind = near.get(WARM_UP.id, _UNLIKELY) - near.get(BIAS_DRIFT.id, _UNLIKELY)
         return float(1.0 / (1.0 + np.exp(np.clip(behind, -_UNLIKELY, _UNLIKELY))))
 
@@ -185,7 +184,7 @@ def _unseen(
     Nor does a walk of the bias show a drift that 1/f noise follows as well.
     """
     found: list[Named] = []
-    for block in (ODD, "bias in time"):
+    for block in (ODD, BIAS_IN_TIME):
         if any(CATALOGUE[n.law.effect].family == BLOCKS[block].family for n in named):
             continue
         if passes and not BLOCKS[block].stays and not any(PASSING.get(c.name) == block for c in passes):
@@ -372,7 +371,7 @@ def _least_worth(named: Named, others: Sequence[Named]) -> float:
 def _backward(fitted: Fitted, named: list[Named]) -> tuple[Fitted, list[Named], list[Named]]:
     """Drop laws that the others have made superfluous; also those of them that stay."""
     followed: list[Named] = []
-    beside = [n for n in named if n.block in fitted.model.blocks.values() and n.block != "bias in time"]
+    beside = [n for n in named if n.block in fitted.model.blocks.values() and n.block != BIAS_IN_TIME]
     named = [n for n in named if n not in beside]
     while named:
         gains = [(fitted.refit(fitted.model.without_laws([n.law.name])), n) for n in named]

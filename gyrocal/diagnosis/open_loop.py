@@ -13,11 +13,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import ODD
 from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.laws import effects_of
 from gyrocal.diagnosis.layers import NEGLIGIBLE, OpenLoop
-from gyrocal.diagnosis.parts import EVENLY
+from gyrocal.diagnosis.parts import EVENLY, ODD
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.rate import SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE
@@ -51,7 +50,7 @@ def with_open_loop(near: Sequence[Candidate]) -> list[Candidate]:
 
 def _beside(c: Candidate, sine: OpenLoop) -> Candidate:
     model = c.fitted.model
-    shapes = [n for n, block in model.blocks.items() if block == ODD]
+    shapes = model.of_block(ODD)
     rest = model.without(shapes)
     fitted = c.fitted.refit(replace(rest.with_components(sine.component), open_loop=sine))
     return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - _in_favour())

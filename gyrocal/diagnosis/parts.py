@@ -35,12 +35,16 @@ from gyrocal.physics.surface import SHAPE
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+#: Blocks of laws: what is odd and even in the rate, what remembers the temperature, what settles since power-on, and what bias
+#: and scale factor do in time.
+ODD, EVEN, MEMORY, SINCE_ON = "odd rate", "even rate", "memory", "warm-up"
+BIAS_IN_TIME, SCALE_IN_TIME = "bias in time", "scale in time"
 #: Component, and block, of errors of single rates, which explain whatever laws of the rate do.
 EACH_RATE = "each rate"
 #: Block of what remembers past rates.
 PAST_RATES = "past rates"
 #: Blocks that follow the temperature, and with it the order of the plan.
-FOLLOWING = ("memory", "temperature")
+FOLLOWING = (MEMORY, "temperature")
 #: Block of the scale factor's next order in temperature where temperatures are just enough for it: what it is nobody can tell.
 AT_FEW = "scale over temperature"
 
@@ -146,16 +150,16 @@ class Block:
 
 
 BLOCKS = {
-    "memory": Block("thermal transient", "temperature_rate"),
+    MEMORY: Block("thermal transient", "temperature_rate"),
     PAST_RATES: Block("thermal transient", "rate"),
-    "odd rate": Block("rate shape", "rate"),
-    "even rate": Block("rate shape", "rate"),
+    ODD: Block("rate shape", "rate"),
+    EVEN: Block("rate shape", "rate"),
     "temperature": Block("temperature shape", "temperature"),
     AT_FEW: Block("temperature shape", "temperature"),
-    "warm-up": Block("time", "time_since_power_on"),
+    SINCE_ON: Block("time", "time_since_power_on"),
     "supply": Block("supply", "supply"),
-    "bias in time": Block("time", "time", stays=False, lasts=False),
-    "scale in time": Block("time", "time", stays=False),
+    BIAS_IN_TIME: Block("time", "time", stays=False, lasts=False),
+    SCALE_IN_TIME: Block("time", "time", stays=False),
     SETTLING: Block("step", "time_since_step", stays=False, lasts=False),
     EACH_RATE: Block("rate shape", "rate", stays=False, lasts=False),
 }
@@ -304,7 +308,7 @@ def staying(means: Means, frame: Frame, carried: Ints, *, memory: bool = True) -
             for tau in _WARM_UPS_S
             if tau < 2.0 * np.ptp(means.t_s)
         )
-        found.append(_part("warm-up", "warm-up", warm))
+        found.append(_part("warm-up", SINCE_ON, warm))
     if means.supply_v is not None and np.ptp(means.supply_v) > LEAST_SUPPLY_V:
         found.append(_part("supply", "supply", (Column(driver=Factor("supply")),)))
         found.append(_part("supply squared", "supply", (Column(driver=Factor("supply_squared")),)))
@@ -334,8 +338,8 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
     centers = spacing * np.arange(_RATE_BUMPS)
     near_zero = _near_visited(np.arcsinh(sizes / (ASINH_SHARE * frame.rate_scale_dps)))
     for parity, block, orders, first in (
-        ("odd", "odd rate", range(5, min(2 * visited, 12), 2), 1),
-        ("even", "even rate", range(4, min(2 * visited + 1, 11), 2), 0),
+        ("odd", ODD, range(5, min(2 * visited, 12), 2), 1),
+        ("even", EVEN, range(4, min(2 * visited + 1, 11), 2), 0),
     ):
         columns = tuple(Column(_legendre(n)) for n in orders)
         falling = tuple(_STEP**k for k in range(len(columns)))
@@ -352,9 +356,9 @@ def _of_rate(means: Means, frame: Frame) -> list[Part]:
         with_t = tuple(Column(_legendre(n), _legendre(j)) for n in orders[:2] for j in (1, 2))
         weights = (1.0, 1.0, _STEP, _STEP)[: len(with_t)]
         found.append(_part(f"{parity} orders by temperature", block, with_t, weights))
-    found.append(_part("absolute rate", "even rate", (Column(Factor("absolute")),)))
+    found.append(_part("absolute rate", EVEN, (Column(Factor("absolute")),)))
     with_t = tuple(Column(Factor("absolute"), _legendre(j)) for j in (1, 2))
-    found.append(_part("absolute rate by temperature", "even rate", with_t, (1.0, _STEP)))
+    found.append(_part("absolute rate by temperature", EVEN, with_t, (1.0, _STEP)))
     return [part for part in found if part.columns]
 
 
@@ -404,29 +408,29 @@ def remembering(means: Means) -> list[Part]:
     plays = [Factor("play", (share * span_c,)) for share in _PLAYS if share * span_c <= back_c]
     slope, one = _legendre(1), Factor()
     found = [
-        _part("lag on bias", "memory", tuple(Column(driver=d) for d in lags)),
-        _part("lag on bias by temperature", "memory", tuple(Column(one, slope, d) for d in lags)),
-        _part("band on bias", "memory", tuple(Column(driver=d) for d in bands)),
-        _part("temperature rate", "memory", (Column(driver=Factor("temperature_rate")),)),
-        _part("play on bias", "memory", tuple(Column(driver=d) for d in plays)),
-        _part("play on bias by temperature", "memory", tuple(Column(one, slope, d) for d in plays)),
+        _part("lag on bias", MEMORY, tuple(Column(driver=d) for d in lags)),
+        _part("lag on bias by temperature", MEMORY, tuple(Column(one, slope, d) for d in lags)),
+        _part("band on bias", MEMORY, tuple(Column(driver=d) for d in bands)),
+        _part("temperature rate", MEMORY, (Column(driver=Factor("temperature_rate")),)),
+        _part("play on bias", MEMORY, tuple(Column(driver=d) for d in plays)),
+        _part("play on bias by temperature", MEMORY, tuple(Column(one, slope, d) for d in plays)),
     ]
     if _turns(means) and tells_of_scale(means):
         found += [
-            _part("lag on scale", "memory", tuple(Column(_LINEAR, one, d) for d in lags)),
-            _part("lag on scale by temperature", "memory", tuple(Column(_LINEAR, slope, d) for d in lags)),
-            _part("band on scale", "memory", tuple(Column(_LINEAR, one, d) for d in bands)),
-            _part("temperature rate on scale", "memory", (Column(_LINEAR, one, Factor("temperature_rate")),)),
-            _part("play on scale", "memory", tuple(Column(_LINEAR, one, d) for d in plays)),
+            _part("lag on scale", MEMORY, tuple(Column(_LINEAR, one, d) for d in lags)),
+            _part("lag on scale by temperature", MEMORY, tuple(Column(_LINEAR, slope, d) for d in lags)),
+            _part("band on scale", MEMORY, tuple(Column(_LINEAR, one, d) for d in bands)),
+            _part("temperature rate on scale", MEMORY, (Column(_LINEAR, one, Factor("temperature_rate")),)),
+            _part("play on scale", MEMORY, tuple(Column(_LINEAR, one, d) for d in plays)),
         ]
     return [p for p in found if p.columns]
 
 
 #: Blocks of what passes, by the name of the component.
 PASSING = {
-    "bias walk": "bias in time",
-    "scale line": "scale in time",
-    "scale walk": "scale in time",
+    "bias walk": BIAS_IN_TIME,
+    "scale line": SCALE_IN_TIME,
+    "scale walk": SCALE_IN_TIME,
     SETTLING: SETTLING,
     EACH_RATE: EACH_RATE,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import beyond_input, lagging
 from gyrocal.diagnosis.means import rows_of
-from gyrocal.diagnosis.parts import BLOCKS, Basis
+from gyrocal.diagnosis.parts import BIAS_IN_TIME, BLOCKS, Basis
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -54,7 +55,9 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
         total += beyond_input(rows, model.bend) @ model.legendre(solution)
     curves = {b: block_curve(fitted, solution, b, rows) for b in BLOCKS}
     total += sum(curves.values(), np.zeros(len(series)))
-    effects = {p.effect: p.values for p in found.patterns}
+    effects: defaultdict[str, Floats] = defaultdict(lambda: np.zeros(len(series)))
+    for pattern in found.patterns:
+        effects[pattern.effect] = effects[pattern.effect] + pattern.values
     if rows.coil is not None:
         effects[THERMAL_LAG.id] = lagging(rows) @ model.legendre(solution)
     c = conditions_of(series)
@@ -63,9 +66,9 @@ def residuals(found: Examination, series: Series, surface: Coefficients) -> Resi
         columns = law.columns if law.from_end else laws.columns_of(law)
         own = columns @ solution.amplitudes[law.name]
         total += own
-        effects[law.effect] = effects.get(law.effect, np.zeros(len(series))) + own
+        effects[law.effect] = effects[law.effect] + own
     for named in found.naming.named:
         if named.law.effect not in effects:
             effects[named.law.effect] = curves[named.block]
     after = found.series.gyro_dps - found.series.rate_dps - total
-    return Residuals(surface, before, after, effects, curves["bias in time"])
+    return Residuals(surface, before, after, dict(effects), curves[BIAS_IN_TIME])

@@ -12,15 +12,14 @@ from gyrocal.diagnosis.blocks import around_itself
 from gyrocal.diagnosis.candidates import AVERAGED_NATS
 from gyrocal.diagnosis.changes import DRIFTS, STEPS
 from gyrocal.diagnosis.coil import TOLL_NATS
-from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.contest import best_law, price
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, is_passing
 from gyrocal.diagnosis.jumps import best_jump
 from gyrocal.diagnosis.laws import Laws, tied_anew
-from gyrocal.diagnosis.layers import NEGLIGIBLE, Fitted, Law, Model, beyond_input
+from gyrocal.diagnosis.layers import NEGLIGIBLE, Fitted, Model, beyond_input
 from gyrocal.diagnosis.parts import EACH_RATE, FOLLOWING, PASSING, passing
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import Effect
 
 Floats = NDArray[np.float64]
 
@@ -120,7 +119,7 @@ def or_passing(fitted: Fitted, named: Sequence[Named], laws: Laws) -> tuple[Fitt
     named = [*named]
     for block in FOLLOWING:
         own = [n for n in named if n.block == block]
-        smooth = [name for name, b in fitted.model.blocks.items() if b == block]
+        smooth = fitted.model.of_block(block)
         sets = [[n] for n in own] + ([own] if len(own) > 1 else [])
         found = []
         for instead_of in sets:
@@ -183,14 +182,9 @@ def _with_rival(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator
         rival = best_law(without, without, one.block, trials, laws)
         if rival is not None:
             shaped = reshaped(rival.fitted, laws, [rival.law.name])
-            yield loss + shaped.nll + _paid(rival.effect, rival.law, rival.shapes) - own, shaped
+            yield loss + shaped.nll + price(rival.law, rival.shapes, TOLL_NATS) - own, shaped
 
 
 def paid_by(named: Named) -> float:
     """What a named law pays for being there, nats."""
-    return _paid(CATALOGUE[named.law.effect], named.law, named.trials)
-
-
-def _paid(effect: Effect, law: Law, shapes: int) -> float:
-    """What a law pays for being there, nats, with the shapes that it had to choose from."""
-    return TOLL_NATS + 0.5 * float(np.log(max(1, shapes))) - effect.search.nats_before(law.shape)
+    return price(named.law, named.trials, TOLL_NATS)

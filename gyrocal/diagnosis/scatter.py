@@ -114,13 +114,16 @@ def clipped_finding(series: Series, output_dps: Floats) -> tuple[Ints, Finding |
     output_dps : ndarray, shape (n,)
         The output as recorded.
     """
+    nothing = np.empty(0, dtype=np.int64), None
+    if not series.is_set.any():
+        return nothing
     (sets, rate_dps), (_, output_dps), (_, temp_c) = (
         set_means(series, x) for x in (series.rate_dps, output_dps, series.temp_c)
     )
     free = unclipped(rate_dps, output_dps, temp_c)
     clipped, size_dps = sets[~free], np.abs(rate_dps)
     if not 0 < clipped.size < sets.size - SHAPE[0] * SHAPE[1]:
-        return np.empty(0, dtype=np.int64), None
+        return nothing
     slowest = float(np.min(size_dps[~free]))
     fastest = float(np.max(size_dps[free & (size_dps < slowest)], initial=0.0))
     scale = output_scale(rate_dps[free], output_dps[free])

@@ -85,7 +85,7 @@ class Series:
     rate_dps, temp_c : ndarray
         Reference rate that the table reported; gyro temperature, smoothed over some seconds.
     white_std_dps : ndarray
-        Relative size of the white noise of a row; its level is estimated with the model.
+        White noise of a row, in a unit of its own where `states_noise` is false; its level is estimated with the model.
     averaging_s, scatter_dps : ndarray
         Time that a row averages over; scatter of neighbouring samples of the segment that it is of.
     set_index : ndarray of int
@@ -123,6 +123,7 @@ class Series:
     has_time: bool = True
     #: Rows were averages already (white noise has no stated averaging time).
     is_table: bool = False
+    states_noise: bool = True
     #: Rows of a table that repeat an earlier one to the last digit.
     copies: int = 0
     #: Model and serial number, as far as they are stated.
@@ -190,7 +191,7 @@ def series_of_run(run: Run) -> Series:
         notes.append(Remark(Said.SET_ASIDE_AFTER_STEPS, {"count": aside}))
     if unusable:
         notes.append(Remark(Said.UNUSABLE_SAMPLES, {"count": unusable}))
-    missing = sum(s.missing for s in taken) - unusable
+    missing = sum(s.missing for s in taken)
     if missing > _FEW_MISSING * sum(s.n for s in taken):
         notes.append(Remark(Said.MISSING_SAMPLES, {"count": missing}))
     notes += sample_notes(sum(s.outliers_t_s.size for s in taken), np.concatenate([s.temp_c for s in taken]))
@@ -220,7 +221,7 @@ class _Samples:
     gyro_dps, temp_c : of the good samples, and the former without outliers
     outliers_t_s, outliers_dps : isolated samples, and how far off they are
     set_aside : samples right after a step that stand out, and are none
-    n, missing : good samples, and those that are not there
+    n, missing : good samples, and those that are nowhere among them
     """
 
     number: int
@@ -288,7 +289,8 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         outliers_dps=gyro[outlier & ~settling] - np.median(gyro),
         set_aside=int((outlier & settling).sum()),
         span_s=float(t[-1] - t[0]),
-        missing=missing_samples(t),
+        # Unusable samples leave gaps, too.
+        missing=max(missing_samples(t) - int(np.sum(np.diff(np.flatnonzero(good)) - 1)), 0),
         n=t.size,
         noise_dps=scatter_dps,
     )

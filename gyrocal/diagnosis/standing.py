@@ -24,7 +24,7 @@ def state_of_laws(model: Model) -> dict[str, tuple[float, float]]:
     means, scale = model.means, model.basis.frame.rate_scale_dps
     t = np.full(2, means.to_s[-1])
     temp = np.full(2, means.temp_c[-1])
-    c = Conditions(t, np.array([0.0, scale]), temp, since_power_on_s=t - means.series.switched_on_s)
+    c = Conditions(t, np.array([0.0, scale]), temp)
     found = {}
     for law in model.laws:
         effect = CATALOGUE[law.effect]

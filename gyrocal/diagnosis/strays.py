@@ -295,6 +295,9 @@ def _alone(candidate: Candidate) -> tuple[Strays, float]:
             break
         gained += float(gains[k])
         chosen.append(k)
+    else:
+        # So many are physics.
+        return NO_STRAYS, 0.0
     return Strays(means.set_index[chosen], off, std), gained
 
 

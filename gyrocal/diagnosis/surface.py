@@ -49,7 +49,7 @@ def _data_sets(means: Means) -> DataSets:
     n, series = len(means), means.series
     unknown = np.full(n, np.nan)
     # Where the noise of a sample is known, that of the mean is; a table that says nothing of it has rows that are all alike.
-    white = unknown if series.is_table and np.ptp(means.white_dps) == 0.0 else means.white_dps
+    white = means.white_dps if series.states_noise else unknown
     return DataSets(
         rate_dps=means.rate_dps,
         gyro_dps=means.gyro_dps,

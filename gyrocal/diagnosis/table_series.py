@@ -87,7 +87,7 @@ def series_of_table(table: DataSetTable) -> Series:
         total = np.bincount(groups[~wild], weights=values[~wild], minlength=count.size)
         return np.asarray(total[filled] / count[filled])
 
-    white, notes = _white(table)
+    white, states_noise, notes = _white(table)
     times = mean(t_s)
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
     history, dithered_c = _history(
@@ -113,6 +113,7 @@ def series_of_table(table: DataSetTable) -> Series:
         notes=(*table.notes, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
         has_time=table.t_s is not None,
         is_table=True,
+        states_noise=states_noise,
         copies=copies(table.rate_dps, table.gyro_dps, table.temp_c, table.t_s),
         reach=reach_of(groups[~wild], table.gyro_dps[~wild], table.temp_c[~wild]),
     )
@@ -238,23 +239,24 @@ def _groups(t_s: Floats, binned: bool) -> Ints:
     return np.unique((t_s - t_s[0]) // BIN_LONG_S, return_inverse=True)[1].astype(np.int64)
 
 
-def _white(table: DataSetTable) -> tuple[Floats, list[Remark]]:
-    """Relative white noise of each row, and what is odd about what the table says of it."""
+def _white(table: DataSetTable) -> tuple[Floats, bool, list[Remark]]:
+    """White noise of each row, whether in deg/s or all alike, and what is odd about what the table says of it."""
     notes = []
     if table.t_s is not None:
         same = int(np.count_nonzero(np.diff(table.t_s) == 0))
         if same:
             notes.append(Remark(Said.SAME_TIMES, {"count": same}))
     if table.gyro_std_dps is None or table.n is None:
-        return np.ones(table.rate_dps.size), notes
+        return np.ones(table.rate_dps.size), False, notes
     several = table.n > 1
     none = several & (table.gyro_std_dps == 0)
     if none.any():
         notes.append(Remark(Said.NO_SPREAD, {"count": int(none.sum())}))
-    if none.all() or not several.any():
-        return np.ones(table.rate_dps.size), notes
-    std = np.where(none | ~several, np.median(table.gyro_std_dps[several & ~none]), table.gyro_std_dps)
-    return np.maximum(std / np.sqrt(np.maximum(table.n, 1.0)), _LEAST_STD_DPS), notes
+    known = several & ~none
+    if not known.any():
+        return np.ones(table.rate_dps.size), False, notes
+    std = np.where(known, table.gyro_std_dps, np.median(table.gyro_std_dps[known]))
+    return np.maximum(std / np.sqrt(np.maximum(table.n, 1.0)), _LEAST_STD_DPS), True, notes
 
 
 def _raw(table: DataSetTable, t_s: Floats, wild: Bools, one_rate: bool) -> Raw:

@@ -18,8 +18,8 @@ TEMP_BUMPS = 11
 LEAST_SPAN_C = 0.5
 
 
-def temperatures_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
-    """How many temperatures, one after the other, the gyro turned at."""
+def visits_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
+    """How many visits to a temperature, one after the other, the gyro turned in."""
     return int(np.unique(_visits(temp_c[rate_dps != 0.0], temp_c)).size)
 
 
@@ -48,17 +48,17 @@ def _each_beyond(temp_c: Floats, apart_c: float) -> Ints:
     return np.array(visits, dtype=np.int64)
 
 
-def shows_scale(temperatures: int) -> bool:
-    """Whether so many temperatures tell what changes the scale factor beyond the surface: one, or five and more.
+def shows_scale(visits: int) -> bool:
+    """Whether so many visits to a temperature tell what changes the scale factor beyond the surface: one, or five and more.
 
     Of four in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
     """
-    return temperatures == 1 or temperatures >= SHAPE[1] + 2
+    return visits == 1 or visits >= SHAPE[1] + 2
 
 
 def tells_of_scale(means: Means) -> bool:
     """The same of a record."""
-    return shows_scale(temperatures_turned_at(means.rate_dps, means.temp_c))
+    return shows_scale(visits_turned_at(means.rate_dps, means.temp_c))
 
 
 def steps_of_scale(means: Means, fewest: int) -> Ints:

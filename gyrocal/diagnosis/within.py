@@ -155,9 +155,7 @@ def tested_alone(series: Series, coordinate: str) -> list[Pattern]:
     if not (tried and rows.any()):
         return []
     laws, sets = _Laws(series), np.unique(series.set_index[rows], return_inverse=True)[1]
-    found = [_test(series, rows, sets, [laws.at(effect, shape)])[0] for effect, shape in tried]
-    # Where nobody logged the angle of a ramp, nothing is known of it there.
-    return [replace(p, columns=np.nan_to_num(p.columns)) for p in found]
+    return [_test(series, rows, sets, [laws.at(effect, shape)])[0] for effect, shape in tried]
 
 
 def _with_intervals(
@@ -214,8 +212,6 @@ def strange_turns(series: Series, level: float) -> list[Located]:
         candidates += [_Candidate("", {"harmonic": float(k)}, turns * rate[:, None])]
     places = []
     for candidate in candidates:
-        if not np.isfinite(candidate.columns[rows]).all():
-            return []
         (found,) = _test(series, rows, sets, [candidate])
         p = min(1.0, found.p_value * len(candidates))
         if p < level:

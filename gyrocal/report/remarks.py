@@ -43,6 +43,12 @@ def _give_times(leaps: int, sets: float, effects: list[str], left_out: list[str]
     )
 
 
+def _between_sets(first: int, last: int, others: int = 0) -> str:
+    """Where a jump is, and of how many that is the largest."""
+    largest = f" It is the largest of {others + 1} of this kind." if others else ""
+    return f"Between data sets {first} and {last}.{largest}"
+
+
 def _far_sets(sets: Sequence[int], of: int, times: float) -> str:
     return plural(
         len(sets),
@@ -154,7 +160,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"the temperature {'rose' if rose else 'fell'} all along: what time alone did to bias or scale factor stands in the surface as "
         "if it were the temperature's, and in no stated uncertainty; heat and cool more than once"
     ),
-    Said.FEW_TEMPERATURES: "it turned at {count} temperatures, one after the other: what changes the scale factor over temperature or time beyond the surface "
+    Said.FEW_TEMPERATURES: "it turned in {count} visits to a temperature, one after the other: what changes the scale factor over temperature or time beyond the surface "
     "has no name here; turn at five or more, up and down",
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",
@@ -217,7 +223,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.LOST_IN_STEPS: "The steps of the output hide its noise: a data set may be off by {hidden_mdps:.3g} mdeg/s, and what "
     "was found that is smaller is not told from rounding: it is neither named nor corrected. Log finer samples.",
     Said.SAMPLE_CLOCK: _clock,
-    Said.BETWEEN_SETS: "Between data sets {first} and {last}.",
+    Said.BETWEEN_SETS: _between_sets,
     Said.SEVERAL_LAWS: "It takes {count} of this kind, one over the other; the figures are those of the largest.",
     Said.OF_SCALE: _of_scale,
     Said.LARGEST_RATES: _largest_rates,

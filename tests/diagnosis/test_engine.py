@@ -14,15 +14,19 @@ from gyrocal.diagnosis.engine import Options, _laws_written, _not_logged, _writt
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
+from gyrocal.diagnosis.series import series_of_run
 from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid, parse_coefficients
 from gyrocal.physics.lacking import Lack, Why
 from gyrocal.physics.surface import Surface
 from gyrocal.physics.terms import Term
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.records.run import read_run
 from gyrocal.report.remarks import statement
 from gyrocal.report.sentences import document, plain_sentences
+from tests.calibration import runs
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 SHARED = Path(__file__).parents[2].parent / "shared"
@@ -162,6 +166,26 @@ def test_what_a_record_cannot_show_is_said(plain: Diagnosis) -> None:
 
 
 @pytest.mark.slow
+def test_a_run_without_data_sets_is_examined_and_compared(tmp_path: Path) -> None:
+    """Of a gyro at rest `diagnose` had ended in an error that was its own, alone and against another one."""
+    recorded = []
+    for seed in (1, 2):
+        noise_dps = 5e-3 * np.random.default_rng(seed).standard_normal(3000)
+        rows = [runs.gyro_row(0.1 * i, f"{v:.6f}", 20.0 + 1e-3 * i) for i, v in enumerate(noise_dps)]
+        recorded.append(read_run(runs.write_run(tmp_path / str(seed), [runs.Part(rows, kind="static")])))
+    found = diagnose(recorded[0])
+    assert (found.verdict, found.effects) == ("consistent", ())
+    assert found.noise is not None
+    assert found.surface is not None
+    # 5 mdeg/s of a sample of 0.1 s; the answer and the file say the same.
+    figure = found.surface.noise.angle_random_walk_deg_per_rt_h
+    assert figure is not None
+    assert figure[1] < 60.0 * 5e-3 * np.sqrt(0.1) < figure[2]
+    assert found.noise.angle_random_walk_deg_per_rt_h == figure[0]
+    series = [series_of_run(run) for run in recorded]
+    assert versus(series[0], series[1], Options()).comparison is None
+
+
 def test_bias_of_a_static_cycle_that_follows_temperature_alone() -> None:
     rng = np.random.default_rng(1)
     t_s = np.arange(0.0, 4000.0, 5.0)

@@ -152,6 +152,10 @@ def test_no_scatter_and_shared_times_are_said() -> None:
     series = series_of_table(replace(table, gyro_std_dps=np.zeros(n), n=np.full(n, 100.0)))
     assert Remark(Said.NO_SPREAD, {"count": n}) in series.notes
     assert np.all(series.white_std_dps == 1.0)
+    assert not series.states_noise
+    # Of the others there is one sample each: nothing is known of their noise.
+    series = series_of_table(replace(table, gyro_std_dps=0.1 - std, n=np.where(std == 0.0, 1.0, 100.0)))
+    assert np.all(series.white_std_dps == 1.0)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis import blocks
-from gyrocal.diagnosis.blocks import ODD, REPLACED, less
+from gyrocal.diagnosis.blocks import REPLACED, less
 from gyrocal.diagnosis.coil import TOLL_NATS
 from gyrocal.diagnosis.contest import best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
@@ -22,7 +22,7 @@ from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming, _least_worth, _mechanisms, may_lose, still_there
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, ODD
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions

@@ -147,6 +147,24 @@ def test_samples_that_are_missing_are_counted_and_slow_no_clock(tmp_path: Path) 
     assert abs(series.raw.interval_ratio) < 1e-3
 
 
+def test_samples_of_bad_status_are_not_missing_and_hide_none_that_are(tmp_path: Path) -> None:
+    """160 lost samples had been said to be none where another segment was unusable."""
+    rng = np.random.default_rng(3)
+    lossy = replace(part(50.0, 50.0), rows=[r for r in part(50.0, 50.0).rows if rng.random() < 0.7])
+    bad = replace(part(-20.0, -20.0), rows=[gyro_row(t, -20.0, status=1) for t in T_S])
+    patchy = [
+        gyro_row(t, 80.0 + 1e-3 * rng.standard_normal(), status=int(i % 5 == 0)) for i, t in enumerate(T_S)
+    ]
+    head = {"sensor": {"model": "RD2100", "serial": "T1", "sample_rate_hz": 10.0}}
+    said = [
+        [n.facts["count"] for n in series.notes if isinstance(n, Remark) and n.said is Said.MISSING_SAMPLES]
+        for number, parts in enumerate(([lossy], [lossy, bad], [replace(bad, rows=patchy, rate_dps=80.0)]))
+        for series in [series_of_run(read_run(write_run(tmp_path / f"run{number}", parts, head)))]
+    ]
+    assert said[0] == said[1] != []
+    assert said[2] == []
+
+
 @pytest.mark.parametrize(
     ("t_s", "missing"),
     [

@@ -51,6 +51,14 @@ def test_noise_has_no_stray_data_set() -> None:
     assert [len(found_in(make_sweeps(seed, {}))) for seed in range(20)] == [0] * 20
 
 
+def test_more_strays_than_may_be_are_none() -> None:
+    """Each twice the one before stands out beside those that were found: the last one had no offset, and `diagnose` failed."""
+    off_dps = {5 + 5 * k: 0.02 * 2.2**k for k in range(12)}
+    table = make_sweeps(1, off_dps)
+    assert len(off_dps) > 0.15 * table.rate_dps.size
+    assert found_in(table) is NO_STRAYS
+
+
 @pytest.mark.parametrize("off_dps", [0.02, -0.5])
 def test_a_stray_data_set_is_found_with_how_far_it_is_off(off_dps: float) -> None:
     found = found_in(make_sweeps(1, {40: off_dps}))

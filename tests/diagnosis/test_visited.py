@@ -15,7 +15,7 @@ from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.parts import AT_FEW
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_apart, temperatures_turned_at
+from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_apart, visits_turned_at
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import Surface
@@ -51,7 +51,7 @@ def test_four_temperatures_tell_the_next_order_of_the_scale_factor_and_three_do_
     temps_c: list[float], has: bool
 ) -> None:
     table, _ = at_temperatures(temps_c)
-    assert temperatures_turned_at(table.rate_dps, table.temp_c) == len(temps_c)
+    assert visits_turned_at(table.rate_dps, table.temp_c) == len(temps_c)
     assert not shows_scale(len(temps_c))
     model = full_model(means_of(series_of_table(table)))
     assert any(p.block == AT_FEW for p in model.parts) == has

@@ -11,7 +11,7 @@ from scipy import stats
 from gyrocal.diagnosis.drive.findings import OUT, joint_estimate, spinning, told_estimate
 from gyrocal.diagnosis.drive.improved import figures_of
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, group_of, is_motion, is_slip
 from gyrocal.diagnosis.drive.motions import AS_LIKELY, settling_beats
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
@@ -118,7 +118,7 @@ def _wheels_beside_structure(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
     if not surest or truth.odd[surest] >= STRANGER_P:
         return yaw
     beside = [*yaw.chosen, *(n for n in yaw.gram.names if n.startswith(f"{surest}:"))]
-    of_wheels = [n for n in yaw.named if n in ("track", "asymmetry") or KINDS[n].group == "slip"]
+    of_wheels = [n for n in yaw.named if n in ("track", "asymmetry") or is_slip(n)]
     gains = {n: yaw.told.added([b for b in beside if b != n], [n]) for n in of_wheels}
     return yaw.gaining({n: gains.get(n, gain) for n, gain in yaw.named.items()})
 
@@ -154,7 +154,7 @@ def _jump_at_its_instant(
         return yaw, truth
     shape, without = yaw.laws["jump"].shape, yaw.less(["jump"])
     best_s, span_s = _likeliest_instant(series, without, truth, (shape["earliest_s"], shape["latest_s"]))
-    jumping = without.with_jump(instant_of_p(best_s, span_s, yaw.strangers["time"][2]))
+    jumping = without.with_jump(instant_of_p(best_s, span_s, yaw.strangers["time"].p_value))
     found = _asked(series, jumping, truth)
     return (yaw, truth) if found is None or found.loss >= truth.loss else (jumping, found)
 
@@ -197,8 +197,8 @@ def _asked(
     series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None, *, bias_changes: bool = False
 ) -> TruthAnswer | None:
     laws = yaw.bias_laws
-    groups = {KINDS[n].group or n for n in laws.names}
-    alone = [] if series.differential else [n for n in ALONE if (KINDS[n].group or n) not in groups]
+    groups = {group_of(n) for n in laws.names}
+    alone = [] if series.differential else [n for n in ALONE if group_of(n) not in groups]
     figures, noise = _taken_out(series, yaw), yaw.model.noise
     # Be it the gyro's or the wheels'.
     uneven = sides_of(yaw).sure
@@ -215,7 +215,7 @@ def _undenied(
     What a wheel does can look like a bias that comes with the motion. The path by the gyro that is laid on the truth has no
     wheel in its headings. Without a truth, a wheel that does something over its speed is likelier to have done this, too.
     """
-    of_motion = [n for n in yaw.named if KINDS[n].group == "motion"]
+    of_motion = [n for n in yaw.named if is_motion(n)]
     if not of_motion:
         return yaw, truth
     other = yaw.without(of_motion, "speed")
@@ -240,7 +240,7 @@ def _with_truth(
     """
     if KINDS[name].group and any(KINDS[n].group == KINDS[name].group for n in yaw.chosen):
         return 0.0, None
-    if KINDS[name].group == "motion" and settling_beats(yaw.told, yaw.fitted, name, GAIN):
+    if is_motion(name) and settling_beats(yaw.told, yaw.fitted, name, GAIN):
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
     found = _asked(series, wider, truth)
@@ -255,7 +255,7 @@ def _with_truth(
     if truth.believed(GYRO_SCALE.id) and gain > max(beside, 2.0 * np.log(OUT)):
         gain += truth.told(GYRO_SCALE.id) ** 2 - beside
     # Encoders whose difference to the gyro changes with time, as of a wheel that grows, would have it taken for a bias.
-    structure = min(*truth.odd.values(), yaw.strangers["time"][2], 1.0)
+    structure = min(*truth.odd.values(), yaw.strangers["time"].p_value, 1.0)
     # What is left without it has swollen the noise that its figure is measured by.
     fits = max(gain, truth.loss - found.loss)
     better = structure >= STRANGER_P or stats.chi2.sf(fits, 1) < structure

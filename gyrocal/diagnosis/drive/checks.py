@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
-from gyrocal.diagnosis.drive.series import DriveSeries, Floats
+from gyrocal.diagnosis.drive.series import DriveSeries, Floats, usual_step_s
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.errors import DataError
@@ -161,8 +161,8 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
 def missing_rows(t_s: Floats) -> Found | None:
     """Rows that the logger lost, told by the gaps in time."""
     steps = np.diff(t_s)
-    usual = float(np.median(steps))
-    lost = int(np.sum(np.round(steps[steps > _STEP * usual] / usual) - 1)) if usual > 0 else 0
+    usual = usual_step_s(t_s)
+    lost = int(np.sum(np.round(steps[steps > _STEP * usual] / usual) - 1))
     if lost <= _LOST * steps.size:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)
@@ -173,7 +173,7 @@ def missing_rows(t_s: Floats) -> Found | None:
 def uneven_clock(t_s: Floats) -> Remark | None:
     """Unsteady time stamps; None where they are steady."""
     steps = np.diff(t_s)
-    usual = float(np.median(steps))
+    usual = usual_step_s(t_s)
     regular = steps[(steps > _DOUBLE * usual) & (steps < _STEP * usual)]
     jitter_s = float(np.std(regular) / np.sqrt(2.0)) if regular.size else 0.0
     if jitter_s <= _UNEVEN * usual:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind, is_motion
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
 from gyrocal.diagnosis.drive.prior import may_be_tilted
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, other_slips
-from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.series import DriveSeries, usual_step_s
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
 from gyrocal.diagnosis.drive.truth import BELIEVED, UNEVEN, TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -100,11 +100,7 @@ def joint_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tupl
 def told_estimate(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
     """The same with what is open between laws that explain as much."""
     value, std = joint_estimate(yaw, truth, name)
-    return (
-        (value, float(np.hypot(std, yaw.unsure_of_lag(name))))
-        if KINDS[name].group == "motion"
-        else (value, std)
-    )
+    return (value, float(np.hypot(std, yaw.unsure_of_lag(name)))) if is_motion(name) else (value, std)
 
 
 def of_truth(yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, OfTruth]:
@@ -364,7 +360,7 @@ def _said(name: str, value: float) -> Remark | None:
 
 def _half_a_row(delay_s: float, series: DriveSeries) -> bool:
     """Whether the gyro is early by half a row, as its sample at the end of a row is of the mean over it."""
-    row_s = float(np.median(series.dt_s[1:]))
+    row_s = usual_step_s(series.t_s)
     return abs(delay_s + 0.5 * row_s) < _HALF_A_ROW * row_s
 
 

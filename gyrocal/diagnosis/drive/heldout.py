@@ -85,7 +85,7 @@ def _left_out(yaw: YawAnswer, grams: Sequence[Gram], less: Sequence[str]) -> tup
 
 def _by_second(yaw: YawAnswer, error: Floats) -> tuple[LeftOut, Bools]:
     model, nodes = yaw.model, yaw.model.frame.nodes
-    second = np.unique(np.floor((nodes.t_s - nodes.t_s[0]) / _MEAN_S), return_inverse=True)[1]
+    number, second = np.unique(np.floor((nodes.t_s - nodes.t_s[0]) / _MEAN_S), return_inverse=True)
 
     def total(values: Floats) -> Floats:
         return np.asarray(np.bincount(second, values))
@@ -96,7 +96,5 @@ def _by_second(yaw: YawAnswer, error: Floats) -> tuple[LeftOut, Bools]:
     ends = 2.0 * (model.noise.tick_m / model.frame.series.robot.wheel_separation_m) ** 2
     variance = RAD_TO_DEG**2 * (total(model.white) + ends) / over_s**2
     logloss = 0.5 * (squares / variance + np.log(2.0 * np.pi * variance))
-    seconds = np.arange(squares.size) * _MEAN_S
-    return LeftOut(squares, logloss, variance, (seconds / _BLOCK_S).astype(np.int64)), total(
-        model.left_out
-    ) == 0.0
+    block = (number * _MEAN_S / _BLOCK_S).astype(np.int64)
+    return LeftOut(squares, logloss, variance, block), total(model.left_out) == 0.0

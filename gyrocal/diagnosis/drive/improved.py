@@ -21,6 +21,7 @@ from gyrocal.diagnosis.drive.laws import (
     MOVING,
     PER_SI,
     SETTLING,
+    is_slip,
     reference_temp_c,
     settling,
     strangers,
@@ -236,7 +237,7 @@ def _of_gyro(
             told = (*joint_estimate(yaw, truth, "bias"), unexpected_bias(series, yaw, truth) is not None)
         elif kind.figure and name in parts:
             told = (parts[name].value, parts[name].std, True)
-        elif kind.figure and name in yaw.laws and name == _spokesman(yaw, kind.group or name):
+        elif kind.figure and name in yaw.laws and name == yaw.spokesman(name):
             if name in yaw.chosen:
                 known = told_estimate(yaw, truth, name)
             elif name == "jump" or name in SETTLING:
@@ -272,12 +273,6 @@ def _beyond(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float
     if truth is None or truth.mirrored or truth.stds.get(name, np.inf) > by_encoders[1]:
         return by_encoders
     return truth.values[name], truth.stds[name]
-
-
-def _spokesman(yaw: YawAnswer, group: str) -> str:
-    """Of laws that stand for each other the one that is told: the one of the fit, or the first."""
-    found = [n for n in yaw.laws if (KINDS[n].group or n) == group]
-    return next((n for n in found if n in yaw.chosen), found[0])
 
 
 def _of_encoders(
@@ -357,7 +352,7 @@ def improved_robot(
         return None
     if series.differential:
         # Turns that slip without a law of it are wider in the mean.
-        untold = [n for n in yaw.chosen if KINDS[n].group == "slip" and slip is None]
+        untold = [n for n in yaw.chosen if is_slip(n) and slip is None]
         keys |= _geometry_keys(series, yaw.less(untold), truth, parts)
     elif "wheel_scale" in parts:
         for side in ("left", "right"):

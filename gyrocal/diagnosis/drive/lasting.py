@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.drive.laws import KINDS, SETTLING, Law
-from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, odder
+from gyrocal.diagnosis.drive.laws import SETTLING, Law, is_motion
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest, odder
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, weighed_of
 from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, YawModel
 
@@ -26,8 +26,8 @@ _GROWS = 0.5
 
 def uneven(
     model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
-) -> dict[str, Test]:
-    """Named laws that change between the parts of a drive: gain, degrees of freedom and p-value of each.
+) -> dict[str, GainTest]:
+    """Named laws that change between the parts of a drive: the test of each.
 
     A law that was taken for another one, of a patch of ground or of a wheel that sticks at times, holds in some parts
     and not in others. Parts of equal weight, so that each could show it.
@@ -39,32 +39,32 @@ def uneven(
         weight = np.cumsum(column**2)
         part = np.minimum((_PARTS * weight / weight[-1]).astype(np.int64), _PARTS - 1)
         # A bias that settles does so at rest as well: it is no change of what the motion adds.
-        settling = [n for n in laws if n in SETTLING and KINDS[name].group == "motion" and n not in chosen]
+        settling = [n for n in laws if n in SETTLING and is_motion(name) and n not in chosen]
         beside = [*chosen, *settling]
         columns = {n: laws[n].column for n in beside}
         more = {f"{name}:{k}": np.where(part == k, column, 0.0) for k in range(1, _PARTS)}
         gain = evidence(model, columns | more).added(beside, list(more))
-        p = len(tried) * float(stats.chi2.sf(gain, len(more)))
-        if p < STRANGER_P:
-            found[name] = (gain, len(more), p)
+        test = GainTest.of(gain, len(more))
+        test = test._replace(p_value=len(tried) * test.p_value)
+        if test.p_value < STRANGER_P:
+            found[name] = test
     return found
 
 
 def outlasting(
     model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], named: Mapping[str, float]
-) -> tuple[dict[str, float], dict[str, Test]]:
+) -> tuple[dict[str, float], dict[str, GainTest]]:
     """Named laws whose mean is beyond what the parts of the drive differ by, and those of all that change between these."""
     changing = uneven(model, laws, chosen, named)
     return {n: g for n, g in named.items() if n not in changing or outlasts(g, changing[n])}, changing
 
 
-def outlasts(gain: float, changing: Test) -> bool:
+def outlasts(gain: float, changing: GainTest) -> bool:
     """Whether a law that changes between the parts of a drive has a mean beyond what these differ by.
 
     Of a law that comes and goes, as over patches of ground, some mean is left on any path, and on the next one another.
     """
-    among_parts, parts, _ = changing
-    return bool(stats.f.sf(gain * parts / among_parts, 1, parts) < STRANGER_P)
+    return bool(stats.f.sf(gain * changing.columns / changing.gain, 1, changing.columns) < STRANGER_P)
 
 
 def events(
@@ -129,30 +129,25 @@ def undenied(
     laws: Mapping[str, Law],
     fitted: Sequence[str],
     named: Mapping[str, float],
-    odd: Mapping[str, Test],
-) -> tuple[dict[str, float], dict[str, Test]]:
+    odd: Mapping[str, GainTest],
+) -> tuple[dict[str, float], dict[str, GainTest]]:
     """Named laws less those that the log itself speaks against, and tests by coordinate with what these gained there.
 
     A delay that grows is of a clock; track or wheels that are others from an instant on are of what happened then; and turns
     that differ more from place to place than they do in the mean are of the ground: on another path their mean is another.
     """
-    denied = {n: ("time", chance_of(named[n])) for n in named if f"time:{n}" in fitted}
-    grown = "delay" in named and odd["delay"][2] < STRANGER_P
+    denied = {n: ("time", GainTest.of(named[n])) for n in named if f"time:{n}" in fitted}
+    grown = "delay" in named and odd["delay"].p_value < STRANGER_P
     # Gains go by mean squares, and that of a line from -1/2 to 1/2 is a twelfth.
-    if grown and 12.0 * odd["delay"][0] > _GROWS**2 * named["delay"]:
+    if grown and 12.0 * odd["delay"].gain > _GROWS**2 * named["delay"]:
         denied["delay"] = ("delay", odd["delay"])
     of_turns = [n for n in fitted if n == "track" or n.startswith("slip_")]
     if any(n in named for n in of_turns):
         values = dict(zip(fitted, told.own.solve(fitted)[0], strict=True))
         slipped = np.sum([values[n] * laws[n].column for n in of_turns], axis=0)
         if np.linalg.norm(slipped) < model.noise.track_wander * np.linalg.norm(laws["track"].column):
-            denied |= {n: ("turn_rate", chance_of(named[n])) for n in of_turns if n in named}
+            denied |= {n: ("turn_rate", GainTest.of(named[n])) for n in of_turns if n in named}
     left = dict(odd)
     for coordinate, test in denied.values():
         left = odder(left, coordinate, test)
     return {n: gain for n, gain in named.items() if n not in denied}, left
-
-
-def chance_of(gain: float) -> Test:
-    """A gain of one law as a test."""
-    return gain, 1, float(stats.chi2.sf(gain, 1))

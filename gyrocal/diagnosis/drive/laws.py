@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.series import SMOOTH_S, Bools, DriveSeries, Nodes, averaged
+from gyrocal.diagnosis.drive.series import SMOOTH_S, Bools, DriveSeries, Nodes, averaged, usual_step_s
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.physics.drive import (
     BIAS_TEMPERATURE,
@@ -131,6 +131,21 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
+def group_of(name: str) -> str:
+    """The laws that stand for each other, of which only one is taken; of most there is but one."""
+    return KINDS[name].group or name
+
+
+def is_motion(name: str) -> bool:
+    """Whether a law is of a bias that comes with the motion."""
+    return KINDS[name].group == "motion"
+
+
+def is_slip(name: str) -> bool:
+    """Whether a law is of wheels that slip in turns."""
+    return KINDS[name].group == "slip"
+
+
 @dataclass(frozen=True)
 class Law:
     """A law at fixed shape: `effect` and `shape` are of the catalogue, `column` is its turn in rad for one SI unit."""
@@ -240,7 +255,7 @@ def frame_of(series: DriveSeries, nodes: Nodes, ahead_s: float, window_s: float,
         # Where no wheel moves the gyro's rate is its noise, and a law of it would explain the difference perfectly.
         return np.where(series.quiet, 0.0, change / over_s)
 
-    spread_s = max(SMOOTH_S, float(np.median(dt_s)))
+    spread_s = max(SMOOTH_S, usual_step_s(t))
     # A row holds what happened since the one before.
     rate = slope(t - 0.5 * dt_s, heading, spread_s)
     across = 0.5 * series.robot.wheel_separation_m * rate

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, SETTLING
+from gyrocal.diagnosis.drive.laws import AT_ONCE, SETTLING, is_motion
 from gyrocal.diagnosis.drive.weighing import Evidence
 
 Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ AS_LIKELY = 2.0 * float(np.log(20.0))
 
 def of_motion(laws: Iterable[str]) -> list[str]:
     """Laws of a bias that comes with the motion: they differ by the lag alone."""
-    return [n for n in laws if KINDS[n].group == "motion"]
+    return [n for n in laws if is_motion(n)]
 
 
 def likely_motions(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> tuple[Floats, Floats]:
@@ -53,7 +53,7 @@ def temperature_for_motion(
     the start and the drive is as well, and in gyros more often, the temperature.
     """
     laws = list(laws)
-    taken = next((n for n in chosen if KINDS[n].group == "motion"), None)
+    taken = next((n for n in chosen if is_motion(n)), None)
     if taken is None or "slope" in chosen or not {"slope", AT_ONCE} <= set(laws):
         return list(chosen)
     beside = [n for n in chosen if n != taken]
@@ -110,7 +110,7 @@ def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[s
         if any(n in SETTLING for n in settled) and told.added(settled, ["jump"]) < least:
             return settled
     found = list(chosen)
-    for name in (n for n in chosen if KINDS[n].group == "motion" or n == "slope"):
+    for name in (n for n in chosen if is_motion(n) or n == "slope"):
         beside = [n for n in found if n != name]
         settling = _likeliest_settling(told, found, least)
         stays = bool(settling) and told.added([*beside, *settling], [name]) >= least

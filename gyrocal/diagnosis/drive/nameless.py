@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +14,33 @@ from gyrocal.diagnosis.drive.laws import KINDS, Law
 from gyrocal.diagnosis.drive.weighing import Evidence
 
 Floats = NDArray[np.float64]
-#: Gain, degrees of freedom and p-value of structure.
-Test = tuple[float, int, float]
-
 #: Chance at which columns of no name are located where there is nothing. Of 694 such tests on 64 drives of another hand without
 #: any, two were below it.
 STRANGER_P = 1e-3
 
 
+class GainTest(NamedTuple):
+    """What columns gain (twice the log likelihood), how many they are, and the chance of that where there is nothing."""
+
+    gain: float
+    columns: int
+    p_value: float
+
+    @classmethod
+    def of(cls, gain: float, columns: int = 1) -> GainTest:
+        """The test of columns that nobody chose among others."""
+        return cls(gain, columns, float(stats.chi2.sf(gain, columns)))
+
+
 def nameless(
     free: Evidence, chosen: Sequence[str], jumping: Mapping[str, Law], blocks: Mapping[str, Floats]
-) -> tuple[dict[str, Test], dict[str, Law]]:
+) -> tuple[dict[str, GainTest], dict[str, Law]]:
     """What is over each coordinate beside the laws, and what of the wheels changes at one instant, if nothing else does."""
     changed = {n: x for n, x in jumping.items() if n not in KINDS}
     odd = {c: _without_name(free, [*chosen, *changed], f"{c}:", block) for c, block in blocks.items()}
-    at_once = odd.get("time", (0.0, 0, 1.0))[2] >= STRANGER_P
+    at_once = "time" not in odd or odd["time"].p_value >= STRANGER_P
     gains = [free.added(chosen, [name]) for name in changed]
-    odd = odder(odd, "time", *((gain, 1, chance(gain)) for gain in gains))
+    odd = odder(odd, "time", *(GainTest(gain, 1, chance(gain)) for gain in gains))
     return odd, changed if at_once else {}
 
 
@@ -39,20 +50,19 @@ def unhidden(told: Evidence, fitted: Sequence[str], changed: Mapping[str, Law]) 
     return {n: law for n, law in changed.items() if chance(gains[n]) < STRANGER_P}
 
 
-def _without_name(free: Evidence, chosen: Sequence[str], prefix: str, block: Floats) -> Test:
+def _without_name(free: Evidence, chosen: Sequence[str], prefix: str, block: Floats) -> GainTest:
     """Whether there is something over a coordinate.
 
     Against laws that are free: a robot file that grants too little of them is no structure without a name.
     """
     names = [f"{prefix}{k}" for k in range(block.shape[1])]
-    gain = free.added(chosen, names)
-    return gain, len(names), float(stats.chi2.sf(gain, len(names)))
+    return GainTest.of(free.added(chosen, names), len(names))
 
 
-def odder(odd: Mapping[str, Test], coordinate: str, *tests: Test) -> dict[str, Test]:
+def odder(odd: Mapping[str, GainTest], coordinate: str, *tests: GainTest) -> dict[str, GainTest]:
     """Tests by coordinate with some more, of which the surest counts."""
     found = [*tests, *(test for c, test in odd.items() if c == coordinate)]
-    return {**odd, coordinate: min(found, key=lambda one: one[2])} if found else dict(odd)
+    return {**odd, coordinate: min(found, key=lambda one: one.p_value)} if found else dict(odd)
 
 
 def beside_means(

@@ -7,6 +7,7 @@ import numpy as np
 from gyrocal.diagnosis.drive.laws import SPEED_SMOOTH_S, by_place
 from gyrocal.diagnosis.drive.path_noise import Knots, stacked
 from gyrocal.diagnosis.drive.reckoning import Floats, Reckoned
+from gyrocal.diagnosis.drive.series import usual_step_s
 
 #: Parts of a drive in which the gyro may be late, or have a bias of its own.
 _PARTS = 8
@@ -25,7 +26,7 @@ def path_strangers(knots: Knots, path: Reckoned) -> dict[str, dict[str, Floats]]
     speed = np.divide(np.abs(path.way_m), path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     turning = np.divide(turned, path.dt_s, out=np.zeros_like(share), where=path.dt_s > 0)
     rate, nothing = np.abs(turning), np.zeros(share.size)
-    whole, span_s = np.cumsum(path.way_m), max(SPEED_SMOOTH_S, float(np.median(path.dt_s)))
+    whole, span_s = np.cumsum(path.way_m), max(SPEED_SMOOTH_S, usual_step_s(path.t_s))
     ahead, behind = (np.interp(path.t_s + s, path.t_s, whole) for s in (span_s, -span_s))
     # From row to row whole ticks come and go, and what rises of that alone would grow with the way.
     growth = (np.abs(ahead - whole) - np.abs(whole - behind)) / span_s**2

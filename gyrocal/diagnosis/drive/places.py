@@ -37,7 +37,7 @@ def places(
         if coordinate not in found:
             share = gains.get(effect.effect, float("nan")) / whole
             found[coordinate] = Located(coordinate, "mean", effect.p_value, share, finding=effect.effect)
-    odd = {c: p for c, (_, _, p) in yaw.strangers.items() if c in yaw.odd}
+    odd = {c: test.p_value for c, test in yaw.strangers.items() if c in yaw.odd}
     if truth is not None:
         for coordinate, p in truth.odd.items():
             if p < STRANGER_P:

@@ -12,7 +12,7 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.alignment import align
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at, less
-from gyrocal.diagnosis.drive.lasting import chance_of, events, outlasting, undenied
+from gyrocal.diagnosis.drive.lasting import events, outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     SETTLING,
@@ -21,6 +21,9 @@ from gyrocal.diagnosis.drive.laws import (
     candidate_laws,
     constant_laws,
     frame_of,
+    group_of,
+    is_motion,
+    is_slip,
     jump,
     settling_laws,
     strangers,
@@ -34,7 +37,7 @@ from gyrocal.diagnosis.drive.motions import (
     with_central_lag,
     with_settling,
 )
-from gyrocal.diagnosis.drive.nameless import STRANGER_P, Test, beside_means, nameless, odder, unhidden
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest, beside_means, nameless, odder, unhidden
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
 from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, nodes_of, rough_bias_dps
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, gram_of
@@ -68,7 +71,7 @@ class YawAnswer:
     chosen : names of the laws in the final fit, the constant ones always
     values, covariance : their coefficients, SI (rates of the gyro in deg/s), then those of `nameless`
     named : law -> gain, of those that earn their name
-    strangers : coordinate -> (gain, degrees of freedom, p-value) of columns without a name
+    strangers : coordinate -> test of columns without a name
     odd : coordinates located by them
     told : what all laws gain beside each other, with what was known beforehand
     ahead_s, window_s : delay and window of the encoders that were taken out before the fit
@@ -84,7 +87,7 @@ class YawAnswer:
     values: Floats
     covariance: Floats
     named: Mapping[str, float]
-    strangers: Mapping[str, Test]
+    strangers: Mapping[str, GainTest]
     odd: tuple[str, ...]
     ahead_s: float
     window_s: float
@@ -182,7 +185,7 @@ class YawAnswer:
         """Whether a bias that settles after the start may have made the log as well as a law of the motion that it names."""
         beside = [n for n in self.fitted if n != name]
         instead = [n for n in self.laws if n in SETTLING]
-        return KINDS[name].group == "motion" and may_be_another(self.told, beside, name, instead)
+        return is_motion(name) and may_be_another(self.told, beside, name, instead)
 
     @property
     def of_bias(self) -> tuple[str, ...]:
@@ -232,7 +235,7 @@ class YawAnswer:
             told=told,
             known=known,
             chosen=chosen,
-            strangers=odder(self.strangers, "time", (instant.gain, 1, instant.p_value)),
+            strangers=odder(self.strangers, "time", GainTest(instant.gain, 1, instant.p_value)),
             odd=tuple(dict.fromkeys([*self.odd, "time"])),
         )
         return jumping.gaining(gains)
@@ -250,10 +253,14 @@ class YawAnswer:
 
     def without(self, denied: Sequence[str], coordinate: str) -> YawAnswer:
         """The same less laws that something else speaks against: what they had explained has no name but its coordinate."""
-        gain = sum(self.named[n] for n in denied)
-        test = (gain, len(denied), float(stats.chi2.sf(gain, len(denied))))
+        test = GainTest.of(sum(self.named[n] for n in denied), len(denied))
         odd = tuple(dict.fromkeys([*self.odd, coordinate]))
         return replace(self.less(denied), strangers=odder(self.strangers, coordinate, test), odd=odd)
+
+    def spokesman(self, name: str) -> str:
+        """Of laws that stand for each other the one that is told: the one of the fit, or the first."""
+        alike = [n for n in self.laws if group_of(n) == group_of(name)]
+        return next((n for n in alike if n in self.chosen), alike[0])
 
     @property
     def left_rad(self) -> Floats:
@@ -318,7 +325,7 @@ def _examine(
         chosen = _selected(told, [*least, *beyond], candidates)
     chosen, settled = _of_bias(told, chosen, candidates)
     odd, changed = nameless(free, chosen, jumping, blocks)
-    beside = [n for n in columns if ":" in n and odd[n.split(":")[0]][2] < STRANGER_P]
+    beside = [n for n in columns if ":" in n and odd[n.split(":")[0]].p_value < STRANGER_P]
     chosen, odd = _with_sure_jump(told, chosen, beside, odd)
     earned = _named(told, chosen, beside, ahead_s)
     named, odd = undenied(model, told, everything, [*chosen, *beside], earned, odd)
@@ -339,7 +346,7 @@ def _examine(
         *told.own.solve([*chosen, *unnamed]),
         named,
         odd,
-        tuple(c for c, (_, _, p) in odd.items() if p < STRANGER_P),
+        tuple(c for c, test in odd.items() if test.p_value < STRANGER_P),
         ahead_s,
         window_s,
         told,
@@ -352,13 +359,13 @@ def _examine(
 
 def _of_bias(
     told: Evidence, chosen: Sequence[str], candidates: Sequence[str]
-) -> tuple[list[str], dict[str, Test]]:
+) -> tuple[list[str], dict[str, GainTest]]:
     """Laws with those of the bias that are likeliest; and those that one settling by itself stands for, with the test of that."""
     taken = temperature_for_motion(
         told, with_central_lag(told, chosen, of_motion(candidates)), candidates, GAIN
     )
     found = with_settling(told, taken, GAIN)
-    tests = [chance_of(_gain(told, found, n)) for n in found if n in SETTLING]
+    tests = [GainTest.of(_gain(told, found, n)) for n in found if n in SETTLING]
     return found, {n: test for test in tests for n in taken if n not in found}
 
 
@@ -385,14 +392,14 @@ def _first(
 
 
 def _with_sure_jump(
-    told: Evidence, chosen: Sequence[str], beside: Sequence[str], odd: Mapping[str, Test]
-) -> tuple[list[str], dict[str, Test]]:
+    told: Evidence, chosen: Sequence[str], beside: Sequence[str], odd: Mapping[str, GainTest]
+) -> tuple[list[str], dict[str, GainTest]]:
     """Laws and tests, with a jump of the bias only where it holds beside what has no name."""
     if "jump" not in chosen:
         return list(chosen), dict(odd)
     gain = _gain(told, [*chosen, *beside], "jump")
     if chance(gain) < STRANGER_P:
-        return list(chosen), odder(odd, "time", (gain, 1, chance(gain)))
+        return list(chosen), odder(odd, "time", GainTest(gain, 1, chance(gain)))
     return [n for n in chosen if n != "jump"], dict(odd)
 
 
@@ -402,15 +409,10 @@ def _columns_of(laws: Mapping[str, Law], blocks: Mapping[str, Floats]) -> dict[s
     return {n: x.column for n, x in laws.items()} | unnamed
 
 
-def _group(name: str) -> str:
-    """Laws of one group stand for each other: only one of them is taken."""
-    return KINDS[name].group or name
-
-
 def _of_groups(laws: Iterable[str], of: Iterable[str]) -> list[str]:
     """Laws that stand for one of others."""
-    groups = {_group(n) for n in of}
-    return [n for n in laws if _group(n) in groups]
+    groups = {group_of(n) for n in of}
+    return [n for n in laws if group_of(n) in groups]
 
 
 def _pair_of(name: str) -> str:
@@ -436,8 +438,10 @@ def _selected(told: Evidence, first: Sequence[str], candidates: Sequence[str]) -
     chosen = list(first)
     gained: dict[str, float] = {}
     for _ in candidates:
-        groups = {_group(n) for n in chosen}
-        gains = {n: _gain(told, chosen, n) for n in candidates if n not in chosen and _group(n) not in groups}
+        groups = {group_of(n) for n in chosen}
+        gains = {
+            n: _gain(told, chosen, n) for n in candidates if n not in chosen and group_of(n) not in groups
+        }
         best = max(gains, key=lambda n: gains[n], default=None)
         if best is None or gains[best] < _least(gained):
             pair = _cancelling(told, chosen, list(gains))
@@ -453,7 +457,7 @@ def _selected(told: Evidence, first: Sequence[str], candidates: Sequence[str]) -
 def _cancelling(told: Evidence, chosen: Sequence[str], candidates: Sequence[str]) -> list[str]:
     """Two laws of the bias that hide each other, as a step up and a slope down do."""
     of_bias = [n for n in candidates if KINDS[n].figure.startswith("bias")]
-    pairs = [pair for pair in combinations(of_bias, 2) if _group(pair[0]) != _group(pair[1])]
+    pairs = [pair for pair in combinations(of_bias, 2) if group_of(pair[0]) != group_of(pair[1])]
     gains = {pair: told.added(chosen, pair) for pair in pairs}
     best = max(gains, key=lambda pair: gains[pair], default=())
     return [*best] if best and gains[best] >= PAIR_GAIN else []
@@ -469,7 +473,7 @@ def other_slips(gram: Gram, fitted: Sequence[str]) -> list[str]:
 
     Slip has many shapes, and what its law misses of it looks like wheels that slip more in some turns than in others.
     """
-    return [n for n in gram.names if n in KINDS and KINDS[n].group == "slip" and n not in fitted]
+    return [n for n in gram.names if n in KINDS and is_slip(n) and n not in fitted]
 
 
 def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s: float) -> dict[str, float]:
@@ -480,7 +484,7 @@ def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s
     if "spinning" in gains:
         gains["spinning"] = _gain(told, [*everything, *other_slips(told.own, everything)], "spinning")
     # Where a law of the turns explains nearly all that it and columns without a name do together, these are its misfit.
-    of_turns = [n for n in tested if n == "track" or KINDS[n].group == "slip"]
+    of_turns = [n for n in tested if n == "track" or is_slip(n)]
     for name in (n for n in of_turns if beside and gains[n] < GAIN):
         alone, others = _gain(told, chosen, name), [n for n in chosen if n != name]
         if alone >= MOST * told.added(others, [name, *beside]):
@@ -490,5 +494,5 @@ def _named(told: Evidence, chosen: Sequence[str], beside: Sequence[str], ahead_s
         gains["wheel_cos"] = told.added(others, ["wheel_cos", "wheel_sin"])
     if "delay" in chosen:
         gains["delay"] = _delay_gain(told.own, everything, ahead_s)
-    named = {n: g for n, g in gains.items() if g >= (GAIN if KINDS[n].group == "slip" else _least(gains))}
+    named = {n: g for n, g in gains.items() if g >= (GAIN if is_slip(n) else _least(gains))}
     return dict(sorted(named.items(), key=lambda item: -item[1]))

@@ -77,9 +77,9 @@ class Gram:
         return self.gain([*chosen, *(n for n in more if n not in chosen)]) - self.gain(chosen)
 
 
-def gram_of(model: YawModel, columns: Mapping[str, Floats], flicker_dps: float | None = None) -> Gram:
+def gram_of(model: YawModel, columns: Mapping[str, Floats]) -> Gram:
     """Inner products of columns, name -> (m,), under a model's noise."""
-    return _gram(columns, model.given(_stacked(model, columns), flicker_dps))
+    return _gram(columns, model.given(_stacked(model, columns)))
 
 
 def weighed_of(model: YawModel, columns: Mapping[str, Floats]) -> tuple[Gram, Floats]:

@@ -292,6 +292,8 @@ def compare(matched: Match, options: Options) -> Comparison | None:
     difference = matched.difference
     simulated = matched.surface.output_dps(difference.rate_dps, difference.temp_c)
     numbers, plain = set_means(difference, difference.gyro_dps - simulated)
+    if numbers.size < _FEWEST:
+        return None
     block = np.arange(numbers.size) * _BLOCKS // max(numbers.size, 1)
     after, beside_jumps = np.full(numbers.size, np.nan), 0
     for fold in range(_FOLDS):

@@ -353,16 +353,12 @@ def _difference(
         return real.take(np.zeros(0, dtype=np.int64)), 0.0
     taken = real.take(np.concatenate(rows))
     difference = taken.gyro_dps - np.concatenate(values)
-    white = _white(real, simulated, taken.white_std_dps, np.concatenate(noise))
+    white = taken.white_std_dps
+    if real.states_noise and simulated.states_noise:
+        white = np.hypot(white, np.concatenate(noise))
     name = f"{real.name} less {simulated.name}"
     series = replace(taken, name=name, gyro_dps=difference, white_std_dps=white)
     return series, float(np.sqrt(np.mean(np.square(apart)))) if apart else 0.0
-
-
-def _white(real: Series, simulated: Series, own: Floats, other: Floats) -> Floats:
-    """White noise of the difference; a table that does not state its noise has ones, which are no deg/s."""
-    stated = [not np.all(series.white_std_dps == 1.0) for series in (real, simulated)]
-    return np.asarray(np.hypot(own, other)) if all(stated) else own
 
 
 def surface_of(simulated: Series, direction: Direction = "output") -> Surface:

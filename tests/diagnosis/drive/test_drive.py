@@ -425,6 +425,10 @@ def test_gaps_and_jitter_are_found() -> None:
     assert lost.seen.said is Said.MISSING_ROWS
     assert lost.seen.facts["count"] == 80
     assert lost.amplitude.value == pytest.approx(100.0 * 80 / len(log))
+    # A row at the time of the row before is no step.
+    doubled = missing_rows(np.repeat(log.t_s[holes], 2))
+    assert doubled is not None
+    assert doubled.seen.facts["count"] == 80
     rng = np.random.default_rng(1)
     uneven = uneven_clock(np.sort(log.t_s + 0.01 * rng.normal(size=len(log))))
     assert uneven is not None

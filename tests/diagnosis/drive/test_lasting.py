@@ -16,7 +16,7 @@ from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
 from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats, with_settling
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest
 from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.drive.search import GAIN
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram
@@ -309,9 +309,9 @@ def test_wheels_that_differ_now_and_then_have_no_name(resting: Robot) -> None:
 
 def test_the_mean_of_a_law_is_weighed_by_what_its_parts_differ() -> None:
     """F of 1 and 23 is beyond 14.2 once in 1000: the mean gains what one of 23 parts does, times that."""
-    assert not outlasts(14.0, (23.0, 23, 1e-4))
-    assert outlasts(15.0, (23.0, 23, 1e-4))
-    assert not outlasts(15.0, (46.0, 23, 1e-4))
+    assert not outlasts(14.0, GainTest(23.0, 23, 1e-4))
+    assert outlasts(15.0, GainTest(23.0, 23, 1e-4))
+    assert not outlasts(15.0, GainTest(46.0, 23, 1e-4))
 
 
 @pytest.mark.slow
