@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.groups import distinct
 from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws, places_of_table
+from gyrocal.diagnosis.at_rest import temperature_alone
 from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.changes import DRIFTS
 from gyrocal.diagnosis.columns import conditions_of
@@ -18,13 +19,7 @@ from gyrocal.diagnosis.correction import correction, doubtful, with_drifts
 from gyrocal.diagnosis.edges import told
 from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.fresh_run import gain_on_a_fresh_run, need_rates, no_file
-from gyrocal.diagnosis.given import (
-    simulated_residual,
-    surface_change,
-    temperature_alone,
-    with_terms,
-    without_terms,
-)
+from gyrocal.diagnosis.given import simulated_residual, surface_change, with_terms, without_terms
 from gyrocal.diagnosis.in_place import passes
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.laws import untestable

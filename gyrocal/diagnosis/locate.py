@@ -93,7 +93,7 @@ def located(found: Examination, level: float) -> list[Located]:
     places += _jumps(found)
     for pattern in found.patterns:
         rms = float(np.sqrt(np.mean(pattern.values**2)))
-        coordinate = "table_angle" if "angle" in pattern.family else "time_since_step"
+        coordinate = CATALOGUE[pattern.effect].seen_in
         places.append(Located(coordinate, "mean", pattern.p_value, 0.0, False, rms_dps=rms))
     return places
 

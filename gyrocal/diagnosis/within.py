@@ -74,11 +74,6 @@ class Pattern:
     size: Interval | None = None
 
     @property
-    def family(self) -> str:
-        """Family of the effect."""
-        return CATALOGUE[self.effect].family
-
-    @property
     def is_sure(self) -> bool:
         """Whether the 95 % interval of its amplitude does not hold zero."""
         b = self.amplitudes

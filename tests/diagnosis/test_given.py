@@ -10,8 +10,9 @@ from typing import cast
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.at_rest import temperature_alone
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.given import surface_change, temperature_alone, with_terms
+from gyrocal.diagnosis.given import surface_change, with_terms
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.diagnosis.table_series import series_of_table
