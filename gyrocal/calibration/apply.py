@@ -25,7 +25,7 @@ from gyrocal.physics.terms import Part
 from gyrocal.records.datasets import DataSetTable, read_data_sets, switched_on_s
 from gyrocal.records.files import check_output_file, writing_atomically
 from gyrocal.records.run import Run, read_run
-from gyrocal.records.scale import odd_output, odd_temperature
+from gyrocal.records.scale import odd_order, odd_output, odd_temperature
 
 Floats = NDArray[np.float64]
 
@@ -148,6 +148,8 @@ def apply_recording(config: ApplyConfig, report: Callable[[float, str], None]) -
     applied.notes = check_sensor(coefficients.sensor, sensor, config.recording, force=config.force_sensor)
     if not config.recording.is_dir():
         applied.notes += _odd_columns(table, block, coefficients, power_on_t_s, force=config.force_sensor)
+        if any(term.has_memory or _since_on(term) for term in compensator.terms):
+            applied.notes += tuple(f"{config.recording.name}: {note}" for note in table.clock_notes)
         applied.notes += tuple(
             f"{config.recording.name}: {name} counts from t_s = {power_on_t_s:g} s; a table does not say when the gyro was switched on"
             for name in dict.fromkeys(term.name for term in compensator.terms if _since_on(term))
@@ -178,7 +180,12 @@ def _odd_columns(
     known = np.isfinite(corrected)
     scale = odd_output(table.rate_dps[known], corrected[known], ideal=True) if known.any() else None
     said = []
-    for odd in filter(None, (scale if scale and scale.a_scale else None, odd_temperature(table.temp_c))):
+    odds = (
+        odd_order(table.rate_dps, table.gyro_dps),
+        scale if scale and scale.a_scale else None,
+        odd_temperature(table.temp_c),
+    )
+    for odd in filter(None, odds):
         what = f"{table.source}: {'corrected, ' * odd.a_scale}{odd.what}"
         if not force:
             raise DataError(f"{what}. {odd.remedy}, or say --force-sensor.")

@@ -95,15 +95,22 @@ class Curves:
         return np.asarray(self.error_dps[int(np.argmin(np.abs(self.rate_dps)))])
 
     def slope(self, rows: NDArray[np.bool_] | None = None) -> Floats:
-        """Slope of the error over the rate, by least squares with a free offset, shape (t, draws)."""
+        """Slope of the error over the rate, by least squares with a free offset, all rates alike, shape (t, draws)."""
         use = np.ones(self.rate_dps.size, dtype=bool) if rows is None else rows
-        w = self.rate_dps[use] - self.rate_dps[use].mean()
-        return np.asarray(np.einsum("r,rtd->td", w, self.error_dps[use]) / (w @ w))
+        rate_dps, weight = self.rate_dps[use], _weights(self.rate_dps[use])
+        away = rate_dps - np.average(rate_dps, weights=weight)
+        return np.asarray(np.einsum("r,rtd->td", weight * away, self.error_dps[use]) / (weight @ away**2))
 
     def off_line(self) -> Floats:
         """Error less its straight line over the rate, at the middle temperature, shape (r, draws)."""
-        line = np.linalg.qr(np.vander(self.rate_dps, 2))[0]
-        return np.asarray(self.middle - line @ (line.T @ self.middle))
+        line, root = np.vander(self.rate_dps, 2), np.sqrt(_weights(self.rate_dps))[:, None]
+        return np.asarray(
+            self.middle - line @ np.linalg.lstsq(root * line, root * self.middle, rcond=None)[0]
+        )
+
+    def rms(self, values: Floats) -> Floats:
+        """Root mean square of (r, draws) over the rates, all alike, shape (draws,)."""
+        return np.asarray(np.sqrt(np.average(values**2, axis=0, weights=_weights(self.rate_dps))))
 
     def temperature_slope(self, values: Floats) -> Floats:
         """Slope of (t, draws) over the temperature, shape (draws,)."""
@@ -128,7 +135,7 @@ def _law(unit: str, definition: str, needs: str, of: Callable[[Curves], Floats])
 LAWS: Mapping[str, Law] = {
     "scale_factor_error": _law(
         "ppm",
-        "slope of the error over the rate, middle temperature",
+        "least-squares slope of the error over the rate, all rates alike, middle temperature",
         "rate",
         lambda c: _PPM * _mid(c.slope()),
     ),
@@ -148,7 +155,7 @@ LAWS: Mapping[str, Law] = {
         "ppm of full scale",
         "rms of the error less its straight line, middle temperature",
         "rate",
-        lambda c: _PPM * np.sqrt(np.mean(c.off_line() ** 2, axis=0)) / c.full_dps,
+        lambda c: _PPM * c.rms(c.off_line()) / c.full_dps,
     ),
     "scale_factor_nonlinearity_max": _law(
         "ppm of full scale",
@@ -166,7 +173,7 @@ LAWS: Mapping[str, Law] = {
         "ppm",
         "slope for positive less that for negative rates, middle temperature",
         "rate signs",
-        lambda c: _PPM * (_mid(c.slope(c.rate_dps > 0)) - _mid(c.slope(c.rate_dps < 0))),
+        lambda c: _PPM * (_mid(c.slope(c.rate_dps >= 0)) - _mid(c.slope(c.rate_dps <= 0))),
     ),
     "bias": _law(
         "deg/h",
@@ -195,6 +202,25 @@ _LACKING = {
     "temperature": "the recording is at a single temperature",
     "rest": "zero rate lies outside the recording",
 }
+
+
+def _rate_grid(low_dps: float, high_dps: float) -> Floats:
+    """Rates from the lowest to the highest, even on either side of zero, which is one of them if it lies between."""
+    if not low_dps < 0.0 < high_dps:
+        return np.linspace(low_dps, high_dps, _RATES)
+    half = _RATES // 2 + 1
+    return np.concatenate([np.linspace(low_dps, 0.0, half), np.linspace(0.0, high_dps, half)[1:]])
+
+
+def _weights(rate_dps: Floats) -> Floats:
+    """Weights of an integral over the rates of such a grid, or of one side of it (Simpson's): a plain sum has too much of the ends, where a cubic is largest."""
+    weight, zero = np.zeros(rate_dps.size), int(np.searchsorted(rate_dps, 0.0))
+    within = 0 < zero < rate_dps.size - 1
+    for side in (slice(0, zero + 1), slice(zero, None)) if within else (slice(None),):
+        own = np.ones(rate_dps[side].size)
+        own[1:-1:2], own[2:-1:2] = 4.0, 2.0
+        weight[side] += own * float(np.ptp(rate_dps[side])) / own.sum()
+    return weight
 
 
 def _mid(values: Floats) -> Floats:
@@ -286,8 +312,7 @@ def _varied(sets: DataSets, span: Span) -> frozenset[str]:
 def _curves(fit: SurfaceFit, left_out_dps: Floats | None, span: Span) -> Curves:
     """The description on a grid, with draws of its coefficients under the scatter and its degrees of freedom."""
     sets = fit.sets
-    rates = np.linspace(*span.rate_dps, _RATES)
-    rates[np.argmin(np.abs(rates))] = 0.0 if rates[0] <= 0 <= rates[-1] else rates[np.argmin(np.abs(rates))]
+    rates = _rate_grid(*span.rate_dps)
     temps = np.linspace(*span.temp_c, _TEMPS)
     orders = _orders(sets)
     design = _columns(sets.rate_dps, sets.temp_c, sets, orders)

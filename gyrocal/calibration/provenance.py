@@ -88,7 +88,8 @@ def check_sensor(
 def source_sha256(path: Path) -> str:
     """Checksum of a recording: of the table's bytes, or of ``run.json`` and the journal, which holds that of each segment."""
     if not path.is_dir():
-        return sha256_of_file(path)
+        with reading(path):
+            return sha256_of_file(path)
     digest = hashlib.sha256()
     for name in ("run.json", "journal.jsonl"):
         with reading(path / name):

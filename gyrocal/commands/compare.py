@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gyrocal.calibration.calibrate import calibrate, configs
-from gyrocal.calibration.compare import Change, compare_at_rest, compare_runs
+from gyrocal.calibration.compare import Change, compare_at_rest, compare_runs, refuse_units
 from gyrocal.calibration.dossier import rest_run
 
 
@@ -18,7 +18,7 @@ def compare(
     Raises
     ------
     InputError, DataError
-        A bad run, one alone, or runs at rest among others.
+        A bad run, one alone, runs at rest among others, or of several units.
     """
     each = configs(paths, counts_per_dps)
     at_rest = []
@@ -27,11 +27,13 @@ def compare(
         resting = rest_run(path)
         if resting is None:
             break
-        at_rest.append(resting.found)
+        at_rest.append(resting)
     else:
-        return compare_at_rest(at_rest)
+        refuse_units(resting.run.sensor.serial for resting in at_rest)
+        return compare_at_rest([resting.found for resting in at_rest])
     found = []
     for number, (path, config) in enumerate(zip(paths, each, strict=True)):
         tell(number / len(paths), path.name)
         found.append(calibrate(path, config))
+    refuse_units(run.recording.sensor.get("serial") for run in found)
     return compare_runs(found)

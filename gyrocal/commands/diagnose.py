@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import gyrocal
 from gyrocal.bench.profile import profile_from_dict
 from gyrocal.calibration.noise import noise_at_rest
-from gyrocal.calibration.provenance import check_sensor, fitted_to, refuse_compensated
+from gyrocal.calibration.provenance import check_sensor, fitted_to, refuse_compensated, refuse_twice
 from gyrocal.diagnosis.drive.engine import diagnose_drive
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.result import Diagnosis
@@ -182,6 +182,7 @@ def _write_versus(config: DiagnoseConfig, simulation: Path, progress: Progress) 
         raise InputError(
             f"{config.coefficients}: --simulation says what the recording is compared with. Leave --coefficients out."
         )
+    refuse_twice([config.recording, *config.others])
     paths = [config.recording, simulation, *config.others]
     recording, simulated, *others = (
         series_of(_read(path, scale))

@@ -55,15 +55,21 @@ class DataSetTable:
                 f"temp_c is {self.temp_c[0]:.4g} degC in every row: if no thermometer was read, what the temperature does passes "
                 "for a drift; log the gyro's temperature"
             )
-        if self.t_s is not None and np.ptp(self.rate_dps) > 0:
-            step_s = float(np.median(np.diff(self.t_s)))
-            if step_s > _LONG_STEP_S:
-                said.append(
-                    f"from one data set to the next t_s grows by {step_s:.6g} in the median, which is {step_s / S_PER_H:.3g} h if it is in "
-                    f"seconds; if it is in milliseconds, which makes it {step_s / 1e3:.4g} s, write it in seconds: all that is said of "
-                    "time, drift and random walk is off otherwise"
-                )
-        return tuple(said)
+        return (*said, *self.clock_notes)
+
+    @property
+    def clock_notes(self) -> tuple[str, ...]:
+        """That its times may be in milliseconds."""
+        if self.t_s is None or np.ptp(self.rate_dps) == 0:
+            return ()
+        step_s = float(np.median(np.diff(self.t_s)))
+        if step_s <= _LONG_STEP_S:
+            return ()
+        return (
+            f"from one data set to the next t_s grows by {step_s:.6g} in the median, which is {step_s / S_PER_H:.3g} h if it is in "
+            f"seconds; if it is in milliseconds, which makes it {step_s / 1e3:.4g} s, write it in seconds: all that hangs on time, "
+            "drift and random walk is off otherwise",
+        )
 
 
 def read_data_sets(path: Path, counts_per_dps: float | None = None) -> DataSetTable:

@@ -217,6 +217,27 @@ def test_a_table_goes_once_through_terms_that_remember(tmp_path: Path) -> None:
     np.testing.assert_allclose(pd.read_csv(tmp_path / "out.csv")["corrected_dps"], expected, atol=1e-9)
 
 
+def test_a_clock_in_milliseconds_is_said_where_it_counts(tmp_path: Path) -> None:
+    rate = np.tile([-100.0, -50.0, 0.0, 50.0, 100.0], 6)
+    rows = {"rate_dps": rate, "gyro_dps": rate, "temp_c": np.linspace(18.0, 22.0, 30)}
+    pd.DataFrame(rows | {"t_s": 6e4 * np.arange(30.0)}).to_csv(tmp_path / "t.csv", index=False)
+    for term, said in ((LAG, 1), (None, 0)):
+        write_coefficients(tmp_path / "c.json", *([term] if term else []))
+        applied = apply_recording(config(tmp_path, tmp_path / "t.csv", overwrite=True), quiet)
+        assert sum("milliseconds" in note for note in applied.notes) == said
+
+
+def test_swapped_columns_are_refused(tmp_path: Path) -> None:
+    """A gyro's own error is too small for the scale to tell."""
+    write_coefficients(tmp_path / "c.json")
+    rate = np.tile(np.linspace(-100.0, 100.0, 11), 12)
+    gyro = 1.001 * rate + 1e-3 * np.random.default_rng(0).standard_normal(rate.size)
+    table = pd.DataFrame({"rate_dps": gyro, "gyro_dps": rate, "temp_c": np.linspace(18.0, 22.0, rate.size)})
+    table.to_csv(tmp_path / "t.csv", index=False)
+    with pytest.raises(DataError, match="seem to be swapped"):
+        apply_recording(config(tmp_path, tmp_path / "t.csv"), quiet)
+
+
 def test_temperatures_in_kelvin_are_refused(tmp_path: Path) -> None:
     write_coefficients(tmp_path / "c.json")
     (tmp_path / "t.csv").write_text("rate_dps,gyro_dps,temp_c\n10,10,290\n-20,-20,295\n")

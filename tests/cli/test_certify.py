@@ -110,6 +110,17 @@ def test_compare(tmp_path: Path) -> None:
     assert data["figures"]["bias"]["changed"] is False
 
 
+def test_runs_of_two_units_are_not_compared(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    for name in ("a", "b"):
+        rows = [gyro_row(0.1 * k + 0.05, f"{x:.6f}") for k, x in enumerate(rng.normal(0.0, 4e-3, 12_000))]
+        head = {"sensor": {"model": "RD2100", "serial": name}}
+        write_run(tmp_path / name, [Part(rows, kind="static", averaging_s=None)], head)
+    done = CliRunner().invoke(gyrocal_command, ["compare", str(tmp_path / "a"), str(tmp_path / "b")])
+    assert isinstance(done.exception, DataError)
+    assert "of several units (a, b)" in str(done.exception)
+
+
 @pytest.fixture
 def unit(tmp_path: Path) -> Path:
     """The directory of a unit with two runs, of which b was made first."""

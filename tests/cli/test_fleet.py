@@ -73,6 +73,15 @@ def test_a_recording_given_twice_is_refused_under_any_name(tables: list[Path], t
     assert "are the same recording: give each once" in str(done.exception)
 
 
+def test_a_recording_that_is_not_there_stops_no_other(tables: list[Path], tmp_path: Path) -> None:
+    """It had been an error of the tool's own, and the fleet was lost."""
+    missing = str(tmp_path / "nofile.csv")
+    words = ["fleet", *map(str, tables[:2]), missing, "--jobs", "1", "--out", str(tmp_path / "x")]
+    done = CliRunner().invoke(gyrocal_command, words)
+    assert done.exit_code == 0, done.exception
+    assert "nofile.csv" in (tmp_path / "x" / "fleet.html").read_text()
+
+
 @pytest.mark.slow
 def test_no_scheduler_is_said(tables: list[Path]) -> None:
     config = FleetConfig(tuple(tables), dask="tcp://127.0.0.1:9")

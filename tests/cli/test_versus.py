@@ -85,6 +85,14 @@ def test_the_python_file_makes_the_simulation_the_recording(answered: tuple[Path
     np.testing.assert_allclose(law, 0.02 + ASYMMETRY * np.maximum(rate, 0.0), atol=6 * NOISE_DPS)
 
 
+def test_one_recording_is_not_two_units(tmp_path: Path, written: tuple[Path, Path]) -> None:
+    real, sim = written
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(real.read_bytes())
+    words = ["diagnose", str(real), str(copy), "--simulation", str(sim), "--out", str(tmp_path / "out")]
+    assert "are the same recording" in str(CliRunner().invoke(gyrocal_command, words).exception)
+
+
 def test_options_that_do_not_go_together_are_refused(tmp_path: Path, written: tuple[Path, Path]) -> None:
     real, sim = written
     for more, says in (
