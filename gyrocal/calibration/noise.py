@@ -237,6 +237,7 @@ def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
     if not model.fits:
         said = f"not to be had: no stretch of averaging times follows the model (best {span}, {p_equals(model.p_value)}){_rise(points)}"
         return NoiseFigures(_refused(said) | _floor(points), said, points=points, record_s=record_s)
+    model = _less_than_seen(model, points)
     figures = {
         name: _figure(name, unit, definition, factor, part, span)
         for (name, unit, definition, factor), part in zip(_PARTS, model.parts, strict=True)
@@ -245,6 +246,28 @@ def figures_of(curves: Sequence[AllanCurve]) -> NoiseFigures:
     bias = figures["bias_instability"]
     statement = f"resolved up to {longest_s:.0f} s" if bias.interval else bias.reason
     return NoiseFigures(figures | _floor(points), statement, fit, points, model, record_s)
+
+
+def _less_than_seen(model: NoiseModel, points: Sequence[AllanPoints]) -> NoiseModel:
+    """The model with its flat part and its walk no larger than longer averaging times than it fits leave them.
+
+    What swings with a period rises like a walk up to half of it, and falls again behind it, as none of them does.
+    """
+    tau_s = np.concatenate([p.tau_s for p in points])
+    most = np.concatenate([p.high_dps for p in points]) ** 2
+    longer = tau_s > tau_s[model.used].max()
+    if not longer.any():
+        return model
+    *shorter, flat, walk = model.parts
+    bounds = float(most[longer].min()), float((most[longer] / tau_s[longer]).min())
+    return replace(model, parts=(*shorter, *map(_at_most, (flat, walk), bounds)))
+
+
+def _at_most(part: Part, bound: float) -> Part:
+    """A part that is told as it is; what is not, or is surely more than it may be, is that at the most."""
+    if 0.0 < part.low <= bound:
+        return part
+    return Part(min(part.value, bound), min(part.low, 0.0), min(part.high, bound))
 
 
 def _figure(name: str, unit: str, definition: str, factor: float, part: Part, span: str) -> Figure:

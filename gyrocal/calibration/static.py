@@ -179,7 +179,9 @@ def examine_static(
     noise = figures_of(curves) if run is None else noise_at_rest(run)
     covariance = _covariance(course, noise, reading.elapsed_s)
     blank = Figure("", "", "", sample=f"{reading.elapsed_s:.4g} s at rest")
-    figures = [*_mean(course, covariance, off_dps, blank, config), *_slopes(course, covariance, blank, trend)]
+    slopes = _slopes(course, covariance, blank, trend)
+    notes += _left_in(course, slopes[-1]) if run is None else []
+    figures = [*_mean(course, covariance, off_dps, blank, config), *slopes]
     figures.append(warm_up(course, None if run is None else run.power_on_t_s, blank.sample))
     spans = trend.steps
     if spans and run is None:
@@ -444,6 +446,18 @@ def _slopes(course: Course, covariance: Floats | None, blank: Figure, trend: Tre
         )
         return [ramp, replace(warm, reason=reason)]
     return [ramp, _with_interval(warm, float(values[2]), float(half[2]), DPS_TO_DPH)]
+
+
+def _left_in(course: Course, sensitivity: Figure) -> list[str]:
+    """That the output of a log follows the temperature where nothing of that is taken off, in words."""
+    interval = sensitivity.interval
+    if interval is None or interval[1] <= 0.0 <= interval[2] or _over_temperature(course) is not None:
+        return []
+    return [
+        f"the output follows the temperature, by {interval[0]:.3g} deg/h/°C over {np.ptp(course.temp_c):.1f} °C, and nothing of that is taken "
+        "off: bias instability, rate random walk and the interval of the mean hold it; keep the temperature steady, or go through more "
+        f"than {_LEAST_RAMP_C:g} °C"
+    ]
 
 
 def _with_interval(blank: Figure, value: float, half: float, unit: float) -> Figure:

@@ -19,6 +19,7 @@ class Said(Enum):
     STRAY_SAMPLES = auto()
     WHOLE_DEGREES = auto()
     DITHERED = auto()
+    SMOOTHED = auto()
     CHAMBER_FOR_GYRO = auto()
     SAME_TIMES = auto()
     NO_SPREAD = auto()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from gyrocal.diagnosis.history import COARSEST_C, TemperatureHistory, temperature_history
 from gyrocal.diagnosis.order import clock_s
@@ -55,6 +58,8 @@ _HELD = 3.0
 _NEAR = 0.6
 #: Where so many readings lose this much for each row, nats, no other number of them gains.
 _HOPELESS = 0.8
+#: Rates of which each was visited some times, as a share of the data sets; and data sets in which bias and scale factor hardly change.
+_FEW_RATES, _STRETCH = 0.25, 12
 #: Evidence that means are of such readings, nats: steps that nothing but a mean tells are rare.
 _DITHERED_NATS = 5.0
 
@@ -90,11 +95,13 @@ def series_of_table(table: DataSetTable) -> Series:
     white, states_noise, notes = _white(table)
     times = mean(t_s)
     rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
-    history, dithered_c = _history(
-        times, rate, gyro, read, count[filled], lattice_of_means(table.temp_c) or 0.0
-    )
+    step_c = lattice_of_means(table.temp_c) or 0.0
+    history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c)
+    apart_c = float(np.std(history.temp_at(times) - read))
     if dithered_c is not None:
         notes.append(Remark(Said.DITHERED, {"step_c": dithered_c}))
+    elif history.course is not None and apart_c > step_c / np.sqrt(12.0):
+        notes.append(Remark(Said.SMOOTHED, {"rms_c": apart_c}))
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
@@ -225,11 +232,32 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
     left = np.abs(error - columns @ surface)
     sound = left <= OUTLIER_SIGMAS * STDS_PER_MAD * np.median(left)
     along = (read_c - course_c) * slope_by_temperature(rate_dps, course_c, frame, surface)
-    free = np.column_stack([along, error])[sound]
-    free = free - columns[sound] @ np.linalg.lstsq(columns[sound], free, rcond=_CARRIED)[0]
-    x, y = free.T
+    return any(
+        _follows(along[sound], error[sound], free[sound])
+        for free in (columns, np.column_stack([columns, *_beyond_surface(rate_dps)]))
+    )
+
+
+def _follows(along: Floats, error: Floats, columns: Floats) -> bool:
+    """Whether an error follows what a scatter of the temperature makes of it, beside columns that are free."""
+    size = np.linalg.norm(columns, axis=0)
+    basis = linalg.orth(columns[:, size > 0.0] / size[size > 0.0], rcond=_CARRIED)
+    freedom = error.size - basis.shape[1]
+    x, y = (values - basis @ (basis.T @ values) for values in (along, error))
     without, within = float(y @ y), float((y - x) @ (y - x))
-    return within > 0.0 and 0.5 * x.size * float(np.log(without / within)) > _REAL_NATS
+    return freedom > 0 and within > 0.0 and 0.5 * freedom * float(np.log(without / within)) > _REAL_NATS
+
+
+def _beyond_surface(rate_dps: Floats) -> Iterator[Floats]:
+    """Columns of what a surface may leave and would hide the scatter: any law of the rate, the way that it came, and what bias and scale factor do in time."""
+    rates, rate = np.unique(np.round(rate_dps, 2), return_inverse=True)
+    if rates.size > _FEW_RATES * rate_dps.size:
+        return
+    yield np.sign(np.diff(rate_dps, prepend=0.0))
+    stretch = np.arange(rate_dps.size) // _STRETCH
+    for number in (rate, stretch):
+        yield from (number == np.unique(number)[:, None]).astype(np.float64)
+    yield from np.where(stretch == np.unique(stretch)[:, None], rate_dps, 0.0)
 
 
 def _groups(t_s: Floats, binned: bool) -> Ints:

@@ -91,7 +91,7 @@ def surface_sentences(apart: Apart) -> list[str]:
     if not said:
         return []
     return [
-        f"The recording's error surface is above the simulation's at {middle_c:.3g} °C: {listed(said)} (± one standard deviation)."
+        f"The recording is above the simulation at {middle_c:.3g} °C: {listed(said)} (± one standard deviation)."
     ]
 
 

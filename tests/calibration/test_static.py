@@ -167,6 +167,31 @@ def test_what_is_no_noise_is_no_random_walk(tmp_path: Path, kind: str, said: str
     assert (ramp.value is not None and ramp.low < 20.0 < ramp.high) == (kind == "drift")  # type: ignore[operator]
 
 
+def test_a_swing_is_no_random_walk(tmp_path: Path) -> None:
+    """Of 2 mdeg/s in two minutes: "50.1 (41.4 to 57.7) deg/h/√h" beside a floor that was a hundredth of such a walk."""
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    swing = 2e-3 * np.sin(2.0 * np.pi * t_s / 120.0)
+    for seed in range(3):
+        log = write_log(tmp_path / f"{seed}.csv", t_s, swing + white(np.random.default_rng(seed), t_s.size))
+        found = examine_static(StaticConfig(log))
+        walk = found.noise.figures["rate_random_walk"]
+        assert walk.value is None
+        assert walk.high is None or walk.high < 5.0
+        _, low, high = interval(found, "mean_bias")
+        assert low < 0.0 < high
+        assert high - low < 10.0
+
+
+def test_what_temperature_does_is_said_to_be_in_the_noise(tmp_path: Path) -> None:
+    t_s: Floats = np.asarray(0.1 * np.arange(36_000))
+    temp_c: Floats = np.asarray(25.0 + 2.0 * np.sin(2.0 * np.pi * t_s / 1200.0))
+    noise = white(np.random.default_rng(1), t_s.size)
+    for slope, said in ((1e-3, 1), (0.0, 0)):
+        log = write_log(tmp_path / f"{said}.csv", t_s, slope * temp_c + noise, temp_c)
+        notes = examine_static(StaticConfig(log)).notes
+        assert sum("follows the temperature" in note for note in notes) == said
+
+
 def test_a_walk_beside_a_drift_is_told(tmp_path: Path) -> None:
     t_s: Floats = np.asarray(0.1 * np.arange(36_000))
     rng = np.random.default_rng(66)

@@ -118,6 +118,27 @@ def test_a_fine_thermometer_is_taken_for_none_in_steps(course_c: NDArray[np.floa
     assert not [n for n in notes if isinstance(n, Remark) and n.said is Said.DITHERED]
 
 
+@pytest.mark.parametrize("beyond", ["asymmetry", "step", "drift"])
+def test_a_scatter_that_the_output_follows_is_the_temperature_s(beyond: str) -> None:
+    """Where physics that a surface leaves hid that, a smooth course stood in its place, and twice the noise was left."""
+    rng = np.random.default_rng(5)
+    rate = np.concatenate([rng.permutation(np.linspace(-100.0, 100.0, 15)) for _ in range(12)])
+    temp = np.linspace(-10.0, 50.0, 180) + 0.09 * rng.standard_normal(180)
+    late = np.arange(180.0) / 180.0
+    added = {
+        "asymmetry": 6e-4 * np.maximum(rate, 0.0),
+        "step": 2e-2 * (late > 0.6),
+        "drift": 3e-4 * rate * late,
+    }
+    for slope, real in ((2e-4, True), (0.0, False)):
+        gyro = rate * (1.0 + slope * temp) + added[beyond] + 5e-4 * rng.standard_normal(180)
+        table = DataSetTable(Path("t.csv"), rate, gyro, temp, t_s=30.0 * np.arange(180.0))
+        series = series_of_table(table)
+        assert np.array_equal(series.temp_c, temp) == real
+        said = [n.facts["rms_c"] for n in series.notes if isinstance(n, Remark) and n.said is Said.SMOOTHED]
+        assert said == ([] if real else [pytest.approx(0.09, rel=0.15)])
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_few_readings_in_steps_are_no_means_of_readings_in_larger_ones(seed: int) -> None:
     """Steps of 36 readings are not told, but means of readings in whole degrees would not all lie on halves."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.spread import Spread, spread_between
 from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Surface
 
@@ -165,7 +166,8 @@ def _fit_beside(answer: Versus, laws: Sequence[str], sets: _Sets) -> _Fit:
 
 
 def _surface_terms(answers: Sequence[Versus], fitted: Sequence[_Fit]) -> dict[str, list[Estimate | None]]:
-    """Terms of what each recording's surface has beyond the simulation's, over the rates and temperatures of all."""
+    """Terms of what each recording has beyond the simulation, over the rates and temperatures of all: laws of the rate are in them, or a
+    scale factor would be that of the turns which an asymmetry leaves alone."""
     differences = [a.match.difference for a in answers]
     top = min(float(np.max(np.abs(d.rate_dps))) for d in differences) or 1.0
     low, high = (
@@ -183,15 +185,30 @@ def _surface_terms(answers: Sequence[Versus], fitted: Sequence[_Fit]) -> dict[st
     found: dict[str, list[Estimate | None]] = {}
     for a, fit in zip(answers, fitted, strict=True):
         here = fit.law.surface.output_dps(rate, temp) - a.match.surface.output_dps(rate, temp)
-        values = to_terms @ here
         over = to_terms @ fit.law.surface.output_design(rate, temp)
-        stds = np.sqrt(np.maximum(np.diag(over @ fit.law.covariance_dps2 @ over.T), 0.0))
+        variance = np.maximum(np.diag(over @ fit.law.covariance_dps2 @ over.T), 0.0)
+        for amplitude, unit_dps in _of_rate(a, answers, fit, rate, temp):
+            here = here + amplitude.value * unit_dps
+            # How it goes with the surface is not known: at the most this wide.
+            variance = variance + (amplitude.std * (to_terms @ unit_dps)) ** 2
+        values, stds = to_terms @ here, np.sqrt(variance)
         for term, value, std in zip(terms, values.tolist(), stds.tolist(), strict=True):
             i, j = divmod(term, SHAPE[1])
             scale, unit = (1e6 / top, "ppm") if i == 1 else (1e3, "mdeg/s")
             estimate = Estimate.normal(scale * value, scale * std, unit)
             found.setdefault(_term_name(i, j, frame), []).append(estimate)
     return found
+
+
+def _of_rate(
+    answer: Versus, answers: Sequence[Versus], fit: _Fit, rate_dps: Floats, temp_c: Floats
+) -> Iterator[tuple[Estimate, Floats]]:
+    """Amplitudes of laws of the rate alone, each with the law of amplitude one, shape (n,)."""
+    c = Conditions(np.zeros(rate_dps.size), rate_dps, temp_c)
+    for effect_id, amplitude in fit.amplitudes.items():
+        effect, shape = CATALOGUE[effect_id], _shape_of(answer, effect_id, answers)
+        if set(effect.needs) <= {"rate_dps"} and shape is not None:
+            yield amplitude, effect.unit_dps(c, shape, fit.law.surface)
 
 
 def _term_name(i: int, j: int, frame: Surface) -> str:
@@ -261,11 +278,20 @@ def _log_likelihood(sets: Sequence[_Sets], laws: Sequence[str]) -> float:
 
 
 def _column(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> Floats | None:
-    """A law of amplitude one at the data sets of a recording, shape (sets,); None where no recording tells its shape.
+    """A law of amplitude one at the data sets of a recording, shape (sets,); None where no recording tells its shape."""
+    difference, shape = answer.match.difference, _shape_of(answer, effect_id, answers)
+    if shape is None:
+        return None
+    unit_dps = CATALOGUE[effect_id].unit_dps(conditions_of(difference), shape, answer.law.surface)
+    return set_means(difference, unit_dps)[1]
 
-    At the shape of all, since amplitudes at different ones say nothing; at its own where shapes differ, as instants do.
+
+def _shape_of(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> dict[str, float] | None:
+    """The shape of a law; None where no recording tells it.
+
+    That of all, since amplitudes at different ones say nothing; its own where shapes differ, as instants do.
     """
-    effect, difference = CATALOGUE[effect_id], answer.match.difference
+    effect = CATALOGUE[effect_id]
     named = [e for a in answers if (e := _named(a, effect_id)) is not None]
     own = _named(answer, effect_id)
     shape: dict[str, float] = {}
@@ -283,4 +309,4 @@ def _column(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> Floats
             if apart and own is not None
             else float(np.average([e.value for e in estimates], weights=stds**-2))
         )
-    return set_means(difference, effect.unit_dps(conditions_of(difference), shape, answer.law.surface))[1]
+    return shape

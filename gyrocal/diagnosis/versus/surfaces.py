@@ -1,4 +1,4 @@
-"""How far the error surfaces of a recording and a simulation are apart, as bias and scale factor."""
+"""How far a recording and a simulation are apart, as bias and scale factor."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.physics.catalogue import CATALOGUE
+from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import PPM
 from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import Term
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -51,9 +54,10 @@ class Apart:
 
 
 def surfaces_apart(law: Coefficients, simulated: Surface, difference: Series) -> Apart:
-    """Bias and scale factor between the surface of a law and that of the simulation, over the temperatures that both have.
+    """Bias and scale factor between a law and the surface of the simulation, over the temperatures that both have.
 
-    The intervals are those of the law's surface, which was fitted beside the simulation's.
+    Laws of the rate alone are in them: beside an asymmetry the surface has the scale factor of one way of turning. How these go with
+    the surface is not known, and the intervals are at the most that wide.
     """
     low_c, high_c = float(difference.temp_c.min()), float(difference.temp_c.max())
     temps_c = np.array([low_c, 0.5 * (low_c + high_c), high_c])
@@ -74,13 +78,22 @@ def surfaces_apart(law: Coefficients, simulated: Surface, difference: Series) ->
 def _difference(
     law: Coefficients, simulated: Surface, rate_dps: Floats, weight: Floats, temp_c: float
 ) -> tuple[float, float]:
-    """A weighted sum of what the two surfaces add at some rates, and its standard deviation."""
+    """A weighted sum of what the two differ by at some rates, and its standard deviation."""
     at_c = np.full_like(rate_dps, temp_c)
     output_dps = law.surface.output_dps(rate_dps, at_c)
     x_dps = output_dps if law.surface.direction == "output" else rate_dps
     row = weight @ law.surface.design(x_dps, at_c)
     value = float(weight @ (output_dps - simulated.output_dps(rate_dps, at_c)))
-    return value, float(np.sqrt(max(float(row @ law.covariance_dps2 @ row), 0.0)))
+    variance = max(float(row @ law.covariance_dps2 @ row), 0.0)
+    c = Conditions(np.zeros(rate_dps.size), rate_dps, at_c)
+    for term in law.terms:
+        if isinstance(term, Term) and set(CATALOGUE[term.effect].needs) <= {"rate_dps"}:
+            amplitude = term.parameters["amplitude"]
+            added = float(weight @ term.error_dps(c, law.surface))
+            value += added
+            if value_of := float(amplitude["value"]):
+                variance += (added / value_of * float(amplitude.get("std") or 0.0)) ** 2
+    return value, float(np.sqrt(variance))
 
 
 def _interval(value: Floats, std: Floats) -> list[list[float]]:
