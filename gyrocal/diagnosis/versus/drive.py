@@ -21,7 +21,7 @@ from gyrocal.diagnosis.versus.answer import LEVEL, SCHEMA
 from gyrocal.inference.multiple import holm
 from gyrocal.physics.drive import DRIVE_CATALOGUE
 
-#: Encoder turn over gyro turn, of which the scales are a part.
+#: Encoder turn over gyro turn, less the scales that the truth is believed about: of it the others are a part.
 _RATIO = "effective_track"
 
 
@@ -117,7 +117,8 @@ def drive_versus(real: DriveDiagnosis, simulated: DriveDiagnosis) -> DriveVersus
 def _with_track(figures: Mapping[str, DriveEstimate]) -> dict[str, DriveEstimate]:
     """The figures with the track in place of encoder turn over gyro turn, which holds the scales too, in %."""
     ratio, gyro, wheels = (figures[name] for name in (_RATIO, *SCALES))
-    value = 100.0 * ((1 + ratio.value / 100.0) * (1 + gyro.value / 100.0) / (1 + wheels.value / 100.0) - 1.0)
+    left, wider = (0.0 if scale.named else scale.value / 100.0 for scale in (gyro, wheels))
+    value = 100.0 * ((1 + ratio.value / 100.0) * (1 + left) / (1 + wider) - 1.0)
     # As if they were independent, which is more than it is where they are found from each other.
     std = float(np.sqrt(ratio.std**2 + gyro.std**2 + wheels.std**2))
     track = replace(ratio, name="track", value=value, std=std)

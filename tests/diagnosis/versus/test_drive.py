@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from types import SimpleNamespace
 from typing import cast
 
@@ -15,10 +16,12 @@ from gyrocal.diagnosis.versus.drive import drive_versus
 from gyrocal.report.versus_drive import drive_law_file, drive_told
 
 
-def drive(name: str, figures: dict[str, tuple[float, float]], *effects: str) -> DriveDiagnosis:
+def drive(
+    name: str, figures: dict[str, tuple[float, float]], *effects: str, believed: Collection[str] = ()
+) -> DriveDiagnosis:
     """A diagnosis with these figures (value and standard deviation) and names."""
     estimates = [
-        DriveEstimate(n, value, std, "%", 0.1, "truth" if n.startswith("truth") else "gyro", named=False)
+        DriveEstimate(n, value, std, "%", 0.1, "truth" if n.startswith("truth") else "gyro", n in believed)
         for n, (value, std) in figures.items()
     ]
     amplitude = {"amplitude": Estimate(1.0, 0.1, "%", (0.8, 1.2))}
@@ -45,7 +48,10 @@ def test_what_differs_is_to_be_added_and_what_does_not_is_said() -> None:
 
 
 def test_the_track_is_told_from_the_scales_where_both_drives_know_them() -> None:
-    """Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro): both cannot be added."""
+    """Encoder turn over gyro turn is (1 + track)(1 + wheels)/(1 + gyro): both cannot be added.
+
+    Where the truth is believed about a scale, what is told of the track is without it already: there it counted twice.
+    """
     scales = {"gyro_scale": (0.5, 0.01), "wheel_scale": (0.2, 0.01)}
     ratio = 100.0 * (1.03 * 1.002 / 1.005 - 1.0)
     real = drive("real.csv", {"effective_track": (ratio, 0.01), **scales})
@@ -53,6 +59,9 @@ def test_the_track_is_told_from_the_scales_where_both_drives_know_them() -> None
         "sim.csv", {"effective_track": (0.0, 0.01), "gyro_scale": (0, 0.01), "wheel_scale": (0, 0.01)}
     )
     lacking = {f.name: f.lacking.value for f in drive_versus(real, simulated).figures}
+    assert lacking == pytest.approx({"track": 3.0, "gyro_scale": 0.5, "wheel_scale": 0.2})
+    free = drive("free.csv", {"effective_track": (3.0, 0.01), **scales}, believed=scales)
+    lacking = {f.name: f.lacking.value for f in drive_versus(free, simulated).figures}
     assert lacking == pytest.approx({"track": 3.0, "gyro_scale": 0.5, "wheel_scale": 0.2})
     alone = drive("sim.csv", {"effective_track": (0.0, 0.01)})
     assert [f.name for f in drive_versus(real, alone).figures] == ["effective_track"]
