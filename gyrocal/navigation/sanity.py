@@ -130,7 +130,7 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     own, told = path[known, :2], truth[known, :2]
     if own.shape[0] < 10:
         return _heading_fault(path, truth)
-    fault = gyro_fault(path[known], truth[known])
+    fault = degrees_fault(own, told) or gyro_fault(path[known], truth[known])
     if fault is not None:
         return fault
     unit_m = truth_unit_m(own, told)
@@ -180,9 +180,14 @@ def way_fault(own: Floats, told: Floats) -> str | None:
     factor = float(np.median(factors)) if len(factors) >= _FEWEST else 1.0
     if 1.0 / _WAY_FACTOR < factor < _WAY_FACTOR:
         return None
-    if factor < _DEGREES:
-        return "the truth's positions are degrees of longitude and latitude. Write them in metres to the east and to the north."
     return f"by the truth the robot goes {factor:.3g} times as far as by its wheels, and no wheel is so far off: the way is in another unit (km/h for m/s makes 0.278), or metres_per_tick is wrong. Correct that, or state the unit in a mapping with --columns."
+
+
+def degrees_fault(own: Floats, told: Floats) -> str | None:
+    """What is wrong with positions in degrees, whose shape differs by the latitude; arrays as in `way_fault`."""
+    if not 0.0 < _extent(told) < _DEGREES * _extent(own):
+        return None
+    return "the truth's positions are degrees of longitude and latitude. Write them in metres to the east and to the north."
 
 
 def _windows(own: Floats) -> Ints:

@@ -27,11 +27,14 @@ def _kind(says: str, *signs: str, others: str = "") -> _Kind:
 
 _KINDS = (
     _kind(
+        "is the log of a drive with one wheel in ticks and the other in metres. Give both in one.",
+        "left_m right_ticks",
+        "left_ticks right_m",
+    ),
+    _kind(
         "is the log of a drive: `replay` takes it, and `diagnose` with --robot.",
         "left_m right_m",
         "left_ticks right_ticks",
-        "left_m right_ticks",
-        "left_ticks right_m",
         "speed_mps gyro_dps",
         "speed_m gyro_dps",
     ),

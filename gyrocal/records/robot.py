@@ -21,6 +21,7 @@ from gyrocal.fusion.robot import (
     SlipFigures,
     fault,
 )
+from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.files import parse_toml, read_text
 
 #: A file that names no schema is of the first, which has the same keys and fewer of them.
@@ -206,6 +207,10 @@ def _table(path: Path, name: str, raw: Mapping[str, Any], kind: Any) -> Mapping[
     _refuse_unknown(path, f"{name}.", table, (*known, *stds))
     if isinstance(table.get("law", ""), str):
         texts = {"law": table["law"]} if "law" in table else {}
+        if texts and texts["law"] not in SLIP_LAWS:
+            raise ProfileError(
+                f"{path}: {name}.law is {texts['law']!r:.40}; allowed: {', '.join(SLIP_LAWS)}."
+            )
     else:
         raise ProfileError(f"{path}: {name}.law is {str(table['law'])[:40]}; allowed: a name in quotes.")
     numbers = {

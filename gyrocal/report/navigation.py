@@ -339,7 +339,9 @@ def filter_sentence(replays: Sequence[LogReplay]) -> str:
     state = "is consistent" if holding else "is not consistent"
     apart = float(np.median([j.apart for j in judged]))
     of_path = (
-        f", path moved {apart:.1f} times as far as it says" if not holding and apart > MOST_APART else ""
+        f", path moved {apart:.1f} times as far as it says"
+        if not holding and MOST_APART < apart < math.inf
+        else ""
     )
     of_sums = f", NIS of sums {slow:.2f}" if math.isfinite(slow) else ""
     text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{of_sums}{of_path}{', medians' if many else ''})"

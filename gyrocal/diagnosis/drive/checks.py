@@ -15,6 +15,7 @@ from gyrocal.navigation.sanity import (
     AGAINST_GYRO,
     UNITS,
     clockwise,
+    degrees_fault,
     gyro_fault,
     in_radians,
     mirror_fault,
@@ -126,7 +127,10 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     path = reckon(series, Figures())
     path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
     told = np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
+    fixed = np.isfinite(told[:, 0] + told[:, 1])
     fault = truth_part_fault(series.t_s, path_deg, told)
+    if fault is None and fixed.any():
+        fault = degrees_fault(path_deg[fixed, :2], told[fixed, :2])
     if fault is None:
         fault = gyro_fault(path_deg, told)
     if fault is not None:
