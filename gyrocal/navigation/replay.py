@@ -23,6 +23,7 @@ from gyrocal.navigation.align import (
     position_errors,
 )
 from gyrocal.navigation.equip import DriveSource, aligned, equip
+from gyrocal.navigation.fixes import wild_fixes, wild_said
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
 from gyrocal.navigation.observability import Observability, observability
 from gyrocal.navigation.sanity import truth_fault, truth_part_fault
@@ -116,12 +117,23 @@ def replay_log(
     for condition, navigator, recorder in zip(conditions, navigators, recorders, strict=True):
         tracks[condition] = recorder.track(condition, equipped[condition.calibrated].rest)
         _check_validity(found, navigator, notes)
+    truth = _without_wild(truth, next(iter(tracks.values())), t_s, notes)
     judgements = _judge(tracks, kind)
     _check_truth(found, next(iter(tracks.values())), t_s, truth)
     compared = tuple(_compare(track, truth, found, method, returns) for track in tracks.values())
     said, seen = tuple(dict.fromkeys(notes)), _seen(compared)
     direction = _direction(compared[0])
     return LogReplay(source.name, direction, found, t_s, truth, compared, seen, said, judgements, kind)
+
+
+def _without_wild(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:
+    """The truth without fixes that cannot be, which go into the notes."""
+    way_m = np.cumsum(np.hypot(np.diff(track.x_m, prepend=0.0), np.diff(track.y_m, prepend=0.0)))
+    wild = wild_fixes(truth[:, 0], truth[:, 1], way_m)
+    if not wild.any():
+        return truth
+    notes.append(wild_said(wild, t_s))
+    return np.where(wild[:, None], np.nan, truth)
 
 
 def _possible(

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.navigation.fixes import wild_fixes, wild_said
 from gyrocal.navigation.survey import check_cells, check_speed, one_speed
 from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
@@ -194,10 +195,16 @@ def drive_series(
         raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
     speed_mps = 0.5 * np.abs(left + right)[dt_s > 0] / dt_s[dt_s > 0]
     check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
+    wild = wild_fixes(log.truth_x_m, log.truth_y_m, np.cumsum(0.5 * np.abs(left + right)))
+    if wild.any():
+        notes.append(wild_said(wild, t_s))
+    x_m, y_m, heading_deg = (
+        np.where(wild, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)
+    )
     ticks = tick_size(left[~bridged]), tick_size(right[~bridged])
     moving = _moving(dt_s, (left, right), ticks)
     return DriveSeries(
-        source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, log.truth_x_m, log.truth_y_m, log.truth_heading_deg,
+        source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, x_m, y_m, heading_deg,
         _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip

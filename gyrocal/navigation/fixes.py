@@ -1,0 +1,66 @@
+"""Fixes of a truth that cannot be: one far off its neighbours, and zeros before the first one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: A fix is wild where it leaps by so many times what fixes mostly leap by beyond the way, and by so much, m. Receivers jump by
+#: metres as satellites come and go, and stay there: that is no leap there and back.
+_TIMES, _LEAST_M = 20.0, 10.0
+#: Of fewer nobody knows what is usual.
+_FEWEST = 10
+
+
+def wild_fixes(x_m: Floats, y_m: Floats, way_m: Floats) -> Bools:
+    """Rows of fixes from which the robot would have had to leap, there and back, or away from at the start.
+
+    A fix that stands in several rows, as of a receiver that is slower than the log, is one.
+
+    Parameters
+    ----------
+    x_m, y_m : ndarray, shape (n,)
+        NaN where there is none.
+    way_m : ndarray, shape (n,)
+        Way of the robot up to each row.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    wild = np.zeros(x_m.size, dtype=np.bool_)
+    known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+    here = x_m[known] + 1j * y_m[known]
+    fix = (
+        np.cumsum(np.append(0.0, np.abs(np.diff(here))) > 0.0) if known.size else np.zeros(0, dtype=np.int64)
+    )
+    first = np.flatnonzero(np.diff(fix, prepend=-1))
+    if first.size < _FEWEST:
+        return wild
+    at, way = here[first], way_m[known][first]
+
+    def leaps(rows: int) -> Floats:
+        """Beyond the way, from each fix to one some rows later, shape (fixes - rows,)."""
+        return np.asarray(np.abs(at[rows:] - at[:-rows]) - (way[rows:] - way[:-rows]))
+
+    one, over = leaps(1), leaps(2)
+    limit_m = max(_TIMES * float(np.median(np.maximum(one, 0.0))), _LEAST_M)
+    far = one > limit_m
+    alone = np.zeros(at.size, dtype=np.bool_)
+    alone[1:-1] = far[:-1] & far[1:] & (over <= limit_m)
+    # At either end there is one neighbour, which has to agree with the next.
+    alone[0], alone[-1] = far[0] and not far[1], far[-1] and not far[-2]
+    wild[known] = alone[fix - fix[0]]
+    return wild
+
+
+def wild_said(wild: Bools, t_s: Floats) -> str:
+    """What was set aside, in words."""
+    rows = np.flatnonzero(wild)
+    return (
+        f"{rows.size} of the truth's rows {'is' if rows.size == 1 else 'are'} set aside (the first at {t_s[rows[0]]:.6g} s): the wheels never "
+        "went as far as it leaps there"
+    )
