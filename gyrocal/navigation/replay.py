@@ -26,7 +26,7 @@ from gyrocal.navigation.equip import DriveSource, aligned, equip
 from gyrocal.navigation.fixes import wild_fixes, wild_said
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
 from gyrocal.navigation.observability import Observability, observability
-from gyrocal.navigation.sanity import truth_fault, truth_part_fault
+from gyrocal.navigation.sanity import truth_fault, truth_part_fault, turned_deg
 from gyrocal.navigation.survey import Survey, check, survey
 from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
 from gyrocal.records.robot import Robot
@@ -117,7 +117,7 @@ def replay_log(
     for condition, navigator, recorder in zip(conditions, navigators, recorders, strict=True):
         tracks[condition] = recorder.track(condition, equipped[condition.calibrated].rest)
         _check_validity(found, navigator, notes)
-    truth = _without_wild(truth, next(iter(tracks.values())), t_s, notes)
+    truth = _mended(truth, next(iter(tracks.values())), t_s, notes)
     judgements = _judge(tracks, kind)
     _check_truth(found, next(iter(tracks.values())), t_s, truth)
     compared = tuple(_compare(track, truth, found, method, returns) for track in tracks.values())
@@ -126,14 +126,20 @@ def replay_log(
     return LogReplay(source.name, direction, found, t_s, truth, compared, seen, said, judgements, kind)
 
 
-def _without_wild(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:
-    """The truth without fixes that cannot be, which go into the notes."""
+def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:
+    """The truth without fixes that cannot be, and with headings along the course of its positions; both go into the notes."""
     way_m = np.cumsum(np.hypot(np.diff(track.x_m, prepend=0.0), np.diff(track.y_m, prepend=0.0)))
     wild = wild_fixes(truth[:, 0], truth[:, 1], way_m)
-    if not wild.any():
-        return truth
-    notes.append(wild_said(wild, t_s))
-    return np.where(wild[:, None], np.nan, truth)
+    if wild.any():
+        notes.append(wild_said(wild, t_s))
+    truth = np.where(wild[:, None], np.nan, truth)
+    off_deg = turned_deg(np.stack([track.x_m, track.y_m, track.heading_deg], axis=1), truth)
+    if off_deg:
+        notes.append(
+            f"the truth's heading is {abs(off_deg):.0f} deg to the {'left' if off_deg > 0.0 else 'right'} of the course of its own positions, "
+            "all along: it is turned back by that (state it in a mapping with --columns, or turn the sensor)"
+        )
+    return np.asarray(truth - np.array([0.0, 0.0, off_deg]))
 
 
 def _possible(

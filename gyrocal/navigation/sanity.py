@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +30,8 @@ _DEGREES = 3e-5
 #: A heading goes with the course of its own positions by so much (the length of a mean of unit vectors); along one straight
 #: line clockwise and counter-clockwise look alike.
 _GOES_WITH, _GOES_AGAINST = 0.8, 0.5
+#: A robot that slips sideways, or turns about its front, is not so far off its heading in the mean of a drive.
+_TURNED_BY_DEG = 30.0
 #: A mirrored truth fits this much better in a mirror than as it stands, and as it stands misses by this share of the
 #: path's extent: a straight path, which is its own mirror image, does neither. A path by a gyro in radians fits as much better
 #: once its turns are made larger, and misses a window with a corner by this share of its extent.
@@ -138,7 +142,8 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
         return f"the truth's positions are {1.0 / unit_m:g} times the path's: they are in {UNITS[unit_m]}. State their unit in a mapping with --columns."
     if in_radians(path[:, 2], truth[:, 2]):
         return RADIANS
-    return way_fault(own, told) or mirror_fault(own, told) or (CLOCKWISE if clockwise(path, truth) else None)
+    fault = way_fault(own, told) or mirror_fault(own, told) or (CLOCKWISE if clockwise(path, truth) else None)
+    return fault or heading_fault(path, truth)
 
 
 RADIANS = (
@@ -225,21 +230,53 @@ def clockwise(path: Floats, truth: Floats) -> bool:
 
     The path only says where the robot backs up, so that a gyro's drift does no harm, nor a truth that is mirrored as a whole.
     """
+    mean = _of_course(path, truth)
+    return mean is not None and abs(mean.against) > _GOES_WITH and abs(mean.along) < _GOES_AGAINST
+
+
+def turned_deg(path: Floats, truth: Floats) -> float:
+    """By how much a truth's headings are off the course of its own positions, alike all along; 0 where they are not, or by little.
+
+    Arrays as in `truth_fault`. A body that is carried sideways or backwards, or a frame of the truth's own.
+    """
+    mean = _of_course(path, truth)
+    if mean is None or abs(mean.along) < _GOES_WITH:
+        return 0.0
+    off_deg = float(np.degrees(np.angle(mean.along)))
+    return -off_deg if abs(off_deg) > _TURNED_BY_DEG else 0.0
+
+
+def heading_fault(path: Floats, truth: Floats) -> str | None:
+    """What is wrong with headings that have nothing to do with the course of their own positions, though the path has; arrays as in `truth_fault`."""
+    mean = _of_course(path, truth)
+    if mean is None or abs(mean.path) < _GOES_WITH or max(abs(mean.along), abs(mean.against)) > _GOES_AGAINST:
+        return None
+    return "the truth's heading has nothing to do with the course of its own positions, which the path follows: it is another's, or of a quaternion in another order. Correct it, or leave it out."
+
+
+class _Course(NamedTuple):
+    """Means of unit vectors over stretches: the course of a truth's positions less its heading, plus it, and less the path's heading."""
+
+    along: complex
+    against: complex
+    path: complex
+
+
+def _of_course(path: Floats, truth: Floats) -> _Course | None:
+    """How a truth's headings go with the course of its positions; None where it has too few of both."""
     known = np.isfinite(truth).all(axis=1)
     if np.count_nonzero(known) < 10:
-        return False
+        return None
     own, told = path[known], truth[known]
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(own[:, :2], axis=0).T))])
     marks = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _STRETCHES + 1)[:-1]))
     if marks.size < _FEWEST:
-        return False
+        return None
     step, seen = (np.diff((p[:, 0] + 1j * p[:, 1])[marks]) for p in (own, told))
     ahead, said = (np.add.reduceat(np.exp(1j * np.radians(p[:, 2])), marks)[:-1] for p in (own, told))
-    course = seen * np.sign(np.real(step * np.conj(ahead)))
-    with_it, against = (
-        abs(np.mean(np.exp(1j * (np.angle(course) - side * np.angle(said))))) for side in (1.0, -1.0)
-    )
-    return bool(against > _GOES_WITH and with_it < _GOES_AGAINST)
+    course = np.angle(seen * np.sign(np.real(step * np.conj(ahead))))
+    headings = np.angle(said), -np.angle(said), np.angle(ahead)
+    return _Course(*(complex(np.mean(np.exp(1j * (course - heading)))) for heading in headings))
 
 
 def _extent(points: Floats) -> float:

@@ -49,6 +49,24 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         lambda b: replace(b, truth_x_m=8.5 + b.truth_x_m / 76_000, truth_y_m=47.0 + b.truth_y_m / 111_000),
         "degrees of longitude and latitude",
     ),
+    "degrees of a speed": (
+        lambda b: replace(
+            radians_of_one_speed(b),
+            gyro_dps=b.gyro_dps,
+            truth_heading_deg=np.full(b.t_s.size, np.nan),
+            truth_x_m=8.5 + b.truth_x_m / 76_000,
+            truth_y_m=47.0 + b.truth_y_m / 111_000,
+        ),
+        "degrees of longitude and latitude",
+    ),
+    "a heading of another": (
+        lambda b: replace(b, truth_heading_deg=np.roll(2.0 * b.truth_heading_deg, b.t_s.size // 3)),
+        "nothing to do with the course",
+    ),
+    "a gyro's cell gone wrong": (
+        lambda b: replace(b, gyro_dps=np.where(np.arange(b.t_s.size) == 700, 9999.0, b.gyro_dps)),
+        "line 702: gyro_dps is 9,999 deg/s in size",
+    ),
     "km/h": (
         lambda b: replace(
             b, left_m=1.8 * (b.left_m + b.right_m), right_m=1.8 * (b.left_m + b.right_m), speed_only=True
@@ -71,6 +89,28 @@ def test_a_mixed_up_truth_is_refused_with_its_remedy(name: str) -> None:
     spoil, text = MIXED[name]
     with pytest.raises(DataError, match=text):
         replay_log(source(spoil(drive())), robot(), kind="paper")
+
+
+@pytest.mark.parametrize("off_deg", [90.0, -45.0, 180.0])
+def test_a_heading_that_is_turned_all_along_is_turned_back_and_said(off_deg: float) -> None:
+    """Paths were laid on the truth by it, and were metres off."""
+    log = drive()
+    turned = replace(log, truth_heading_deg=log.truth_heading_deg + off_deg)
+    plain, found = (replay_log(source(b), robot(), kind="paper") for b in (log, turned))
+    assert not any("turned back" in note for note in plain.notes)
+    (said,) = [note for note in found.notes if "turned back" in note]
+    assert f"{abs(off_deg):.0f} deg" in said or f"{abs(off_deg) - 1:.0f} deg" in said
+    errors = [r.track("uncalibrated").errors.rms_m for r in (plain, found)]  # type: ignore[union-attr]
+    assert errors[1] == pytest.approx(errors[0], abs=0.05 * plain.survey.distance_m / 100.0 + 0.05)
+
+
+def test_a_wild_fix_is_set_aside_and_said() -> None:
+    log = drive()
+    x = np.where(np.arange(log.t_s.size) == 700, log.truth_x_m + 900.0, log.truth_x_m)
+    plain, found = (replay_log(source(b), robot(), kind="paper") for b in (log, replace(log, truth_x_m=x)))
+    assert sum("set aside" in note for note in found.notes) == 1
+    errors = [r.track("uncalibrated").errors.rms_m for r in (plain, found)]  # type: ignore[union-attr]
+    assert errors[1] == pytest.approx(errors[0], rel=0.01)
 
 
 #: Columns that are another unit from the middle of a log on: factor, names, and what is said.

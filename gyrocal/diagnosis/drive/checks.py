@@ -17,6 +17,7 @@ from gyrocal.navigation.sanity import (
     clockwise,
     degrees_fault,
     gyro_fault,
+    heading_fault,
     in_radians,
     mirror_fault,
     truth_part_fault,
@@ -156,9 +157,12 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     fault = way_fault(own, told[known, :2])
     if fault is not None:
         raise DataError(f"{series.source}: {fault}")
-    if mirror_fault(own, told[known, :2]) is None and clockwise(path_deg, told):
-        notes.append(Remark(Said.TRUTH_CLOCKWISE))
-        series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)
+    if mirror_fault(own, told[known, :2]) is None:
+        if clockwise(path_deg, told):
+            notes.append(Remark(Said.TRUTH_CLOCKWISE))
+            series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)
+        elif (fault := heading_fault(path_deg, told)) is not None:
+            raise DataError(f"{series.source}: {fault}")
     return series, notes
 
 
