@@ -17,7 +17,7 @@ Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest``
 Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
             ``correction`` (with what stays, averaged over ``rivals`` of the laws, and with what passes as it is ``standing``; ``rising`` leaves out
             what no robot can undo), both as coefficient files, the latter weighed by ``fresh_run``;
-            ``residual`` (what is left row by row), ``locate`` (where), ``at_rest`` (whether a bias follows the temperature alone), ``answer`` and ``untimed`` (names as records), ``unclocked`` (what a table without times tells no robot).
+            ``residual`` (what is left row by row), ``locate`` (where), ``at_rest`` (whether a bias follows the temperature alone), ``ways`` (whether the rest goes by how a rate was reached), ``answer`` and ``untimed`` (names as records), ``unclocked`` (what a table without times tells no robot).
 Records     ``result`` (all that is answered, and its JSON), ``remarks`` (what is said beside the numbers).
 
 Words: a *part* is some columns with one variance, a *block* the parts that are kept or dropped together (`parts.BLOCKS`), a

@@ -54,6 +54,7 @@ from gyrocal.diagnosis.surface import surface_alone, with_undetermined
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.unclocked import ask_for_times
 from gyrocal.diagnosis.visited import LEAST_SPAN_C
+from gyrocal.diagnosis.ways import strange_ways
 from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
@@ -149,7 +150,7 @@ def diagnose(
     scatter = variance_places(series, noise, levels, left.after_dps + left.wandering_dps, level)
     scatter = walk + _explained_scatter(scatter, names)
     change = None if coefficients is None else surface_change(found, coefficients, improved)
-    strange = strange_turns(found.series, level)
+    strange = strange_turns(found.series, level) + strange_ways(series, left.after_dps, surface.surface)
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [*places_of_table(found), *(f.place for f in findings)]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]

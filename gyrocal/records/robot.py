@@ -21,7 +21,6 @@ from gyrocal.fusion.robot import (
     SlipFigures,
     fault,
 )
-from gyrocal.physics.slip import SLIP_LAWS
 from gyrocal.records.files import parse_toml, read_text
 
 #: A file that names no schema is of the first, which has the same keys and fewer of them.
@@ -150,7 +149,10 @@ def robot_of(raw: Mapping[str, Any], path: Path) -> Robot:
         table = dict(_table(path, name, raw, kind))
         if name == "noise":
             noise_std = {key[:-4]: table.pop(key) for key in list(table) if key.endswith("_std")}
-        sections[name] = kind(**table)
+        try:
+            sections[name] = kind(**table)
+        except ProfileError as error:
+            raise ProfileError(f"{path}: {name}.{str(error).removeprefix('robot: ')}") from None
         given |= {f"{name}.{key}" for key in table}
     parameters = RobotParameters(**top, **sections)
     radius = raw.get("wheel_radius_m")
@@ -207,10 +209,6 @@ def _table(path: Path, name: str, raw: Mapping[str, Any], kind: Any) -> Mapping[
     _refuse_unknown(path, f"{name}.", table, (*known, *stds))
     if isinstance(table.get("law", ""), str):
         texts = {"law": table["law"]} if "law" in table else {}
-        if texts and texts["law"] not in SLIP_LAWS:
-            raise ProfileError(
-                f"{path}: {name}.law is {texts['law']!r:.40}; allowed: {', '.join(SLIP_LAWS)}."
-            )
     else:
         raise ProfileError(f"{path}: {name}.law is {str(table['law'])[:40]}; allowed: a name in quotes.")
     numbers = {

@@ -40,6 +40,7 @@ _TARGETS = {
     "samples": "single samples",
     "sample times": "arrival times of all samples",
     "rest": "the table at rest",
+    "way": "by whether a rate was reached from below or from above{}",
 }
 
 
