@@ -153,8 +153,7 @@ def _effect(
 
 
 def _law(found: Examination, named: Named) -> NamedEffect:
-    blocks = found.model.blocks
-    own = [n for n, b in blocks.items() if b == named.block]
+    own = found.model.of_block(named.block)
     known = estimates.of_law(found.naming.fitted.granting_noise, named.law, found.laws, own)
     share = min(named.share, 1.0) if own else 1.0
     # A drift of any course is a shape in a temperature that went one way.

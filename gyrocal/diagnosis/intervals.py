@@ -94,6 +94,12 @@ def of_mass(values: Floats, mass: Floats) -> Interval:
     return float(low), float(high)
 
 
+def of_geometric(values: Floats, mass: Floats) -> Interval:
+    """The same where it is their logarithms that lie between each other."""
+    low, high = of_mass(np.log(values), mass)
+    return float(np.exp(low)), float(np.exp(high))
+
+
 def along_axis(values: Floats, loss: Floats, stated: float) -> Interval:
     """Where a profile on a grid of ascending values is less than 3.84 above what is stated, between the points by lines."""
     rise = loss - max(stated, float(loss.min()))

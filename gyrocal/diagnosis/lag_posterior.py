@@ -14,7 +14,7 @@ from scipy import linalg
 
 from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.coil import LAG_BOUNDS_S
-from gyrocal.diagnosis.intervals import holding, of_mass
+from gyrocal.diagnosis.intervals import holding, of_geometric, of_mass
 from gyrocal.diagnosis.parts import SURFACE
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -41,10 +41,10 @@ def lag_estimates(candidates: Sequence[tuple[float, Candidate]]) -> dict[str, Es
         same = [(w, c) for w, c in candidates if c.changes == change]
         posterior += sum(w for w, _ in same) * _posterior(same[0][1])
     shares = of_mass(_SHARES, posterior.sum(axis=0))
-    low_s, high_s = np.exp(of_mass(np.log(_LAGS_S), posterior.sum(axis=1)))
+    lags_s = of_geometric(_LAGS_S, posterior.sum(axis=1))
     return {
         "amplitude": Estimate.spanning(float(share), holding(shares, float(share)), "1"),
-        "tau_s": Estimate.spanning(float(tau_s), holding((float(low_s), float(high_s)), float(tau_s)), "s"),
+        "tau_s": Estimate.spanning(float(tau_s), holding(lags_s, float(tau_s)), "s"),
     }
 
 

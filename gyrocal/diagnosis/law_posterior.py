@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.intervals import TAILS, holding, of_mass
+from gyrocal.diagnosis.intervals import TAILS, holding, of_geometric
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.result import Estimate
 
@@ -76,5 +76,4 @@ def _between(share: Floats, values: Floats) -> tuple[float, float]:
     each, place = np.unique(values, return_inverse=True)
     if each.size < 2:
         return float(each[0]), float(each[0])
-    low, high = np.exp(of_mass(np.log(each), np.bincount(place, share).astype(np.float64)))
-    return float(low), float(high)
+    return of_geometric(each, np.bincount(place, share).astype(np.float64))

@@ -248,8 +248,7 @@ def _mechanisms(named: list[Named]) -> list[Named]:
 
 def _no_misfits(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named]]:
     """Drop laws that only mend what others leave that hold nearly."""
-    blocks = fitted.model.blocks
-    held = {n.law.name: [c for c, b in blocks.items() if b == n.block] for n in named}
+    held = {n.law.name: fitted.model.of_block(n.block) for n in named}
     held = {law.name: held[law.name] for law in fitted.model.laws if law.name in held}
     fitted = without_mending(fitted, held, laws)
     mending = [n for n in named if n.law.name in held and not fitted.model.holds(n.law)]

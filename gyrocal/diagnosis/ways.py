@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from gyrocal.diagnosis.base import carried_terms
+from gyrocal.diagnosis.in_place import by_chance
 from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.result import Located
 from gyrocal.diagnosis.series import Series, set_means
@@ -27,11 +27,9 @@ def strange_ways(series: Series, left_dps: Floats, surface: Surface) -> list[Loc
         What everything that was found leaves of each row.
     surface : whose terms take up what a plan has the way go with
     """
-    if not series.is_set.any():
-        return []
     _, left = set_means(series, left_dps)
     rate, gyro, temp = (set_means(series, x)[1] for x in (series.rate_dps, series.gyro_dps, series.temp_c))
-    way = np.sign(np.diff(rate, prepend=rate[0]))
+    way = np.sign(np.diff(rate, prepend=rate[:1]))
     if min(np.count_nonzero(way == side) for side in (1.0, -1.0)) < _LEAST_WAYS:
         return []
     design = surface.design(rate if surface.direction == "input" else gyro, temp)[:, carried_terms(series)]
@@ -44,5 +42,14 @@ def strange_ways(series: Series, left_dps: Floats, surface: Surface) -> list[Loc
     gain = -0.5 * freedom * float(np.log1p(-size * float(x @ y) / float(y @ y)))
     if gain < GAIN:
         return []
-    p = float(chi2.sf(2.0 * gain, 1))
-    return [Located("rate", "mean", p, 1.0, True, target="way", rms_dps=abs(size) * float(np.std(way)))]
+    return [
+        Located(
+            "rate",
+            "mean",
+            by_chance(gain, 1),
+            1.0,
+            True,
+            target="way",
+            rms_dps=abs(size) * float(np.std(way)),
+        )
+    ]

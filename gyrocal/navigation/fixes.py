@@ -33,10 +33,10 @@ def wild_fixes(x_m: Floats, y_m: Floats, way_m: Floats) -> Bools:
     """
     wild = np.zeros(x_m.size, dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+    if known.size < _FEWEST:
+        return wild
     here = x_m[known] + 1j * y_m[known]
-    fix = (
-        np.cumsum(np.append(0.0, np.abs(np.diff(here))) > 0.0) if known.size else np.zeros(0, dtype=np.int64)
-    )
+    fix = np.cumsum(np.append(0.0, np.abs(np.diff(here))) > 0.0)
     first = np.flatnonzero(np.diff(fix, prepend=-1))
     if first.size < _FEWEST:
         return wild
@@ -53,7 +53,7 @@ def wild_fixes(x_m: Floats, y_m: Floats, way_m: Floats) -> Bools:
     alone[1:-1] = far[:-1] & far[1:] & (over <= limit_m)
     # At either end there is one neighbour, which has to agree with the next.
     alone[0], alone[-1] = far[0] and not far[1], far[-1] and not far[-2]
-    wild[known] = alone[fix - fix[0]]
+    wild[known] = alone[fix]
     return wild
 
 

@@ -133,7 +133,7 @@ def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Float
     if wild.any():
         notes.append(wild_said(wild, t_s))
     truth = np.where(wild[:, None], np.nan, truth)
-    off_deg = turned_deg(np.stack([track.x_m, track.y_m, track.heading_deg], axis=1), truth)
+    off_deg = turned_deg(track.pose, truth)
     if off_deg:
         notes.append(
             f"the truth's heading is {abs(off_deg):.0f} deg to the {'left' if off_deg > 0.0 else 'right'} of the course of its own positions, "
@@ -258,7 +258,6 @@ def _compare_positions(
     track: Track, truth: Floats, found: Survey, method: str | None, returns: bool
 ) -> Track:
     rows = np.flatnonzero(np.isfinite(truth[:, 0] + truth[:, 1]))
-    estimate = np.stack([track.x_m, track.y_m, track.heading_deg], axis=1)
     if rows.size < 3:
         if not returns:
             return track
@@ -269,17 +268,16 @@ def _compare_positions(
         msg = f"{found.source}: the truth has no heading at its first row, so the start pose is unknown; align by positions."
         raise DataError(msg)
     if method == "start" or (method is None and start_known):
-        alignment = align_start(estimate[rows[0]], truth[rows[0]])
+        alignment = align_start(track.pose[rows[0]], truth[rows[0]])
     else:
-        alignment = align_positions(estimate[rows, :2], truth[rows, :2])
+        alignment = align_positions(track.pose[rows, :2], truth[rows, :2])
     aligned = np.stack(alignment.apply(track.x_m[rows], track.y_m[rows]), axis=1)
     errors = position_errors(aligned, truth[rows, :2], found.distance_m)
     return replace(track, alignment=alignment, errors=errors)
 
 
 def _check_truth(found: Survey, track: Track, t_s: Floats, truth: Floats) -> None:
-    path = np.stack([track.x_m, track.y_m, track.heading_deg], axis=1)
-    fault = truth_part_fault(t_s, path, truth) or truth_fault(path, truth)
+    fault = truth_part_fault(t_s, track.pose, truth) or truth_fault(track.pose, truth)
     if fault:
         raise DataError(f"{found.source}: {fault}")
 

@@ -100,6 +100,7 @@ class Survey:
     gaps: int
     truth_rows: int
     truth_headings: int
+    half_fixes: int
     temp_rows: int
     temp_c: tuple[float, float]
     gyro_dps: tuple[float, float]
@@ -132,6 +133,10 @@ class Survey:
             ),
             (self.duplicates, "[row|rows] with the time of the row before"),
             (self.gaps, "[gap|gaps] of more than 5 usual steps"),
+            (
+                self.half_fixes,
+                "[row has|rows have] one of truth_x_m and truth_y_m only, which is no position, and [is|are] not used as one",
+            ),
         )
         said = [*self.said, *(f"{n} {plural(n, what)}" for n, what in found if n)]
         if self.usual_dt_s > SLOW_S:
@@ -235,11 +240,6 @@ class _Tally:
         self.windows.append(sums[:, :-1])
         self.open_index, self.open_sum = int(index[-1]), sums[:, -1]
 
-    def _half_said(self) -> list[str]:
-        rows = self.half_fixes
-        text = f"{rows} [row has|rows have] one of truth_x_m and truth_y_m only, which is no position, and [is|are] not used as one"
-        return [plural(rows, text)] if rows else []
-
     def result(self, source: str) -> Survey:
         bin_s, left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
         usual_dt_s = float(np.median(self.first_steps)) if self.first_steps.size else 0.0
@@ -261,6 +261,7 @@ class _Tally:
             gaps,
             self.truth_rows,
             self.truth_headings,
+            self.half_fixes,
             self.temp_rows,
             self.temp_c,
             self.gyro_dps,
@@ -272,7 +273,7 @@ class _Tally:
             if self.rows > self.bad_gyro
             else 0,
             self.longest_same_s,
-            (*self.said, *self._half_said()),
+            tuple(self.said),
             self.speed_only or one_speed(left, right),
         )
 

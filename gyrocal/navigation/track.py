@@ -86,6 +86,11 @@ class Track:
     errors: PositionErrors | None = None
     heading_errors: HeadingErrors | None = None
 
+    @property
+    def pose(self) -> Floats:
+        """Position and heading side by side, shape (k, 3)."""
+        return np.stack([self.x_m, self.y_m, self.heading_deg], axis=1)
+
 
 class Recorder:
     """Kept rows of one condition, and sums over all rows.

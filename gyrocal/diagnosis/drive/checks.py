@@ -128,10 +128,10 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     path = reckon(series, Figures())
     path_deg = np.column_stack([path.at_m.real, path.at_m.imag, RAD_TO_DEG * path.heading_rad])
     told = np.column_stack([series.truth_x_m, series.truth_y_m, series.truth_heading_deg])
-    fixed = np.isfinite(told[:, 0] + told[:, 1])
+    known = np.isfinite(told[:, 0] + told[:, 1])
     fault = truth_part_fault(series.t_s, path_deg, told)
-    if fault is None and fixed.any():
-        fault = degrees_fault(path_deg[fixed, :2], told[fixed, :2])
+    if fault is None and known.any():
+        fault = degrees_fault(path_deg[known, :2], told[known, :2])
     if fault is None:
         fault = gyro_fault(path_deg, told)
     if fault is not None:
@@ -147,9 +147,8 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
             notes.append(Remark(Said.TRUTH_CLOCKWISE))
             series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)
         return series, notes
-    known = np.isfinite(series.truth_x_m + series.truth_y_m)
-    own = np.column_stack([path.at_m.real, path.at_m.imag])[known]
-    unit_m = truth_unit_m(own, np.column_stack([series.truth_x_m, series.truth_y_m])[known])
+    own = path_deg[known, :2]
+    unit_m = truth_unit_m(own, told[known, :2])
     if unit_m != 1.0:
         notes.append(Remark(Said.TRUTH_UNIT, {"times": 1 / unit_m, "unit": UNITS[unit_m]}))
         series = replace(series, truth_x_m=unit_m * series.truth_x_m, truth_y_m=unit_m * series.truth_y_m)

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.series import set_means
 from gyrocal.diagnosis.versus.answer import LEVEL, Versus
+from gyrocal.diagnosis.versus.surfaces import of_rate_alone
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
 from gyrocal.inference.spread import Spread, spread_between
@@ -206,9 +207,9 @@ def _of_rate(
     """Amplitudes of laws of the rate alone, each with the law of amplitude one, shape (n,)."""
     c = Conditions(np.zeros(rate_dps.size), rate_dps, temp_c)
     for effect_id, amplitude in fit.amplitudes.items():
-        effect, shape = CATALOGUE[effect_id], _shape_of(answer, effect_id, answers)
-        if set(effect.needs) <= {"rate_dps"} and shape is not None:
-            yield amplitude, effect.unit_dps(c, shape, fit.law.surface)
+        shape = _shape_of(answer, effect_id, answers)
+        if of_rate_alone(effect_id) and shape is not None:
+            yield amplitude, CATALOGUE[effect_id].unit_dps(c, shape, fit.law.surface)
 
 
 def _term_name(i: int, j: int, frame: Surface) -> str:

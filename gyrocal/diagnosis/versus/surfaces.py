@@ -53,6 +53,11 @@ class Apart:
         )
 
 
+def of_rate_alone(effect_id: str) -> bool:
+    """Whether a law says at every rate what it adds, whenever that is."""
+    return set(CATALOGUE[effect_id].needs) <= {"rate_dps"}
+
+
 def surfaces_apart(law: Coefficients, simulated: Surface, difference: Series) -> Apart:
     """Bias and scale factor between a law and the surface of the simulation, over the temperatures that both have.
 
@@ -87,7 +92,7 @@ def _difference(
     variance = max(float(row @ law.covariance_dps2 @ row), 0.0)
     c = Conditions(np.zeros(rate_dps.size), rate_dps, at_c)
     for term in law.terms:
-        if isinstance(term, Term) and set(CATALOGUE[term.effect].needs) <= {"rate_dps"}:
+        if isinstance(term, Term) and of_rate_alone(term.effect):
             amplitude = term.parameters["amplitude"]
             added = float(weight @ term.error_dps(c, law.surface))
             value += added
