@@ -162,6 +162,19 @@ def less(fitted: Fitted, block: str) -> Fitted:
     return min(_either_surface(fitted, fitted.model.without(names)), key=lambda f: f.nll)
 
 
+def idle(fitted: Fitted, names: Sequence[str], least_nats: float) -> list[str]:
+    """Components that a model does without, one after the other, the weakest first, for less than `least_nats` each."""
+    found: list[str] = []
+    while rest := [n for n in names if n not in found]:
+        without = {n: fitted.refit(fitted.model.without([n])) for n in rest}
+        weakest = min(rest, key=lambda n: without[n].nll)
+        if without[weakest].nll > fitted.nll + least_nats:
+            break
+        fitted = without[weakest]
+        found.append(weakest)
+    return found
+
+
 def of_scale(part: Part) -> bool:
     """Whether a part goes with the rate, not with the bias alone."""
     return all(column.rate != Factor() for column in part.columns)

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import of_scale
+from gyrocal.diagnosis.blocks import idle, of_scale
 from gyrocal.diagnosis.candidates import Candidate, best_of_each
 from gyrocal.diagnosis.changes import DRIFTS, STEPS, Change, Changes
 from gyrocal.diagnosis.contest import best_law, price
@@ -76,7 +76,6 @@ _BESIDE_SMOOTH = 3
 BEGUN_WITH = 6
 #: Block of smooth shapes in temperature, and that of the rate whose laws may stand beside it.
 SHAPES, _OF_RATE = "temperature", ODD
-#: Those that a table may have of its own in each direction.
 #: Around models within this of the best one every shape is tried, and around no more of them than this.
 _SPREAD_NATS, _MOST_SPREAD = 2.5, 40
 
@@ -190,10 +189,23 @@ class TableSearch:
         Where each temperature comes once, a shape in temperature can follow any step and any memory, and beside it no
         other law is seen.
         """
-        shapes = [p.name for p in self.base.parts if p.block == SHAPES]
-        parts = tuple(p for p in self.base.parts if p.block != SHAPES)
-        base = replace(self.base.without(shapes), parts=parts)
-        return self._over(base)
+        return self._less(self._own_shapes)
+
+    def less_idle_shapes(self, best: Candidate) -> TableSearch | None:
+        """The search over models without the shapes in temperature that gain less beside a model than a law pays; None where all gain more.
+
+        Half of all shapes gain something by chance, and while a box warms up they take a lag's or a step's share for it.
+        """
+        names = idle(best.fitted, self._own_shapes, TOLL_NATS)
+        return self._less(names) if names else None
+
+    @property
+    def _own_shapes(self) -> list[str]:
+        return [p.name for p in self.base.parts if p.block == SHAPES]
+
+    def _less(self, names: Sequence[str]) -> TableSearch:
+        parts = tuple(p for p in self.base.parts if p.name not in names)
+        return self._over(replace(self.base.without(names), parts=parts))
 
     def beside_smooth(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """The best models, and those with their steps alone, beside smooth parts of temperature's history and of time.

@@ -262,6 +262,7 @@ class _Round:
 def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
     search = table_search(full_model(means_of(series), memory=False))
     search, ranked = _or_with_edges(search, search.run())
+    search, ranked = _shorn(search, ranked)
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
     before = _round(search, ranked)
@@ -294,6 +295,12 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     return Examination(
         series, found, last.best, last.settled, last.worth, naming, laws, *models, frozenset(mending), aside
     )
+
+
+def _shorn(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
+    """A search and its models, without the shapes in temperature that are worth nothing beside the best of them."""
+    plain = search.less_idle_shapes(ranked[0])
+    return (search, ranked) if plain is None else (plain, plain.run(best_of_each(ranked)[:BEGUN_WITH]))
 
 
 def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
 from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged
 from gyrocal.diagnosis.changes import Change, Changes
-from gyrocal.diagnosis.coil import replaced, table_search
+from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, replaced, table_search
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import laws_of
@@ -595,3 +595,31 @@ def test_of_a_few_temperatures_no_step_of_the_scale_factor_between_them_is_told_
     assert any(step.at == 9.0 for step in changes.shapes("scale_step")) is told
     assert bool(changes.shapes("scale_drift")) is told
     assert changes.shapes("bias_step")
+
+
+def _ripple(of_scale_ppm: float) -> DataSetTable:
+    """A scale factor that ripples every 3 degC, or does not, in a box that warms up."""
+    rng = np.random.default_rng(4)
+    rate = np.tile([0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0], 20)
+    t_s = 20.0 * np.arange(rate.size, dtype=np.float64)
+    temp_c = 30.0 + t_s / 200.0 + np.sin(t_s / 150.0)
+    share = 1e-4 * (temp_c - 37.0) / 7.0 + 1e-6 * of_scale_ppm * np.sin(2.0 * np.pi * temp_c / 3.0)
+    gyro = rate * (1.0 + share) + 6e-4 * rng.standard_normal(rate.size)
+    return DataSetTable(Path("box.csv"), rate, gyro, temp_c, t_s=t_s)
+
+
+@pytest.mark.parametrize("of_scale_ppm", [0.0, 60.0])
+def test_shapes_in_temperature_stay_where_they_pay_what_a_law_pays(of_scale_ppm: float) -> None:
+    """Narrow ones that gain a nat or two had taken half of a step of the scale factor, while a box warms up."""
+    search = table_search(full_model(means_of(series_of_table(_ripple(of_scale_ppm))), memory=False))
+    first = search.fit(None, (), None)
+    less = search.less_idle_shapes(first)
+    assert less is not None
+    own, kept = ({p.name for p in s.base.parts if p.block == SHAPES} for s in (search, less))
+    assert kept == ({"narrow temperature on scale"} if of_scale_ppm else set())
+    assert kept < own
+    without = less.fit(None, (), None)
+    assert not own - kept & without.fitted.model.components.keys()
+    # They compare with each other, and what went is worth less than a law's price each.
+    assert -0.01 < without.score - first.score < TOLL_NATS * len(own - kept)
+    assert less.less_idle_shapes(without) is None
