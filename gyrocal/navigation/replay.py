@@ -22,12 +22,13 @@ from gyrocal.navigation.align import (
     heading_errors,
     position_errors,
 )
+from gyrocal.navigation.channels import check
 from gyrocal.navigation.equip import DriveSource, aligned, equip
 from gyrocal.navigation.fixes import wild_fixes, wild_said
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
 from gyrocal.navigation.observability import Observability, observability
 from gyrocal.navigation.sanity import truth_fault, truth_part_fault, turned_deg
-from gyrocal.navigation.survey import Survey, check, survey
+from gyrocal.navigation.survey import Survey, survey
 from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
 from gyrocal.records.robot import Robot
 

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gyrocal.errors import DataError
+from gyrocal.navigation.channels import check
 from gyrocal.navigation.replay import replay_log
-from gyrocal.navigation.survey import Survey, check, survey
+from gyrocal.navigation.survey import Survey, survey
 from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.drive_log import iterate_drive_log
@@ -60,6 +61,21 @@ def test_what_is_missing_is_counted() -> None:
         "1 gap of more than 5 usual steps",
     )
     assert found.usual_dt_s == pytest.approx(0.1)
+
+
+def test_a_gyro_that_is_stuck_in_a_turn_is_said_and_one_that_stands_is_not() -> None:
+    """A cable that came loose for ten seconds had passed without a word."""
+    log = drive()
+    corner_s = float(log.t_s[np.argmax(np.abs(log.gyro_dps))])
+    stuck = (log.t_s > corner_s - 5.0) & (log.t_s < corner_s + 5.0)
+    held = replace(log, gyro_dps=np.where(stuck, 0.0, log.gyro_dps))
+    for blocks in ([held], [*source(held, 17).blocks()]):
+        (said,) = (n for n in check(survey("log", blocks), 0.5) if "one number" in n)
+        assert f"from t_s = {log.t_s[stuck][0]:.0f} to {log.t_s[stuck][-1]:.0f} (" in said
+    # Of coarse steps a gyro at rest, or on a straight, reads one number, too: such a log had been refused.
+    coarse = replace(log, gyro_dps=np.round(log.gyro_dps / 0.25) * 0.25)
+    assert max(until - since for since, until in survey("log", [coarse]).held_s) > 5.0
+    assert not [n for n in check(survey("log", [coarse]), 0.5) if "one number" in n]
 
 
 def test_one_speed_in_both_columns_is_one_speed() -> None:

@@ -13,8 +13,9 @@ from scipy.signal import lfilter
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.navigation.channels import check_cells, check_speed
 from gyrocal.navigation.fixes import wild_fixes, wild_said
-from gyrocal.navigation.survey import check_cells, check_speed, one_speed
+from gyrocal.navigation.survey import one_speed
 from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.robot import Robot
