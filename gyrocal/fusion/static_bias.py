@@ -42,7 +42,7 @@ def static_bias(
     good = rest & np.isfinite(rate)
     n = int(np.count_nonzero(good))
     if n < _FEWEST or t[good][-1] - t[0] < 0.8 * static_s:
-        msg = f"the log has only {n} finite gyro samples in its first {static_s:g} s, too few for a static bias: stand longer."
+        msg = f"the log has only {n} finite gyro samples in its first {static_s:g} s, the last after {max(t[good] - t[:1], default=0.0):.3g} s, too few for a static bias: stand longer, or shorten static_s."
         raise DataError(msg)
     moved = max(float(np.nansum(np.abs(distance[rest]))) for distance in (left, right))
     t, rate = t[good], rate[good]
