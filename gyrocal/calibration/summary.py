@@ -48,13 +48,6 @@ class Table:
 
 def verdict(c: Calibration) -> str:
     """One line: error before and after, factor, noise floor, whether the residual is structured."""
-    names = [_WORDS[name] for name in c.structured]
-    worst = min((t.p_holm for t in c.structure), default=1.0)
-    structure = (
-        f"the residual is structured in {', '.join(names)} ({p_equals(worst)})"
-        if names
-        else f"no structure in the residual (smallest {p_equals(worst)})"
-    )
     floor = (
         "sample noise unknown"
         if c.sample_floor_dps is None
@@ -63,8 +56,18 @@ def verdict(c: Calibration) -> str:
     what = "bias over temperature" if c.config.bias_only else "error"
     return (
         f"{what} {dph(c.before_dps)} -> {dph(c.after_dps)} deg/h rms, {_times(c.factor)}; "
-        f"{floor}; {structure}{_outlier_part(c)}{_stray_part(c)}"
+        f"{floor}; {_structure_part(c)}{_outlier_part(c)}{_stray_part(c)}"
     )
+
+
+def _structure_part(c: Calibration) -> str:
+    if not c.structure:
+        return "too few data sets to test the residual for structure"
+    worst = p_equals(min(t.p_holm for t in c.structure))
+    if c.structured:
+        return f"the residual is structured in {', '.join(_WORDS[name] for name in c.structured)} ({worst})"
+    over = ", ".join(_WORDS[t.coordinate] for t in c.structure)
+    return f"no structure in the residual over {over} (smallest {worst})"
 
 
 def _times(factor: float) -> str:

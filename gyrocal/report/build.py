@@ -152,7 +152,7 @@ def _structure(m: Material) -> list[str]:
     found = [f"{name.replace('_', ' ')} ({p_equals(p)})" for name, p in p_values.items() if p < ALARM_RATE]
     if not found:
         return [
-            "The residual holds no structure beyond its noise: the surface says all that these data show."
+            f"Over {', '.join(name.replace('_', ' ') for name in p_values)} the residual holds no structure beyond its noise."
         ]
     return [
         f"The residual is structured in {', '.join(found)}: `gyrocal diagnose` looks for the physics behind it."
