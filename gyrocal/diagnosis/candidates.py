@@ -45,6 +45,10 @@ class Candidate:
         """Its laws, whatever their shapes, with a coil's lag or without."""
         return self.coil is None, frozenset(self.effects)
 
+    def without(self, dead: Sequence[str]) -> Candidate:
+        """The same less components that add nothing to it."""
+        return replace(self, fitted=replace(self.fitted, model=self.fitted.model.without(dead)))
+
     @property
     def warms_up(self) -> bool:
         """Whether a warm-up is among its laws of time."""

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import idle, of_scale
+from gyrocal.diagnosis.blocks import of_scale
 from gyrocal.diagnosis.candidates import Candidate, best_of_each
 from gyrocal.diagnosis.changes import DRIFTS, STEPS, Change, Changes
 from gyrocal.diagnosis.contest import best_law, price
@@ -183,29 +183,19 @@ class TableSearch:
             return None
         return self._over(self.base.with_parts(parts))
 
-    def less_shapes(self) -> TableSearch:
-        """The search over models without smooth shapes in temperature, which compare with these.
-
-        Where each temperature comes once, a shape in temperature can follow any step and any memory, and beside it no
-        other law is seen.
-        """
-        return self._less(self._own_shapes)
-
-    def less_idle_shapes(self, best: Candidate) -> TableSearch | None:
-        """The search over models without the shapes in temperature that gain less beside a model than a law pays; None where all gain more.
-
-        Half of all shapes gain something by chance, and while a box warms up they take a lag's or a step's share for it.
-        """
-        names = idle(best.fitted, self._own_shapes, TOLL_NATS)
-        return self._less(names) if names else None
-
     @property
-    def _own_shapes(self) -> list[str]:
-        return [p.name for p in self.base.parts if p.block == SHAPES]
+    def shapes(self) -> list[Part]:
+        """Smooth shapes in temperature that its models may have."""
+        return [p for p in self.base.parts if p.block == SHAPES]
 
-    def _less(self, names: Sequence[str]) -> TableSearch:
+    def without(self, names: Sequence[str]) -> TableSearch:
+        """The search over models without some parts, which compare with these; in which they had died, those are known."""
         parts = tuple(p for p in self.base.parts if p.name not in names)
-        return self._over(replace(self.base.without(names), parts=parts))
+        less = self._over(replace(self.base.without(names), parts=parts))
+        less.known.update(
+            (key, c.without(names)) for key, c in self.known.items() if all(map(c.fitted.has_died, names))
+        )
+        return less
 
     def beside_smooth(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """The best models, and those with their steps alone, beside smooth parts of temperature's history and of time.

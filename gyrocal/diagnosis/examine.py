@@ -13,6 +13,8 @@ from gyrocal.diagnosis.between import between_sets
 from gyrocal.diagnosis.blocks import (
     REPLACED,
     errors_of_each_rate,
+    idle,
+    of_scale,
     present,
     settle_direction,
 )
@@ -233,7 +235,7 @@ class _Round:
         The best of its models beside a scale factor that wanders.
     plain : list of Candidate
         Its models without shapes in temperature, the best first.
-    idle : list of str
+    unused : list of str
         Components that names had to stand beside, which else are not there.
     """
 
@@ -245,7 +247,7 @@ class _Round:
     plain: list[Candidate]
     naming: Naming
     laws: Laws
-    idle: list[str]
+    unused: list[str]
 
     @cached_property
     def by_law(self) -> list[Candidate]:
@@ -253,7 +255,7 @@ class _Round:
         if not self.naming.named:
             return []
         best, fitted = self.ranked[0], self.naming.fitted
-        fitted = fitted.refit(fitted.model.without(self.idle))
+        fitted = fitted.refit(fitted.model.without(self.unused))
         paid = sum(paid_by(n) for n in self.naming.named if not self.search.base.holds(n.law))
         paid += self.search.cancelled_nats(fitted, WANDERING_SCALE)
         return [replace(best, fitted=fitted, score=best.score + fitted.nll - best.fitted.nll + paid)]
@@ -298,9 +300,16 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
 
 
 def _shorn(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
-    """A search and its models, without the shapes in temperature that are worth nothing beside the best of them."""
-    plain = search.less_idle_shapes(ranked[0])
-    return (search, ranked) if plain is None else (plain, plain.run(best_of_each(ranked)[:BEGUN_WITH]))
+    """A search and its models, without the shapes of the scale factor in temperature that gain less beside the best of them than a law pays.
+
+    Half of all shapes gain something by chance, and while a box warms up they take a lag's or a step's share for it. Those of
+    the bias take nothing from either.
+    """
+    names = idle(ranked[0].fitted, [p.name for p in search.shapes if of_scale(p)], TOLL_NATS)
+    if not names:
+        return search, ranked
+    less = search.without(names)
+    return less, less.run(best_of_each(ranked)[:BEGUN_WITH])
 
 
 def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
@@ -330,8 +339,8 @@ def _round(search: TableSearch, ranked: list[Candidate], held: Sequence[Named] =
     beside = settled.model.with_components(*drifting)
     plain = _plain(worth, search, ranked, laws)
     naming, laws = name(settled.refit(beside), _beyond_doubt(worth, ranked, plain, laws), laws, held)
-    idle = [c.name for c in drifting if c.name not in settled.model.components]
-    return _Round(search, ranked, best, settled, worth, plain, naming, laws, idle)
+    unused = [c.name for c in drifting if c.name not in settled.model.components]
+    return _Round(search, ranked, best, settled, worth, plain, naming, laws, unused)
 
 
 def _beside_names(before: _Round) -> _Round:
@@ -357,10 +366,13 @@ def _least(laws: Laws) -> float:
 def _plain(
     worth: Mapping[str, float], search: TableSearch, ranked: Sequence[Candidate], laws: Laws
 ) -> list[Candidate]:
-    """Models without shapes in temperature, the best first; none where there are hardly any, or nothing stands beside them."""
+    """Models without shapes in temperature, the best first; none where there are hardly any, or nothing stands beside them.
+
+    Where each temperature comes once, a shape in temperature can follow any step and any memory, and beside it no other law is seen.
+    """
     if worth.get(SHAPES, 0.0) <= _least(laws) or not (ranked[0].coil or ranked[0].changes):
         return []
-    return search.less_shapes().run(best_of_each(ranked)[:BEGUN_WITH])
+    return search.without([p.name for p in search.shapes]).run(best_of_each(ranked)[:BEGUN_WITH])
 
 
 def _beyond_doubt(

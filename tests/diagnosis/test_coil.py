@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
+from gyrocal.diagnosis.blocks import idle
 from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged
 from gyrocal.diagnosis.changes import Change, Changes
-from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, replaced, table_search
+from gyrocal.diagnosis.coil import TOLL_NATS, replaced, table_search
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import laws_of
@@ -613,13 +614,26 @@ def test_shapes_in_temperature_stay_where_they_pay_what_a_law_pays(of_scale_ppm:
     """Narrow ones that gain a nat or two had taken half of a step of the scale factor, while a box warms up."""
     search = table_search(full_model(means_of(series_of_table(_ripple(of_scale_ppm))), memory=False))
     first = search.fit(None, (), None)
-    less = search.less_idle_shapes(first)
-    assert less is not None
-    own, kept = ({p.name for p in s.base.parts if p.block == SHAPES} for s in (search, less))
-    assert kept == ({"narrow temperature on scale"} if of_scale_ppm else set())
-    assert kept < own
+    shapes = [p.name for p in search.shapes]
+    names = idle(first.fitted, shapes, TOLL_NATS)
+    less = search.without(names)
+    kept = [p.name for p in less.shapes]
+    assert kept == (["narrow temperature on scale"] if of_scale_ppm else [])
     without = less.fit(None, (), None)
-    assert not own - kept & without.fitted.model.components.keys()
+    assert not {*names} & without.fitted.model.components.keys()
     # They compare with each other, and what went is worth less than a law's price each.
-    assert -0.01 < without.score - first.score < TOLL_NATS * len(own - kept)
-    assert less.less_idle_shapes(without) is None
+    assert -0.01 < without.score - first.score < TOLL_NATS * len(names)
+    assert idle(without.fitted, kept, TOLL_NATS) == []
+
+
+def test_a_model_in_which_shapes_had_died_is_known_without_them() -> None:
+    search = table_search(full_model(means_of(series_of_table(_ripple(60.0))), memory=False))
+    first = search.fit(None, (), None)
+    dead = [p.name for p in search.shapes if first.fitted.has_died(p.name)]
+    assert dead
+    known = search.without(dead).known[None, ()]
+    assert known.score == first.score
+    assert not {*dead} & known.fitted.model.components.keys()
+    anew = first.fitted.refit(known.fitted.model)
+    assert anew.nll == pytest.approx(first.fitted.nll, abs=0.01)
+    assert not search.without([p.name for p in search.shapes]).known
