@@ -104,8 +104,9 @@ class TableSearch:
 
         Parameters
         ----------
-        near : models of another search that this one begins with, in place of coils of all kinds
+        near : models of another search, the best first, of which this one begins with the best of each kind, in place of coils of all kinds
         """
+        near = best_of_each(near)[:BEGUN_WITH]
         first = self.fit(None, (), None)
         coils: list[Coil] = [None, *dict.fromkeys(c.coil for c in near if c.coil is not None)]
         if not near and np.ptp(self.base.means.series.history.temp_c) > 1.0:

@@ -18,8 +18,8 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.candidates import Candidate, averaged, best_of_each, standing_for_all
-from gyrocal.diagnosis.coil import BEGUN_WITH, SHAPES, TOLL_NATS, TableSearch, table_search
+from gyrocal.diagnosis.candidates import Candidate, averaged, standing_for_all
+from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, TableSearch, table_search
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.edges import targets, with_edges
 from gyrocal.diagnosis.in_place import Named, is_passing
@@ -309,14 +309,14 @@ def _shorn(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, l
     if not names:
         return search, ranked
     less = search.without(names)
-    return less, less.run(best_of_each(ranked)[:BEGUN_WITH])
+    return less, less.run(ranked)
 
 
 def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
     """A search and its models, or those beside edges over temperature, each paying as a law does, that explain surely more."""
     found = search.with_edges(ranked[0])
     if found is not None:
-        edged = found.run(best_of_each(ranked)[:BEGUN_WITH])
+        edged = found.run(ranked)
         more = len(found.base.parts) - len(search.base.parts)
         if edged[0].score + TOLL_NATS * more < ranked[0].score - ALIKE_NATS:
             return found, edged
@@ -352,7 +352,7 @@ def _beside_names(before: _Round) -> _Round:
     if not held or before.by_law[0].score >= before.ranked[0].score:
         return before
     search = before.search.beside([n.law for n in held])
-    ranked = search.run(best_of_each(before.ranked)[:BEGUN_WITH])
+    ranked = search.run(before.ranked)
     # Nothing new gains less than what a further law would pay.
     gained = before.by_law[0].score - ranked[0].score - sum(map(paid_by, held))
     return _round(search, ranked, held) if gained > TOLL_NATS else before
@@ -372,7 +372,7 @@ def _plain(
     """
     if worth.get(SHAPES, 0.0) <= _least(laws) or not (ranked[0].coil or ranked[0].changes):
         return []
-    return search.without([p.name for p in search.shapes]).run(best_of_each(ranked)[:BEGUN_WITH])
+    return search.without([p.name for p in search.shapes]).run(ranked)
 
 
 def _beyond_doubt(

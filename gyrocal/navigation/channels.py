@@ -94,21 +94,25 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     name = found.source
     temp_c = np.array(found.temp_c if found.temp_rows else ())
     check_cells(name, found.rows, found.bad_gyro, found.bad_encoder, found.gyro_deg / BIN_S, temp_c)
-    fastest_dps = max(abs(v) for v in found.gyro_dps)
     few = 0 < found.beyond_rows < _FASTEST_SHARE * found.rows
-    if found.rows > found.bad_gyro and (few or fastest_dps > _FASTEST_DPS):
-        msg = f"{name}, line {found.fastest_line}: gyro_dps is {fastest_dps:,.0f} deg/s in size, and no robot turns so fast. Repair the cell or leave it empty: it is bridged."
+    if found.rows > found.bad_gyro and (few or found.fastest_dps > _FASTEST_DPS):
+        msg = f"{name}, line {found.fastest_line}: gyro_dps is {found.fastest_dps:,.0f} deg/s in size, and no robot turns so fast. Repair the cell or leave it empty: it is bridged."
         raise DataError(msg)
     if found.duration_s <= 0:
         raise DataError(f"{name}: all rows carry the same time. Check the clock of the logger.")
     check_speed(name, found.max_speed_mps, speed_only=found.speed_only)
-    _check_stuck(found, wheel_separation_m)
+    stuck = _stuck(found, wheel_separation_m)
+    _check_stuck(found, wheel_separation_m, stuck)
     if found.speed_only:
         return _check_rates(found)
-    return (*_stuck_said(found, wheel_separation_m), *_check_turns(found, wheel_separation_m))
+    return (*_stuck_said(stuck), *_check_turns(found, wheel_separation_m))
 
 
-def _stuck(found: Survey, separation_m: float) -> list[tuple[float, float, float]]:
+#: From when to when, and how much the wheels do meanwhile.
+_Stuck = list[tuple[float, float, float]]
+
+
+def _stuck(found: Survey, separation_m: float) -> _Stuck:
     """From when to when the gyro reads one number while the wheels turn otherwise, and by how far, deg; while they go, beside one speed.
 
     At rest, and straight on, one of coarse steps reads one number, too.
@@ -116,24 +120,23 @@ def _stuck(found: Survey, separation_m: float) -> list[tuple[float, float, float
     if found.speed_only:
         otherwise, least = np.cumsum(found.left_m), _GOES_M
     else:
-        turned_deg = np.cumsum(found.right_m - found.left_m) / separation_m * RAD_TO_DEG
-        otherwise, least = turned_deg - np.cumsum(found.gyro_deg), MIN_TURN_DEG
+        otherwise, least = np.cumsum(found.turns_deg(separation_m) - found.gyro_deg), MIN_TURN_DEG
     from_to_s = np.array(found.held_s).reshape(-1, 2)
     first, last = np.interp(from_to_s.T - found.t_start_s, found.bin_s, otherwise)
     each = zip(from_to_s.tolist(), np.abs(last - first).tolist(), strict=True)
     return [(since_s, until_s, by) for (since_s, until_s), by in each if by > least]
 
 
-def _stuck_said(found: Survey, separation_m: float) -> tuple[str, ...]:
-    each = [f"t_s = {a:.0f} to {b:.0f} ({by:.0f} deg)" for a, b, by in _stuck(found, separation_m)]
-    if not each:
+def _stuck_said(stuck: _Stuck) -> tuple[str, ...]:
+    if not stuck:
         return ()
+    each = [f"t_s = {a:.0f} to {b:.0f} ({by:.0f} deg)" for a, b, by in stuck]
     return (
         f"the gyro reads one number while the wheels turn, from {', '.join(each)}: it was stuck, and from there on the path is off by that",
     )
 
 
-def _check_stuck(found: Survey, separation_m: float) -> None:
+def _check_stuck(found: Survey, separation_m: float, stuck: _Stuck) -> None:
     name = found.source
     left, right = (float(np.abs(side).sum()) for side in (found.left_m, found.right_m))
     if max(left, right) < 1.0:
@@ -144,11 +147,11 @@ def _check_stuck(found: Survey, separation_m: float) -> None:
         if low < 0.01 * high:
             msg = f"{name}: the {side} encoder moves {low:.3g} m while the other moves {high:.3g} m; it is stuck. Check its cable."
             raise DataError(msg)
-    turned_deg = float(np.abs(found.right_m - found.left_m).sum()) / separation_m * RAD_TO_DEG
+    turned_deg = float(np.abs(found.turns_deg(separation_m)).sum())
     if found.gyro_dps[0] == found.gyro_dps[1]:
         msg = f"{name}: gyro_dps is {found.gyro_dps[0]:g} in every row while the encoders turn {turned_deg:.0f} deg; the gyro is stuck. Check its cable."
         raise DataError(msg)
-    longest_s = max((b - a for a, b, _ in _stuck(found, separation_m)), default=0.0)
+    longest_s = max((b - a for a, b, _ in stuck), default=0.0)
     if longest_s > 0.25 * found.duration_s:
         msg = f"{name}: gyro_dps does not change for {longest_s:.0f} s of {found.duration_s:.0f} s; the gyro is stuck. Check its cable."
         raise DataError(msg)
@@ -156,8 +159,7 @@ def _check_stuck(found: Survey, separation_m: float) -> None:
     if standing_deg > MIN_TURN_DEG:
         msg = f"{name}: the gyro turns {standing_deg:.0f} deg within {WINDOW_S:g} s in which neither encoder moves; both are stuck, or the robot was turned by hand. Check their cables."
         raise DataError(msg)
-    worst_dps = max(abs(v) for v in found.gyro_dps)
-    if found.longest_extreme >= _SATURATED_ROWS and worst_dps > 10.0:
+    if found.longest_extreme >= _SATURATED_ROWS and found.fastest_dps > 10.0:
         msg = f"{name}: gyro_dps stays at its extreme ({found.gyro_dps[0]:g} or {found.gyro_dps[1]:g} deg/s) for {found.longest_extreme} rows in a row; it is saturated. Drive slower turns or use a gyro of a wider range."
         raise DataError(msg)
 
@@ -208,7 +210,7 @@ def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:
             f"the log has no turns (within {WINDOW_S:g} s at most {turned[0]:.0f} deg by the gyro, {turned[1]:.0f} deg by the encoders): "
             "whether unit and sign of the gyro are right cannot be seen; log a drive that turns both ways",
         )
-    turned_deg = np.cumsum(found.right_m - found.left_m) / separation_m * RAD_TO_DEG
+    turned_deg = np.cumsum(found.turns_deg(separation_m))
     t_s, names = found.bin_s + found.t_start_s, ("the encoders", "gyro_dps")
     fault = turn_part_fault(t_s, turned_deg, np.cumsum(found.gyro_deg), names)
     if fault is not None:

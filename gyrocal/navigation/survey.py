@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
-from gyrocal.units import plural
+from gyrocal.units import RAD_TO_DEG, plural
 
 Floats = NDArray[np.float64]
 
@@ -98,6 +98,15 @@ class Survey:
     def distance_m(self) -> float:
         """Distance by the encoders, mean of both sides."""
         return float(0.5 * (self.left_m + self.right_m).sum())
+
+    @property
+    def fastest_dps(self) -> float:
+        """Size of the largest rate."""
+        return max(map(abs, self.gyro_dps))
+
+    def turns_deg(self, wheel_separation_m: float) -> Floats:
+        """Turns by the wheels over the bins, shape (bins,)."""
+        return np.asarray((self.right_m - self.left_m) / wheel_separation_m * RAD_TO_DEG)
 
     def notes(self) -> tuple[str, ...]:
         """What was found and bridged, in words."""

@@ -14,7 +14,6 @@ from gyrocal.navigation.survey import (
     Survey,
     sliding,
 )
-from gyrocal.units import RAD_TO_DEG
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +77,7 @@ class YawComparison:
 
 def compare_yaw(found: Survey, wheel_separation_m: float) -> YawComparison:
     """How encoder turns relate to gyro turns over a log."""
-    turned = (found.right_m - found.left_m) / wheel_separation_m * RAD_TO_DEG
+    turned = found.turns_deg(wheel_separation_m)
     delays = np.arange(-MAX_DELAY_S, MAX_DELAY_S + 0.5 * _DELAY_STEP_S, _DELAY_STEP_S)
     gyro = sliding(found, found.gyro_deg, DELAY_WINDOW_S)
     sums = np.array([_moments(gyro, sliding(found, turned, DELAY_WINDOW_S, d)) for d in delays])

@@ -78,6 +78,26 @@ def test_a_gyro_that_is_stuck_in_a_turn_is_said_and_one_that_stands_is_not() -> 
     assert not [n for n in check(survey("log", [coarse]), 0.5) if "one number" in n]
 
 
+def test_what_a_gyro_reads_at_rest_is_no_saturation_where_the_robot_turns_one_way_only() -> None:
+    log = drive()
+    one_way = replace(log, gyro_dps=np.where(log.gyro_dps < 5.0, 0.0, log.gyro_dps))
+    found = survey("log", [one_way])
+    assert found.gyro_dps[0] == 0.0
+    assert found.longest_extreme < 10
+    clipped = replace(one_way, gyro_dps=np.minimum(one_way.gyro_dps, 20.0))
+    assert survey("log", [clipped]).longest_extreme >= 10
+
+
+def test_a_gyro_beside_one_speed_is_stuck_while_the_vehicle_goes_and_not_while_it_stands() -> None:
+    parked, log = robot().with_figures({"static_s": 0.0}), _vehicle()
+    middle = np.abs(log.t_s - np.median(log.t_s)) < 0.15 * np.ptp(log.t_s)
+    held = replace(log, gyro_dps=np.where(middle, 0.0, log.gyro_dps))
+    with pytest.raises(DataError, match="gyro_dps does not change for"):
+        replay_log(source(held), parked)
+    way = np.where(middle, 0.0, log.left_m)
+    assert replay_log(source(replace(held, left_m=way, right_m=way)), parked)
+
+
 def test_one_speed_in_both_columns_is_one_speed() -> None:
     log = drive()
     way = 0.5 * (log.left_m + log.right_m)
