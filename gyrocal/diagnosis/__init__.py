@@ -2,7 +2,7 @@
 
 How a recording goes through the room, file by file; `engine.diagnose` reads in this order.
 
-Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a table), ``order`` (of data sets, as a clock), ``history`` (the temperature
+Rows        ``series`` (a run as rows with coordinates), ``table_series`` (a table), ``nominal`` (the rates that were meant), ``order`` (of data sets, as a clock), ``history`` (the temperature
             behind its readings), ``columns`` (what a record gives the laws), ``base`` (what the surface alone predicts),
             ``inputs`` (what is refused or said), ``given`` (what a file that came along has already),
             ``scatter`` (bursts, steps, clocks and a dead or clipped gyro, that no mean shows), ``strays`` (data sets that are set aside).

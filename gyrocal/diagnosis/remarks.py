@@ -20,6 +20,7 @@ class Said(Enum):
     WHOLE_DEGREES = auto()
     DITHERED = auto()
     SMOOTHED = auto()
+    NOMINAL_RATES = auto()
     CHAMBER_FOR_GYRO = auto()
     SAME_TIMES = auto()
     NO_SPREAD = auto()

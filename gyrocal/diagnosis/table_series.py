@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from gyrocal.diagnosis.history import COARSEST_C, TemperatureHistory, temperature_history
+from gyrocal.diagnosis.nominal import at_nominal
 from gyrocal.diagnosis.order import clock_s
 from gyrocal.diagnosis.parts import design_at, slope_by_temperature
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -93,22 +95,23 @@ def series_of_table(table: DataSetTable) -> Series:
         return np.asarray(total[filled] / count[filled])
 
     white, states_noise, notes = _white(table)
-    times = mean(t_s)
-    rate, gyro, read = mean(table.rate_dps), mean(table.gyro_dps), mean(table.temp_c)
+    times, read = mean(t_s), mean(table.temp_c)
+    free = partial(_free, temp_c=read)
+    rate, gyro, gathered = at_nominal(mean(table.rate_dps), mean(table.gyro_dps), free)
     step_c = lattice_of_means(table.temp_c) or 0.0
     history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c)
-    apart_c = float(np.std(history.temp_at(times) - read))
+    course_c = history.temp_at(times)
     if dithered_c is not None:
         notes.append(Remark(Said.DITHERED, {"step_c": dithered_c}))
-    elif history.course is not None and apart_c > step_c / np.sqrt(12.0):
-        notes.append(Remark(Said.SMOOTHED, {"rms_c": apart_c}))
+    elif history.course is not None:
+        notes += _smoothed(course_c - read, step_c)
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
         t_s=times,
         gyro_dps=gyro,
         rate_dps=rate,
-        temp_c=history.temp_at(times),
+        temp_c=course_c,
         white_std_dps=np.sqrt(mean(white**2) / count[filled]),
         averaging_s=np.zeros(times.size),
         set_index=np.flatnonzero(filled) if groups[-1] + 1 == n else np.arange(times.size),
@@ -117,13 +120,19 @@ def series_of_table(table: DataSetTable) -> Series:
         history=history,
         raw=_raw(table, t_s, wild, one_rate),
         untestable=_untestable(table),
-        notes=(*table.notes, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
+        notes=(*table.notes, *gathered, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
         has_time=table.t_s is not None,
         is_table=True,
         states_noise=states_noise,
         copies=copies(table.rate_dps, table.gyro_dps, table.temp_c, table.t_s),
         reach=reach_of(groups[~wild], table.gyro_dps[~wild], table.temp_c[~wild]),
     )
+
+
+def _smoothed(off_c: Floats, step_c: float) -> list[Remark]:
+    """That a course stands in the place of readings, where it is off them by more than their rounding."""
+    rms_c = float(np.std(off_c))
+    return [Remark(Said.SMOOTHED, {"rms_c": rms_c})] if rms_c > step_c / np.sqrt(12.0) else []
 
 
 def _history(
@@ -225,8 +234,7 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
 
     Then the scatter is the temperature's; what is the thermometer's own the gyro knows nothing of.
     """
-    low, high = float(course_c.min()), float(course_c.max())
-    frame = Frame(float(np.abs(rate_dps).max()) or 1.0, 0.5 * (low + high), max(0.5 * (high - low), 0.5))
+    frame = _frame(rate_dps, course_c)
     columns, error = design_at(rate_dps, course_c, frame), gyro_dps - rate_dps
     surface: Floats = np.asarray(np.linalg.lstsq(columns, error, rcond=_CARRIED)[0], dtype=np.float64)
     left = np.abs(error - columns @ surface)
@@ -236,6 +244,17 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
         _follows(along[sound], error[sound], free[sound])
         for free in (columns, np.column_stack([columns, *_beyond_surface(rate_dps)]))
     )
+
+
+def _frame(rate_dps: Floats, temp_c: Floats) -> Frame:
+    low, high = float(temp_c.min()), float(temp_c.max())
+    return Frame(float(np.abs(rate_dps).max()) or 1.0, 0.5 * (low + high), max(0.5 * (high - low), 0.5))
+
+
+def _free(rate_dps: Floats, temp_c: Floats) -> Floats:
+    """Columns of all that an output may do over rate, temperature and stretches of time, shape (n, p)."""
+    surface = design_at(rate_dps, temp_c, _frame(rate_dps, temp_c))
+    return np.column_stack([surface, *_beyond_surface(rate_dps)])
 
 
 def _follows(along: Floats, error: Floats, columns: Floats) -> bool:
