@@ -96,8 +96,7 @@ def series_of_table(table: DataSetTable) -> Series:
 
     white, states_noise, notes = _white(table)
     times, read = mean(t_s), mean(table.temp_c)
-    free = partial(_free, temp_c=read)
-    rate, gyro, gathered = at_nominal(mean(table.rate_dps), mean(table.gyro_dps), free)
+    rate, gyro, gathered = at_nominal(mean(table.rate_dps), mean(table.gyro_dps), partial(_free, temp_c=read))
     step_c = lattice_of_means(table.temp_c) or 0.0
     history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c)
     course_c = history.temp_at(times)
