@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.series import Series
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.offer import Offer, turned_back_c
+from gyrocal.units import S_PER_MIN
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,8 +37,7 @@ def conditions_of(series: Series) -> Conditions:
         since_power_on_s=since_on,
         since_step_s=series.since_set_s,
         step_dps=series.step_dps,
-        # Of samples it is the one that a robot derives from them.
-        temp_rate_c_per_s=series.temp_rate_c_per_min / 60.0 if series.is_table else None,
+        temp_rate_c_per_s=series.temp_rate_c_per_min / S_PER_MIN,
         data_set_index=series.set_index.astype(np.float64),
         row_s=np.maximum(series.averaging_s, 0.1),
         sample_std_dps=0.0

@@ -36,7 +36,7 @@ class Conditions:
     gyro_dps : the output before this effect, deg/s; given by whoever injects an effect, never by
         whoever analyses (the recorded output has the effect in it already)
     command_dps : commanded rate, where it differs from `rate_dps`, deg/s
-    temp_rate_c_per_s : temperature rate, where the record states it; otherwise the effects derive it
+    temp_rate_c_per_s : temperature rate, where it is known; otherwise the effects derive it from what went before
     data_set_index : number of the data set in the record
     row_s : averaging time of each row, where rows are means over a while, s
     sample_std_dps : white noise of the samples that such rows are means of, deg/s; 0: not known

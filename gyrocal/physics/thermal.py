@@ -1,8 +1,9 @@
 """Effects of temperature and of its history.
 
-The temperature rate is derived causally from the reported temperature, as the lag of a first-order low-pass
-divided by its time constant. `SMOOTHING_S` is a compromise stated once: short against any ramp of a chamber
-(minutes), long enough that 0.02 degC of thermistor noise at 10 Hz is 0.04 degC/min of rate noise.
+A gyro feels the rate of its temperature at once, and who has a whole record knows it. A robot derives it causally from the
+reported temperature, as the lag of a first-order low-pass divided by its time constant. `SMOOTHING_S` is a compromise stated
+once: short against any ramp of a chamber (minutes), long enough that 0.02 degC of thermistor noise at 10 Hz is 0.04 degC/min
+of rate noise. Fitted to such a rate an amplitude makes up for the delay: 2.5 times its size, beside a lag that is not there.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ _USUAL_RATE_DPS = 100.0
 
 
 def temperature_rate_c_per_s(c: Conditions, memory: Memory) -> tuple[Floats, Memory]:
-    """Temperature rate, deg C/s: as stated by the record, else low-passed by `SMOOTHING_S`."""
+    """Temperature rate, deg C/s: as it is known of a record, else low-passed by `SMOOTHING_S`."""
     if c.temp_rate_c_per_s is not None:
         return c.temp_rate_c_per_s, None
     behind_c, memory = lag(c.t_s, c.temp_c, SMOOTHING_S, memory)

@@ -62,10 +62,10 @@ class World:
         # chamber
         self._target_c = self._set_c = self._still_air_c = self._air_c = self._case_c = spec.start_temp_c
         self._ramp_c_per_s = spec.chamber.max_ramp_c_per_min / S_PER_MIN
-        # what the gyro has still to see: angles (with the one before), case temperatures, commands by block
+        # what the gyro has still to see: angles and case temperatures (with the one before), commands by block
         self._memory: dict[str, Memory] = {}
         self._angles_deg = [0.0]
-        self._cases_c: list[float] = []
+        self._cases_c = [self._case_c]
         self._commands: list[tuple[int, float, float, float, float]] = []
 
     @property
@@ -189,7 +189,7 @@ class World:
             np.array(column) for column in zip(*self._commands, strict=True)
         )
         n = int(lengths.sum())
-        angle_deg = np.array(self._angles_deg)
+        angle_deg, cases_c = np.array(self._angles_deg), np.array(self._cases_c)
         t_s: Floats = self._start_s + self._dt_s * np.arange(
             self._samples - n + 1, self._samples + 1, dtype=np.float64
         )
@@ -197,7 +197,7 @@ class World:
         c = Conditions(
             t_s=t_s,
             rate_dps=encoder_dps,
-            temp_c=np.array(self._cases_c),
+            temp_c=cases_c[1:],
             dt_s=self._dt_s,
             angle_deg=angle_deg[1:],
             supply_v=self._supply_v(np.abs(encoder_dps), self._compressor_on(t_s)),
@@ -205,11 +205,12 @@ class World:
             since_step_s=t_s - np.repeat(step_t, lengths),
             step_dps=np.repeat(step, lengths),
             command_dps=np.repeat(target, lengths),
+            temp_rate_c_per_s=np.diff(cases_c) / self._dt_s,
         )
         true_dps = encoder_dps * (1.0 + np.repeat(reference, lengths))
         for effect_id in self._acting_on("reference"):
             true_dps = true_dps + self._error_dps(effect_id, c, encoder_dps)
-        self._commands, self._cases_c, self._angles_deg = [], [], self._angles_deg[-1:]
+        self._commands, self._cases_c, self._angles_deg = [], self._cases_c[-1:], self._angles_deg[-1:]
         return replace(c, rate_dps=true_dps)
 
     def _compressor_on(self, t_s: Any) -> Any:
