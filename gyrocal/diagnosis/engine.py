@@ -138,7 +138,7 @@ def diagnose(
     stairs = staircase(found.naming.fitted, layers_of(found, level) if options.heldout else [], options.seed)
     withheld = doubtful(found)
     surface, improved = surface_alone(found), correction(found, withheld)
-    parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), named_effects(found)
+    parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), _named(found, coefficients)
     written, why_not = _written(found, improved, surface, stairs.total, (layered, parts))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)
     names = [*layered, *map(_found, findings)]
@@ -172,6 +172,12 @@ def diagnose(
         layers=stairs.layers,
         unnamed=parts,
     )
+
+
+def _named(found: Examination, coefficients: Coefficients | None) -> list[NamedEffect]:
+    """What has a name; that the error is a cubic of the true rate has none beside a file to simulate from that has it already."""
+    of_input = coefficients is not None and coefficients.surface.direction == "input"
+    return [e for e in named_effects(found) if not (of_input and e.effect == FIT_DIRECTION.id)]
 
 
 def _taken_apart(
@@ -208,7 +214,7 @@ def _written(
         and {e.effect for e in layered} == {FIT_DIRECTION.id}
         and surface.surface.direction == "input"
     ):
-        return None, [Remark(Said.INPUT_ALREADY)]
+        return None, [Remark(Said.INPUT_ALREADY, {"alone": True})]
     gain = gain_on_a_fresh_run(improved, surface, means)
     if not gain.is_enough:
         return None, [no_file(improved, means, gain.chance, left_out)]
@@ -248,8 +254,10 @@ def _of_file(
         remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))
     if written is None:
         return remarks
+    of_input = written.surface.direction == "input" and any(e.effect == FIT_DIRECTION.id for e in layered)
     return [
         *remarks,
+        *([Remark(Said.INPUT_ALREADY, {"alone": False})] if of_input else []),
         *_laws_written(layered, written),
         *_also_written(layered, parts, written),
         *_held(found, layered),

@@ -380,7 +380,7 @@ FIT_DIRECTION = Effect(
     id="fit_direction",
     family="rate shape",
     equation="e = a (S(w, T) - S(g, T)), g - S(g, T) = w",
-    statement="Not physics: the error is a cubic of the input rate and was fitted as one of the output.",
+    statement="Not physics: the error is a cubic of the input rate, which a surface of the output has only nearly.",
     parameters=(
         amplitude(
             "1", 3.0, 1.0, "1: cubic in the input, 0: in the output; for a surface in the input the reverse"

@@ -205,7 +205,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"Of {listed(effects)} the improved coefficients have the mean over the record, and what it adds about that in their standard "
         "deviations: where it will stand nobody knows."
     ),
-    Said.INPUT_ALREADY: "The surface is one of the true rate already: there is nothing to add to it, and no improved coefficients are written.",
+    Said.INPUT_ALREADY: lambda alone: (
+        "The surface is one of the true rate already: there is nothing to add to it"
+        + (", and no improved coefficients are written." if alone else " for fit_direction.")
+    ),
     Said.NO_SURE_GAIN: _no_sure_gain,
     Said.NO_INVERSE: _no_inverse,
     Said.TOO_FEW_TO_WRITE: "It has {rows} data sets, in which one law may pass for another: what is found is told, but improved "

@@ -129,7 +129,10 @@ def test_a_surface_that_is_of_the_true_rate_already_lacks_nothing() -> None:
         noise=Noise(),
         provenance={},
     )
-    assert _written(found, of_input, of_input, None, ([named], ())) == (None, [Remark(Said.INPUT_ALREADY)])
+    assert _written(found, of_input, of_input, None, ([named], ())) == (
+        None,
+        [Remark(Said.INPUT_ALREADY, {"alone": True})],
+    )
 
 
 @pytest.mark.slow
