@@ -41,12 +41,14 @@ def command(runs: Path, robot: Path, side_m: float, seed: int, as_json: bool) ->
     from dataclasses import asdict
 
     from gyrocal.commands.turn import examine_squares
-    from gyrocal.report.turns import square_rows
+    from gyrocal.report.turns import SQUARES_TAKE, square_rows
 
     found = examine_squares(runs, robot, side_m, seed)
     if as_json:
-        emit_json({"schema": "gyrocal-umbmark/1", **asdict(found)})
+        emit_json({"schema": "gyrocal-umbmark/1", **asdict(found), "notes": [SQUARES_TAKE]})
         return
     click.echo(f"Systematic error before correction: {found.before_m:.3g} m after a square of {side_m:g} m.")
     click.echo("")
     emit_table(("figure", "value", "95 %", "where it goes"), square_rows(found))
+    click.echo("")
+    click.echo(SQUARES_TAKE)

@@ -80,4 +80,4 @@ def examine_squares(runs: Path, robot: Path, side_m: float, seed: int) -> Umbmar
     ccw = table["direction"] > 0
     vehicle = read_robot(robot)
     vehicle.check_sides()
-    return umbmark(points[~ccw], points[ccw], side_m, vehicle.wheel_separation_m, seed)
+    return umbmark(points[~ccw], points[ccw], side_m, vehicle.parameters, seed)

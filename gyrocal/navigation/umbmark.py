@@ -4,7 +4,8 @@ Borenstein and Feng, Measurement and Correction of Systematic Odometry Errors in
 Robotics and Automation 12(6), 869-880 (1996). A square of side L is driven several times each way; at the end the
 robot's true position is measured, less the one that its odometry believes: the return error. Unequal wheels bend the
 straight legs, the same way round in both directions; a wrong track turns every corner by too much or too little. The
-mean return errors of the two directions tell them apart.
+mean return errors of the two directions tell them apart. How long both wheels are together they do not tell: that stays as
+the robot file has it, and an error of it goes into the track.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import DataError
+from gyrocal.fusion.robot import RobotParameters
 
 Floats = NDArray[np.float64]
 
@@ -41,10 +43,10 @@ class Umbmark:
 
     Attributes
     ----------
-    wheel_ratio : E_d, right wheel diameter over left
+    wheel_ratio : E_d, right wheel diameter over left, beside what the robot file has of them
     track_ratio : E_b, true wheel separation over the one of the robot file
-    left_scale, right_scale : wheel scales of a robot file: measured = (1 + S) true (paper eq. 7), mean of both zero
-    wheel_separation_m : corrected
+    left_scale, right_scale : wheel scales for the robot file, in place of those in use: measured = (1 + S) true (paper eq. 7)
+    wheel_separation_m : for the robot file
     before_m : E_max,syst: the larger distance of the two mean return errors from the start
     """
 
@@ -56,14 +58,15 @@ class Umbmark:
     before_m: float
 
 
-def umbmark(cw_m: Floats, ccw_m: Floats, side_m: float, separation_m: float, seed: int = 0) -> Umbmark:
+def umbmark(cw_m: Floats, ccw_m: Floats, side_m: float, robot: RobotParameters, seed: int = 0) -> Umbmark:
     """Corrections from return errors, in the frame of the start: x along the first leg, y to the left of it.
 
     Parameters
     ----------
     cw_m, ccw_m : ndarray, shape (n, 2)
         Return errors (measured less believed) of clockwise and counter-clockwise runs.
-    side_m, separation_m : side of the square, and wheel separation in use
+    side_m : side of the square
+    robot : whose odometry was driven and believed, with its wheel scales and separation
     seed : of the draws behind the intervals (means of n runs are Student t about theirs)
 
     Raises
@@ -81,8 +84,8 @@ def umbmark(cw_m: Floats, ccw_m: Floats, side_m: float, separation_m: float, see
         msg = f"The mean return error is {before:.2f} m on a square of {side_m:g} m, too much for small angles: check side, units and signs, correct what is gross, and drive again."
         raise DataError(msg)
     rng = np.random.default_rng([seed, 17])
-    centre = _corrections(mean_cw[None], mean_ccw[None], side_m, separation_m)
-    drawn = _corrections(_means(rng, cw_m), _means(rng, ccw_m), side_m, separation_m)
+    centre = _corrections(mean_cw[None], mean_ccw[None], side_m, robot)
+    drawn = _corrections(_means(rng, cw_m), _means(rng, ccw_m), side_m, robot)
     low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
     wheels, track, left, right, separation = (
         Estimate(float(c), float(a), float(b)) for c, a, b in zip(centre[0], low, high, strict=True)
@@ -97,7 +100,7 @@ def _means(rng: np.random.Generator, runs: Floats) -> Floats:
     return np.asarray(runs.mean(axis=0) + error * rng.standard_t(n - 1, (_DRAWS, 2)))
 
 
-def _corrections(cw_m: Floats, ccw_m: Floats, side_m: float, separation_m: float) -> Floats:
+def _corrections(cw_m: Floats, ccw_m: Floats, side_m: float, robot: RobotParameters) -> Floats:
     """E_d, E_b, left and right scale, separation, shape (m, 5).
 
     A corner that falls short by alpha and a leg that bends by beta end a square at -2 L alpha and 2 L beta off, to
@@ -113,10 +116,12 @@ def _corrections(cw_m: Floats, ccw_m: Floats, side_m: float, separation_m: float
         beta = beta - (x_cw - x_ccw + y_cw + y_ccw) / (8.0 * side_m)
         alpha, beta = (np.clip(angle, -_MOST_RAD, _MOST_RAD) for angle in (alpha, beta))
     track = (0.5 * np.pi) / (0.5 * np.pi - alpha)
-    bend = beta * separation_m * track / side_m  # separation over the radius of the bent leg
+    separation = robot.wheel_separation_m * track
+    bend = beta * separation / side_m  # separation over the radius of the bent leg
     ratio = (1.0 + 0.5 * bend) / (1.0 - 0.5 * bend)
-    left, right = 2.0 / (ratio + 1.0), 2.0 / (1.0 / ratio + 1.0)
-    return np.column_stack([ratio, track, 1.0 / left - 1.0, 1.0 / right - 1.0, separation_m * track])
+    left = (1.0 + robot.encoders.left_scale) * 0.5 * (ratio + 1.0) - 1.0
+    right = (1.0 + robot.encoders.right_scale) * 0.5 * (1.0 / ratio + 1.0) - 1.0
+    return np.column_stack([ratio, track, left, right, separation])
 
 
 def _end(direction: int, alpha: Floats, beta: Floats, side_m: float) -> Floats:

@@ -154,10 +154,17 @@ def turn_picture(report: TurnReport) -> Figure:
 def square_rows(found: Umbmark) -> list[tuple[str, str, str, str]]:
     """Figure, value, interval, and where it goes."""
     listed = (
-        ("wheel diameters, right over left", found.wheel_ratio, ""),
+        ("wheel diameters, right over left, beside the file's", found.wheel_ratio, ""),
         ("wheel separation, true over assumed", found.track_ratio, ""),
-        ("left_scale", found.left_scale, "[encoders] of the robot file"),
-        ("right_scale", found.right_scale, "[encoders] of the robot file"),
-        ("wheel_separation_m", found.wheel_separation_m, "robot file"),
+        ("left_scale", found.left_scale, "[encoders] of the robot file, in its place"),
+        ("right_scale", found.right_scale, "[encoders] of the robot file, in its place"),
+        ("wheel_separation_m", found.wheel_separation_m, "robot file, in its place"),
     )
     return [(name, f"{e.value:.6g}", f"{e.low:.6g} to {e.high:.6g}", where) for name, e, where in listed]
+
+
+#: What squares cannot tell, and every figure of them rests on.
+SQUARES_TAKE = (
+    "The mean of the two wheel scales is the robot file's: squares tell their ratio alone, and an error of the mean goes into the "
+    "separation, beyond its interval. Measure it along a straight line."
+)
