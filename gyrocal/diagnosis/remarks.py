@@ -78,6 +78,7 @@ class Said(Enum):
     WHEEL_SIGN = auto()
     WHEELS_SWAPPED = auto()
     MISSING_ROWS = auto()
+    WAYS_ADDED = auto()
     WHEEL_TURN = auto()
     ENCODERS_LATE = auto()
     SAMPLES_OF_ROWS = auto()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from gyrocal.navigation.observability import Observability, observability
 from gyrocal.navigation.sanity import truth_fault, truth_part_fault, turned_deg
 from gyrocal.navigation.survey import Survey, survey
 from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
+from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -98,8 +99,8 @@ def replay_log(
         The log's channels cannot be right (`survey.check`), no rest where the robot file says there is one, or a
         calibration that this log leaves for most of its rows.
     """
-    found = survey(source.name, source.blocks())
-    notes = [*check(found, robot.wheel_separation_m), *found.notes()]
+    source, found, added = _completed(source)
+    notes = [*check(found, robot.wheel_separation_m), *found.notes(), *added]
     conditions = _possible(found, robot, coefficients, notes)
     equipped = {
         c.calibrated: equip(
@@ -125,6 +126,19 @@ def replay_log(
     said, seen = tuple(dict.fromkeys(notes)), _seen(compared)
     direction = _direction(compared[0])
     return LogReplay(source.name, direction, found, t_s, truth, compared, seen, said, judgements, kind)
+
+
+def _completed(source: DriveSource) -> tuple[DriveSource, Survey, list[str]]:
+    """The log with the way of rows that were lost, what it holds then, and what is said of it."""
+    found = survey(source.name, source.blocks())
+    lost = found.lost
+    if lost is None:
+        return source, found, []
+
+    def blocks() -> Iterator[DriveBlock]:
+        return lost.completed(source.blocks())
+
+    return replace(source, blocks=blocks), survey(source.name, blocks()), [str(lost)]
 
 
 def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:

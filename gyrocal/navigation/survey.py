@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.navigation.lost_ways import Leaps, LostWays
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.units import RAD_TO_DEG, plural
 
@@ -59,6 +60,8 @@ class Survey:
         What the reader bridged, closed or left out.
     speed_only : bool
         One speed of the vehicle: left and right are both its way, and tell nothing of turns.
+    lost : LostWays or None
+        The way that is missing with rows.
     """
 
     source: str
@@ -88,6 +91,7 @@ class Survey:
     held_s: tuple[tuple[float, float], ...]
     said: tuple[str, ...] = ()
     speed_only: bool = False
+    lost: LostWays | None = None
 
     @property
     def duration_s(self) -> float:
@@ -158,6 +162,7 @@ class _Tally:
         self.said: list[str] = []
         self.speed_only = False
         self.first_steps, self.long_steps = np.empty(0), np.empty(0)
+        self.leaps = Leaps()
 
     def add(self, block: DriveBlock) -> None:
         t_s = block.t_s
@@ -194,6 +199,7 @@ class _Tally:
         if self.first_steps.size < _STEPS:
             self.first_steps = np.concatenate((self.first_steps, positive[:_STEPS]))[:_STEPS]
         self.long_steps = np.sort(np.concatenate((self.long_steps, positive)))[-_STEPS:]
+        self.leaps.add(block)
         self._same(t_s, block.gyro_dps)
         self._window(block, dt_s)
 
@@ -264,6 +270,7 @@ class _Tally:
             tuple(self.held_s.items()),
             tuple(self.said),
             self.speed_only or one_speed(left, right),
+            self.leaps.lost,
         )
 
 

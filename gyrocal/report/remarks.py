@@ -247,6 +247,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.WHEELS_SWAPPED: "Left and right wheel are swapped: the truth turns as the gyro does.",
     Said.WHEEL_SIGN: "The {side} wheel counts backwards: its sign is inverted.",
     Said.MISSING_ROWS: "About {count} [row is|rows are] missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
+    Said.WAYS_ADDED: "The way of the wheels is missing with rows, since the row after holds that of one row: {way_m:.3g} m are added at its speed.",
     Said.WHEEL_TURN: "The {side} wheel's distance is modulated every {way_m:.3g} m, once a turn of a wheel of radius "
     "{radius_m:.3g} m.",
     Said.ENCODERS_LATE: "The encoders' counts arrive later than the gyro's rate (a negative delay).",
@@ -294,6 +295,7 @@ _OF_THE_DATA = frozenset(
         Said.SAME_TIMES,
         Said.NO_SPREAD,
         Said.GAPS,
+        Said.WAYS_ADDED,
         Said.EMPTY_WHEEL,
         Said.CALIBRATED,
         Said.GYRO_BRIDGED,

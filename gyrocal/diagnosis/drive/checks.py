@@ -11,6 +11,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries, Floats, usual_step_s
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.errors import DataError
+from gyrocal.navigation.lost_ways import LACKS_A_ROW
 from gyrocal.navigation.sanity import (
     AGAINST_GYRO,
     UNITS,
@@ -35,8 +36,8 @@ _UNIT_FACTOR = 3.0
 _WINDOW_S, _COMMON = 5.0, 0.25
 #: Above this share they are, whatever else is wrong with a wheel.
 _SURELY_COMMON = 0.7
-#: Share of missing rows that is worth a name, and a step of time in usual ones from which a row is missing.
-_LOST, _STEP = 1e-3, 1.8
+#: Share of missing rows that is worth a name.
+_LOST = 1e-3
 #: Steps shorter than this share of the usual one are doubles; time stamps that scatter by more than this share are uneven.
 _DOUBLE, _UNEVEN = 0.2, 0.05
 
@@ -169,7 +170,7 @@ def missing_rows(t_s: Floats) -> Found | None:
     """Rows that the logger lost, told by the gaps in time."""
     steps = np.diff(t_s)
     usual = usual_step_s(t_s)
-    lost = int(np.sum(np.round(steps[steps > _STEP * usual] / usual) - 1))
+    lost = int(np.sum(np.round(steps[steps > LACKS_A_ROW * usual] / usual) - 1))
     if lost <= _LOST * steps.size:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)
@@ -181,7 +182,7 @@ def uneven_clock(t_s: Floats) -> Remark | None:
     """Unsteady time stamps; None where they are steady."""
     steps = np.diff(t_s)
     usual = usual_step_s(t_s)
-    regular = steps[(steps > _DOUBLE * usual) & (steps < _STEP * usual)]
+    regular = steps[(steps > _DOUBLE * usual) & (steps < LACKS_A_ROW * usual)]
     jitter_s = float(np.std(regular) / np.sqrt(2.0)) if regular.size else 0.0
     if jitter_s <= _UNEVEN * usual:
         return None

@@ -15,6 +15,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.navigation.channels import check_cells, check_speed
 from gyrocal.navigation.fixes import wild_fixes, wild_said
+from gyrocal.navigation.lost_ways import lost_ways
 from gyrocal.navigation.survey import one_speed
 from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
@@ -167,7 +168,10 @@ def drive_series(
     DataError
         Too short or without motion, or coefficients without a temperature in the log.
     """
-    t_s = log.t_s
+    t_s, notes = log.t_s, list[Note]()
+    if (lost := lost_ways(log)) is not None:
+        (log,) = lost.completed([log])
+        notes.append(Remark(Said.WAYS_ADDED, {"way_m": lost.way_m}))
     if t_s.size < 100 or t_s[-1] - t_s[0] < _LEAST_S:
         long = float(t_s[-1] - t_s[0]) if t_s.size else 0.0
         raise DataError(
@@ -180,7 +184,6 @@ def drive_series(
     check_cells(source, t_s.size, no_gyro, no_wheel, gyro_dps, temp_c)
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * usual_step_s(t_s)
-    notes: list[Note] = []
     if gap.any():
         longest = int(np.argmax(dt_s))
         facts = {"longest_s": float(dt_s[longest]), "at_s": float(t_s[longest] - dt_s[longest])}

@@ -1,0 +1,95 @@
+"""Rows that went with the way of their wheels, rows whose way was kept, and stamps that come late."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyrocal.navigation.lost_ways import Leaps, lost_ways
+from gyrocal.records.drive import DriveBlock, cut
+
+Floats = NDArray[np.float64]
+
+_STEP_S, _ROWS = 0.02, 4000
+
+
+def drive(seed: int = 0) -> tuple[Floats, Floats, Floats]:
+    """Times, and the way of each side since the row before, of a robot that speeds up and slows down."""
+    t_s: Floats = _STEP_S * np.arange(_ROWS, dtype=np.float64)
+    speed_mps: Floats = np.asarray(0.6 + 0.4 * np.sin(0.3 * t_s), dtype=np.float64)
+    noise: Floats = 1e-4 * np.random.default_rng(seed).standard_normal((2, _ROWS))
+    return t_s, (speed_mps - 0.05) * _STEP_S + noise[0], (speed_mps + 0.05) * _STEP_S + noise[1]
+
+
+def block(t_s: Floats, left_m: Floats, right_m: Floats) -> DriveBlock:
+    nothing = np.full(t_s.size, np.nan)
+    return DriveBlock(2, t_s, left_m, right_m, nothing, nothing, nothing, nothing, nothing)
+
+
+def kept_rows(share: float, seed: int) -> NDArray[np.bool_]:
+    keep = np.random.default_rng([seed, 1]).random(_ROWS) > share
+    keep[0] = True
+    return np.asarray(keep)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_way_of_rows_that_were_lost_is_added(seed: int) -> None:
+    t_s, left, right = drive(seed)
+    keep = kept_rows(0.05, seed)
+    log = block(t_s[keep], left[keep], right[keep])
+    lost = lost_ways(log)
+    assert lost is not None
+    gone = 0.5 * float(np.sum(left[~keep] + right[~keep]))
+    assert lost.rows == np.count_nonzero(~keep)
+    assert lost.way_m == pytest.approx(gone, rel=0.02)
+    (whole,) = lost.completed([log])
+    assert 0.5 * float(np.sum(whole.left_m + whole.right_m)) == pytest.approx(
+        0.5 * np.sum(left + right), rel=1e-3
+    )
+
+
+def test_block_by_block_it_is_the_same() -> None:
+    t_s, left, right = drive()
+    keep = kept_rows(0.05, 0)
+    log = block(t_s[keep], left[keep], right[keep])
+    parts = [cut(log, slice(k, k + 700)) for k in range(0, len(log), 700)]
+    leaps = Leaps()
+    for part in parts:
+        leaps.add(part)
+    whole, by_parts = lost_ways(log), leaps.lost
+    assert whole is not None
+    assert by_parts is not None
+    assert by_parts.rows == whole.rows
+    assert by_parts.way_m == pytest.approx(whole.way_m)
+    (at_once,) = whole.completed([log])
+    pieces = list(whole.completed(parts))
+    np.testing.assert_array_equal(np.concatenate([p.left_m for p in pieces]), at_once.left_m)
+
+
+def test_a_counter_goes_on_counting() -> None:
+    t_s, left, right = drive()
+    keep = kept_rows(0.05, 0)
+    totals = [np.diff(np.cumsum(side)[keep], prepend=0.0) for side in (left, right)]
+    assert lost_ways(block(t_s[keep], *totals)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_stamps_that_come_late_lose_no_way(seed: int) -> None:
+    """The step after is short: no row is missing."""
+    t_s, left, right = drive(seed)
+    late = np.random.default_rng([seed, 2]).random(_ROWS) < 0.05
+    assert lost_ways(block(t_s + 0.9 * _STEP_S * late, left, right)) is None
+
+
+def test_of_few_leaps_or_without_any_nothing_is_said() -> None:
+    t_s, left, right = drive()
+    assert lost_ways(block(t_s, left, right)) is None
+    keep = np.ones(_ROWS, dtype=np.bool_)
+    keep[100:1600:100] = False
+    assert lost_ways(block(t_s[keep], left[keep], right[keep])) is None
+    # A second in which nothing was logged is a gap, and no row.
+    gap = np.ones(_ROWS, dtype=np.bool_)
+    for at in range(200, _ROWS, 120):
+        gap[at : at + 50] = False
+    assert lost_ways(block(t_s[gap], left[gap], right[gap])) is None
