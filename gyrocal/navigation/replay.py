@@ -23,6 +23,7 @@ from gyrocal.navigation.align import (
     position_errors,
 )
 from gyrocal.navigation.channels import check
+from gyrocal.navigation.empty_cells import LONGEST_S, bridged
 from gyrocal.navigation.equip import DriveSource, aligned, equip
 from gyrocal.navigation.fixes import wild_fixes, wild_said
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
@@ -129,16 +130,24 @@ def replay_log(
 
 
 def _completed(source: DriveSource) -> tuple[DriveSource, Survey, list[str]]:
-    """The log with the way of rows that were lost, what it holds then, and what is said of it."""
+    """The log with what it lacks in few rows, what it holds then, and what is said of it."""
     found = survey(source.name, source.blocks())
-    lost = found.lost
-    if lost is None:
-        return source, found, []
+    lost, said = found.lost, list[str]()
+    if lost is None and not (found.bad_gyro or found.bad_encoder):
+        return source, found, said
+    if lost is not None:
+        said.append(str(lost))
+    if found.bad_gyro or found.bad_encoder:
+        said.append(
+            f"empty cells of gyro and wheels over up to {LONGEST_S:g} s are bridged by those beside them"
+        )
 
     def blocks() -> Iterator[DriveBlock]:
-        return lost.completed(source.blocks())
+        return bridged(source.blocks() if lost is None else lost.completed(source.blocks()))
 
-    return replace(source, blocks=blocks), survey(source.name, blocks()), [str(lost)]
+    whole = survey(source.name, blocks())
+    counted = replace(whole, bad_gyro=found.bad_gyro, bad_encoder=found.bad_encoder)
+    return replace(source, blocks=blocks), counted, said
 
 
 def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:

@@ -190,7 +190,11 @@ def test_lost_samples_are_bridged_and_counted() -> None:
     gyro, left = log.gyro_dps.copy(), log.left_m.copy()
     gyro[[300, 301, 900]], left[700] = np.nan, np.nan
     found = replay_log(source(replace(log, gyro_dps=gyro, left_m=left)), robot(), calibration())
-    assert found.notes == ("3 rows without a gyro sample", "1 row without an encoder sample")
+    assert found.notes == (
+        "3 rows without a gyro sample",
+        "1 row without an encoder sample",
+        "empty cells of gyro and wheels over up to 0.5 s are bridged by those beside them",
+    )
     track = found.track("calibrated_filter")
     assert track is not None
     assert track.errors is not None
