@@ -29,6 +29,9 @@ _SATURATED_ROWS = 10
 _ACROSS_MPS2, _SLOW_TURNS_DPS, _RARELY = 20.0, 2.0, 0.99
 #: Wheels that roll less than this over a window stand.
 _STILL_M = 1e-3
+#: Rests of so many bins, in which no wheel moves by more than a bin's share of that, tell the bias; two in a row that differ by so
+#: many standard deviations, and by so much turn on the way from one to the other, are told.
+_REST_BINS, _REST_M, _CHANGED, _CHANGED_DEG = 10, 1e-5, 6.0, 10.0
 #: And a vehicle that goes so far while its gyro reads one number has a gyro that is stuck, or goes straight on.
 _GOES_M = 1.0
 
@@ -105,7 +108,7 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     _check_stuck(found, wheel_separation_m, stuck)
     if found.speed_only:
         return _check_rates(found)
-    return (*_stuck_said(stuck), *_check_turns(found, wheel_separation_m))
+    return (*_stuck_said(stuck), *_check_turns(found, wheel_separation_m), *_rests_said(found))
 
 
 #: From when to when, and how much the wheels do meanwhile.
@@ -134,6 +137,36 @@ def _stuck_said(stuck: _Stuck) -> tuple[str, ...]:
     return (
         f"the gyro reads one number while the wheels turn, from {', '.join(each)}: it was stuck, and from there on the path is off by that",
     )
+
+
+def _rests_said(found: Survey) -> tuple[str, ...]:
+    """That the gyro reads otherwise from one rest to the next: what it turned on the way is off by as much."""
+    rests = [r for r in _rests(found) if r.size >= _REST_BINS]
+    rate_dps = found.gyro_deg / BIN_S
+    # The first and the last bin of a rest may hold a part of the motion.
+    inside = [rate_dps[r[1:-1]] for r in rests]
+    mean_dps = np.array([r.mean() for r in inside])
+    variance = np.array([r.var() / r.size for r in inside])
+    middle_s = np.array([found.bin_s[r].mean() for r in rests])
+    step_dps, way_s = np.diff(mean_dps), np.diff(middle_s)
+    sure = np.abs(step_dps) > _CHANGED * np.sqrt(variance[1:] + variance[:-1])
+    off_deg = np.where(sure, np.abs(step_dps) * way_s, 0.0)
+    if not off_deg.size or off_deg.max() < _CHANGED_DEG:
+        return ()
+    k = int(np.argmax(off_deg))
+    t_s = middle_s + found.t_start_s
+    return (
+        f"the gyro reads {mean_dps[k]:.3g} deg/s at the rest about t_s = {t_s[k]:.0f} and {mean_dps[k + 1]:.3g} at the next, about {t_s[k + 1]:.0f}: its bias "
+        f"changed, and heading and path are off by up to {off_deg[k]:.0f} deg in between; `diagnose --robot` looks when",
+    )
+
+
+def _rests(found: Survey) -> list[NDArray[np.int64]]:
+    """Runs of bins that follow each other, in which no wheel moves."""
+    still = np.flatnonzero(np.abs(found.left_m) + np.abs(found.right_m) < _REST_M)
+    apart = np.diff(still) > 1
+    apart |= np.diff(found.bin_s[still]) > 1.5 * BIN_S
+    return np.split(still, np.flatnonzero(apart) + 1)
 
 
 def _check_stuck(found: Survey, separation_m: float, stuck: _Stuck) -> None:

@@ -28,7 +28,7 @@ _SLIPS = 4
 #: Metres below which an estimate is not worth a sentence, and how many get one.
 _LEAST_M, _MOST = 0.001, 5
 #: Two paths that are nowhere farther apart are one.
-_SAME_PATH_M = 1e-6
+_SAME_PATH_M = 1e-4
 _PATHS = {
     "gyro": "along the gyro's heading",
     "encoders": "along the encoders' heading",
@@ -113,7 +113,7 @@ def _other(a: Alternative) -> str:
 def _shown_sentence(shown: Shown) -> str:
     part = part_words(shown.log, shown.from_share)
     if shown.apart_m < _SAME_PATH_M:
-        return f"On {part}, nothing is put to the test: no figure of the file is another"
+        return f"On {part}, nothing is put to the test: what was found does not move the path along the gyro's heading"
     if not np.isfinite(shown.before_m):
         return f"On {part} the path along the gyro's heading moves by {shown.apart_m:.2g} m rms; there is no truth to say whether for the better"
     before, after = f"{shown.before_m:.3g}", f"{shown.after_m:.3g} m rms"

@@ -347,7 +347,7 @@ def filter_sentence(replays: Sequence[LogReplay]) -> str:
     text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{of_sums}{of_path}{', medians' if many else ''})"
     left = sum(j.left_to_gyro for j in judged) if replays[0].kind == "model" else 0
     if left == len(replays):
-        return f"{text} and is left to the gyro{', which it cannot better here' if holding else ''}."
+        return f"{text} and is left to the gyro{', which it does not promise to better here' if holding else ''}."
     part = f" (on {left} of {len(replays)} logs it is left to the gyro)" if left else ""
     errors = [(a.errors, b.errors) for a, b in pairs if a and b and a.errors and b.errors and a.errors.rows]
     if not errors:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from gyrocal.errors import DataError
 from gyrocal.navigation.channels import check
@@ -17,6 +18,7 @@ from gyrocal.navigation.survey import Survey, survey
 from gyrocal.navigation.yaw import compare_yaw
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.records.drive_log import iterate_drive_log
+from gyrocal.units import DEG_TO_RAD
 from tests.diagnosis.drive.fleet import Plan
 from tests.diagnosis.drive.fleet import drive as fleet_drive
 from tests.navigation.drives import BAD, drive, robot, source
@@ -291,3 +293,29 @@ def test_an_early_stamp_is_no_speed() -> None:
     far = np.where(np.arange(len(log)) == 1500, 100.0, 1.0)
     leap = replace(log, left_m=log.left_m * far, right_m=log.right_m * far)
     assert survey("log", [leap]).max_speed_mps > 50.0 * fast_mps
+
+
+def test_a_bias_that_changed_between_rests_is_said() -> None:
+    """The heading was 36 deg off in between, and the first sentence said that the filter holds."""
+    rng = np.random.default_rng(3)
+    t_s: NDArray[np.float64] = 0.02 * np.arange(9000, dtype=np.float64)
+    moving = (t_s % 60.0) > 20.0
+    way = np.where(moving, 0.01, 0.0)
+    turn = np.where(moving, 20.0 * np.sin(0.5 * t_s), 0.0)
+    apart = turn * DEG_TO_RAD * 0.02 * 0.5
+    nothing = np.full(t_s.size, np.nan)
+
+    def said(jump_dps: float) -> tuple[str, ...]:
+        gyro = turn + 0.1 + jump_dps * (t_s > 90.0) + 0.05 * rng.standard_normal(t_s.size)
+        log = DriveBlock(
+            2, t_s, way - 0.5 * apart, way + 0.5 * apart, gyro, nothing, nothing, nothing, nothing
+        )
+        return check(survey("log", [log]), 0.5)
+
+    (text,) = said(0.5)
+    assert text.startswith(
+        "the gyro reads 0.1 deg/s at the rest about t_s = 70 and 0.6 at the next, about 130"
+    )
+    assert "off by up to 30 deg" in text
+    assert said(0.0) == ()
+    assert said(0.1) == ()
