@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -16,7 +17,7 @@ from gyrocal.bench.registry import GYROS
 from gyrocal.bench.schema import read_table
 from gyrocal.errors import GyrocalError, InputError, OutputError
 from gyrocal.records.files import raise_output_error, writing_atomically
-from gyrocal.records.raw import RawWriter, iterate_raw, read_raw_head
+from gyrocal.records.raw import RawWriter, is_cut_off, iterate_raw, read_raw_head
 
 #: What a port calls with each chunk of bytes: direction (``b"<"`` came, ``b">"`` was sent) and the bytes.
 Tap = Callable[[bytes, bytes], None]
@@ -99,11 +100,12 @@ class RawCapture:
 
 @dataclass(frozen=True)
 class Decoded:
-    """What a capture held."""
+    """What a capture held, from its first bytes to its last; and whether it ends in the middle of a line."""
 
     device: str
     health: StreamHealth
     duration_s: float
+    cut_off: bool
 
 
 def decode_capture(path: Path, out: Path) -> Decoded:
@@ -123,12 +125,14 @@ def decode_capture(path: Path, out: Path) -> Decoded:
             f"{path}: is of {head.get('device')!r}, and only gyros are decoded ({', '.join(GYROS)})."
         )
     decoder = kind.decoder(read_table(kind.options, head.get("options", {}), str(path), "options"))
-    t_s = 0.0
+    first_s = t_s = math.nan
     with writing_atomically(out) as f:
         f.write(b"t_s,gyro_dps,gyro_temp_c,status,sequence\n")
         for t_s, data in iterate_raw(path):
+            first_s = t_s if math.isnan(first_s) else first_s
             f.writelines(_row(t_s, frame) for frame in decoder.feed(data))
-    return Decoded(str(head["device"]), decoder.health(), t_s)
+    duration_s = 0.0 if math.isnan(first_s) else t_s - first_s
+    return Decoded(str(head["device"]), decoder.health(), duration_s, is_cut_off(path))
 
 
 def _row(t_s: float, frame: Frame) -> bytes:

@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 ALARM_RATE = 0.01
 #: Share of the units that may be out of line at the most (Rosner's test looks for so many at once).
 _MOST_OUTLYING = 0.2
+#: So many recordings of a model are listed where there are several models.
+_FEW = 3
 #: Units below which neither is looked for.
 LEAST_UNITS = 5
 
@@ -226,9 +228,16 @@ def compare_units(units: Sequence[Unit]) -> Fleet:
         raise DataError(
             f"None of the {len(units)} recordings can be fitted; the first says: {units[0].error}"
         )
-    models = sorted({unit.model for unit in good if unit.model})
+    models: dict[str, list[str]] = {}
+    for unit in good:
+        models.setdefault(unit.model, []).append(unit.source)
+    models.pop("", None)
     if len(models) > 1:
-        raise DataError(f"The recordings are of {', '.join(models)}: compare units of one model.")
+        each = sorted(
+            f"{model} ({', '.join(sources[:_FEW])}{', …' if len(sources) > _FEW else ''})"
+            for model, sources in models.items()
+        )
+        raise DataError(f"The recordings are of {', '.join(each)}: compare units of one model.")
     ordered = sorted(units, key=lambda unit: (_natural(unit.serial), unit.created_utc, unit.source))
     table = _table([unit for unit in ordered if not unit.error])
     return Fleet(

@@ -39,7 +39,12 @@ def command(capture: Path, output: Path, overwrite: bool, as_json: bool) -> None
     decoded = decode_capture(capture, output)
     if as_json:
         emit_json(
-            {"device": decoded.device, "duration_s": decoded.duration_s, "health": asdict(decoded.health)}
+            {
+                "device": decoded.device,
+                "duration_s": decoded.duration_s,
+                "cut_off": decoded.cut_off,
+                "health": asdict(decoded.health),
+            }
         )
         return
     h = decoded.health
@@ -48,3 +53,7 @@ def command(capture: Path, output: Path, overwrite: bool, as_json: bool) -> None
         f"{h.bytes_skipped} of {h.bytes_in} bytes skipped, {h.sequence_gaps} gaps in the counter, "
         f"{h.status_bad} that the device calls bad. Written to {output}."
     )
+    if decoded.cut_off:
+        click.echo(
+            f"{capture} ends in the middle of a line: by a crash, or a copy that was not finished. What came after is not in it."
+        )

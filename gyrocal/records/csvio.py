@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import NoReturn
 
 import numpy as np
 import pandas as pd
@@ -33,7 +33,8 @@ _BRACKETS = re.compile(r"[\[(].*")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 #: Bytes that a row of numbers can hold; a look-up table is the fastest way to meet every byte of a long file.
 _ALLOWED = np.zeros(256, dtype=np.bool_)
-_ALLOWED[list(b"0123456789+-.,eE \t\r\nnaifityNAIFTY")] = True
+# Spreadsheets put cells into quotes.
+_ALLOWED[list(b'0123456789+-.,eE \t\r\nnaifityNAIFTY"')] = True
 
 
 def read_header(path: Path) -> list[str]:
@@ -210,7 +211,7 @@ def _raise_at_bad_line(
 ) -> NoReturn:
     try:
         with reading(path), path.open(encoding="utf-8-sig", errors="replace", newline="") as f:
-            for number, row in enumerate(csv.reader(f, quoting=_quoting(header, wanted)), start=1):
+            for number, row in enumerate(csv.reader(f), start=1):
                 if number == 1:
                     continue
                 if not any(cell.strip() for cell in row) and len(row) < 2 <= len(header):
@@ -243,10 +244,6 @@ def _raise_at_bad_line(
             f"{path}: its lines end with carriage returns alone. Save it with the line ends of Unix or Windows."
         ) from cause
     raise InputError(f"{path}: cannot be parsed as CSV ({cause or 'unexpected bytes'}).") from cause
-
-
-def _quoting(header: Sequence[str], wanted: Sequence[str]) -> Literal[0, 3]:
-    return csv.QUOTE_NONE if len(wanted) == len(header) else csv.QUOTE_MINIMAL
 
 
 def format_columns(columns: dict[str, tuple[Floats, str]]) -> str:

@@ -37,7 +37,7 @@ _DAMAGED = ("parts of the file are damaged and left out",)
 _TELEMETRY = ".tlog"
 
 #: Of a log whose gyro says nothing.
-ALL_EMPTY = "every sample of the gyro is empty or not finite. Check its column, and log again."
+ALL_EMPTY = "fewer than two samples of the gyro are there that are neither empty nor infinite. Check its column, and log again."
 
 
 @dataclass(frozen=True)

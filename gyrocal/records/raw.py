@@ -7,6 +7,7 @@ run began and the bytes in hexadecimal; ``>`` before the bytes marks what was se
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -80,6 +81,13 @@ def _is_head(head: Any) -> bool:
     if not isinstance(head, dict) or head.get("schema") != SCHEMA:
         return False
     return isinstance(head.get("device"), str) and isinstance(head.get("options", {}), dict)
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether a capture ends in the middle of a line: by a crash, or a copy that was not finished."""
+    with reading(path), path.open("rb") as f:
+        f.seek(-1, os.SEEK_END)
+        return f.read(1) != b"\n"
 
 
 def iterate_raw(path: Path) -> Iterator[tuple[float, bytes]]:

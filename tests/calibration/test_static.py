@@ -330,7 +330,11 @@ def test_a_run_s_long_record(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "row", "said"),
     [
-        ("t_s,gyro_dps", "{t},nan", "every sample of the gyro is empty or not finite. Check its column"),
+        (
+            "t_s,gyro_dps",
+            "{t},nan",
+            "fewer than two samples of the gyro are there that are neither empty nor infinite. Check its column",
+        ),
         ("t_s,gyro_dps", "7,0.1", "t_s is 7 in every row. Log the time of each sample"),
         (
             "t_s,rate_dps,gyro_dps,temp_c",

@@ -93,6 +93,14 @@ def test_quoted_names_are_names(tmp_path: Path) -> None:
     assert read(path)["b"] == [2.0]
 
 
+def test_quoted_numbers_are_numbers(tmp_path: Path) -> None:
+    """As spreadsheets write them; a decimal comma in quotes is none, and a quote that never ends takes nothing along."""
+    assert read(write(tmp_path / "x.csv", '"a","b"\n"1","-2.5"\n"3",""\n'))["b"][0] == -2.5
+    for rows in ('"1,5","2"\n', '1,"2\n3,4\n5,6\n', '1,2\n3,4"\n'):
+        with pytest.raises(InputError, match=r"x\.csv"):
+            read(write(tmp_path / "x.csv", f"a,b\n{rows}"))
+
+
 def test_a_date_is_told_from_a_wrong_number(tmp_path: Path) -> None:
     path = write(tmp_path / "x.csv", "t_s,b\n2026-11-23T08:00:00,1\n")
     with pytest.raises(InputError, match=r"line 2: t_s is .*, a date\. Write seconds"):
@@ -106,7 +114,7 @@ def test_lines_that_end_with_carriage_returns_alone_are_told(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    "cell", ["ten", "True", "1_0", "0x10", "NULL", "NA", "1;2", '"2"', "1 2", "--1", "é", "1e", "\0"]
+    "cell", ["ten", "True", "1_0", "0x10", "NULL", "NA", "1;2", '"ten"', "1 2", "--1", "é", "1e", "\0"]
 )
 def test_what_is_not_a_number_is_named(tmp_path: Path, cell: str) -> None:
     path = write(tmp_path / "x.csv", f"a,b\n1,2\n3,{cell}\n")

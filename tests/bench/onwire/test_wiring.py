@@ -340,7 +340,10 @@ def test_a_capture_keeps_both_directions_and_decodes_one(tmp_path: Path) -> None
         path = tmp_path / "raw" / f"gyro-{number}.raw"
         assert path.read_text().splitlines()[1].endswith(" >525252")
         assert [data for _, data in iterate_raw(path)] == [b"\r\n       0.015733   1\r\n"]
-        assert decode_capture(path, tmp_path / f"{number}.csv").health.frames_good == 1
+        decoded = decode_capture(path, tmp_path / f"{number}.csv")
+        assert (decoded.health.frames_good, decoded.duration_s, decoded.cut_off) == (1, 0.0, False)
+        path.write_bytes(path.read_bytes()[:-3])
+        assert decode_capture(path, tmp_path / f"{number}.csv").cut_off
 
 
 def test_a_capture_on_a_full_disk_ends_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
