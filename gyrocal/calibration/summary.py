@@ -24,7 +24,8 @@ _NO_HELP, _MOST_STRAY = 2.0, 0.4
 _PPM, _MDPS = 1e6, 1e3
 
 #: Coordinates of the structure tests, in words.
-_WORDS = {
+#: What the residual is tested for structure over, in words.
+STRUCTURE_WORDS = {
     "rate": "rate",
     "temperature": "temperature",
     "time": "time",
@@ -65,8 +66,8 @@ def _structure_part(c: Calibration) -> str:
         return "too few data sets to test the residual for structure"
     worst = p_equals(min(t.p_holm for t in c.structure))
     if c.structured:
-        return f"the residual is structured in {', '.join(_WORDS[name] for name in c.structured)} ({worst})"
-    over = ", ".join(_WORDS[t.coordinate] for t in c.structure)
+        return f"the residual is structured in {', '.join(STRUCTURE_WORDS[name] for name in c.structured)} ({worst})"
+    over = ", ".join(STRUCTURE_WORDS[t.coordinate] for t in c.structure)
     return f"no structure in the residual over {over} (smallest {worst})"
 
 
@@ -313,7 +314,7 @@ def _left_out_table(c: Calibration) -> Table:
 def _structure_table(c: Calibration) -> Table:
     rows = tuple(
         (
-            _WORDS[t.coordinate],
+            STRUCTURE_WORDS[t.coordinate],
             f"{t.statistic:.3g}",
             str(t.dof),
             f"{t.p_holm:.2g}",

@@ -11,6 +11,7 @@ import numpy as np
 import gyrocal
 from gyrocal.calibration.material import Material, Progress
 from gyrocal.calibration.residuals import ALARM_RATE
+from gyrocal.calibration.summary import STRUCTURE_WORDS
 from gyrocal.report import tables
 from gyrocal.report.drawings import DRAWINGS
 from gyrocal.report.page import Page, Picture, Table, render_page
@@ -149,11 +150,10 @@ def _structure(m: Material) -> list[str]:
     p_values = m.coefficients.figures.get("fit", {}).get("structure_p_values", {})
     if not (m.own and p_values):
         return []
-    found = [f"{name.replace('_', ' ')} ({p_equals(p)})" for name, p in p_values.items() if p < ALARM_RATE]
+    p_values = {STRUCTURE_WORDS.get(name, name): p for name, p in p_values.items()}
+    found = [f"{name} ({p_equals(p)})" for name, p in p_values.items() if p < ALARM_RATE]
     if not found:
-        return [
-            f"Over {', '.join(name.replace('_', ' ') for name in p_values)} the residual holds no structure beyond its noise."
-        ]
+        return [f"Over {', '.join(p_values)} the residual holds no structure beyond its noise."]
     return [
         f"The residual is structured in {', '.join(found)}: `gyrocal diagnose` looks for the physics behind it."
     ]
