@@ -24,7 +24,8 @@ def nominal_rates(rate_dps: Floats) -> Floats | None:
     """The rate that each row was meant to have, shape (n,); None where readings do not scatter about rates that come again.
 
     Gaps between readings of one rate and gaps between rates are of two kinds: where the first ends and the second begins, a
-    gap is several times the one before it. A rate is meant both ways alike, and a rest is one.
+    gap is several times the one before it. A rate is meant both ways alike. What is gathered about zero stays as it was read:
+    a rest, and slow rates beside it, of which a dead zone knows.
     """
     if 2 * np.unique(np.round(rate_dps, _TOLD)).size <= rate_dps.size:
         return None
@@ -34,9 +35,10 @@ def nominal_rates(rate_dps: Floats) -> Floats | None:
     gaps = np.sort(steps)
     for narrowest in gaps[1:][gaps[1:] > _APART * gaps[:-1]]:
         rate = np.append(0, np.cumsum(steps >= narrowest))[row]
-        mean_dps = np.round(np.bincount(rate, either_dps) / np.bincount(rate), _MEAN)
-        if _are_rates(rate[: rate_dps.size], rate_dps - mean_dps[rate[: rate_dps.size]]):
-            return np.asarray(mean_dps[rate[: rate_dps.size]])
+        mean_dps = np.round(np.bincount(rate, either_dps) / np.bincount(rate), _MEAN)[rate[: rate_dps.size]]
+        turning = mean_dps != 0.0
+        if _are_rates(rate[: rate_dps.size][turning], (rate_dps - mean_dps)[turning]):
+            return np.where(turning, mean_dps, rate_dps)
     return None
 
 
@@ -44,7 +46,7 @@ def _are_rates(rate: NDArray[np.int64], off_dps: Floats) -> bool:
     """Whether rows come to numbered rates again, and scatter about all of them alike."""
     visits, squares = np.bincount(rate), np.bincount(rate, off_dps**2)
     again = visits[visits > 0] > 1
-    if 2 * again.size > rate.size or np.mean(again) < _COME_AGAIN:
+    if not rate.size or 2 * again.size > rate.size or np.mean(again) < _COME_AGAIN:
         return False
     scatter = np.sqrt(squares[visits > 1] / visits[visits > 1])
     return bool(np.max(scatter) < _ALIKE * np.median(scatter))
@@ -74,9 +76,10 @@ def at_nominal(
         return float(np.linalg.norm(error - columns @ np.linalg.lstsq(columns, error, rcond=None)[0]))
 
     follows = left_dps(moved_dps) < left_dps(gyro_dps)
+    gathered = nominal_dps != rate_dps
     facts = {
-        "rms_dps": float(np.std(rate_dps - nominal_dps)),
-        "rates": int(np.unique(nominal_dps).size),
+        "rms_dps": float(np.std((rate_dps - nominal_dps)[gathered])),
+        "rates": int(np.unique(nominal_dps[gathered]).size),
         "does": "follows" if follows else "does not follow",
     }
     return nominal_dps, moved_dps if follows else gyro_dps, [Remark(Said.NOMINAL_RATES, facts)]

@@ -27,7 +27,7 @@ def laws(tmp_path_factory: pytest.TempPathFactory) -> Laws:
 
 @pytest.mark.parametrize("effect_id", ON_ROBOTS)
 def test_a_law_that_has_a_name_is_the_one_that_a_robot_evaluates(laws: Laws, effect_id: str) -> None:
-    """A robot has no rate of its temperature but the one that it derives; its samples are as noisy as those of the bench."""
+    """Its samples are as noisy as those of the bench; but for the rate of the temperature, which a whole record knows and a robot derives as it goes."""
     effect, c = CATALOGUE[effect_id], laws.conditions
     robot = Conditions(
         c.t_s,
@@ -35,6 +35,7 @@ def test_a_law_that_has_a_name_is_the_one_that_a_robot_evaluates(laws: Laws, eff
         c.temp_c,
         since_power_on_s=c.since_power_on_s,
         supply_v=c.supply_v,
+        temp_rate_c_per_s=c.temp_rate_c_per_s,
         sample_std_dps=c.sample_std_dps,
     )
     for trial in laws.trials(effect)[:3]:
