@@ -23,7 +23,6 @@ _LISTED = 12
 _NO_HELP, _MOST_STRAY = 2.0, 0.4
 _PPM, _MDPS = 1e6, 1e3
 
-#: Coordinates of the structure tests, in words.
 #: What the residual is tested for structure over, in words.
 STRUCTURE_WORDS = {
     "rate": "rate",

@@ -34,10 +34,11 @@ def nominal_rates(rate_dps: Floats) -> Floats | None:
     steps = np.diff(readings)
     gaps = np.sort(steps)
     for narrowest in gaps[1:][gaps[1:] > _APART * gaps[:-1]]:
-        rate = np.append(0, np.cumsum(steps >= narrowest))[row]
-        mean_dps = np.round(np.bincount(rate, either_dps) / np.bincount(rate), _MEAN)[rate[: rate_dps.size]]
+        either = np.append(0, np.cumsum(steps >= narrowest))[row]
+        rate = either[: rate_dps.size]
+        mean_dps = np.round(np.bincount(either, either_dps) / np.bincount(either), _MEAN)[rate]
         turning = mean_dps != 0.0
-        if _are_rates(rate[: rate_dps.size][turning], (rate_dps - mean_dps)[turning]):
+        if _are_rates(rate[turning], (rate_dps - mean_dps)[turning]):
             return np.where(turning, mean_dps, rate_dps)
     return None
 

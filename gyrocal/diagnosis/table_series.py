@@ -240,8 +240,7 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
     sound = left <= OUTLIER_SIGMAS * STDS_PER_MAD * np.median(left)
     along = (read_c - course_c) * slope_by_temperature(rate_dps, course_c, frame, surface)
     return any(
-        _follows(along[sound], error[sound], free[sound])
-        for free in (columns, np.column_stack([columns, *_beyond_surface(rate_dps)]))
+        _follows(along[sound], error[sound], free[sound]) for free in (columns, _free(rate_dps, course_c))
     )
 
 

@@ -22,16 +22,20 @@ def bridged(blocks: Iterable[DriveBlock]) -> Iterator[DriveBlock]:
     last_s = np.nan
     for block in blocks:
         dt_s = np.diff(block.t_s, prepend=last_s)
-        way = dt_s > 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sides = [np.where(way, m / dt_s, np.nan) for m in (block.left_m, block.right_m)]
-        speeds = [c.filled(block.t_s, mps) for c, mps in zip((left, right), sides, strict=True)]
-        ways = [
-            np.where(np.isfinite(m) | ~way, m, mps * dt_s)
-            for m, mps in zip((block.left_m, block.right_m), speeds, strict=True)
-        ]
-        yield replace(block, gyro_dps=gyro.filled(block.t_s, block.gyro_dps), left_m=ways[0], right_m=ways[1])
+        yield replace(
+            block,
+            gyro_dps=gyro.filled(block.t_s, block.gyro_dps),
+            left_m=_ways(left, block.t_s, dt_s, block.left_m),
+            right_m=_ways(right, block.t_s, dt_s, block.right_m),
+        )
         last_s = float(block.t_s[-1]) if len(block) else last_s
+
+
+def _ways(speed: _Channel, t_s: Floats, dt_s: Floats, way_m: Floats) -> Floats:
+    """Ways of one side, those of empty cells by its speed."""
+    goes = dt_s > 0.0
+    speed_mps = np.divide(way_m, dt_s, out=np.full(way_m.shape, np.nan), where=goes)
+    return np.where(np.isfinite(way_m) | ~goes, way_m, speed.filled(t_s, speed_mps) * dt_s)
 
 
 class _Channel:

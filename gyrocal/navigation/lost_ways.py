@@ -19,7 +19,7 @@ from gyrocal.units import plural
 Floats = NDArray[np.float64]
 
 #: A step of the time of so many usual ones lacks a row; in one of more than this nobody knows what the wheels did.
-LACKS_A_ROW, _GAP = 1.8, 5.0
+LACKS_A_ROW, GAP_STEPS = 1.8, 5.0
 #: So many moving rows after leaps tell what became of the way.
 _FEWEST = 20
 
@@ -49,9 +49,8 @@ class LostWays:
         """Blocks of the log with the way of all the time that has passed in each row."""
         last_s = np.nan
         for block in blocks:
-            times = np.where(
-                _leaps(steps := np.diff(block.t_s, prepend=last_s), self.usual_s), steps / self.usual_s, 1.0
-            )
+            step_s = np.diff(block.t_s, prepend=last_s)
+            times = np.where(_leaps(step_s, self.usual_s), step_s / self.usual_s, 1.0)
             yield replace(block, left_m=block.left_m * times, right_m=block.right_m * times)
             last_s = float(block.t_s[-1])
 
@@ -77,7 +76,7 @@ class Leaps:
         before_m = np.append(self._last_way_m, way_m[:-1])
         leaps = _leaps(step_s, self._usual_s) & np.isfinite(way_m + before_m) & (before_m > 0.0)
         passed = step_s[leaps] / (self._usual_s or 1.0)
-        sound = (step_s >= 0.0) & (step_s <= _GAP * self._usual_s)
+        sound = (step_s >= 0.0) & (step_s <= GAP_STEPS * self._usual_s)
         # Stamps that come late have others that come early beside them; where rows are missing time goes on without.
         self._late += float(np.sum(step_s[sound])) / (self._usual_s or 1.0) - np.count_nonzero(sound)
         self._rows += passed.size
@@ -109,4 +108,4 @@ def lost_ways(log: DriveBlock) -> LostWays | None:
 
 
 def _leaps(step_s: Floats, usual_s: float) -> NDArray[np.bool_]:
-    return np.asarray((step_s > LACKS_A_ROW * usual_s) & (step_s <= _GAP * usual_s) & (usual_s > 0.0))
+    return np.asarray((step_s > LACKS_A_ROW * usual_s) & (step_s <= GAP_STEPS * usual_s) & (usual_s > 0.0))

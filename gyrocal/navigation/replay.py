@@ -132,12 +132,12 @@ def replay_log(
 def _completed(source: DriveSource) -> tuple[DriveSource, Survey, list[str]]:
     """The log with what it lacks in few rows, what it holds then, and what is said of it."""
     found = survey(source.name, source.blocks())
-    lost, said = found.lost, list[str]()
-    if lost is None and not (found.bad_gyro or found.bad_encoder):
+    lost, said, empty = found.lost, list[str](), found.bad_gyro + found.bad_encoder
+    if lost is None and not empty:
         return source, found, said
     if lost is not None:
         said.append(str(lost))
-    if found.bad_gyro or found.bad_encoder:
+    if empty:
         said.append(
             f"empty cells of gyro and wheels over up to {LONGEST_S:g} s are bridged by those beside them"
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.navigation.lost_ways import Leaps, LostWays
+from gyrocal.navigation.lost_ways import GAP_STEPS, Leaps, LostWays
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.units import RAD_TO_DEG, plural
 
@@ -122,7 +122,7 @@ class Survey:
                 "[row|rows] without a count of the wheels, whose way stands in the next one that has",
             ),
             (self.duplicates, "[row|rows] with the time of the row before"),
-            (self.gaps, "[gap|gaps] of more than 5 usual steps"),
+            (self.gaps, f"[gap|gaps] of more than {GAP_STEPS:g} usual steps"),
             (
                 self.half_fixes,
                 "[row has|rows have] one of truth_x_m and truth_y_m only, which is no position, and [is|are] not used as one",
@@ -236,7 +236,7 @@ class _Tally:
     def result(self, source: str) -> Survey:
         bin_s, left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
         usual_dt_s = float(np.median(self.first_steps)) if self.first_steps.size else 0.0
-        gaps = int(np.count_nonzero(self.long_steps > 5.0 * usual_dt_s))
+        gaps = int(np.count_nonzero(self.long_steps > GAP_STEPS * usual_dt_s))
         fastest_dps = max(map(abs, self.gyro_dps))
         return Survey(
             source,
