@@ -65,7 +65,7 @@ from gyrocal.physics.lacking import Reason
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
 from gyrocal.physics.surface import RATE_ORDER
 from gyrocal.physics.terms import Term
-from gyrocal.physics.thermal import RATE_HEATING, SHUPE
+from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SMOOTHING_S
 from gyrocal.physics.timewise import WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
@@ -134,11 +134,11 @@ def diagnose(
     level = (options := options or Options()).false_alarm_rate
     notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
-    series, found, findings, lost = _taken_apart(whole, recorded.gyro_dps, level)
+    series, found, findings, lost = _taken_apart(whole, recorded.gyro_dps, level, coefficients)
     stairs = staircase(found.naming.fitted, layers_of(found, level) if options.heldout else [], options.seed)
     withheld = doubtful(found)
     surface, improved = surface_alone(found), correction(found, withheld)
-    parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), _named(found, coefficients)
+    parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), named_effects(found)
     written, why_not = _written(found, improved, surface, stairs.total, (layered, parts))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)
     names = [*layered, *map(_found, findings)]
@@ -174,18 +174,19 @@ def diagnose(
     )
 
 
-def _named(found: Examination, coefficients: Coefficients | None) -> list[NamedEffect]:
-    """What has a name; that the error is a cubic of the true rate has none beside a file to simulate from that has it already."""
-    of_input = coefficients is not None and coefficients.surface.direction == "input"
-    return [e for e in named_effects(found) if not (of_input and e.effect == FIT_DIRECTION.id)]
+def _beside(found: Examination, coefficients: Coefficients | None) -> Examination:
+    """What was found beside a file to simulate from: that the error is a cubic of the true rate is none where the file's is already."""
+    if coefficients is None or coefficients.surface.direction != "input":
+        return found
+    return replace(found, naming=replace(found.naming, input_gain=0.0))
 
 
 def _taken_apart(
-    whole: Series, output_dps: Floats, level: float
+    whole: Series, output_dps: Floats, level: float, coefficients: Coefficients | None
 ) -> tuple[Series, Examination, list[Finding], list[Remark]]:
     """The rows that tell of the surface, what they were taken apart into, what the others tell, and what rounding hides."""
     series, findings, gross = set_aside(whole, output_dps)
-    found, lost = beyond_rounding(examine(series, level))
+    found, lost = beyond_rounding(_beside(examine(series, level), coefficients))
     findings += stray_findings(whole, gross.joined(found.strays))
     return without(series, found.strays.numbers), found, findings, lost
 
@@ -259,6 +260,7 @@ def _of_file(
         *remarks,
         *([Remark(Said.INPUT_ALREADY, {"alone": False})] if of_input else []),
         *_laws_written(layered, written),
+        *_later_on_a_robot(found.series, written),
         *_also_written(layered, parts, written),
         *_held(found, layered),
     ]
@@ -317,6 +319,22 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list
     mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
     lacking = [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
     return lacking if SAGNAC_SINE.id in mine else [*lacking, *_sines(written)]
+
+
+def _later_on_a_robot(series: Series, written: Coefficients) -> list[Remark]:
+    """What laws of the temperature's rate leave at run time, where it is that of the course up to then and not of the whole one."""
+    known = conditions_of(series)
+    by_then, effects, late_dps = replace(known, temp_rate_c_per_s=None), list[str](), np.zeros(len(series))
+    for term in written.terms:
+        if isinstance(term, Term) and not series.is_table:
+            late = [term.error_dps(c, written.surface) for c in (known, by_then)]
+            if np.any(late[0] != late[1]):
+                effects.append(term.effect)
+                late_dps += late[0] - late[1]
+    if not effects:
+        return []
+    facts = {"effects": effects, "late_s": SMOOTHING_S, "late_dps": float(np.sqrt(np.mean(late_dps**2)))}
+    return [Remark(Said.LATER_ON_A_ROBOT, facts)]
 
 
 def _not_testable(series: Series, names: Sequence[NamedEffect]) -> dict[str, Reason]:

@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 _APART = 5.0
 #: Most of the rates that are meant come again, and none scatters by more than so many times what they mostly do.
 _COME_AGAIN, _ALIKE = 0.8, 4.0
+#: Readings of both ways are off alike where their mean is so many standard deviations from none.
+_SURELY = 2.0
 #: Digits of a rate that a table was told, and of a mean of readings.
 _TOLD, _MEAN = 3, 6
 
@@ -25,7 +27,8 @@ def nominal_rates(rate_dps: Floats) -> Floats | None:
 
     Gaps between readings of one rate and gaps between rates are of two kinds: where the first ends and the second begins, a
     gap is several times the one before it. A rate is meant both ways alike. What is gathered about zero stays as it was read:
-    a rest, and slow rates beside it, of which a dead zone knows.
+    a rest, and slow rates beside it, of which a dead zone knows. What the readings are surely off by both ways stays, too,
+    such as the Earth's rate: it is no scatter, and without it a bias would be another one.
     """
     if 2 * np.unique(np.round(rate_dps, _TOLD)).size <= rate_dps.size:
         return None
@@ -38,9 +41,16 @@ def nominal_rates(rate_dps: Floats) -> Floats | None:
         rate = either[: rate_dps.size]
         mean_dps = np.round(np.bincount(either, either_dps) / np.bincount(either), _MEAN)[rate]
         turning = mean_dps != 0.0
-        if _are_rates(rate[turning], (rate_dps - mean_dps)[turning]):
-            return np.where(turning, mean_dps, rate_dps)
+        off_dps = rate_dps - mean_dps
+        if _are_rates(rate[turning], off_dps[turning]):
+            return np.where(turning, mean_dps + _common(off_dps[turning]), rate_dps)
     return None
+
+
+def _common(off_dps: Floats) -> float:
+    """Mean of what readings are off by; 0 where it may be chance."""
+    mean_dps = float(np.round(np.mean(off_dps), _MEAN))
+    return mean_dps if abs(mean_dps) > _SURELY * np.std(off_dps) / np.sqrt(off_dps.size) else 0.0
 
 
 def _are_rates(rate: NDArray[np.int64], off_dps: Floats) -> bool:

@@ -38,6 +38,7 @@ class Said(Enum):
     ALSO_WRITTEN = auto()
     STATE_AT_END = auto()
     NOT_LOGGED_MEANWHILE = auto()
+    LATER_ON_A_ROBOT = auto()
     GIVE_TIMES = auto()
     WANDERS = auto()
     MEAN_OF_DRIFT = auto()
@@ -113,6 +114,7 @@ OF_COEFFICIENTS = frozenset(
         Said.LAW_NOT_WRITTEN,
         Said.ALSO_WRITTEN,
         Said.SINE_WRITTEN,
+        Said.LATER_ON_A_ROBOT,
         Said.OPEN_SINCE_POWER_ON,
         Said.STATE_AT_END,
         Said.MEAN_OF_DRIFT,

@@ -162,8 +162,8 @@ def _rests_said(found: Survey) -> tuple[str, ...]:
 
 
 def _rests(found: Survey) -> list[NDArray[np.int64]]:
-    """Runs of bins that follow each other, in which no wheel moves."""
-    still = np.flatnonzero(np.abs(found.left_m) + np.abs(found.right_m) < _REST_M)
+    """Runs of bins that follow each other, in which no wheel moves and no cell is empty."""
+    still = np.flatnonzero(found.known & (np.abs(found.left_m) + np.abs(found.right_m) < _REST_M))
     apart = np.diff(still) > 1
     apart |= np.diff(found.bin_s[still]) > 1.5 * BIN_S
     return np.split(still, np.flatnonzero(apart) + 1)

@@ -27,12 +27,14 @@ from gyrocal.navigation.empty_cells import LONGEST_S, bridged
 from gyrocal.navigation.equip import DriveSource, aligned, equip
 from gyrocal.navigation.fixes import wild_fixes, wild_said
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
+from gyrocal.navigation.lost_ways import FEWEST, lost_ways
 from gyrocal.navigation.observability import Observability, observability
 from gyrocal.navigation.sanity import truth_fault, truth_part_fault, turned_deg
 from gyrocal.navigation.survey import Survey, survey
 from gyrocal.navigation.track import CONDITIONS, Condition, Recorder, Track
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot
+from gyrocal.units import plural
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -132,22 +134,30 @@ def replay_log(
 def _completed(source: DriveSource) -> tuple[DriveSource, Survey, list[str]]:
     """The log with what it lacks in few rows, what it holds then, and what is said of it."""
     found = survey(source.name, source.blocks())
-    lost, said, empty = found.lost, list[str](), found.bad_gyro + found.bad_encoder
-    if lost is None and not empty:
-        return source, found, said
-    if lost is not None:
-        said.append(str(lost))
-    if empty:
-        said.append(
-            f"empty cells of gyro and wheels over up to {LONGEST_S:g} s are bridged by those beside them"
-        )
+    lost = lost_ways(source.blocks(), found.usual_dt_s) if found.leaps >= FEWEST else None
+    if lost is None and not found.bad_gyro + found.bad_encoder:
+        return source, found, []
 
     def blocks() -> Iterator[DriveBlock]:
         return bridged(source.blocks() if lost is None else lost.completed(source.blocks()))
 
     whole = survey(source.name, blocks())
-    counted = replace(whole, bad_gyro=found.bad_gyro, bad_encoder=found.bad_encoder)
-    return replace(source, blocks=blocks), counted, said
+    said = [str(lost)] if lost is not None else []
+    filled = (found.bad_gyro - whole.bad_gyro, found.bad_encoder - whole.bad_encoder)
+    if any(filled):
+        gyro, wheels = (f"{n} {plural(n, '[row|rows]')}" for n in filled)
+        said.append(
+            f"empty cells are bridged by those beside them, of the gyro in {gyro} and of the wheels in {wheels}; stretches over {LONGEST_S:g} s stay empty"
+        )
+    # What is said of the log's own cells, and held against them, is of those alone.
+    own = replace(
+        whole,
+        bad_gyro=found.bad_gyro,
+        bad_encoder=found.bad_encoder,
+        longest_extreme=found.longest_extreme,
+        held_s=found.held_s,
+    )
+    return replace(source, blocks=blocks), own, said
 
 
 def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:

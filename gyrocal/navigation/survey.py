@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.navigation.lost_ways import GAP_STEPS, Leaps, LostWays
+from gyrocal.navigation.lost_ways import GAP_STEPS, LACKS_A_ROW
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
 from gyrocal.units import RAD_TO_DEG, plural
 
@@ -52,6 +52,10 @@ class Survey:
     bad_gyro, bad_encoder, late_counts, duplicates, gaps : int
         Rows with an empty cell; rows without a count, whose way the next one tells; rows with the time of the row before;
         steps above 5 times the usual one.
+    leaps : int
+        Steps in which a row is missing or several are, but no gap.
+    known : ndarray of bool, shape (bins,)
+        Whether no cell of gyro or wheels is empty in the bin.
     fastest_line : int
         Line of the largest rate.
     held_s : tuple of (float, float)
@@ -60,8 +64,6 @@ class Survey:
         What the reader bridged, closed or left out.
     speed_only : bool
         One speed of the vehicle: left and right are both its way, and tell nothing of turns.
-    lost : LostWays or None
-        The way that is missing with rows.
     """
 
     source: str
@@ -73,11 +75,13 @@ class Survey:
     left_m: Floats = field(repr=False)
     right_m: Floats = field(repr=False)
     gyro_deg: Floats = field(repr=False)
+    known: NDArray[np.bool_] = field(repr=False)
     bad_gyro: int
     bad_encoder: int
     late_counts: int
     duplicates: int
     gaps: int
+    leaps: int
     truth_rows: int
     truth_headings: int
     half_fixes: int
@@ -91,7 +95,6 @@ class Survey:
     held_s: tuple[tuple[float, float], ...]
     said: tuple[str, ...] = ()
     speed_only: bool = False
-    lost: LostWays | None = None
 
     @property
     def duration_s(self) -> float:
@@ -158,11 +161,10 @@ class _Tally:
         self.held_s: dict[float, float] = {}
         self.extreme_rows: dict[float, int] = {}
         self.windows: list[Floats] = []
-        self.open_index, self.open_sum = -1, np.zeros(4)
+        self.open_index, self.open_sum = -1, np.zeros(5)
         self.said: list[str] = []
         self.speed_only = False
         self.first_steps, self.long_steps = np.empty(0), np.empty(0)
-        self.leaps = Leaps()
 
     def add(self, block: DriveBlock) -> None:
         t_s = block.t_s
@@ -199,7 +201,6 @@ class _Tally:
         if self.first_steps.size < _STEPS:
             self.first_steps = np.concatenate((self.first_steps, positive[:_STEPS]))[:_STEPS]
         self.long_steps = np.sort(np.concatenate((self.long_steps, positive)))[-_STEPS:]
-        self.leaps.add(block)
         self._same(t_s, block.gyro_dps)
         self._window(block, dt_s)
 
@@ -221,7 +222,8 @@ class _Tally:
 
     def _window(self, block: DriveBlock, dt_s: Floats) -> None:
         channels = np.stack([block.left_m, block.right_m, block.gyro_dps * dt_s])
-        channels = np.where(np.isfinite(channels), channels, 0.0)
+        empty = ~np.isfinite(channels)
+        channels = np.vstack([np.where(empty, 0.0, channels), empty.any(axis=0)])
         index = np.floor((block.t_s - self.t_start_s) / BIN_S).astype(np.int64)
         starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
         sums = np.add.reduceat(channels, starts, axis=1)
@@ -234,9 +236,10 @@ class _Tally:
         self.open_index, self.open_sum = int(index[-1]), sums[:, -1]
 
     def result(self, source: str) -> Survey:
-        bin_s, left, right, gyro = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
+        bin_s, left, right, gyro, empty = np.concatenate([*self.windows, self.open_sum[:, None]], axis=1)
         usual_dt_s = float(np.median(self.first_steps)) if self.first_steps.size else 0.0
-        gaps = int(np.count_nonzero(self.long_steps > GAP_STEPS * usual_dt_s))
+        gap = self.long_steps > GAP_STEPS * usual_dt_s
+        leap = (self.long_steps > LACKS_A_ROW * usual_dt_s) & ~gap
         fastest_dps = max(map(abs, self.gyro_dps))
         return Survey(
             source,
@@ -248,11 +251,13 @@ class _Tally:
             left,
             right,
             gyro,
+            empty == 0.0,
             self.bad_gyro,
             self.bad_encoder,
             self.late_counts,
             self.duplicates,
-            gaps,
+            int(np.count_nonzero(gap)),
+            int(np.count_nonzero(leap)),
             self.truth_rows,
             self.truth_headings,
             self.half_fixes,
@@ -270,7 +275,6 @@ class _Tally:
             tuple(self.held_s.items()),
             tuple(self.said),
             self.speed_only or one_speed(left, right),
-            self.leaps.lost,
         )
 
 

@@ -29,6 +29,8 @@ _NUMBER = re.compile(
     r"\s*([+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?|nan)?\s*", re.IGNORECASE | re.ASCII
 )
 _QUOTED = re.compile(r'^"([^"]*)"$')
+#: A quote within a cell, where one of a whole cell stands at its ends.
+_INSIDE = re.compile(rb'"(?<=[^,\n]")(?=[^,\r\n])')
 _BRACKETS = re.compile(r"[\[(].*")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 #: Bytes that a row of numbers can hold; a look-up table is the fastest way to meet every byte of a long file.
@@ -203,6 +205,9 @@ def _check_lines(
     sound = np.array_equal(commas, expected) or (not every_column and b'"' in text)
     if not sound or (every_column and not _ALLOWED[raw[body:]].all()):
         _raise_at_bad_line(path, header, wanted, None)
+    if every_column and (inside := _INSIDE.search(text, body)):
+        line = lines_before + text.count(b"\n", 0, inside.start()) + 1
+        raise InputError(f"{path}, line {line}: a quote stands within a number. Repair or remove the line.")
     return lines_before + int(ends.size)
 
 

@@ -9,7 +9,7 @@ from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
 from gyrocal.report.words import listed
-from gyrocal.units import plural
+from gyrocal.units import dph, plural
 
 
 def _stray_sets(sets: Sequence[int]) -> str:
@@ -197,6 +197,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"Between data sets the temperature was not logged ({plural(pauses, f'[one pause|{pauses} pauses]')}, up to {longest_min:.0f} min and "
         f"{most_c:.0f} °C): size and time constant of {listed(effects)} hang on its course there, which is taken for smooth, and their "
         "intervals know nothing of that. Log it all the time."
+    ),
+    Said.LATER_ON_A_ROBOT: lambda effects, late_s, late_dps: (
+        f"A robot derives the temperature's rate from what it has read by then, {late_s:.0f} s late: applied so, the improved coefficients "
+        f"leave {dph(late_dps)} deg/h rms of {listed(effects)} on this record, which figures of data left out do not have."
     ),
     Said.GIVE_TIMES: _give_times,
     Said.WANDERS: "The bias wanders by {slow_mdps:.2g} mdeg/s rms, by more than data sets scatter by themselves ({fast_mdps:.2g}): that is taken "

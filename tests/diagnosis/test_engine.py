@@ -135,6 +135,23 @@ def test_a_surface_that_is_of_the_true_rate_already_lacks_nothing() -> None:
     )
 
 
+def test_beside_a_file_of_the_true_rate_its_direction_is_no_layer() -> None:
+    """It was dropped from the names and stayed in the staircase."""
+    rng = np.random.default_rng(0)
+    rate_dps, temp_c = np.tile(np.linspace(-100.0, 100.0, 21), 7), np.repeat(np.linspace(0.0, 50.0, 7), 21)
+    bent = 0.02 + 1.5 * (rate_dps / 100.0) ** 3 - 0.009 * rate_dps
+    table = DataSetTable(
+        Path("t.csv"), rate_dps, rate_dps + bent + 2e-4 * rng.standard_normal(rate_dps.size), temp_c
+    )
+    alone = diagnose(table)
+    assert [layer.name for layer in alone.layers] == ["", "fit_direction"]
+    given = alone.surface
+    assert given is not None
+    assert given.surface.direction == "input"
+    beside = diagnose(table, given)
+    assert (beside.verdict, beside.effects, beside.layers) == ("consistent", (), ())
+
+
 @pytest.mark.slow
 def test_a_surface_of_another_gyro_is_said_to_have_changed(plain: Diagnosis) -> None:
     found = plain.surface

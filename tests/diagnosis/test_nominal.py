@@ -34,6 +34,29 @@ def test_readings_are_gathered_at_the_rates_that_were_told(scatter_dps: float, s
     assert np.std((nominal - SWEEPS)[turning]) == pytest.approx(scatter_dps / np.sqrt(6.0), rel=0.35)
 
 
+@pytest.mark.parametrize("offset_dps", [0.004, -0.05])
+@pytest.mark.parametrize("turned", [True, False], ids=["turned so", "noise of the encoder"])
+def test_what_readings_of_both_ways_are_off_by_is_no_bias(turned: bool, offset_dps: float) -> None:
+    """The Earth turns a table that goes both ways alike: it had become a bias where the output did not follow the scatter."""
+    found, read_so = list[float](), list[float]()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        scatter = 0.005 * rng.standard_normal(SWEEPS.size)
+        true = SWEEPS + offset_dps + (scatter if turned else 0.0)
+        output = 1.001 * true + 0.01 + 1e-3 * rng.standard_normal(SWEEPS.size)
+        temp_c = np.linspace(20.0, 50.0, SWEEPS.size)
+        table = DataSetTable(Path("t.csv"), SWEEPS + offset_dps + scatter, output, temp_c)
+        series = series_of_table(table)
+        for biases, rate, out in (
+            (found, series.rate_dps, series.gyro_dps),
+            (read_so, table.rate_dps, table.gyro_dps),
+        ):
+            biases.append(float(np.polynomial.Polynomial.fit(rate, out - rate, 1)(0.0)))
+    # No worse than by the readings one by one, but for the offsets that may be chance.
+    assert np.mean(found) == pytest.approx(0.01, abs=6e-4)
+    assert np.std(found) < 2.0 * np.std(read_so) + 1e-4
+
+
 def test_one_way_and_fine_rates_stay_apart() -> None:
     rng = np.random.default_rng(1)
     one_way = SWEEPS[SWEEPS >= 0.0]

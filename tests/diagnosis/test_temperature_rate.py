@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from gyrocal.diagnosis.engine import Options, diagnose
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.units import S_PER_MIN
 from tests.calibration.runs import Part, gyro_row, write_run
 
@@ -59,3 +61,16 @@ def test_a_shupe_effect_has_its_size_where_ramps_begin_and_end_at_once(
     amplitude = named.parameters["amplitude"]
     assert amplitude.value == pytest.approx(true, rel=0.05)
     assert amplitude.interval_95[0] < true < amplitude.interval_95[1]
+    # A robot follows the temperature with 30 s: what that leaves of the law is said.
+    rows = found.rows
+    assert rows is not None
+    fine_s = np.arange(rows.t_s[0], rows.t_s[-1], 1.0)
+    course_c = np.interp(fine_s, rows.t_s, rows.temp_c)
+    followed_c = lfilter(
+        [1.0], [1.0, -np.exp(-1.0 / 30.0)], (1.0 - np.exp(-1.0 / 30.0)) * (course_c - course_c[0])
+    )
+    behind_c = np.interp(rows.t_s, fine_s, course_c - course_c[0] - followed_c)
+    late_dps = 1e-3 * amplitude.value * (rows.temp_rate_c_per_min - S_PER_MIN * behind_c / 30.0)
+    (note,) = (n for n in found.notes if isinstance(n, Remark) and n.said is Said.LATER_ON_A_ROBOT)
+    assert note.facts["effects"] == ["shupe"]
+    assert note.facts["late_dps"] == pytest.approx(np.sqrt(np.mean(late_dps**2)), rel=0.15)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from gyrocal.navigation.empty_cells import bridged
 from gyrocal.records.drive import DriveBlock, cut, join
 
-_ROWS, _STEP_S = 400, 0.05
+_ROWS, _STEP_S = 200, 0.05
 
 
 def log() -> DriveBlock:
@@ -48,13 +50,36 @@ def test_long_ones_stay_empty_and_known_cells_stay_as_they_are() -> None:
     np.testing.assert_array_equal(same.gyro_dps, log().gyro_dps)
 
 
+def assert_same(a: DriveBlock, b: DriveBlock) -> None:
+    for name in ("gyro_dps", "left_m", "right_m"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-12)
+
+
 @settings(max_examples=30)
-@given(rows=st.integers(1, 90))
-def test_blocks_of_any_size_are_bridged(rows: int) -> None:
-    """Where a block ends in a hole the last value holds for it, of a line of no slope the same."""
-    holed = with_holes(100, 104)
-    holed.gyro_dps[np.isfinite(holed.gyro_dps)] = 5.0
-    parts = bridged(cut(holed, slice(k, min(k + rows, _ROWS))) for k in range(0, _ROWS, rows))
+@given(
+    rows=st.sampled_from([1, 2, 5, 13, 60]),
+    holes=st.lists(
+        st.tuples(st.sampled_from([0, 1, 2]), st.integers(0, _ROWS - 1), st.integers(1, 15)), max_size=6
+    ),
+)
+def test_however_the_log_is_cut_it_is_bridged_alike(rows: int, holes: list[tuple[int, int, int]]) -> None:
+    holed, true = log(), log()
+    for channel, first, size in holes:
+        (holed.gyro_dps, holed.left_m, holed.right_m)[channel][first : first + size] = np.nan
+    whole = join(bridged([holed]))
+    parts = list(bridged(cut(holed, slice(k, min(k + rows, _ROWS))) for k in range(0, _ROWS, rows)))
+    assert_same(join(parts), whole)
+    # What was filled is met, and the rest left empty.
+    for name in ("gyro_dps", "left_m", "right_m"):
+        filled = np.isfinite(getattr(whole, name))
+        np.testing.assert_allclose(getattr(whole, name)[filled], getattr(true, name)[filled])
+
+
+def test_ends_of_a_log_stay_empty_and_what_a_block_says_is_said_once() -> None:
+    holed = replace(with_holes(195, 200), notes=("a remark",), late_counts=2)
+    holed.gyro_dps[:3] = np.nan
+    parts = list(bridged([holed]))
     whole = join(parts)
-    np.testing.assert_array_equal(whole.gyro_dps, np.full(_ROWS, 5.0))
-    np.testing.assert_allclose(whole.left_m, log().left_m, rtol=0.04)
+    np.testing.assert_array_equal(np.isnan(whole.gyro_dps), np.isnan(holed.gyro_dps))
+    assert len(parts) == 2
+    assert (whole.notes, whole.late_counts) == (("a remark",), 2)

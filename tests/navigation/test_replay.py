@@ -12,6 +12,7 @@ from scipy import stats
 from gyrocal.errors import DataError
 from gyrocal.fusion import Valid
 from gyrocal.navigation import replay as module
+from gyrocal.navigation.empty_cells import LONGEST_S
 from gyrocal.navigation.montecarlo import World, simulate_and_replay
 from gyrocal.navigation.replay import LogReplay, replay_log
 from gyrocal.navigation.simulate import CW
@@ -193,13 +194,35 @@ def test_lost_samples_are_bridged_and_counted() -> None:
     assert found.notes == (
         "3 rows without a gyro sample",
         "1 row without an encoder sample",
-        "empty cells of gyro and wheels over up to 0.5 s are bridged by those beside them",
+        "empty cells are bridged by those beside them, of the gyro in 3 rows and of the wheels in 1 row; stretches over 0.5 s stay empty",
     )
     track = found.track("calibrated_filter")
     assert track is not None
     assert track.errors is not None
     assert (track.counts.no_gyro, track.counts.no_encoders) == (0, 0)
     assert track.errors.end_m < 1.0
+
+
+def test_of_a_long_empty_stretch_nothing_is_said_to_be_bridged() -> None:
+    log = drive()
+    gyro = log.gyro_dps.copy()
+    gyro[300:320] = np.nan
+    assert log.t_s[320] - log.t_s[299] > LONGEST_S
+    found = replay_log(source(replace(log, gyro_dps=gyro)), robot())
+    assert found.notes == ("20 rows without a gyro sample",)
+
+
+def test_bridged_cells_are_no_reading_that_is_stuck_at_its_extreme() -> None:
+    """Interpolated between two equal rates they had made a row of ten."""
+    log = drive()
+    gyro = log.gyro_dps.copy()
+    top = int(np.argmax(gyro))
+    gyro[top - 4 : top + 5] = np.nan
+    gyro[[top - 5, top, top + 5]] = np.nanmax(log.gyro_dps) + 1.0
+    gyro[[top - 4, top + 4]] = gyro[top]
+    found = replay_log(source(replace(log, gyro_dps=gyro)), robot())
+    assert found.survey.longest_extreme < 10
+    assert found.survey.bad_gyro == 6
 
 
 @pytest.mark.parametrize("turned_deg", [pytest.param(0.0, marks=pytest.mark.slow), 170.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +27,8 @@ from tests.navigation.drives import BAD, drive, robot, source
 
 
 def assert_same(a: Survey, b: Survey) -> None:
-    assert a.lost == b.lost
     for name, value in vars(a).items():
-        if name not in ("source", "lost"):
+        if name != "source":
             np.testing.assert_allclose(getattr(b, name), value, err_msg=name, atol=1e-9)
 
 
@@ -321,3 +321,22 @@ def test_a_bias_that_changed_between_rests_is_said() -> None:
     assert "off by up to 30 deg" in text
     assert said(0.0) == ()
     assert said(0.1) == ()
+
+
+def test_empty_cells_are_neither_a_rest_nor_a_rate_of_zero() -> None:
+    """Three seconds without wheels in a turn had been a rest, at which the bias had changed by the rate of the turn."""
+    log = drive()
+    hole, first = np.abs(log.t_s - np.median(log.t_s)) < 1.5, log.t_s < log.t_s[np.flatnonzero(log.left_m)[0]]
+    gyro = np.where(hole, 2.0, np.where(first, 0.0, log.gyro_dps))
+
+    def said(**channels: NDArray[np.float64]) -> list[str]:
+        given: dict[str, Any] = {"gyro_dps": gyro} | channels
+        found = survey("log", [replace(log, **given)])
+        return [n for n in check(found, 0.5) if "at the rest" in n]
+
+    empty, still = (
+        {name: np.where(hole, v, getattr(log, name)) for name in ("left_m", "right_m")} for v in (np.nan, 0.0)
+    )
+    assert said(**still)
+    assert not said(**empty)
+    assert not said(**still, gyro_dps=np.where(hole, np.nan, np.where(first, 2.0, log.gyro_dps)))

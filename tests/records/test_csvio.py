@@ -101,6 +101,13 @@ def test_quoted_numbers_are_numbers(tmp_path: Path) -> None:
             read(write(tmp_path / "x.csv", f"a,b\n{rows}"))
 
 
+@pytest.mark.parametrize("cell", ['"2"3', '2"3', '""2"', '2""'])
+def test_a_quote_within_a_number_is_none_of_a_cell(tmp_path: Path, cell: str) -> None:
+    """A number was made of the digits on both sides of it."""
+    with pytest.raises(InputError, match="line 3: a quote stands within a number"):
+        read(write(tmp_path / "x.csv", f'a,b\n"1",2\n{cell},3\n'))
+
+
 def test_a_date_is_told_from_a_wrong_number(tmp_path: Path) -> None:
     path = write(tmp_path / "x.csv", "t_s,b\n2026-11-23T08:00:00,1\n")
     with pytest.raises(InputError, match=r"line 2: t_s is .*, a date\. Write seconds"):

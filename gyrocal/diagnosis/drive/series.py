@@ -15,7 +15,7 @@ from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.navigation.channels import check_cells, check_speed
 from gyrocal.navigation.fixes import wild_fixes, wild_said
-from gyrocal.navigation.lost_ways import lost_ways
+from gyrocal.navigation.lost_ways import GAP_STEPS, lost_ways
 from gyrocal.navigation.survey import one_speed
 from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
@@ -32,8 +32,6 @@ NODE_S, REST_NODE_S = 0.1, 1.0
 _FAST = 0.95
 #: What counts as motion of a wheel without ticks, m/s.
 STILL_MPS = 1e-3
-#: A step of time above so many usual ones is a gap.
-GAP_STEPS = 5.0
 #: Rates for the laws are means over this time, s: a law must not carry the noise of what it explains.
 SMOOTH_S = 0.15
 #: Shorter drives, s and m, are refused: they tell neither bias nor track better than a robot file does.
@@ -169,14 +167,14 @@ def drive_series(
         Too short or without motion, or coefficients without a temperature in the log.
     """
     t_s, notes = log.t_s, list[Note]()
-    if (lost := lost_ways(log)) is not None:
-        (log,) = lost.completed([log])
-        notes.append(Remark(Said.WAYS_ADDED, {"way_m": lost.way_m}))
     if t_s.size < 100 or t_s[-1] - t_s[0] < _LEAST_S:
         long = float(t_s[-1] - t_s[0]) if t_s.size else 0.0
         raise DataError(
             f"{source}: {long:.0f} s are too short to compare encoders and gyro; log at least {_LEAST_S:g} s."
         )
+    if (lost := lost_ways([log], usual_step_s(t_s))) is not None:
+        (log,) = lost.completed([log])
+        notes.append(Remark(Said.WAYS_ADDED, {"way_m": lost.way_m}))
     no_gyro, no_wheel = (
         int(np.count_nonzero(~np.isfinite(v))) for v in (log.gyro_dps, log.left_m + log.right_m)
     )
