@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from gyrocal.diagnosis.drive.findings import OUT, joint_estimate, spinning, told_estimate
 from gyrocal.diagnosis.drive.improved import figures_of
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, group_of, is_motion, is_slip
 from gyrocal.diagnosis.drive.motions import AS_LIKELY, settling_beats
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.nameless import STRANGER_P, is_odd
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
+from gyrocal.diagnosis.drive.path_problem import log_chance
 from gyrocal.diagnosis.drive.reckoning import Figures
 from gyrocal.diagnosis.drive.search import GAIN, MOST, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -244,7 +244,7 @@ def _with_truth(
         return 0.0, None
     wider = yaw.with_law(name, 0.0)
     found = _asked(series, wider, truth)
-    if found is None or not _explained(found.odd, truth.odd) or _denied(found, truth):
+    if found is None or not _explained(found, truth) or _denied(found, truth):
         return 0.0, None
     (both, both_std), (own, own_std) = joint_estimate(wider, found, name), wider.estimate(name)
     gain = yaw.told.added(yaw.chosen, [name]) + (both / both_std) ** 2 - (own / own_std) ** 2
@@ -255,16 +255,15 @@ def _with_truth(
     if truth.believed(GYRO_SCALE.id) and gain > max(beside, 2.0 * np.log(OUT)):
         gain += truth.told(GYRO_SCALE.id) ** 2 - beside
     # Encoders whose difference to the gyro changes with time, as of a wheel that grows, would have it taken for a bias.
-    structure = min(*truth.odd.values(), yaw.strangers["time"].p_value, 1.0)
+    structure = min(truth.surest, float(np.log(max(yaw.strangers["time"].p_value, np.finfo(float).tiny))))
     # What is left without it has swollen the noise that its figure is measured by.
     fits = max(gain, truth.loss - found.loss)
-    better = structure >= STRANGER_P or stats.chi2.sf(fits, 1) < structure
+    better = not is_odd(structure) or log_chance(fits, 1) < structure
+    # Turns that are off to one side are in the path that it is laid beside, free: whichever fits better is likelier.
+    better |= truth.one_size != 0.0 and truth.loss - found.loss > AS_LIKELY
     return (gain, found) if better else (0.0, None)
 
 
-def _explained(left: Mapping[str, float], odd: Mapping[str, float]) -> bool:
+def _explained(found: TruthAnswer, before: TruthAnswer) -> bool:
     """Whether nothing is odd any more, or little of what was: of a path bent far something is left by its noise levels."""
-    surest, before = (min(p.values(), default=1.0) for p in (left, odd))
-    return surest >= STRANGER_P or (
-        surest > 0.0 and np.log(surest) >= (1.0 - MOST) * np.log(max(before, np.finfo(float).tiny))
-    )
+    return not is_odd(found.surest) or found.surest >= (1.0 - MOST) * before.surest

@@ -19,6 +19,11 @@ Floats = NDArray[np.float64]
 STRANGER_P = 1e-3
 
 
+def is_odd(log_p: float) -> bool:
+    """Whether a coordinate is odd, by the logarithm of its p-value, which may be less than a float holds."""
+    return bool(np.exp(log_p) < STRANGER_P)
+
+
 class GainTest(NamedTuple):
     """What columns gain (twice the log likelihood), how many they are, and the chance of that where there is nothing."""
 

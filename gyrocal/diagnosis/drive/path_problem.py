@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special, stats
 
 from gyrocal.diagnosis.drive.motions import AS_LIKELY
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.nameless import is_odd
 from gyrocal.diagnosis.drive.path_noise import PathNoise
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
 from gyrocal.diagnosis.drive.reckoning import Floats
@@ -97,13 +97,12 @@ def _gains(
 def oddities(
     problem: PathProblem, blocks: Mapping[str, Mapping[str, Floats]], logs: Floats
 ) -> dict[str, float]:
-    """P-value of the columns of each coordinate."""
-    gains = _gains(problem, blocks, logs)
-    return {c: float(stats.chi2.sf(gain, len(blocks[c]))) for c, gain in gains.items()}
+    """Logarithm of the p-value of the columns of each coordinate."""
+    return {c: log_chance(gain, len(blocks[c])) for c, gain in _gains(problem, blocks, logs).items()}
 
 
-def _log_chance(gain: float, columns: int) -> float:
-    """Logarithm of the chance of a gain; by the leading term where the chance is less than a float holds."""
+def log_chance(gain: float, columns: int) -> float:
+    """Logarithm of the chance of a gain, twice a log likelihood; by the leading term where the chance is less than a float holds."""
     exact = float(stats.chi2.logsf(gain, columns))
     half, k = 0.5 * gain, 0.5 * columns
     return exact if np.isfinite(exact) else float((k - 1.0) * np.log(half) - half - special.gammaln(k))
@@ -118,8 +117,9 @@ def spins(
         return False
     gains = _gains(problem, {name: {name: column} for name, column in of_speed.items()}, logs)
     spinning = gains.pop(SPINNING)
-    others = min([STRANGER_P, *(p for c, p in odd.items() if c != "acceleration")])
-    surest = stats.chi2.sf(spinning, 1) < others and spinning > max(gains.values(), default=0.0) + AS_LIKELY
+    p, others = log_chance(spinning, 1), [p for c, p in odd.items() if c != "acceleration"]
+    surest = is_odd(p) and p < min(others, default=0.0)
+    surest = surest and spinning > max(gains.values(), default=0.0) + AS_LIKELY
     return bool(surest and problem.with_columns({SPINNING: of_speed[SPINNING]}).told(SPINNING, logs)[0] > 0.0)
 
 
@@ -130,7 +130,7 @@ def beside_uneven(
     logs: Floats,
     usual: float,
 ) -> tuple[PathProblem, Mapping[str, float], Mapping[str, float]]:
-    """With turns that are off by one share to the left and by another to the right, p-values with these, and beside them.
+    """With turns that are off by one share to the left and by another to the right, `oddities` with these, and beside them.
 
     Turns to one side do not tell it from a scale, and a path that it bends is odd over whatever it goes along with. Where the
     truth shows it the surest of all that has no name it is free, and else within what is `usual` of it.
@@ -140,11 +140,11 @@ def beside_uneven(
         return problem, odd, odd
     wider = problem.with_columns({ONE_SIZE: size})
     gain = problem.solve(logs).left - wider.solve(logs).left
-    p = float(stats.chi2.sf(gain, 1))
-    others = {c: blocks[c] for c in odd if c != "turn_rate"} if p < STRANGER_P else {}
-    chances = [_log_chance(g, len(others[c])) for c, g in _gains(problem, others, logs).items()]
-    surest = _log_chance(gain, 1) < min([float(np.log(STRANGER_P)), *chances])
-    if not surest and odd["turn_rate"] < STRANGER_P:
+    p = log_chance(gain, 1)
+    others = {c: blocks[c] for c in odd if c != "turn_rate"} if is_odd(p) else {}
+    chances = [log_chance(g, len(others[c])) for c, g in _gains(problem, others, logs).items()]
+    surest = is_odd(p) and p < min(chances, default=0.0)
+    if not surest and is_odd(odd["turn_rate"]):
         return problem, odd, odd
     del blocks["turn_rate"][ONE_SIZE]
     if surest:

@@ -18,7 +18,7 @@ from gyrocal.diagnosis.drive.laws import (
     MOVING,
     BiasLaws,
 )
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.nameless import is_odd
 from gyrocal.diagnosis.drive.path_laid import (
     ALONE,
     MODEL_STD,
@@ -75,6 +75,8 @@ class TruthAnswer:
         Covariance of the laws of the bias that the heading difference knows, in the order of `BiasLaws.names`.
     odd : mapping
         Coordinate -> p-value of structure that nothing here explains.
+    surest : float
+        Logarithm of the least of these, which may be less than a float holds.
     mirrored : bool
         The truth follows the path in a mirror only.
     loss : float
@@ -92,6 +94,7 @@ class TruthAnswer:
     covariance: Floats
     of_laws: Floats
     odd: Mapping[str, float]
+    surest: float = 0.0
     mirrored: bool = False
     loss: float = 0.0
     levels: Levels | None = None
@@ -191,7 +194,7 @@ def ask_truth(
         plain = laid_on_truth(replace(knots, heading=None), base, laws, noise)
         mirrored = plain.loss - turned.loss > _MIRRORED_BY and miss > _MIRRORED_BETTER * turned.miss_m(other)
     # What a path misses of its mirror image is no structure of the drive.
-    return replace(answer, mirrored=True, odd={}) if mirrored else answer
+    return replace(answer, mirrored=True, odd={}, surest=0.0) if mirrored else answer
 
 
 def _answer(
@@ -213,7 +216,7 @@ def _answer(
     shown = [ONE_SIZE] if ONE_SIZE in problem.columns and ONE_SIZE not in problem.known else []
     beside: dict[str, Floats] = {}
     for coordinate, more in blocks.items():
-        beside |= more if left[coordinate] < STRANGER_P else {}
+        beside |= more if is_odd(left[coordinate]) else {}
         if bias_changes:
             beside |= {n: column for n, column in more.items() if n in BIAS_PARTS}
     # A scale must hold beside whatever else is in the path.
@@ -230,7 +233,7 @@ def _answer(
         wider = problem.with_columns({SPINNING: spinning})
         found[SPINNING], stds[SPINNING] = wider.told(SPINNING, logs)
     # Parts that the truth does not show by itself are noise.
-    parts = [n for n in names if n in BIAS_PARTS and left.get("time", 1.0) < STRANGER_P]
+    parts = [n for n in names if n in BIAS_PARTS and is_odd(left.get("time", 0.0))]
     moves_dps = RAD_TO_DEG * bias_moves(*_of(parts, names, values, covariance)) if parts else 0.0
     told = [
         n
@@ -242,7 +245,8 @@ def _answer(
         {n: stds[n] for n in told},
         _of(SCALES, names, values, covariance)[1],
         _of([*knots.laws][: knots.told], names, values, covariance)[1],
-        odd,
+        {c: float(np.exp(p)) for c, p in odd.items()},
+        surest=min(odd.values(), default=0.0),
         loss=laid.loss,
         levels=laid.levels,
         bias_moves_dps=moves_dps,

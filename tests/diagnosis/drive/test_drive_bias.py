@@ -164,6 +164,27 @@ def test_a_bias_that_comes_with_the_motion_is_named_and_goes_into_the_file(resti
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("of_motion", "seed"), [(True, 1), (True, 2), (False, 21)])
+def test_a_bias_in_motion_that_bends_the_whole_path_is_no_scale_of_one_side(
+    of_motion: bool, seed: int, resting: Robot
+) -> None:
+    """The chance of what turns to one side explain is less than a float holds, as that of the bias is."""
+    plan = Plan("rests", truth_m=0.02, truth_every_s=0.2, arw_dps_rt_s=0.004, flicker_dps=5e-4, bias_walk=0.0)
+    log = drive(plan, seed)
+    moving = (log.left_m != 0.0) | (log.right_m != 0.0)
+    one_sided = np.where(log.gyro_dps > 0.0, 0.01 * log.gyro_dps, 0.0)
+    odd = replace(log, gyro_dps=log.gyro_dps + (0.05 * moving if of_motion else one_sided))
+    found = diagnose_drive("log", odd, resting).diagnosis
+    if not of_motion:
+        assert found.effects == ()
+        return
+    (named,) = found.effects
+    assert named.effect == "gyro_bias"
+    low, high = named.parameters["amplitude"].interval_95
+    assert low < 50.0 < high
+
+
+@pytest.mark.slow
 def test_a_bias_that_jumps_is_no_slope_that_the_next_drive_has_too(resting: Robot) -> None:
     log = drive(replace(RESTS, minutes=8.0), 9)
     jumps = 0.05 * (log.t_s > 200.0)

@@ -9,10 +9,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.special import log_ndtr
 from scipy.stats import norm
 
 from gyrocal.diagnosis.drive import findings, places
+from gyrocal.diagnosis.drive.beside_truth import _explained
 from gyrocal.diagnosis.drive.path_laid import SCALES
+from gyrocal.diagnosis.drive.path_problem import log_chance
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer, bias_moves
@@ -53,6 +56,22 @@ def test_a_truth_says_which_scale_makes_the_ratio_of_the_headings(
     # Each of the others is off by about twenty standard deviations of the truth in one figure or two.
     assert sorted(against.values())[1] == pytest.approx(400.0, rel=0.1)
     assert findings._against(0.02, 1e-4, None) == dict.fromkeys(against, 0.0)
+
+
+@pytest.mark.parametrize("gain", [1.0, 100.0, 1300.0, 5000.0, 1e6])
+def test_a_chance_is_told_where_a_float_holds_none(gain: float) -> None:
+    """Of one column it is that of a normal's two tails."""
+    exact = np.log(2.0) + log_ndtr(-np.sqrt(gain))
+    assert log_chance(gain, 1) == pytest.approx(exact, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("left", "before", "explained"),
+    [(-1.0, -9.0, True), (-30.0, -2000.0, True), (-300.0, -2000.0, False), (-8.0, -20.0, False)],
+)
+def test_what_a_law_leaves_is_little_of_what_was(left: float, before: float, explained: bool) -> None:
+    found, without = (replace(truth(0.0, 0.0, 1e-3), surest=p) for p in (left, before))
+    assert _explained(found, without) == explained
 
 
 @pytest.mark.parametrize(
