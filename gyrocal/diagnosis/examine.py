@@ -53,7 +53,6 @@ from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
 
-#: Block of a scale factor that wanders.
 #: Where variances start that are to be tried last.
 _LOW_START = -9.0
 

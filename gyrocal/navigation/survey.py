@@ -194,7 +194,7 @@ class _Tally:
         self.half_fixes += int(np.count_nonzero(np.isfinite(block.truth_x_m) ^ np.isfinite(block.truth_y_m)))
         self.gyro_dps = _widen(self.gyro_dps, block.gyro_dps)
         moved = encoder & (dt_s > 0)
-        way = 0.5 * np.abs(block.left_m + block.right_m)[moved]
+        way = 0.5 * (np.abs(block.left_m) + np.abs(block.right_m))[moved]
         self.max_way_m = max(self.max_way_m, float(way.max(initial=0.0)))
         self.max_speed_mps = max(self.max_speed_mps, float((way / dt_s[moved]).max(initial=0.0)))
         positive = dt_s[dt_s > 0]

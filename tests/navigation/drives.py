@@ -61,6 +61,13 @@ def _with(**changes: Callable[[DriveBlock], Floats]) -> Callable[[DriveBlock], D
 
 #: What can be wrong with a log: name -> (how it comes about, what must be said of it).
 BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
+    "totals of a robot on the spot": (
+        _with(
+            left_m=lambda b: -np.cumsum(np.abs(b.gyro_dps)) / 60.0,
+            right_m=lambda b: np.cumsum(np.abs(b.gyro_dps)) / 60.0,
+        ),
+        "distances since the row before, in metres",
+    ),
     "gyro stuck": (
         _with(gyro_dps=lambda b: np.full(len(b), 0.25)),
         "gyro_dps is 0.25 in every row while the encoders turn",

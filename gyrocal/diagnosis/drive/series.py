@@ -195,7 +195,8 @@ def drive_series(
     bridged = ~np.isfinite(log.left_m + log.right_m)
     if max(np.abs(left).sum(), np.abs(right).sum()) < _LEAST_M:
         raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
-    speed_mps = 0.5 * np.abs(left + right)[dt_s > 0] / dt_s[dt_s > 0]
+    # Of each side: of a robot on the spot both together go nowhere.
+    speed_mps = 0.5 * (np.abs(left) + np.abs(right))[dt_s > 0] / dt_s[dt_s > 0]
     check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
     wild = wild_fixes(log.truth_x_m, log.truth_y_m, np.cumsum(0.5 * np.abs(left + right)))
     if wild.any():
