@@ -9,7 +9,7 @@ from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.physics.catalogue import described
 from gyrocal.report.words import listed
-from gyrocal.units import dph, plural
+from gyrocal.units import NORMAL_95, dph, plural
 
 
 def _stray_sets(sets: Sequence[int]) -> str:
@@ -84,6 +84,18 @@ def _not_written(coordinate: str) -> str:
     return (
         f"What follows {coordinate.replace('_', ' ')} without a name is not in the improved coefficients: its evidence "
         "is weak, or a bias or scale factor that wanders explains it nearly as well."
+    )
+
+
+def _sides_differ(change: float, least: float, most: float, or_moving_dps: tuple[float, float] | None) -> str:
+    larger = f"{change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to the left than in turns to the right"
+    if or_moving_dps is None:
+        return f"By the truth the gyro's scale factor is {larger}; no robot file holds that"
+    value, std = or_moving_dps
+    return (
+        f"By the truth either the gyro's scale factor is {larger}, which no robot file holds, or its bias is {value:+.2g} ± {NORMAL_95 * std:.1g} deg/s "
+        "another while the robot moves (95 %): this drive does not tell which. Turn as much to either side, go straight for longer, or "
+        "log a better truth"
     )
 
 
@@ -267,8 +279,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "as that of a gyro does that warms up by itself (time constant {settling_s:.0f} s, 95 %: {quickest_s:.0f} to {slowest_s:.0f}), "
     "and nothing else explains it as well. A rest at the start takes off what it was then, and no robot file holds the rest: let the "
     "gyro warm up before a drive.",
-    Said.SIDES_DIFFER: "By the truth the gyro's scale factor is {change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to "
-    "the left than in turns to the right; no robot file holds that",
+    Said.SIDES_DIFFER: _sides_differ,
     Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",

@@ -9,6 +9,7 @@ import pytest
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.report.remarks import WORDS, remark_words
 
+SIDES = {"change": 1.0123, "least": 0.5, "most": 1.5}
 LACKING = {
     "chance": 0.62, "rates": 0, "temps": 0, "one_way": False, "no_gain": False, "surface_alone": False,
 }  # fmt: skip
@@ -48,6 +49,8 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (Said.UNUSABLE_SAMPLES, {"count": 1}, "1 gyro sample is empty or of bad status and left out"),
         (Said.UNUSABLE_SAMPLES, {"count": 3}, "3 gyro samples are empty or of bad status and left out"),
         (Said.MISSING_ROWS, {"count": 80, "percent": 1.333, "longest_s": 0.8}, "About 80 rows are missing (1.3 % of the log, the longest gap 0.8 s)."),
+        (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": None}, "By the truth the gyro's scale factor is 1.01 % (95 %: 0.5 to 1.5) larger in turns to the left"),
+        (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": (0.06125, 0.0128)}, "or its bias is +0.061 ± 0.03 deg/s another while the robot moves (95 %): this drive does not tell which."),
         (Said.NO_SURE_GAIN, LACKING, "0.62 only: no improved coefficients are written, for what of it stays with the gyro is known no better than it is large: record"),
         (Said.NO_SURE_GAIN, {**LACKING, "surface_alone": True}, "for none of it stays with the gyro (it is the table's, or passes)"),
         (Said.NO_SURE_GAIN, {**LACKING, "no_gain": True}, "for on data left out it gains nothing for sure: record more sweeps of the same rates."),

@@ -46,6 +46,7 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
         yaw, truth = _with_laws(series, jumping, told)
     if "jump" in yaw.chosen:
         truth = _scales_beside_the_course(series, yaw, truth)
+    truth = replace(truth, or_moving_dps=_or_in_motion(series, yaw, truth))
     return _wheels_beside_structure(_wheels_beside(yaw, truth), truth), truth
 
 
@@ -98,6 +99,18 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
             if alone is not None and _with_truth(series, less, alone, other)[0] < AS_LIKELY:
                 return less, alone
         yaw, truth = yaw.with_law(name, gain), found
+
+
+def _or_in_motion(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[float, float] | None:
+    """A bias in motion that fits a path as well as turns do that are off to one side, where those are what is told."""
+    told = [n for n in yaw.chosen if is_motion(n)]
+    if not truth.one_size or told or AT_ONCE not in yaw.laws:
+        return None
+    moving = yaw.with_law(AT_ONCE, 0.0)
+    found = _asked(series, moving, truth)
+    if found is None or found.one_size or found.loss > truth.loss + AS_LIKELY or not _explained(found, truth):
+        return None
+    return joint_estimate(moving, found, AT_ONCE)
 
 
 def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:

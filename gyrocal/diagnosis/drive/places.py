@@ -107,9 +107,8 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
     if truth is not None and truth.one_size:
         # What a path lacks of every turn is read too little to the left and too much to the right.
         change, half = -200.0 * truth.one_size, 200.0 * NORMAL_95 * truth.stds[ONE_SIZE]
-        found.append(
-            Remark(Said.SIDES_DIFFER, {"change": change, "least": change - half, "most": change + half})
-        )
+        facts = {"change": change, "least": change - half, "most": change + half}
+        found.append(Remark(Said.SIDES_DIFFER, facts | {"or_moving_dps": truth.or_moving_dps}))
     if "delay" in yaw.odd:
         (grown,), ((variance,),) = yaw.beyond(["delay:0"])
         half = 1e3 * NORMAL_95 * float(np.sqrt(variance))

@@ -87,6 +87,8 @@ class TruthAnswer:
         How far the bias lies from its mean over the drive (rms), where it is not the same all along; ``bias`` is the mean then.
     one_way : mapping
         Twice the log of how much likelier a scale of the turns one way is than one of all, and than that and a law of the motion.
+    or_moving_dps : (float, float), optional
+        A bias in motion, and its standard deviation, that may have made what `ONE_SIZE` stands for.
     """
 
     values: Mapping[str, float]
@@ -100,6 +102,7 @@ class TruthAnswer:
     levels: Levels | None = None
     bias_moves_dps: float = 0.0
     one_way: Mapping[str, float] = field(default_factory=dict)
+    or_moving_dps: tuple[float, float] | None = None
 
     @property
     def one_size(self) -> float:

@@ -19,7 +19,7 @@ from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _gain, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.weighing import evidence
-from gyrocal.diagnosis.remarks import Said
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, read_robot, robot_of
 from gyrocal.report.remarks import remark_words
@@ -177,6 +177,11 @@ def test_a_bias_in_motion_that_bends_the_whole_path_is_no_scale_of_one_side(
     found = diagnose_drive("log", odd, resting).diagnosis
     if not of_motion:
         assert found.effects == ()
+        (said,) = (n for n in found.notes if isinstance(n, Remark) and n.said is Said.SIDES_DIFFER)
+        assert (
+            said.facts["least"] < -1.0 < said.facts["most"] or said.facts["least"] < 1.0 < said.facts["most"]
+        )
+        assert said.facts["or_moving_dps"] is None
         return
     (named,) = found.effects
     assert named.effect == "gyro_bias"
