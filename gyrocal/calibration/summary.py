@@ -35,6 +35,8 @@ STRUCTURE_WORDS = {
 
 #: A residual that chance makes as small with less probability than this lies below a noise that is stated wrongly.
 _NEVER = 1e-6
+#: More than this times the sample noise is much to be left: what drifts from data set to data set is mostly less.
+_MUCH = 3.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,19 @@ def _structure_part(c: Calibration) -> str:
     if c.structured:
         return f"the residual is structured in {', '.join(STRUCTURE_WORDS[name] for name in c.structured)} ({worst})"
     over = ", ".join(STRUCTURE_WORDS[t.coordinate] for t in c.structure)
-    return f"no structure in the residual over {over} (smallest {worst})"
+    return f"no structure in the residual over {over} (smallest {worst}){_beyond_noise(c)}"
+
+
+def _beyond_noise(c: Calibration) -> str:
+    """How much more is left than the samples scatter by, where it is much: an order that no test here knows may be in it."""
+    if c.sample_floor_dps is None or not c.sample_floor_dps > 0.0:
+        return ""
+    times = c.after_dps / c.sample_floor_dps
+    return (
+        f", but it is {times:.3g} times the sample noise: `gyrocal diagnose` looks what it is"
+        if times > _MUCH
+        else ""
+    )
 
 
 def _times(factor: float) -> str:

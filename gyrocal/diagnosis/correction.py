@@ -40,7 +40,7 @@ from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE, SATURATION
-from gyrocal.physics.smooth import SmoothTerm
+from gyrocal.physics.smooth import SmoothTerm, seen_of
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
@@ -156,7 +156,8 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
         frame.temp_scale_c,
         direction,
     )
-    terms = [_term(item, first.model, mean, covariance) for item in items]
+    least = NEGLIGIBLE * float(np.std(solved[0][2].left))
+    terms = [_term(item, first.model, mean, covariance, least) for item in items]
     return replace(
         file_without_surface(first),
         surface=surface,
@@ -425,7 +426,9 @@ def _hidden(items: Sequence[_Item], values: Floats) -> tuple[list[int], Floats]:
     return [i.start + 1 for i in zones], np.asarray(widths_dps / np.sqrt(3.0))
 
 
-def _term(item: _Item, model: Model, values: Floats, covariance: Floats) -> Term | SmoothTerm:
+def _term(
+    item: _Item, model: Model, values: Floats, covariance: Floats, least_dps: float
+) -> Term | SmoothTerm:
     rows = slice(item.start, item.start + item.size)
     if item.part is not None:
         columns = model.basis.at(item.part.columns)
@@ -436,7 +439,7 @@ def _term(item: _Item, model: Model, values: Floats, covariance: Floats) -> Term
             item.part.columns,
             values[rows],
             covariance[rows],
-            np.column_stack([columns.min(axis=0), columns.max(axis=0)]),
+            seen_of(columns, np.abs(values[rows]) + np.sqrt(np.diag(covariance)[rows]), least_dps),
         )
     effect = FIT_DIRECTION if item.law is None else CATALOGUE[item.law.effect]
     shape = {} if item.law is None else item.law.shape

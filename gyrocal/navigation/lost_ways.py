@@ -100,6 +100,12 @@ def lost_ways(blocks: Iterable[DriveBlock], usual_s: float) -> LostWays | None:
     return LostWays(usual_s, missing, gone_m)
 
 
+def rows_missing(t_s: Floats, usual_s: float) -> int:
+    """How many rows a log lacks in leaps and gaps of its time; none where the logger went over to another step."""
+    step_s, in_a_row = _Course(usual_s).long(t_s)
+    return int(np.sum(np.round(step_s[_lacks(in_a_row)] / usual_s) - 1.0))
+
+
 class _Course:
     """Steps of the time, and which are leaps, block by block."""
 
@@ -109,6 +115,12 @@ class _Course:
 
     def of(self, t_s: Floats) -> tuple[Floats, Ints]:
         """Steps to the next rows, and of each that is a leap the how many-th in a row; 0 of the others."""
+        step_s, in_a_row = self.long(t_s)
+        # A gap is none, nor the beginning of others.
+        return step_s, np.where(step_s <= GAP_STEPS * self._usual_s, in_a_row, 0)
+
+    def long(self, t_s: Floats) -> tuple[Floats, Ints]:
+        """The same with gaps, which are long as well."""
         step_s = np.diff(t_s, prepend=self._last_s)
         long = step_s > LACKS_A_ROW * self._usual_s
         at = np.arange(t_s.size)
@@ -116,8 +128,7 @@ class _Course:
         in_a_row = np.where(long, at - since, 0)
         if t_s.size:
             self._last_s, self._in_a_row = float(t_s[-1]), int(in_a_row[-1])
-        # A gap is none, nor the beginning of others.
-        return step_s, np.where(step_s <= GAP_STEPS * self._usual_s, in_a_row, 0)
+        return step_s, in_a_row
 
 
 def _lacks(leap: Ints) -> NDArray[np.bool_]:

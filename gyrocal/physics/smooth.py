@@ -23,13 +23,15 @@ from gyrocal.physics.surface import Surface
 from gyrocal.physics.thermal import temperature_rate_c_per_s
 
 __all__ = [
-    "Column", "Factor", "Frame", "SmoothTerm", "columns_of", "design", "histories", "rate_factors", "smooth_term",
+    "Column", "Factor", "Frame", "SmoothTerm", "columns_of", "design", "histories", "rate_factors", "seen_of", "smooth_term",
     "temperature_factors",
 ]  # fmt: skip
 
 #: How far a column may go beyond what was seen of it before it is flagged, as a share of the range seen:
 #: means of data sets are a little narrower than the samples that they are means of.
 SEEN_MARGIN = 0.1
+#: Larger than any column.
+_ANY_SIZE = 1e6
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ class SmoothTerm:
         Of the coefficients; or their rows in the joint covariance of surface and terms, laid out as in
         `RuntimeTerm.covariance`.
     seen : ndarray, shape (p, 2)
-        Smallest and largest value of each column in the record.
+        From which to which value each column is known: `seen_of`.
     """
 
     family: str
@@ -297,6 +299,20 @@ class SmoothTerm:
             ],
             "covariance_dps2": self.covariance_dps2.tolist(),
         }
+
+
+def seen_of(columns: Floats, sizes_dps: Floats, least_dps: float) -> Floats:
+    """Smallest and largest value of each column in a record, and as far beyond as it adds next to nothing, shape (p, 2).
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, p)
+    sizes_dps : ndarray, shape (p,)
+        What a column of one may add.
+    least_dps : what is next to nothing
+    """
+    room = np.minimum(least_dps / np.maximum(sizes_dps, 1e-12), _ANY_SIZE)
+    return np.column_stack([columns.min(axis=0) - room, columns.max(axis=0) + room])
 
 
 def smooth_term(raw: Mapping[str, Any]) -> SmoothTerm:

@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.findings import undecided
 from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.drive.laws import KINDS
 from gyrocal.diagnosis.drive.places import left_out
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS, GYRO_SCALE
 from gyrocal.report.page import Table
@@ -43,11 +44,13 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     lines += [_effect_sentence(e) for e in diagnosis.effects]
     lines += [_shown_sentence(s) for s in found.shown]
     left = [place for place in diagnosis.located if place.remains]
-    at_rest = found.series.robot.static_s > 0
+    off = "the robot file grants as much"
+    if found.series.robot.static_s > 0:
+        off = "the rest at the start takes it off"
+    if any(isinstance(n, Remark) and n.said is Said.NO_REST for n in found.diagnosis.notes):
+        off = "no rest takes it off"
     withheld = found.robot is not None and found.robot.parameters.gyro.scale == 0.0
-    lines += _estimate_sentences(
-        found.estimates, at_rest=at_rest, nameless=bool(left), scale_withheld=withheld
-    )
+    lines += _estimate_sentences(found.estimates, taken_off=off, nameless=bool(left), scale_withheld=withheld)
     if slips := left_out(found.yaw):
         largest = sorted(slips, key=lambda x: -abs(x.turn_deg))[:_SLIPS]
         first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.2f} s" for x in largest)
@@ -129,7 +132,7 @@ def _shown_sentence(shown: Shown) -> str:
 
 
 def _estimate_sentences(
-    estimates: tuple[DriveEstimate, ...], *, at_rest: bool, nameless: bool, scale_withheld: bool
+    estimates: tuple[DriveEstimate, ...], *, taken_off: str, nameless: bool, scale_withheld: bool
 ) -> list[str]:
     """What the log says of every figure that matters: those that stand out with what they cost, then those that may be nothing."""
     said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
@@ -143,7 +146,7 @@ def _estimate_sentences(
         elif e.name == GYRO_SCALE.id and e.named and scale_withheld:
             remark = "; not in the robot file, for what is left over the turns may be a tilt's, which the next drive need not have"
         elif e.name == GYRO_BIAS.id and not e.named:
-            remark = "; the rest at the start takes it off" if at_rest else "; the robot file grants as much"
+            remark = f"; {taken_off}"
             remark = "; that after its jump" if jumps else remark
         elif not e.named and abs(e.value) < NORMAL_95 * e.std:
             nothing.append(figure)

@@ -338,11 +338,12 @@ def filter_sentence(replays: Sequence[LogReplay]) -> str:
     which = f" on {holding} of {len(replays)} logs" if many and 0 < holding < len(replays) else ""
     state = "is consistent" if holding else "is not consistent"
     apart = float(np.median([j.apart for j in judged]))
-    of_path = (
+    moved = (
         f", path moved {apart:.1f} times as far as it says"
-        if not holding and MOST_APART < apart < math.inf
-        else ""
+        if apart < math.inf
+        else ", path moved where it says that it takes nothing off"
     )
+    of_path = moved if not holding and apart > MOST_APART else ""
     of_sums = f", NIS of sums {slow:.2f}" if math.isfinite(slow) else ""
     text = f"The filter {state}{which} (NIS {nis:.2f}, lag-1 correlation {lag1:.2f}{of_sums}{of_path}{', medians' if many else ''})"
     left = sum(j.left_to_gyro for j in judged) if replays[0].kind == "model" else 0

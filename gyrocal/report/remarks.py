@@ -87,6 +87,23 @@ def _not_written(coordinate: str) -> str:
     )
 
 
+def _bias_settles(
+    change: float, least: float, most: float, settling_s: float, quickest_s: float, slowest_s: float | None
+) -> str:
+    changes = f"The gyro's bias changes by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) after the start of the log, "
+    if slowest_s is None:
+        return (
+            f"{changes}for longer than the drive tells (time constant {quickest_s:.0f} s or more): the change is that to an end which is not seen, and "
+            "gyro bias is what it would be there. A gyro that warms up does that, and one whose bias drifts; nothing else explains it as well, and no "
+            "robot file holds it"
+        )
+    return (
+        f"{changes}as that of a gyro does that warms up by itself (time constant {settling_s:.0f} s, 95 %: {quickest_s:.0f} to {slowest_s:.0f}), "
+        "and nothing else explains it as well. A rest at the start takes off what it was then, and no robot file holds the rest: let the gyro warm "
+        "up before a drive."
+    )
+
+
 def _sides_differ(change: float, least: float, most: float, or_moving_dps: tuple[float, float] | None) -> str:
     larger = f"{change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to the left than in turns to the right"
     if or_moving_dps is None:
@@ -263,6 +280,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.WHEELS_SWAPPED: "Left and right wheel are swapped: the truth turns as the gyro does.",
     Said.WHEEL_SIGN: "The {side} wheel counts backwards: its sign is inverted.",
     Said.MISSING_ROWS: "About {count} [row is|rows are] missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
+    Said.NO_REST: "The rest at the start that the robot file promises with static_s is not in this log, and `replay` refuses it: {why}",
     Said.WAYS_ADDED: "The way of the wheels is missing with rows, since the row after holds that of one row: {way_m:.3g} m are added at its speed.",
     Said.WHEEL_TURN: "The {side} wheel's distance is modulated every {way_m:.3g} m, once a turn of a wheel of radius "
     "{radius_m:.3g} m.",
@@ -275,11 +293,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.BIAS_IN_MOTION: "In motion the gyro's bias differs from that of the rest at the start.",
     Said.BIAS_WHILE_MOVING: "While the robot moves the gyro's bias differs from its bias at rest, as when vibration reaches it.",
     Said.BIAS_NO_REST: "The gyro has a bias that no rest at the start takes off.",
-    Said.BIAS_SETTLES: "The gyro's bias changes by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) after the start of the log, "
-    "as that of a gyro does that warms up by itself (time constant {settling_s:.0f} s, 95 %: {quickest_s:.0f} to {slowest_s:.0f}), "
-    "and nothing else explains it as well. A rest at the start takes off what it was then, and no robot file holds the rest: let the "
-    "gyro warm up before a drive.",
+    Said.BIAS_SETTLES: _bias_settles,
     Said.SIDES_DIFFER: _sides_differ,
+    Said.TEMPERATURE_OR_TIME: "Temperature and time went together: that the bias drifts by itself is {odds:.2g} times as likely as that it goes by the "
+    "temperature, and a robot file gets {share:.0%} of the slope. Drive once more from another temperature",
     Said.BIAS_JUMPS: "The gyro's bias jumps by {change:.3g} deg/s (95 %: {least:.3g} to {most:.3g}) at {until_s:.0f} s (95 %: "
     "{earliest_s:.0f} to {latest_s:.0f}) and stays there; gyro bias is that of the end. A robot file that has to hold the bias gets one "
     "between both, for nobody knows which is next",
@@ -311,6 +328,7 @@ _OF_THE_DATA = frozenset(
         Said.NO_SPREAD,
         Said.GAPS,
         Said.WAYS_ADDED,
+        Said.NO_REST,
         Said.EMPTY_WHEEL,
         Said.CALIBRATED,
         Said.GYRO_BRIDGED,

@@ -11,7 +11,7 @@ from gyrocal.diagnosis.drive.findings import OUT, joint_estimate, spinning, told
 from gyrocal.diagnosis.drive.improved import figures_of
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, group_of, is_motion, is_slip
-from gyrocal.diagnosis.drive.motions import AS_LIKELY, settling_beats
+from gyrocal.diagnosis.drive.motions import AS_LIKELY, likeliest_settling, settling_beats, settling_gain
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, is_odd
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_problem import log_chance
@@ -26,6 +26,8 @@ from gyrocal.units import NORMAL_95
 
 #: Laws of the bias that a truth may show where the encoders alone do not.
 _BY_TRUTH = ("slope", "step", AT_ONCE)
+#: Drives with a bias that drifts by itself to those with one that goes by the temperature, which most gyros have.
+_BY_ITSELF = 0.25
 #: Instants at which a truth is asked for a jump of the bias first, and how often three times as closely about the likeliest.
 _INSTANTS, _CLOSER = 8, 3
 
@@ -37,7 +39,7 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
         # No wheel goes less far while it drives, nor spins in turns alone.
         yaw = yaw.without(["spinning"], "acceleration")
     if truth is None or truth.mirrored:
-        return yaw, truth
+        return _slope_or_time(series, yaw, None)[0], truth
     yaw, truth = _jump_at_its_instant(series, yaw, truth)
     # First what the next drive has, too: a jump bends a path much as any of these does.
     yaw, truth = _with_laws(series, yaw, truth)
@@ -46,6 +48,8 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
         yaw, truth = _with_laws(series, jumping, told)
     if "jump" in yaw.chosen:
         truth = _scales_beside_the_course(series, yaw, truth)
+    yaw, asked = _slope_or_time(series, yaw, truth)
+    truth = asked or truth
     truth = replace(truth, or_moving_dps=_or_in_motion(series, yaw, truth))
     return _wheels_beside_structure(_wheels_beside(yaw, truth), truth), truth
 
@@ -99,6 +103,30 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
             if alone is not None and _with_truth(series, less, alone, other)[0] < AS_LIKELY:
                 return less, alone
         yaw, truth = yaw.with_law(name, gain), found
+
+
+def _slope_or_time(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
+) -> tuple[YawAnswer, TruthAnswer | None]:
+    """With the odds of a bias that goes by the time to the slope over temperature that is named; without that where they are long.
+
+    A robot that warms up all along has both in one, and the next drive may begin warm.
+    """
+    if "slope" not in yaw.named or yaw.settling:
+        return yaw, truth
+    beside = [n for n in yaw.fitted if n != "slope"]
+    (instead,) = likeliest_settling(yaw.told, beside, -np.inf) or [""]
+    if not instead:
+        return yaw, truth
+    against = settling_gain(yaw.told, beside) - yaw.told.added(beside, ["slope"])
+    if truth is not None:
+        found = _asked(series, yaw.less(["slope"]).with_law(instead, 0.0), truth)
+        against += 0.0 if found is None else truth.loss - found.loss
+    odds = _BY_ITSELF * float(np.exp(0.5 * min(against, 100.0)))
+    if odds < OUT:
+        return replace(yaw, time_odds=odds), truth
+    less = yaw.without(["slope"], "time")
+    return less, truth and (_asked(series, less, truth) or truth)
 
 
 def _or_in_motion(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[float, float] | None:

@@ -11,7 +11,7 @@ from gyrocal.diagnosis.drive.series import DriveSeries, Floats, usual_step_s
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.errors import DataError
-from gyrocal.navigation.lost_ways import LACKS_A_ROW
+from gyrocal.navigation.lost_ways import LACKS_A_ROW, rows_missing
 from gyrocal.navigation.sanity import (
     AGAINST_GYRO,
     UNITS,
@@ -170,7 +170,7 @@ def missing_rows(t_s: Floats) -> Found | None:
     """Rows that the logger lost, told by the gaps in time."""
     steps = np.diff(t_s)
     usual = usual_step_s(t_s)
-    lost = int(np.sum(np.round(steps[steps > LACKS_A_ROW * usual] / usual) - 1))
+    lost = rows_missing(t_s, usual)
     if lost <= _LOST * steps.size:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)

@@ -36,6 +36,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.fusion.static_bias import static_bias
 from gyrocal.physics.drive import UNIT_OR_SIGN
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.files import finite
@@ -183,7 +184,7 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
         else:
             checks.append(Found(UNIT_OR_SIGN.id, Estimate.exact(-1.0, "1"), seen))
     parts = of_truth(yaw, truth)
-    notes += instants(yaw, truth)
+    notes += [*instants(yaw, truth), *_without_rest(log, robot)]
     clock = uneven_clock(log.t_s)
     return Examined(
         series,
@@ -194,6 +195,17 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
         checks,
         [*notes, *([clock] if clock else [])],
     )
+
+
+def _without_rest(log: DriveBlock, robot: Robot) -> list[Remark]:
+    """That a log lacks the rest that the robot file promises, as `replay` finds."""
+    if robot.static_s == 0.0:
+        return []
+    try:
+        static_bias(log.t_s, log.left_m, log.right_m, log.gyro_dps, robot.static_s)
+    except DataError as error:
+        return [Remark(Said.NO_REST, {"why": str(error)})]
+    return []
 
 
 def _shown(

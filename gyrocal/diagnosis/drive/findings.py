@@ -389,6 +389,8 @@ def _rivals(name: str, yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[Alter
             found[law.effect] = min(ratio, found.get(law.effect, np.inf))
     if name == "asymmetry" and not yaw.model.frame.nodes.resting.any():
         found[GYRO_BIAS.id] = 1.0
+    if name == "slope" and yaw.time_odds * OUT > 1.0:
+        found[GYRO_BIAS.id] = 1.0 / yaw.time_odds
     return tuple(Alternative(e, r) for e, r in sorted(found.items(), key=lambda x: x[1]))
 
 

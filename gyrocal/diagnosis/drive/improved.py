@@ -26,7 +26,7 @@ from gyrocal.diagnosis.drive.laws import (
     settling,
     strangers,
 )
-from gyrocal.diagnosis.drive.motions import of_motion
+from gyrocal.diagnosis.drive.motions import of_motion, or_nothing
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, may_be_tilted
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
@@ -328,6 +328,7 @@ def improved_robot(
         keys |= _bias_keys(yaw, truth, figures.temp_c)
     told = _told(yaw, truth, parts, lasting)
     told |= {n: _foretold_motion(yaw, n, told[n]) for n in of_motion(lasting)}
+    told |= {n: or_nothing(*told[n], 1.0 / (1.0 + yaw.time_odds)) for n in told if n == "slope"}
     for law in (n for n in told if n in KINDS and KINDS[n].figure):
         keys[f"gyro.{KINDS[law].figure}"], keys[f"gyro.{KINDS[law].figure}_std"] = told[law]
     if moving := _moving(told):

@@ -87,11 +87,14 @@ def settling_beats(told: Evidence, beside: Sequence[str], name: str, least: floa
     ----------
     least : gain from which on it is there
     """
-    gains = np.array([told.added(beside, [n]) for n in told.own.names if n in SETTLING])
-    if not gains.size:
-        return False
-    settling = 2.0 * float(logsumexp(0.5 * gains, b=1.0 / gains.size))
+    settling = settling_gain(told, beside)
     return settling > max(least, told.added(beside, [name]) + AS_LIKELY)
+
+
+def settling_gain(told: Evidence, beside: Sequence[str]) -> float:
+    """What a bias that settles by itself gains, of any time constant; minus infinity where none was looked at."""
+    gains = np.array([told.added(beside, [n]) for n in told.own.names if n in SETTLING])
+    return 2.0 * float(logsumexp(0.5 * gains, b=1.0 / gains.size)) if gains.size else -np.inf
 
 
 def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[str]:
@@ -112,16 +115,16 @@ def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[s
     found = list(chosen)
     for name in (n for n in chosen if is_motion(n) or n == "slope"):
         beside = [n for n in found if n != name]
-        settling = _likeliest_settling(told, found, least)
+        settling = likeliest_settling(told, found, least)
         stays = bool(settling) and told.added([*beside, *settling], [name]) >= least
         if settling_beats(told, beside, name) and not stays:
             found = beside
     if len(found) < len(chosen) or of_motion(found):
-        found += _likeliest_settling(told, found, least)
+        found += likeliest_settling(told, found, least)
     return found
 
 
-def _likeliest_settling(told: Evidence, beside: Sequence[str], least: float) -> list[str]:
+def likeliest_settling(told: Evidence, beside: Sequence[str], least: float) -> list[str]:
     """The likeliest law of a bias that settles by itself beside others; none where it gains less than `least`."""
     gains = {n: told.added(beside, [n]) for n in told.own.names if n in SETTLING}
     return [n for n in sorted(gains, key=lambda n: -gains[n])[:1] if gains[n] >= least]
@@ -131,3 +134,8 @@ def may_be_another(told: Evidence, beside: Sequence[str], name: str, instead: Se
     """Whether one of other laws in the place of one is as likely as it is."""
     gain = told.added(beside, [name])
     return any(told.added(beside, [n]) > gain - AS_LIKELY for n in instead)
+
+
+def or_nothing(value: float, std: float, likely: float) -> tuple[float, float]:
+    """Mean and standard deviation of a figure that is as likely there, and else zero."""
+    return likely * value, float(np.sqrt(likely * (std**2 + (1.0 - likely) * value**2)))

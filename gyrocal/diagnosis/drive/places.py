@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from gyrocal.diagnosis.drive.findings import effect_of, joint_estimate, undecided
+from gyrocal.diagnosis.drive.findings import OUT, effect_of, joint_estimate, undecided
 from gyrocal.diagnosis.drive.laws import SETTLING, Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
@@ -104,6 +104,9 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
         found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
     if yaw.settling:
         found.append(_settles(yaw, truth))
+    if yaw.time_odds * OUT > 1.0:
+        facts = {"odds": yaw.time_odds, "share": 1.0 / (1.0 + yaw.time_odds)}
+        found.append(Remark(Said.TEMPERATURE_OR_TIME, facts))
     if truth is not None and truth.one_size:
         # What a path lacks of every turn is read too little to the left and too much to the right.
         change, half = -200.0 * truth.one_size, 200.0 * NORMAL_95 * truth.stds[ONE_SIZE]
@@ -126,7 +129,8 @@ def _settles(yaw: YawAnswer, truth: TruthAnswer | None) -> Remark:
     """By how much the bias changes after the start of a drive, and how fast, by all time constants that may be."""
     beside = [n for n in yaw.fitted if n != yaw.settling]
     gains = {n: yaw.told.added(beside, [n]) for n in SETTLING}
-    likely = [n for n, gain in gains.items() if gain > max(gains.values()) - NORMAL_95**2]
+    # That of the fit was the likeliest before the truth was asked.
+    likely = [n for n, g in gains.items() if n == yaw.settling or g > max(gains.values()) - NORMAL_95**2]
     by_truth = joint_estimate(yaw, truth, yaw.settling)[0] - yaw.estimate(yaw.settling)[0]
     changes = []
     for name in likely:
@@ -142,7 +146,7 @@ def _settles(yaw: YawAnswer, truth: TruthAnswer | None) -> Remark:
         "most": max(changes),
         "settling_s": SETTLING[yaw.settling],
         "quickest_s": times_s[max(first - 1, 0)],
-        "slowest_s": times_s[min(last + 1, len(times_s) - 1)],
+        "slowest_s": times_s[last + 1] if last + 1 < len(times_s) else None,
     }
     return Remark(Said.BIAS_SETTLES, facts)
 

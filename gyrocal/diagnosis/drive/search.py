@@ -79,6 +79,7 @@ class YawAnswer:
     uneven : laws that change between the parts of the drive, or at an instant: the next drive has others
     changed : track or wheels until the instant from which on they are others, named ``time:`` and the law
     nameless : columns of no name in which something lives, beside which the laws have these coefficients
+    time_odds : of a bias that goes by the time to one that goes by the temperature, where that is named
     """
 
     model: YawModel
@@ -96,6 +97,7 @@ class YawAnswer:
     uneven: frozenset[str]
     changed: Mapping[str, Law]
     nameless: Mapping[str, Floats]
+    time_odds: float = 0.0
 
     @property
     def gram(self) -> Gram:

@@ -163,6 +163,34 @@ def test_a_bias_that_comes_with_the_motion_is_named_and_goes_into_the_file(resti
     assert "gyro_bias_in_motion" not in told
 
 
+@pytest.mark.parametrize(
+    ("of_time", "seed"), [(True, 3), pytest.param(True, 4, marks=pytest.mark.slow), (False, 3)]
+)
+def test_a_bias_that_drifts_while_a_robot_warms_up_is_no_sure_slope(
+    of_time: bool, seed: int, resting: Robot
+) -> None:
+    """It had a tight interval, no alternative, and the next drive began warm."""
+    plan = Plan(minutes=6.0, arw_dps_rt_s=0.002, flicker_dps=2e-4, bias_walk=0.0, wheel_noise=1e-3)
+    log = drive(plan, seed)
+    whole_s = float(np.ptp(log.t_s))
+    warm_c = 20.0 + (5.0 * log.t_s / whole_s if of_time else 4.0 * np.sin(4.0 * np.pi * log.t_s / whole_s))
+    added = 0.04 * log.t_s / whole_s if of_time else 0.008 * (warm_c - 20.0)
+    odd = replace(log, gyro_dps=log.gyro_dps + added, gyro_temp_c=warm_c)
+    found = diagnose_drive("log", odd, resting)
+    named = {e.effect: e for e in found.diagnosis.effects}
+    said = [n for n in found.diagnosis.notes if isinstance(n, Remark) and n.said is Said.TEMPERATURE_OR_TIME]
+    written = found.robot.parameters.gyro.bias_slope_dps_per_c if found.robot else 0.0
+    if not of_time:
+        assert not named["bias_temperature"].alternatives
+        assert not said
+        assert written == pytest.approx(0.008, abs=0.001)
+        return
+    if "bias_temperature" in named:
+        assert [a.effect for a in named["bias_temperature"].alternatives] == ["gyro_bias"]
+        assert said[0].facts["share"] == pytest.approx(1.0 / (1.0 + said[0].facts["odds"]))
+    assert written < 0.9 * 0.008
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("of_motion", "seed"), [(True, 1), (True, 2), (False, 21)])
 def test_a_bias_in_motion_that_bends_the_whole_path_is_no_scale_of_one_side(

@@ -149,6 +149,8 @@ def test_a_gyro_that_warms_up_by_itself_does_not_follow_the_temperature(settles:
     for facts in said:
         assert facts["least"] < 0.3 < facts["most"]
         assert facts["quickest_s"] <= 40.0 <= facts["slowest_s"]
+        assert facts["quickest_s"] <= facts["settling_s"] <= facts["slowest_s"]
+        assert facts["least"] <= facts["change"] <= facts["most"]
         (figure,) = [e for e in found.estimates if e.name == "gyro_bias_settling"]
         # It has settled at the end, and the next drive begins anew.
         assert figure.value == pytest.approx(-0.3, abs=4.0 * figure.std)

@@ -131,3 +131,21 @@ def test_parts_that_lie_askew_are_laid_on_the_truth(resting: Robot) -> None:
     standing = replace(path, steps_m=np.where(np.cumsum(path.gap) > 0, 0.0, path.steps_m))
     found = first_turns(standing, rows, count, (standing.at_m, truth), 0.3, 1e-4, noise)
     np.testing.assert_allclose(found, 0.0, atol=1e-6)
+
+
+def test_a_rest_that_the_file_promises_and_the_log_lacks_is_said(resting: Robot) -> None:
+    """The rest at the start "takes off" the bias, it had said, and `replay` refused the file that was written."""
+    log = drive(PLAN, 4)
+    assert not [
+        n
+        for n in examine("log", log, resting, None).notes
+        if isinstance(n, Remark) and n.said is Said.NO_REST
+    ]
+    moved = np.flatnonzero(np.abs(log.left_m) > 0.0)[0]
+    driven = without(log, -1.0, float(log.t_s[moved]))
+    (said,) = (
+        n
+        for n in examine("log", driven, resting, None).notes
+        if isinstance(n, Remark) and n.said is Said.NO_REST
+    )
+    assert "the robot moves in its first 7 s" in said.facts["why"]

@@ -111,21 +111,27 @@ def test_a_figure_that_may_be_nothing_is_not_said_to_cost_metres() -> None:
         DriveEstimate("skid_slip", 27.6, 1.2, "%", 26.0, "encoders", named=True),
         DriveEstimate("wheel_asymmetry", 0.961, 0.033, "%", 21.0, "encoders", named=False),
     )
-    said = _estimate_sentences(figures, at_rest=True, nameless=True, scale_withheld=False)
+    said = _estimate_sentences(
+        figures, taken_off="the rest at the start takes it off", nameless=True, scale_withheld=False
+    )
     assert said == [
         "skid slip 27.6 ± 1.2 %: left in, it moves the path along the encoders' heading by 26 m rms",
         "wheel asymmetry 0.961 ± 0.033 %: left in, it moves the path along the encoders' heading by 21 m rms; not named, for "
         "what is left without a name may be what moves it",
         "Within their uncertainty of nothing: gyro bias in motion -0.30 ± 0.40 deg/s",
     ]
-    firm = _estimate_sentences(figures[2:], at_rest=True, nameless=False, scale_withheld=False)
+    firm = _estimate_sentences(
+        figures[2:], taken_off="the rest at the start takes it off", nameless=False, scale_withheld=False
+    )
     assert firm[0].endswith("not named, too near its uncertainty or to what the robot file grants")
 
 
 def test_a_scale_that_is_named_and_not_written_is_said_to_be() -> None:
     figures = (DriveEstimate("gyro_scale", -5.66, 0.71, "%", 13.0, "gyro", named=True),)
     for withheld in (True, False):
-        (said,) = _estimate_sentences(figures, at_rest=True, nameless=True, scale_withheld=withheld)
+        (said,) = _estimate_sentences(
+            figures, taken_off="the rest at the start takes it off", nameless=True, scale_withheld=withheld
+        )
         assert ("not in the robot file" in said) == withheld
 
 
