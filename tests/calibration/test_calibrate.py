@@ -96,6 +96,14 @@ def test_verdict_is_one_line_with_all_that_is_asked(result: Calibration) -> None
     assert result.factor > 100
 
 
+def test_a_residual_far_above_the_sample_noise_is_said(result: Calibration) -> None:
+    """Of a lag and a step that no test knows, "no structure" had been all."""
+    assert "times the sample noise" not in verdict(result)
+    above = replace(result, sample_floor_dps=result.after_dps / 5.0)
+    assert ", but it is 5 times the sample noise: `gyrocal diagnose` looks what it is" in verdict(above)
+    assert "times the sample noise" not in verdict(replace(result, sample_floor_dps=None))
+
+
 def test_tables_and_json_hold_the_same(result: Calibration) -> None:
     by_title = {t.title.split(":")[0].split(" (")[0]: t for t in tables(result)}
     assert len(by_title["Error in mdeg/s"].rows) == 12

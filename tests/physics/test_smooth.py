@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +24,7 @@ from gyrocal.physics.smooth import (
     columns_of,
     design,
     histories,
+    seen_of,
     smooth_term,
 )
 
@@ -174,6 +176,18 @@ def test_beyond_what_was_seen() -> None:
     assert not a.beyond(record(), x).any()
     x[3, 1] = 2.0  # u was seen up to 1
     np.testing.assert_array_equal(np.flatnonzero(a.beyond(record(), x)), [3])
+
+
+def test_what_adds_next_to_nothing_is_known_anywhere() -> None:
+    """A shape that died had flagged samples at rates of the calibration, for the last digits of a column."""
+    x, _ = columns_of(record(), FRAME, ALL)
+    sizes_dps = np.full(len(ALL), 1e-2)
+    sizes_dps[1] = 1e-8
+    a = replace(term(), seen=seen_of(x, sizes_dps, least_dps=1e-5))
+    x[3, 1] = 2.0
+    assert not a.beyond(record(), x).any()
+    x[4, 2] += 2.0 * np.ptp(x[:, 2]) + 0.1
+    np.testing.assert_array_equal(np.flatnonzero(a.beyond(record(), x)), [4])
 
 
 @pytest.mark.parametrize(
