@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: A fix is wild where it leaps by so many times what fixes mostly leap by beyond the way, and by so much, m. Receivers jump by
-#: metres as satellites come and go, and stay there: that is no leap there and back.
-_TIMES, _LEAST_M = 20.0, 10.0
+#: A fix is wild where it leaps by so many times what fixes mostly leap by beyond the way, and by so much, m: there and back, or away
+#: from a start or an end. Receivers jump by metres as satellites come and go, and stay there, which is no leap there and back.
+_TIMES, _BACK_M, _AWAY_M = 20.0, 1.0, 10.0
 #: Of fewer nobody knows what is usual.
 _FEWEST = 10
 
@@ -47,10 +47,12 @@ def wild_fixes(x_m: Floats, y_m: Floats, way_m: Floats) -> Bools:
         return np.asarray(np.abs(at[rows:] - at[:-rows]) - (way[rows:] - way[:-rows]))
 
     one, over = leaps(1), leaps(2)
-    limit_m = max(_TIMES * float(np.median(np.maximum(one, 0.0))), _LEAST_M)
-    far = one > limit_m
+    # Where a path winds, most lie closer than the way between them, and what is beyond it is nothing in the median.
+    usual_m = _TIMES * float(np.median(np.abs(one)))
+    back_m, away_m = max(usual_m, _BACK_M), max(usual_m, _AWAY_M)
     alone = np.zeros(at.size, dtype=np.bool_)
-    alone[1:-1] = far[:-1] & far[1:] & (over <= limit_m)
+    alone[1:-1] = (one[:-1] > back_m) & (one[1:] > back_m) & (over <= back_m)
+    far = one > away_m
     # At either end there is one neighbour, which has to agree with the next.
     alone[0], alone[-1] = far[0] and not far[1], far[-1] and not far[-2]
     wild[known] = alone[fix]
