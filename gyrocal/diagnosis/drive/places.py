@@ -104,7 +104,7 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
         found.append(told(Said.BIAS_JUMPS, 1.0, *joint_estimate(yaw, truth, "jump"), yaw.laws["jump"]))
     if yaw.settling:
         found.append(_settles(yaw, truth))
-    if yaw.time_odds * OUT > 1.0:
+    if "slope" in yaw.named and yaw.time_odds * OUT > 1.0:
         facts = {"odds": yaw.time_odds, "share": 1.0 / (1.0 + yaw.time_odds)}
         found.append(Remark(Said.TEMPERATURE_OR_TIME, facts))
     if truth is not None and truth.one_size:
