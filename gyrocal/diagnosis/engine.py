@@ -323,14 +323,15 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list
 
 def _later_on_a_robot(series: Series, written: Coefficients) -> list[Remark]:
     """What laws of the temperature's rate leave at run time, where it is that of the course up to then and not of the whole one."""
+    if series.is_table:
+        return []
     known = conditions_of(series)
     by_then, effects, late_dps = replace(known, temp_rate_c_per_s=None), list[str](), np.zeros(len(series))
     for term in written.terms:
-        if isinstance(term, Term) and not series.is_table:
-            late = [term.error_dps(c, written.surface) for c in (known, by_then)]
-            if np.any(late[0] != late[1]):
-                effects.append(term.effect)
-                late_dps += late[0] - late[1]
+        if isinstance(term, Term):
+            left_dps = term.error_dps(known, written.surface) - term.error_dps(by_then, written.surface)
+            effects += [term.effect] if left_dps.any() else []
+            late_dps += left_dps
     if not effects:
         return []
     facts = {"effects": effects, "late_s": SMOOTHING_S, "late_dps": float(np.sqrt(np.mean(late_dps**2)))}

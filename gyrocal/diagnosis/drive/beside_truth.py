@@ -39,7 +39,7 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
         # No wheel goes less far while it drives, nor spins in turns alone.
         yaw = yaw.without(["spinning"], "acceleration")
     if truth is None or truth.mirrored:
-        return _slope_or_time(series, yaw, None)[0], truth
+        return _slope_or_time(series, yaw, None), truth
     yaw, truth = _jump_at_its_instant(series, yaw, truth)
     # First what the next drive has, too: a jump bends a path much as any of these does.
     yaw, truth = _with_laws(series, yaw, truth)
@@ -48,8 +48,10 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
         yaw, truth = _with_laws(series, jumping, told)
     if "jump" in yaw.chosen:
         truth = _scales_beside_the_course(series, yaw, truth)
-    yaw, asked = _slope_or_time(series, yaw, truth)
-    truth = asked or truth
+    held = _slope_or_time(series, yaw, truth)
+    if held.chosen != yaw.chosen:
+        truth = _asked(series, held, truth) or truth
+    yaw = held
     truth = replace(truth, or_moving_dps=_or_in_motion(series, yaw, truth))
     return _wheels_beside_structure(_wheels_beside(yaw, truth), truth), truth
 
@@ -105,28 +107,23 @@ def _with_laws(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple
         yaw, truth = yaw.with_law(name, gain), found
 
 
-def _slope_or_time(
-    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
-) -> tuple[YawAnswer, TruthAnswer | None]:
+def _slope_or_time(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> YawAnswer:
     """With the odds of a bias that goes by the time to the slope over temperature that is named; without that where they are long.
 
     A robot that warms up all along has both in one, and the next drive may begin warm.
     """
     if "slope" not in yaw.named or yaw.settling:
-        return yaw, truth
+        return yaw
     beside = [n for n in yaw.fitted if n != "slope"]
-    (instead,) = likeliest_settling(yaw.told, beside, -np.inf) or [""]
+    instead = likeliest_settling(yaw.told, beside, -np.inf)
     if not instead:
-        return yaw, truth
+        return yaw
     against = settling_gain(yaw.told, beside) - yaw.told.added(beside, ["slope"])
     if truth is not None:
-        found = _asked(series, yaw.less(["slope"]).with_law(instead, 0.0), truth)
+        found = _asked(series, yaw.less(["slope"]).with_law(instead[0], 0.0), truth)
         against += 0.0 if found is None else truth.loss - found.loss
     odds = _BY_ITSELF * float(np.exp(0.5 * min(against, 100.0)))
-    if odds < OUT:
-        return replace(yaw, time_odds=odds), truth
-    less = yaw.without(["slope"], "time")
-    return less, truth and (_asked(series, less, truth) or truth)
+    return replace(yaw, time_odds=odds) if odds < OUT else yaw.without(["slope"], "time")
 
 
 def _or_in_motion(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[float, float] | None:
