@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tests.bench.strangers.chambers import ASCII_CHAMBERS, ChamberDevice
 from tests.bench.strangers.gyros import GYROS, Gyro
-from tests.bench.strangers.lab import Lab, Moment
+from tests.bench.strangers.lab import TICK_S, Lab, Moment
 from tests.bench.strangers.modbus import MODBUS_CHAMBERS, ModbusChamber
 from tests.bench.strangers.tables import TABLES, TableDevice
 
@@ -220,10 +220,10 @@ def _segment(b: Bench, entry: Mapping[str, object], frame: pd.DataFrame, offset_
 
 
 def _around(b: Bench, t_s: float) -> list[Moment]:
-    """What was true from some time before `t_s` to a little after it: nobody can tell when within it a reading was taken."""
+    """What was true around `t_s`: a reading is stamped at the middle of question and answer, and was taken in between."""
     index = int(np.searchsorted([m.t_s for m in b.lab.moments], t_s))
-    ticks = round(ARRIVAL_S / 0.005)
-    return b.lab.moments[max(index - ticks, 0) : index + ticks // 5 + 1]
+    ticks = round(0.5 * ARRIVAL_S / TICK_S)
+    return b.lab.moments[max(index - ticks, 0) : index + ticks + 1]
 
 
 def _samples(b: Bench, entry: Mapping[str, object], gyro: pd.DataFrame, t_s: Floats) -> Iterator[str]:

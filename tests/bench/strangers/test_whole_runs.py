@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import time
 from pathlib import Path
 
 import pytest
 
 from tests.bench.strangers.gyros import GYROS
-from tests.bench.strangers.runs import CHAMBERS, acquire, bench, differences, profile
+from tests.bench.strangers.runs import ARRIVAL_S, CHAMBERS, acquire, bench, differences, profile
 from tests.bench.strangers.tables import TABLES
 
 #: Every gyro, every table and every chamber once, all but the first under `slow`, where the product of all is.
@@ -28,6 +29,19 @@ EACH_ONCE = (
 )
 def test_a_small_run_is_recorded_as_it_was(tmp_path: Path, gyro: str, table: str, chamber: str) -> None:
     with bench(gyro, table, chamber) as b:
+        outcome = acquire(tmp_path, profile(b, temperatures="[24.0]"))
+        assert differences(b, outcome) == []
+
+
+@pytest.mark.slow
+def test_what_is_compared_does_not_hang_on_the_load_of_the_machine(tmp_path: Path) -> None:
+    with bench("kvh-dsp3000", "json-lines", "espec") as b:
+
+        def hold_up() -> None:
+            time.sleep(0.8 * ARRIVAL_S)
+            b.lab.after(0.4, hold_up)
+
+        b.lab.after(1.0, hold_up)
         outcome = acquire(tmp_path, profile(b, temperatures="[24.0]"))
         assert differences(b, outcome) == []
 
