@@ -13,7 +13,7 @@ Layers      ``examine`` leads: ``within`` (patterns inside data sets) and ``betw
             ``changes``, ``finer`` (shapes between those of a grid), ``candidates`` (what it found) and ``open_loop``.
 Names       ``names`` leads: ``laws`` (the catalogue at these rows), ``contest`` (laws against each other),
             ``in_place`` (laws that stand for a block), ``misfit`` (what a law leaves that nearly holds), ``jumps`` (at an instant),
-            ``estimates`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag), ``law_posterior`` (where a time constant scatters).
+            ``estimates``, ``scan`` and ``intervals`` (parameters), ``lag_posterior`` (of a coil's lag), ``law_posterior`` (where a time constant scatters).
 Answer      ``rounding`` (what output steps may have made), ``staircase`` (worth on data left out), ``surface`` (alone) and
             ``correction`` (with what stays, averaged over ``rivals`` of the laws, and with what passes as it is ``standing``; ``rising`` leaves out
             what no robot can undo), both as coefficient files, the latter weighed by ``fresh_run``;

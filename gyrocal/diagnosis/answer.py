@@ -255,9 +255,7 @@ def _of_table(found: Examination, searched: _Searched) -> NamedEffect:
     shaped = estimates.reshaped(fitted, found.laws)
     law = shaped.model.laws[fitted.model.laws.index(searched.law)]
     known = estimates.of_law(shaped.granting_noise, law, found.laws, [])
-    parameters = known.parameters
-    if law.spread and not law.from_end:
-        parameters = posterior_of(averaged(found.ranked), law, parameters)
+    parameters = posterior_of(averaged(found.ranked), law, known.parameters)
     return _effect(found, searched.effect, parameters, searched.p_value, searched.rivals, adds=known.adds)
 
 

@@ -118,6 +118,12 @@ class Changes:
     means: Means
     frame: Frame
 
+    def at(self, means: Means) -> Changes:
+        """The same shapes, at the same rows of another slope of the output."""
+        found = Changes(means, self.frame)
+        found.values.update(self.values)
+        return found
+
     def grids(self, effect: str) -> tuple[Sequence[float], Sequence[float]]:
         """Values and spreads that an effect other than a drift may have here; none where the record cannot show it."""
         m = self.means
@@ -180,7 +186,7 @@ class Changes:
         """
         m, (effect, at, spread) = self.means, change[:3]
         if effect in STEPS or effect in DRIFTS:
-            scale = PPM * m.rate_dps if "rate_dps" in CATALOGUE[effect].needs else np.full(len(m), MDPS)
+            scale = PPM * m.felt_dps if "rate_dps" in CATALOGUE[effect].needs else np.full(len(m), MDPS)
             if effect in DRIFTS:
                 shape = self._of_drift(at, spread)
                 ahead = growth(m.t_s, shape)
@@ -192,7 +198,7 @@ class Changes:
         mixture = _spread_over(self._coarse[effect][::_THINNED], at, spread) if spread else {at: 1.0}
         of_bias = np.sum([weight * self._of_bias(effect, x) for x, weight in mixture.items()], axis=0)
         where = {"of_scale": float(change.of_scale)}
-        column = where_it_acts(Conditions(m.t_s, m.rate_dps, m.temp_c), where, of_bias)[:, None]
+        column = where_it_acts(Conditions(m.t_s, m.felt_dps, m.temp_c), where, of_bias)[:, None]
         shape = _shape(name, at) | (where if change.of_scale else {})
         return Law(effect, shape, column, spread=spread, mixture=tuple(mixture.items()) if spread else ())
 

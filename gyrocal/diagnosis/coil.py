@@ -165,10 +165,18 @@ class TableSearch:
     def _cost(self, c: Candidate, change: Change, at: float) -> float:
         return self._with_shape(c, change, at).score
 
-    def _over(self, base: Model) -> TableSearch:
+    def _over(self, base: Model, changes: Changes | None = None) -> TableSearch:
         """The search over another model, which compares with this one."""
         contrasts: dict[Coil, Contrasts] = {None: self._contrasts[None]}
-        return TableSearch(base, self.changes, self.shares, self.lags_s, _contrasts=contrasts)
+        return TableSearch(base, changes or self.changes, self.shares, self.lags_s, _contrasts=contrasts)
+
+    def before_sine(self, slope: Floats) -> TableSearch:
+        """The search over models in which all that changes the scale factor does so before an open loop's sine of that slope."""
+        means, frame = replace(self.base.means, slope=slope), self.base.basis.frame
+        felt = {c.name: c for c in passing(means, frame) if c.name in self.base.components}
+        basis, components = replace(self.base.basis, means=means), {**self.base.components, **felt}
+        base = replace(self.base, means=means, basis=basis, components=components)
+        return self._over(base, self.changes.at(means))
 
     def beside(self, laws: Sequence[Law]) -> TableSearch:
         """The search over models that have some laws, which compare with these."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
@@ -24,12 +24,13 @@ from gyrocal.diagnosis.intervals import (
     profile_interval,
     shapes_within,
 )
-from gyrocal.diagnosis.laws import Laws, likeliest
+from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.scan import Scan, free_of, rarity, scan_of, shapes_of_others
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM, SCALED_AT_DPS, Effect
+from gyrocal.physics.effect import MDPS, PPM, Effect
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -43,90 +44,12 @@ _SAME_MODE = 0.1
 #: Of two parameters so many values each, to this power of the ratio within which each would be by itself: parameters that
 #: are traded for one another have intervals up to about that much wider.
 _GRID, _WIDER = 21, 3.0
-#: A law of two parameters is as probable as its amplitude to minus this power.
-_FALLS = 2.0
 #: Values of each of two parameters by which a law is averaged whose amplitude is known to no better than this ratio.
 _AVERAGED, _KNOWN = 6, 1.25
 #: Shapes of less than this share of the likeliest one's weight count for nothing.
 _IDLE = 0.01
 #: Rows on either side of a jump in which its instant is looked for more closely than between rows.
 _ROWS_NEAR = 2
-
-
-@dataclass(frozen=True)
-class _Scan:
-    """A law beside everything else in a model: how well it does at any shape.
-
-    The amplitude stays within the bounds that the catalogue gives; a shape that fits best beyond them loses by that.
-
-    Attributes
-    ----------
-    surface : ndarray, shape (n, p)
-        Orthonormal basis of the surface's free terms.
-    score, precision : ndarray, shape (n,), (n, n)
-        ``P y`` and ``P`` of the rest of the model (`Contrasts.precision`).
-    kind : mapping
-        Values of the parameters that are chosen from a few; without any the best of them at every shape.
-    """
-
-    effect: Effect
-    laws: Laws
-    surface: Floats
-    score: Floats
-    precision: Floats
-    kind: Mapping[str, float] = field(default_factory=dict)
-
-    def at(self, shape: Mapping[str, float]) -> Point:
-        """The point at a shape; a parameter that is chosen from a few values, and not refined, has the best of them."""
-        kinds = [{**shape, **kind} for kind in self.kinds(shape)]
-        points = [self.of(self.laws.at(self.effect, kind), kind) for kind in kinds]
-        return min(points, key=lambda p: p.loss)
-
-    def kinds(self, shape: Mapping[str, float]) -> list[Mapping[str, float]]:
-        """Values on the grid of the parameters that are not refined."""
-        if self.kind:
-            return [self.kind]
-        search = self.effect.search
-        choices = [n for n in shape if n not in search.refined]
-        grid = [s for s in search.grid(self.laws.offer) if s.keys() >= {*choices}]
-        kinds = {tuple(s[n] for n in choices) for s in grid}
-        return [dict(zip(choices, kind, strict=True)) for kind in sorted(kinds)] or [{}]
-
-    def of_kind(self, shape: Mapping[str, float]) -> _Scan:
-        """The same at the values that a shape has of the parameters that are not refined."""
-        return replace(self, kind={n: x for n, x in shape.items() if n not in self.effect.search.refined})
-
-    def of(self, columns: Floats, shape: Mapping[str, float]) -> Point:
-        """The point of a law's columns at a shape; of a cosine's and a sine's amplitudes the root of the sum of squares counts, of others the first."""
-        information = columns.T @ self.precision @ columns
-        if np.trace(information) < np.sqrt(np.finfo(float).tiny):
-            # Its inverse would overflow: it says nothing of an amplitude.
-            return Point(0.0, 0.0, float("inf"))
-        covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
-        b = covariance @ (columns.T @ self.score)
-        size, along = float(b[0]), np.eye(b.size)[0]
-        if b.size == 2 and any(p.name == "phase_rad" for p in self.effect.parameters):
-            size = float(np.hypot(*b))
-            along = b / size
-        std = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
-        loss = -float(columns.T @ self.score @ b)
-        if not std:
-            return Point(0.0, size, float("inf"))
-        amplitude, lost = likeliest(self.effect, size, std)
-        if sum(n in shape for n in self.effect.search.refined) > 1:
-            # Of a peak between two rates the higher ones all fit.
-            lost += 2.0 * _rarity(amplitude, std)
-        beyond = columns - self.surface @ (self.surface.T @ columns)
-        unit_dps = float(np.sqrt(np.mean(np.sum(beyond**2, axis=1))))
-        return Point(loss + lost, amplitude, std, unit_dps)
-
-    def on_scale(self, law: Law) -> Estimate:
-        """Second amplitude of a law that acts on the scale factor beside the bias, at 100 deg/s."""
-        covariance = np.linalg.inv(law.columns.T @ self.precision @ law.columns)
-        b = covariance @ (law.columns.T @ self.score)
-        at = SCALED_AT_DPS / law.shape["rate_scale_dps"]
-        unit = self.effect.parameter("amplitude").unit
-        return Estimate.normal(at * float(b[1]), at * float(np.sqrt(covariance[1, 1])), unit)
 
 
 @dataclass(frozen=True)
@@ -146,16 +69,16 @@ def of_law(fitted: Fitted, law: Law, laws: Laws, without: list[str]) -> LawEstim
     """Parameters of a law beside everything else in a model.
 
     Each has the interval in which its likelihood, the others at their best, is high enough: of parameters that are
-    traded for one another every interval allows for the others.
+    traded for one another every interval allows for the others, those of other laws too.
 
     Parameters
     ----------
     without : components that the law takes the place of
     """
     effect = CATALOGUE[law.effect]
-    beside = _beside(fitted, law, laws, without)
+    beside = scan_of(fitted, law, laws, without, shapes_of_others(fitted, law, laws))
     here = beside.of(law.columns, law.shape)
-    free = _free(law)
+    free = free_of(law)
     intervals, along = _intervals(beside, law.shape, free)
     points = [here, *along]
     known = effect.parameter("amplitude")
@@ -176,10 +99,10 @@ def likely_shapes(fitted: Fitted, law: Law, laws: Laws) -> list[tuple[float, Map
 
     Shapes far apart may be as likely, each beside other variances.
     """
-    free = _free(law)
+    free = free_of(law)
     if not free:
         return [(1.0, law.shape, fitted)]
-    beside = _beside(fitted, law, laws, [])
+    beside = scan_of(fitted, law, laws, [])
     modes = _modes(beside, law.shape, free)
     along = [point for mode in modes for point in _around(beside, mode, free, law.shape)[1]]
     low, high = amplitude_interval([beside.of(law.columns, law.shape), *along])
@@ -210,25 +133,20 @@ def _shapes_near(
     before : the law at the shape that it had, by its effect in the model
     """
     law = next(x for x in fitted.model.laws if x.effect == before.effect and x.shape == shape)
-    free = _free(law)
-    beside = _beside(fitted, law, laws, []).of_kind(shape)
+    free = free_of(law)
+    beside = scan_of(fitted, law, laws, []).of_kind(shape)
     intervals = _around(beside, shape, free, shape)[0]
     axes = [np.geomspace(*intervals[name], _AVERAGED) for name in free]
     # Points are as far apart as the intervals are wide.
     cell = float(np.sum([np.log(np.log(high / low)) for low, high in (intervals[n] for n in free)]))
     # The evidence has no prior of the amplitude yet.
     here = beside.of(law.columns, law.shape)
-    likely = here.loss / 2.0 - fitted.nll - _rarity(here.amplitude, here.std)
+    likely = here.loss / 2.0 - fitted.nll - rarity(here.amplitude, here.std)
     found: list[tuple[float, Mapping[str, float], Fitted]] = []
     for place in product(*axes):
         other = {**law.shape, **dict(zip(free, map(float, place), strict=True))}
         found.append((likely - beside.at(other).loss / 2.0 + cell, other, moved(fitted, law, other, laws)))
     return found
-
-
-def _rarity(amplitude: float, std: float) -> float:
-    """What an amplitude loses beforehand by its size, nats; one that is not known counts as its standard deviation."""
-    return _FALLS * float(np.log(max(abs(amplitude), std)))
 
 
 def moved(fitted: Fitted, law: Law, shape: Mapping[str, float], laws: Laws) -> Fitted:
@@ -251,30 +169,13 @@ def reshaped(fitted: Fitted, laws: Laws, only: Collection[str] | None = None) ->
     time constants.
     """
     for law in fitted.model.laws:
-        free = _free(law)
+        free = free_of(law)
         asked = only is None or law.name in only
         if not asked or not free or "at_s" in free or law.from_end or law.spread or law.mixture:
             continue
-        shape = _modes(_beside(fitted, law, laws, []), law.shape, free)[0]
+        shape = _modes(scan_of(fitted, law, laws, []), law.shape, free)[0]
         fitted = min(fitted, fitted.refit(moved(fitted, law, shape, laws).model), key=lambda f: f.nll)
     return fitted
-
-
-def _free(law: Law) -> list[str]:
-    """Parameters of the shape of a law of one amplitude that are not chosen from a few."""
-    refined = CATALOGUE[law.effect].search.refined
-    return [n for n in refined if law.shape.get(n, 0.0) > 0.0 and law.columns.shape[1] == 1]
-
-
-def _beside(fitted: Fitted, law: Law, laws: Laws, without: Sequence[str]) -> _Scan:
-    effect, model = CATALOGUE[law.effect], fitted.model.without(without)
-    # One law that was found in two blocks is one; plays and jumps may be several.
-    several = effect.search.adds_up or "at_s" in law.shape
-    same = [x.name for x in model.laws if x.name == law.name or (x.effect == law.effect and not several)]
-    others = [c for c in model.all if c.name not in same]
-    surface, _ = np.linalg.qr(model.design[:, model.flat])
-    score, p = fitted.contrasts.precision(others, fitted.fit.log_variance)
-    return _Scan(effect, laws, surface, score, p)
 
 
 def _sized(point: Point) -> Point:
@@ -297,7 +198,7 @@ def _shapes(
 
 
 def _intervals(
-    beside: _Scan, shape: Mapping[str, float], free: Sequence[str]
+    beside: Scan, shape: Mapping[str, float], free: Sequence[str]
 ) -> tuple[dict[str, Interval], list[Point]]:
     """Intervals of the parameters of a shape, the others at their best, and points all over them."""
     if "at_s" in free:
@@ -312,7 +213,7 @@ def _intervals(
 
 
 def _around(
-    beside: _Scan, best_shape: Mapping[str, float], free: Sequence[str], stated: Mapping[str, float]
+    beside: Scan, best_shape: Mapping[str, float], free: Sequence[str], stated: Mapping[str, float]
 ) -> tuple[dict[str, Interval], list[Point]]:
     """The same around one of the shapes that are best in their neighbourhood.
 
@@ -331,7 +232,7 @@ def _around(
     return alone, [beside.at({**stated, n: float(x)}) for n, tried in values.items() for x in tried]
 
 
-def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
+def _modes(beside: Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
     """Shapes that are best in their neighbourhood, the likeliest first, and hardly less likely: that in the model was found beside less.
 
     Of two parameters that are traded for one another there may be several, far apart: a peak that is narrow and high, and
@@ -355,7 +256,7 @@ def _modes(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> li
     return found
 
 
-def _starts(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
+def _starts(beside: Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
     """The best shapes of the grid, one for each value of the first parameter; of one parameter those that are better than those next to them."""
     best: dict[float, tuple[float, dict[str, float]]] = {}
     # Of a law that has several forms the grid may have others.
@@ -374,7 +275,7 @@ def _starts(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> l
     return [tried for _, tried in sorted(along, key=lambda x: x[0])[:_STARTS]]
 
 
-def _best_shape(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
+def _best_shape(beside: Scan, shape: Mapping[str, float], free: Sequence[str]) -> dict[str, float]:
     """The best shape near one."""
     if len(free) < 2:
         best = {n: descend(partial(_loss, beside, shape, n), shape[n], _NEAR) for n in free}
@@ -396,17 +297,17 @@ def _best_shape(beside: _Scan, shape: Mapping[str, float], free: Sequence[str]) 
     return at(np.asarray(best_logs))
 
 
-def _loss(beside: _Scan, shape: Mapping[str, float], name: str, value: float) -> float:
+def _loss(beside: Scan, shape: Mapping[str, float], name: str, value: float) -> float:
     return beside.at({**shape, name: value}).loss
 
 
-def _limits(beside: _Scan, name: str) -> tuple[float, float]:
+def _limits(beside: Scan, name: str) -> tuple[float, float]:
     known = beside.effect.parameter(name)
     return known.low, known.high
 
 
 def _jointly(
-    beside: _Scan,
+    beside: Scan,
     shape: Mapping[str, float],
     best_shape: Mapping[str, float],
     alone: Mapping[str, Interval],

@@ -37,7 +37,7 @@ from gyrocal.diagnosis.layers import (
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
-from gyrocal.diagnosis.open_loop import with_open_loop
+from gyrocal.diagnosis.open_loop import slope_of, with_open_loop
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, PASSING, SCALE_IN_TIME, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.rivals import paid_by
@@ -263,7 +263,7 @@ class _Round:
 def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS) -> Examination:
     search = table_search(full_model(means_of(series), memory=False))
     search, ranked = _or_with_edges(search, search.run())
-    search, ranked = _shorn(search, ranked)
+    search, ranked = _or_before_sine(*_shorn(search, ranked))
     if len(more := strays_beside(ranked, aside)):
         return _table(without(series, more.numbers), found, aside.joined(more))
     before = _round(search, ranked)
@@ -309,6 +309,22 @@ def _shorn(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, l
         return search, ranked
     less = search.without(names)
     return less, less.run(ranked)
+
+
+def _or_before_sine(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:
+    """A search and its models, or those with what changes the scale factor before the sine of an open loop, where that is likelier.
+
+    Gears and a coil's length change its phase, an amplifier what comes out of it: at a phase of 1 rad one has half the effect of the other.
+    """
+    slope = slope_of(ranked)
+    if slope is None:
+        return search, ranked
+    found = search.before_sine(slope)
+    best = ranked[0]
+    if found.fit(best.coil, best.changes, best).score >= best.score:
+        return search, ranked
+    felt = found.run(ranked)
+    return (found, felt) if felt[0].score < best.score else (search, ranked)
 
 
 def _or_with_edges(search: TableSearch, ranked: list[Candidate]) -> tuple[TableSearch, list[Candidate]]:

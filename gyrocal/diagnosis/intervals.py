@@ -23,6 +23,8 @@ RISE_INSTANT_95 = 7.352
 _REFINED_OVER, _REFINED_AT = (1.5, 1.12), 7
 #: An end of an interval is sought in steps of this ratio, then by halving the last one.
 _STEP = 3.0
+#: Shares below the lower end of the shortest interval that are tried.
+_ENDS_TRIED = 101
 #: Shapes at which an amplitude's likelihood is evaluated, and how near the ends of the shape's interval, in widths of it.
 _SHAPES, _NEAR_END = 15, 0.005
 
@@ -88,10 +90,17 @@ def instant_interval(loss: Callable[[float], float], best: float, instants: Floa
 
 
 def of_mass(values: Floats, mass: Floats) -> Interval:
-    """95 % of a probability over ascending values, each of which stands for half of the way to either neighbour."""
+    """The shortest interval with 95 % of a probability over ascending values, each of which stands for half of the way to either neighbour.
+
+    What is likeliest at a bound has the bound inside.
+    """
     edges = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
-    low, high = np.interp(TAILS, np.append(0.0, np.cumsum(mass) / mass.sum()), edges)
-    return float(low), float(high)
+    below = np.append(0.0, np.cumsum(mass) / mass.sum())
+    left_out = np.linspace(0.0, TAILS[0] + 1.0 - TAILS[1], _ENDS_TRIED)
+    low, high = (np.interp(share, below, edges) for share in (left_out, left_out + TAILS[1] - TAILS[0]))
+    shortest = np.flatnonzero(np.isclose(high - low, np.min(high - low), rtol=1e-9))
+    middle = shortest[shortest.size // 2]
+    return float(low[middle]), float(high[middle])
 
 
 def of_geometric(values: Floats, mass: Floats) -> Interval:

@@ -1,6 +1,7 @@
-"""Amplitude and time constant of a law whose time constant scatters, in a table: over all the models that may be.
+"""Parameters of a law of a table over all the models that may be.
 
-How far it scatters is hardly told, and what it was before the record began hangs on that; a profile of one model knows neither.
+What a coil's lag is not, a step of the scale factor is, and how far a time constant scatters is hardly told: the profile of
+one model knows neither.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.intervals import TAILS, holding, of_geometric
+from gyrocal.diagnosis.intervals import TAILS, Interval, holding, of_geometric
 from gyrocal.diagnosis.layers import Law
 from gyrocal.diagnosis.result import Estimate
 
@@ -26,16 +27,20 @@ _FAR = 10.0
 def posterior_of(
     candidates: Sequence[tuple[float, Candidate]], law: Law, known: Mapping[str, Estimate]
 ) -> dict[str, Estimate]:
-    """Parameters of a law of a spread time constant, with the value of one model and the intervals of all.
+    """Parameters of a law, with the value of one model and the intervals of all.
+
+    Of a time constant that scatters both intervals are those of all models; else the amplitude's is wide enough for its own
+    model and for all the others.
 
     Parameters
     ----------
     candidates : models that are averaged over, with their weights
     known : the parameters in the best of them
     """
+    scatters = bool(law.spread) and not law.from_end
     weights, amplitudes, stds, shapes = [], [], [], []
     for weight, c in candidates:
-        own = next((x for x in c.fitted.model.laws if _same(x, law)), None)
+        own = next((x for x in c.fitted.model.laws if _same(x, law, known)), None)
         if own is None:
             continue
         solution = c.fitted.solve()
@@ -43,21 +48,32 @@ def posterior_of(
         weights.append(weight)
         amplitudes.append(float(solution.amplitudes[own.name][0]))
         stds.append(float(np.sqrt(solution.covariance[at, at])))
-        shapes.append(own.shape["tau_s"])
+        shapes.append(own.shape.get("tau_s", np.nan))
     if not weights or known["amplitude"].at_bound:
         return dict(known)
     share, mean, std = np.array(weights) / np.sum(weights), np.array(amplitudes), np.array(stds)
-    amplitude, tau_s = known["amplitude"], known["tau_s"]
-    of_all = _quantiles(share, mean, std), _between(share, np.array(shapes))
-    return {
-        **known,
-        "amplitude": Estimate.spanning(amplitude.value, holding(of_all[0], amplitude.value), amplitude.unit),
-        "tau_s": Estimate.spanning(tau_s.value, holding(of_all[1], tau_s.value), tau_s.unit),
-    }
+    inside = [known["amplitude"].value] if scatters else known["amplitude"].interval_95
+    found = {"amplitude": _spanning(known["amplitude"], _quantiles(share, mean, std), inside)}
+    if scatters:
+        tau_s = known["tau_s"]
+        found["tau_s"] = _spanning(tau_s, _between(share, np.array(shapes)), [tau_s.value])
+    return {**known, **found}
 
 
-def _same(one: Law, other: Law) -> bool:
-    return one.effect == other.effect and one.shape.get("of_scale") == other.shape.get("of_scale")
+def _spanning(known: Estimate, of_all: Interval, inside: Sequence[float]) -> Estimate:
+    for value in inside:
+        of_all = holding(of_all, value)
+    return Estimate.spanning(known.value, of_all, known.unit)
+
+
+def _same(one: Law, other: Law, known: Mapping[str, Estimate]) -> bool:
+    """Whether it is the same law: a step at any instant at which that may have been, a drift of the same course, another at any shape."""
+    if one.effect != other.effect or one.shape.get("of_scale") != other.shape.get("of_scale"):
+        return False
+    if "at_s" in known:
+        low, high = known["at_s"].interval_95
+        return low <= one.shape["at_s"] <= high
+    return not other.from_end or one.shape == other.shape
 
 
 def _quantiles(share: Floats, mean: Floats, std: Floats) -> tuple[float, float]:

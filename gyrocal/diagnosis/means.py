@@ -35,6 +35,7 @@ class Means:
     error_dps : gyro minus reference
     white_dps : relative size of the row's white noise
     group : row of these that each row of the series goes into, shape (rows of the series,)
+    slope : of the output over the rate, where what changes the scale factor acts before an open loop's sine
     """
 
     series: Series
@@ -50,6 +51,7 @@ class Means:
     supply_v: Floats | None
     since_power_on_s: Floats | None
     group: Ints
+    slope: Floats | float = 1.0
 
     def __len__(self) -> int:
         return int(self.t_s.size)
@@ -58,6 +60,11 @@ class Means:
     def error_dps(self) -> Floats:
         """Gyro minus reference, deg/s."""
         return self.gyro_dps - self.rate_dps
+
+    @property
+    def felt_dps(self) -> Floats:
+        """What a change of the scale factor by 1 adds to the output, deg/s."""
+        return self.slope * self.rate_dps
 
     def group_of(self, other: Means) -> Ints:
         """For each row here the row of `other` that it goes into, shape (n,): itself, or that of the series' rows."""

@@ -107,16 +107,24 @@ def name(
     fitted, unseen = _unseen(fitted, named, passes, laws)
     named += unseen
     nearest = {n.block: {n.law.effect: 0.0, **n.rivals} for n in unseen} | nearest
-    fitted, laws = tied_anew(fitted, laws)
-    shaped = reshaped(around_itself(fitted), laws)
-    named = _as_fitted(named, fitted, shaped)
+    shaped, named, laws = _at_rest(fitted, named, laws)
+    before = shaped.model.laws
     shaped, named = or_lasting(shaped, still_there(named, shaped, left), followed, laws)
     if passes:
         shaped, named = or_passing(shaped, named, laws)
         left = {block: nats for block, nats in left.items() if block in shaped.model.blocks.values()}
     shaped, named = _no_misfits(shaped, _mechanisms(named), laws)
+    if shaped.model.laws != before:
+        shaped, named, laws = _at_rest(shaped, named, laws)
     shaped = around_itself(shaped)
     return Naming(shaped, tuple(named), left, nearest, _of_input(shaped)), laws
+
+
+def _at_rest(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named], Laws]:
+    """The model with its laws through the surface that stands beside them, each at the shape that is best beside the others."""
+    tied, laws = tied_anew(fitted, laws)
+    shaped = reshaped(around_itself(tied), laws)
+    return shaped, _as_fitted(named, tied, shaped), laws
 
 
 def _name_blocks(

@@ -438,7 +438,7 @@ PASSING = {
 
 def passing(means: Means, frame: Frame) -> list[Component]:
     """What does not stay: the bias and the scale factor in time, an error of each rate, noise."""
-    u = means.rate_dps / frame.rate_scale_dps
+    u = means.felt_dps / frame.rate_scale_dps
     walk = wiener(means.t_s)
     found = [Component("bias walk", covariance=walk)]
     if np.any(u != 0.0):
@@ -455,7 +455,7 @@ def passing(means: Means, frame: Frame) -> list[Component]:
 
 def of_each_direction(means: Means, frame: Frame) -> Component:
     """What errors of each rate, which are odd in the rate, have of their own in each direction."""
-    return Component("each direction", _by_size(means, np.abs(means.rate_dps) / frame.rate_scale_dps))
+    return Component("each direction", _by_size(means, np.abs(means.felt_dps) / frame.rate_scale_dps))
 
 
 def _by_size(means: Means, values: Floats) -> Floats:
@@ -467,7 +467,7 @@ def _by_size(means: Means, values: Floats) -> Floats:
 def drifts(means: Means, frame: Frame) -> list[Component]:
     """Straight drifts of the bias and the scale factor, of which the surface has the mean."""
     away = (means.t_s - np.mean(means.t_s)) / (float(np.ptp(means.t_s)) or 1.0)
-    u = means.rate_dps / frame.rate_scale_dps
+    u = means.felt_dps / frame.rate_scale_dps
     return [Component(DRIFTING_BIAS, away[:, None]), Component(DRIFTING_SCALE, (away * u)[:, None])]
 
 

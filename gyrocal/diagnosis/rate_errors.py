@@ -60,12 +60,12 @@ def with_tails(full: Model, fitted: Fitted) -> tuple[Model, Fitted]:
 
 def largest(fitted: Fitted) -> list[tuple[float, float, float]]:
     """The rates with the largest errors, deg/s, with these and their standard deviations, ppm."""
-    columns, rate_dps = np.asarray(fitted.model.components[EACH_RATE].columns), fitted.model.means.rate_dps
+    columns, means = np.asarray(fitted.model.components[EACH_RATE].columns), fitted.model.means
     solution = fitted.solve()
     errors, stds = _amplitudes(solution)
     rows = np.argmax(np.abs(columns), axis=0)
-    to_ppm = np.diag(columns[rows]) / rate_dps[rows] / PPM
-    told = np.column_stack([np.abs(rate_dps[rows]), errors * to_ppm, stds * np.abs(to_ppm)])
+    to_ppm = np.diag(columns[rows]) / means.felt_dps[rows] / PPM
+    told = np.column_stack([np.abs(means.rate_dps[rows]), errors * to_ppm, stds * np.abs(to_ppm)])
     order = np.argsort(-np.abs(told[:, 1]))[:_MOST_SAID]
     return [(rate, error, std) for rate, error, std in told[order].tolist()]
 

@@ -10,12 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.estimates import _Scan, of_draws
+from gyrocal.diagnosis.estimates import of_draws
 from gyrocal.diagnosis.intervals import (
     Point,
     along_axis,
     amplitude_interval,
     instant_interval,
+    of_mass,
     profile_interval,
     shapes_within,
 )
@@ -23,6 +24,7 @@ from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.locate import block_p_value
 from gyrocal.diagnosis.result import Estimate
+from gyrocal.diagnosis.scan import Scan
 from gyrocal.physics.catalogue import find_effect
 
 Floats = NDArray[np.float64]
@@ -113,7 +115,7 @@ def test_a_variance_that_may_be_zero_is_tested_at_the_edge_of_its_range() -> Non
 def test_a_shape_that_does_next_to_nothing_has_no_amplitude_and_no_overflow() -> None:
     """A Gauss peak far from every rate is all but zero, and the inverse of its square is no number."""
     n = 12
-    scan = _Scan(
+    scan = Scan(
         find_effect("mechanical_resonance"), cast(Laws, None), np.eye(n)[:, :1], np.ones(n), np.eye(n)
     )
     point = scan.of(np.full((n, 1), 1e-160), {"center_dps": 50.0, "width_dps": 1.0})
@@ -129,9 +131,20 @@ def test_what_a_law_does_to_the_scale_factor_is_told_at_a_hundred_degrees_a_seco
     precision = np.eye(rate.size) / 1e-6
     law = Law("temperature_order", {"order": 3.0, "rate_scale_dps": 150.0}, columns)
     score = precision @ (columns @ [0.0, 45.0] + noise)
-    scan = _Scan(find_effect(law.effect), cast(Laws, None), np.ones((rate.size, 1)), score, precision)
+    scan = Scan(find_effect(law.effect), cast(Laws, None), np.ones((rate.size, 1)), score, precision)
     told = scan.on_scale(law)
     low, high = told.interval_95
     assert low < 30.0 < high
     assert high - low < 2.0
     assert told.unit == "mdeg/s"
+
+
+@pytest.mark.parametrize("true", [1.0, 0.8, 0.0])
+def test_an_interval_of_what_has_a_bound_holds_the_truth_at_the_bound_as_elsewhere(true: float) -> None:
+    """A share of a lag cannot be more than the whole: one that is the whole lay above 14 of 17 intervals."""
+    values, rng = np.linspace(-1.0, 1.0, 81), np.random.default_rng(5)
+    inside = 0
+    for seen in true + 0.1 * rng.standard_normal(400):
+        low, high = of_mass(values, np.exp(-0.5 * ((values - seen) / 0.1) ** 2))
+        inside += low <= true <= high
+    assert inside / 400 > 0.93

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis import open_loop
+from gyrocal.diagnosis.changes import Change
+from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.engine import diagnose
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.layers import OpenLoop
+from gyrocal.diagnosis.layers import OpenLoop, full_model
+from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
@@ -21,8 +24,18 @@ from gyrocal.records.datasets import DataSetTable
 _PHASE = 0.008
 
 
-def _sweeps(seed: int, front: str = "sine", errors_ppm: float = 400.0, own: float = 0.04) -> DataSetTable:
-    """Six sweeps up and down 14 sizes of rate while the temperature drifts; the gyro's own cubic is a share of the sine's."""
+def _sweeps(
+    seed: int,
+    front: str = "sine",
+    errors_ppm: float = 400.0,
+    own: float = 0.04,
+    before: float = 0.0,
+    behind: float = 0.0,
+) -> DataSetTable:
+    """Six sweeps up and down 14 sizes of rate while the temperature drifts; the gyro's own cubic is a share of the sine's.
+
+    From the middle on the scale factor is another: by a share of the rate, or of what comes out of the sine.
+    """
     rng = np.random.default_rng(seed)
     sizes = 7.2 * np.arange(1.0, 15.0)
     sweep = np.concatenate([[0.0], sizes, [0.0], -sizes])
@@ -35,12 +48,14 @@ def _sweeps(seed: int, front: str = "sine", errors_ppm: float = 400.0, own: floa
     cubic_dps = -((_PHASE * 100.8) ** 2) * 100.8 / 6.0
     surface = 0.05 + 0.05 * warm + rate / 100.8 * (0.3 * warm + 0.1 * warm**2)
     surface = surface + own * cubic_dps * (rate / 100.8) ** 3
-    true = rate * (1.0 + off)
+    later = np.arange(rate.size) >= rate.size // 2
+    true = rate * (1.0 + off) * (1.0 + before * later)
     bent = {
         "sine": np.sin(_PHASE * true) / _PHASE,
         "cubic": true + cubic_dps * (true / 100.8) ** 3,
         "expanding": true - cubic_dps * (true / 100.8) ** 3,
     }[front]
+    bent = bent * (1.0 + behind * later)
     gyro = bent + surface + 4e-3 * rng.standard_normal(rate.size)
     return DataSetTable(Path("sweeps.csv"), rate, gyro, temp, t_s=t_s)
 
@@ -168,3 +183,26 @@ def test_a_file_with_the_sine_itself_errs_as_the_straight_line_in_its_phase_did(
     here = (put_out(phase + step) - put_out(phase)) / step
     assert np.max(np.abs(here - powers @ slope - line)) < 0.05 * np.max(np.abs(here - line))
     assert "phase" in solution.amplitudes
+
+
+@pytest.mark.parametrize(("where", "size"), [("before", 1000.0), ("behind", 932.0)])
+def test_a_step_of_the_scale_factor_is_told_to_be_before_the_sine_or_behind_it(
+    where: str, size: float
+) -> None:
+    """Behind the sine a step of 0.1 % adds as the output does, before it by the sine's slope: less at the largest rates.
+
+    A share of the output is less than one of the rate: of a sine of 0.8 rad 0.93 of it, by least squares.
+    """
+    table = _sweeps(3, own=0.0, before=1e-3 * (where == "before"), behind=1e-3 * (where == "behind"))
+    search = table_search(full_model(means_of(series_of_table(table)), memory=False))
+    first = search.fit(None, (), None)
+    slope = open_loop.slope_of([first])
+    assert slope is not None
+    assert slope == pytest.approx(np.cos(_PHASE * table.rate_dps), abs=0.05)
+    step = (Change("scale_step", float(table.rate_dps.size // 2)),)
+    plain, felt = search.fit(None, step, first), search.before_sine(slope).fit(None, step, first)
+    assert (felt.score < plain.score - 3.0) is (where == "before")
+    likelier = min(plain, felt, key=lambda c: c.score).fitted
+    amplitudes = likelier.solve().amplitudes
+    (size_ppm,) = (float(x[0]) for name, x in amplitudes.items() if "scale_step" in name)
+    assert size_ppm == pytest.approx(size, abs=60.0)
