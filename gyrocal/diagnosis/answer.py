@@ -19,9 +19,9 @@ from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance
 from gyrocal.diagnosis.inputs import went_one_way
 from gyrocal.diagnosis.lag_posterior import lag_estimates
 from gyrocal.diagnosis.law_posterior import posterior_of
-from gyrocal.diagnosis.laws import GAIN
 from gyrocal.diagnosis.layers import Law, Model, beyond_input, lagging
 from gyrocal.diagnosis.locate import block_p_value, coordinate_here, place_of
+from gyrocal.diagnosis.open_loop import in_favour, phase_of
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, ODD
 from gyrocal.diagnosis.rate_errors import largest
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -57,7 +57,7 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         )
         where = Remark(Said.LARGEST_RATES, {"rates": largest(found.naming.fitted)})
         named.append((gain, replace(found_as, beside=where)))
-    if _of_the_input(found):
+    if found.of_the_input:
         share = _input_share(found)
         p = by_chance(found.naming.input_gain, 1)
         # What leaves as little of what is odd in the rate explains it as well.
@@ -67,6 +67,12 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         named.append(
             (found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, rivals))
         )
+    if found.of_a_sine:
+        sine = {"amplitude": Estimate.exact(1.0, "1"), "phase_rad_per_dps": phase_of(found.candidates)}
+        # What has any cubic explains the rates as well, where the sine's is no more than likely.
+        rivals = {RATE_ORDER.id: max(found.sine_nats - in_favour(), 0.0)}
+        p = float(1.0 / (1.0 + np.exp(min(found.sine_nats, 700.0))))
+        named.append((found.sine_nats, _effect(found, SAGNAC_SINE.id, sine, p, rivals)))
     by_effect: dict[str, list[NamedEffect]] = {}
     for _, effect in sorted(named, key=lambda x: -x[0]):
         by_effect.setdefault(effect.effect, []).append(effect)
@@ -190,12 +196,6 @@ def _of_a_sine(share: Estimate) -> float:
     return float(0.5 * (sine**2 - cubic**2))
 
 
-def _of_the_input(found: Examination) -> bool:
-    """Whether a surface of the input, not of the output, is a finding by itself: not where a law of the rate explains it."""
-    laws_of_rate = [n for n in found.naming.named if n.block in (ODD, EACH_RATE)]
-    return found.naming.input_gain > GAIN and not laws_of_rate
-
-
 @dataclass(frozen=True)
 class _Searched:
     """What the search of a table put in: the lag of the coil, or a law of time.
@@ -308,7 +308,7 @@ def layers_of(found: Examination, level: float) -> list[Step]:
     model = found.naming.fitted.model
     searched = {s.effect: s for s in sorted(_searched(found), key=lambda s: s.nats)}
     steps = [_step_of_table(found, s) for s in searched.values()]
-    if _of_the_input(found):
+    if found.of_the_input:
         bend = model.bend_of(found.naming.fitted.solve())
         less = partial(plain, direction="output", bend=bend)
         steps.append(Step(FIT_DIRECTION.id, found.naming.input_gain, less))

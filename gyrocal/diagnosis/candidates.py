@@ -80,6 +80,15 @@ def standing_for_all(derived: Sequence[Candidate], ranked: Sequence[Candidate]) 
     return [replace(c, stands_for=count.get(c.kinds, 0.0)) for c in derived]
 
 
+def sine_nats(candidates: Sequence[Candidate]) -> float:
+    """How much likelier models with the sine of an open loop are together than those without; 0 where either are none."""
+    with_it = np.array([c.is_open_loop for c in candidates], dtype=np.bool_)
+    nats = np.array([c.stands_for - c.score for c in candidates])
+    if with_it.all() or not with_it.any():
+        return 0.0
+    return float(np.logaddexp.reduce(nats[with_it]) - np.logaddexp.reduce(nats[~with_it]))
+
+
 def averaged(candidates: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
     """The models worth averaging over, with their weights.
 

@@ -310,7 +310,7 @@ def _also_written(
 
 
 def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list[Remark]:
-    """Named laws of the rate that a robot could evaluate and the correction lacks; the sine that it has and that has no name."""
+    """Named laws of the rate that a robot could evaluate and the correction lacks; the sine that it has."""
     held = {e.effect for e in layered if _mostly_held(e, written)}
     if written.surface.direction == "input":
         held.add(FIT_DIRECTION.id)
@@ -318,7 +318,7 @@ def _laws_written(layered: Sequence[NamedEffect], written: Coefficients) -> list
         held.add(TRUNCATION.id)
     mine = [e.effect for e in layered if e.runtime and e.family == DEAD_ZONE.family]
     lacking = [Remark(Said.LAW_NOT_WRITTEN, {"effect": e}) for e in mine if e not in held]
-    return lacking if SAGNAC_SINE.id in mine else [*lacking, *_sines(written)]
+    return [*lacking, *_sines(written)]
 
 
 def _later_on_a_robot(series: Series, written: Coefficients) -> list[Remark]:
@@ -350,7 +350,7 @@ def _mostly_held(named: NamedEffect, written: Coefficients) -> bool:
     laws = [t for t in written.terms if isinstance(t, Term) and t.effect == named.effect]
     held = sum(float(law.parameters["amplitude"]["value"]) for law in laws)
     known = named.parameters.get("amplitude")
-    least = 0.0 if known is None else min(map(abs, known.interval_95))
+    least = 0.0 if known is None else float(np.nanmin(np.abs([known.value, *known.interval_95])))
     return bool(laws) and abs(held) >= 0.5 * least
 
 

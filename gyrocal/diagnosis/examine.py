@@ -18,7 +18,7 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.candidates import Candidate, averaged, standing_for_all
+from gyrocal.diagnosis.candidates import Candidate, averaged, sine_nats, standing_for_all
 from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, TableSearch, table_search
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.edges import targets, with_edges
@@ -38,7 +38,7 @@ from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
 from gyrocal.diagnosis.open_loop import slope_of, with_open_loop
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, PASSING, SCALE_IN_TIME, Basis, passing
+from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, ODD, PASSING, SCALE_IN_TIME, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
@@ -85,6 +85,8 @@ class Examination:
         Laws of the best of `ranked` that only mend what its others leave.
     strays : Strays
         Data sets of a table that are off by themselves.
+    sine_nats : float
+        How much likelier models with the sine of an open loop are than those without.
     """
 
     series: Series
@@ -100,6 +102,7 @@ class Examination:
     of_rate: tuple[Candidate, ...] = ()
     mending: frozenset[str] = frozenset()
     strays: Strays = NO_STRAYS
+    sine_nats: float = 0.0
 
     @property
     def comes_again(self) -> float:
@@ -125,6 +128,20 @@ class Examination:
         nats = self.naming.unnamed.get(EACH_RATE, 0.0)
         taken = any(n.block == EACH_RATE for n in self.naming.named)
         return nats if nats > GAIN and not taken else 0.0
+
+    @property
+    def of_the_input(self) -> bool:
+        """Whether a surface of the input, not of the output, is a finding by itself: not where a law of the rate explains it."""
+        return self.naming.input_gain > GAIN and not self._laws_odd_in_rate
+
+    @property
+    def of_a_sine(self) -> bool:
+        """Whether models with the sine of an open loop are surely likelier, where nothing else that is odd in the rate has a name."""
+        return self.sine_nats > ALIKE_NATS and not self._laws_odd_in_rate and not self.of_the_input
+
+    @property
+    def _laws_odd_in_rate(self) -> list[Named]:
+        return [n for n in self.naming.named if n.block in (ODD, EACH_RATE)]
 
     @property
     def model(self) -> Model:
@@ -283,18 +300,29 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     by_law = standing_for_all(last.by_law, ranked)
     both = sorted([*ranked, *smooth, *last.plain, *of_rate, *by_law], key=lambda c: c.score)
     joint = both[0] is not ranked[0] or ranked[0].coil is not None or ranked[0].changes != ()
-    near = averaged(both) if joint or naming.named or naming.unnamed else []
+    near, every = averaged(both) if joint or naming.named or naming.unnamed else [], both
     if near:
         of_each_rate = search.with_errors_of_each_rate([c for _, c in near])
         every = sorted([*both, *of_each_rate], key=lambda c: c.score)
         by_sine = with_open_loop([c for _, c in averaged(every)])
-        near = averaged(sorted([*every, *by_sine], key=lambda c: c.score))
+        every = sorted([*every, *by_sine], key=lambda c: c.score)
+        near = averaged(every)
     first = ranked[0].fitted
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
     models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
     return Examination(
-        series, found, last.best, last.settled, last.worth, naming, laws, *models, frozenset(mending), aside
+        series,
+        found,
+        last.best,
+        last.settled,
+        last.worth,
+        naming,
+        laws,
+        *models,
+        frozenset(mending),
+        aside,
+        sine_nats(every),
     )
 
 

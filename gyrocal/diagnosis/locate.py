@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from gyrocal.diagnosis.examine import Examination, block_curve
 from gyrocal.diagnosis.laws import is_of_scale_in_time
 from gyrocal.diagnosis.layers import NEGLIGIBLE
-from gyrocal.diagnosis.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, SCALE_IN_TIME, SINCE_ON
+from gyrocal.diagnosis.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD, SCALE_IN_TIME, SINCE_ON
 from gyrocal.diagnosis.result import Located, UnnamedPart
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.unclocked import without_clock
@@ -201,6 +201,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     passed |= set() if found.comes_again > 0.5 else {SINCE_ON}
     least_dps = NEGLIGIBLE * float(np.std(solution.left))
     told = {*named, BIAS_IN_TIME, *([EACH_RATE] if found.rate_errors_nats else [])}
+    told |= {ODD} if found.of_a_sine else set()
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
         if block in told or block_p_value(nats, len(BLOCKS)) > level:

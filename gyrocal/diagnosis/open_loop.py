@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.candidates import Candidate
 from gyrocal.diagnosis.laws import effects_of
-from gyrocal.diagnosis.layers import NEGLIGIBLE, OpenLoop
+from gyrocal.diagnosis.layers import NEGLIGIBLE, PHASE, OpenLoop
 from gyrocal.diagnosis.parts import EVENLY, ODD
+from gyrocal.diagnosis.result import Estimate
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.rate import SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE
@@ -61,10 +62,25 @@ def _beside(c: Candidate, sine: OpenLoop) -> Candidate:
     shapes = model.of_block(ODD)
     rest = model.without(shapes)
     fitted = c.fitted.refit(replace(rest.with_components(sine.component), open_loop=sine))
-    return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - _in_favour())
+    return replace(c, fitted=fitted, score=c.score + fitted.nll - c.fitted.nll - in_favour())
 
 
-def _in_favour() -> float:
+def phase_of(near: Sequence[tuple[float, Candidate]]) -> Estimate:
+    """The Sagnac phase of models with the sine, and their weights."""
+    told = []
+    for weight, c in near:
+        sine, solution = c.fitted.model.open_loop, c.fitted.solve()
+        if sine is not None:
+            at, by = solution.starts[PHASE], sine.phase_rad_per_dps * sine.spread
+            off, variance = float(solution.amplitudes[PHASE][0]), float(solution.covariance[at, at])
+            told.append((weight, sine.phase_rad_per_dps + by * off, by**2 * variance))
+    weights, phases, variances = np.array(told).T
+    mean = float(weights @ phases / weights.sum())
+    variance = float(weights @ (variances + (phases - mean) ** 2) / weights.sum())
+    return Estimate.normal(mean, float(np.sqrt(variance)), "rad per deg/s")
+
+
+def in_favour() -> float:
     """How much more probable the sine is than anything with a cubic of this sign and size, nats: the cubic goes with the phase's square."""
     anything = 2.0 * (2.0 * np.log(_PHASES_RAD[1] / _PHASES_RAD[0]) + np.log(_SIZES[1] / _SIZES[0]))
     by_sine = 2.0 * np.log(_PHASES_RAD[1] / _PHASES_RAD[0])

@@ -129,9 +129,7 @@ def _effect_picture(diagnosis: Diagnosis, rows: Rows, effect: NamedEffect) -> tu
     title = f"{effect.effect}, before and after"
     missing = "The record has no coordinate on which this effect can be shown."
     if effect.effect not in rows.effect_dps:
-        missing = (
-            "It was found in single samples or single data sets, and the means drawn here do not show it."
-        )
+        missing = "The means drawn here do not show it: it was found in single samples or data sets, or is in the surface itself."
     return Picture(f"effect_{effect.effect}", title, caption, missing="" if figure else missing), figure
 
 

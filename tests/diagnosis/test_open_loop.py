@@ -143,7 +143,7 @@ def test_prior_odds_of_a_sine() -> None:
     """Log-uniform in the phase, the cubic has half the width that log-uniform cubics of two signs have on a scale two decades longer; three in four are open loops."""
     low, high = 0.25, 1.45
     cubics = np.log((high / low) ** 2)
-    assert open_loop._in_favour() == pytest.approx(np.log(3.0 * 2.0 * (cubics + np.log(100.0)) / cubics))
+    assert open_loop.in_favour() == pytest.approx(np.log(3.0 * 2.0 * (cubics + np.log(100.0)) / cubics))
 
 
 @pytest.mark.slow
