@@ -115,7 +115,9 @@ def name(
         left = {block: nats for block, nats in left.items() if block in shaped.model.blocks.values()}
     shaped, named = _no_misfits(shaped, _mechanisms(named), laws)
     if shaped.model.laws != before:
-        shaped, named, laws = _at_rest(shaped, named, laws)
+        rested = _at_rest(shaped, named, laws)
+        # Of a surface and a lag that chase each other neither is the end.
+        shaped, named, laws = rested if rested[0].nll < shaped.nll + ALIKE_NATS else (shaped, named, laws)
     shaped = around_itself(shaped)
     return Naming(shaped, tuple(named), left, nearest, _of_input(shaped)), laws
 

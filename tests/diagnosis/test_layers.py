@@ -13,8 +13,10 @@ from gyrocal.diagnosis.blocks import around_itself, settle_direction
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import examine, fit_anyhow
-from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import _at_rest
 from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers, polynomials, staying
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
@@ -23,10 +25,12 @@ from gyrocal.diagnosis.within import patterns
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion.coefficients import Coefficients, parse_coefficients
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.folds import fold_of
 from tests.diagnosis.concealed_bench import make_recording, write_run
+from tests.diagnosis.test_lag_posterior import SHARE, TAU_S, lagging
 
 Floats = NDArray[np.float64]
 
@@ -322,3 +326,24 @@ def test_a_model_tells_its_laws_apart_by_their_shapes() -> None:
     model = full_model(means).with_laws(fast, slow)
     assert model.holds(replace(slow))
     assert not model.without_laws([fast.name]).holds(fast)
+
+
+def test_a_lag_acts_through_the_surface_that_stands_beside_it_at_the_end() -> None:
+    """Found beside another surface, as before a step took the place of a slope over temperature, it was of another size."""
+    full = full_model(means_of(series_of_table(lagging(1.5e-3, 1))), memory=False)
+    fitted = fit_model(full)
+    right = surface_of(fitted.model, fitted.solve())
+    steeper = right.coefficients_dps * np.where(np.arange(3) == 1, 1.5, 1.0)
+    stale = laws_of(full.means, replace(right, coefficients_dps=steeper))
+    shape = {"tau_s": TAU_S}
+    law = Law("thermal_lag", shape, stale.at(CATALOGUE["thermal_lag"], shape))
+    before = fitted.refit(full.with_laws(law))
+    after, _, laws = _at_rest(before, [], stale)
+    sizes = [float(f.solve().amplitudes[f.model.laws[0].name][0]) for f in (before, after)]
+    assert sizes[0] < 0.9 * SHARE
+    assert sizes[1] == pytest.approx(SHARE, abs=0.03)
+    np.testing.assert_allclose(
+        laws.surface.coefficients_dps,
+        surface_of(after.model, after.solve()).coefficients_dps,
+        atol=5e-3,
+    )
