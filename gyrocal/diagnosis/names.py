@@ -115,18 +115,19 @@ def name(
         left = {block: nats for block, nats in left.items() if block in shaped.model.blocks.values()}
     shaped, named = _no_misfits(shaped, _mechanisms(named), laws)
     if shaped.model.laws != before:
-        rested = _at_rest(shaped, named, laws)
-        # Of a surface and a lag that chase each other neither is the end.
-        shaped, named, laws = rested if rested[0].nll < shaped.nll + ALIKE_NATS else (shaped, named, laws)
+        shaped, named, laws = _at_rest(shaped, named, laws)
     shaped = around_itself(shaped)
     return Naming(shaped, tuple(named), left, nearest, _of_input(shaped)), laws
 
 
 def _at_rest(fitted: Fitted, named: list[Named], laws: Laws) -> tuple[Fitted, list[Named], Laws]:
     """The model with its laws through the surface that stands beside them, each at the shape that is best beside the others."""
-    tied, laws = tied_anew(fitted, laws)
-    shaped = reshaped(around_itself(tied), laws)
-    return shaped, _as_fitted(named, tied, shaped), laws
+    tied, anew = tied_anew(fitted, laws)
+    if tied.nll > fitted.nll + ALIKE_NATS:
+        # Of a surface and a lag that chase each other neither is the end.
+        tied, anew = fitted, laws
+    shaped = reshaped(around_itself(tied), anew)
+    return shaped, _as_fitted(named, tied, shaped), anew
 
 
 def _name_blocks(
