@@ -22,7 +22,7 @@ from gyrocal.diagnosis.candidates import Candidate, averaged, sine_nats, standin
 from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, TableSearch, table_search
 from gyrocal.diagnosis.contest import ALIKE_NATS
 from gyrocal.diagnosis.edges import targets, with_edges
-from gyrocal.diagnosis.in_place import Named, is_passing
+from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance, is_passing
 from gyrocal.diagnosis.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
 from gyrocal.diagnosis.layers import (
@@ -423,13 +423,17 @@ def _beyond_doubt(
 ) -> dict[str, float]:
     """The blocks that may have a name: of shapes in temperature beside other laws, what laws alone do not explain as well.
 
-    What time did is told by the search, beside the lag of the coil and what remembers; alone anything may look like it.
+    Laws in their place pay what they always do, so that the difference counts as that of a law of the search. What time did is told by the search, beside the lag of the coil and what remembers; alone anything may look like it.
     """
     worth = {block: nats for block, nats in worth.items() if BLOCKS[block].family != BIAS_DRIFT.family}
     if SHAPES not in worth or not (ranked[0].coil or ranked[0].changes):
         return worth
-    shapes = plain[0].score - ranked[0].score if plain else worth[SHAPES]
-    return {block: nats for block, nats in worth.items() if block != SHAPES or shapes > _least(laws)}
+    ahead = (
+        by_chance(plain[0].score - ranked[0].score, 1) <= NAMED_LEVEL
+        if plain
+        else worth[SHAPES] > _least(laws)
+    )
+    return {block: nats for block, nats in worth.items() if block != SHAPES or ahead}
 
 
 def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple[Fitted, list[Jump]]:
