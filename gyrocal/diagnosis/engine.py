@@ -62,11 +62,11 @@ from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.effect import MDPS
 from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.lacking import Reason
-from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE, TRUNCATION
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, REFERENCE_RATE_ERROR, SAGNAC_SINE, TRUNCATION
 from gyrocal.physics.surface import RATE_ORDER
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SMOOTHING_S
-from gyrocal.physics.timewise import WARM_UP
+from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
 from gyrocal.units import S_PER_MIN
@@ -78,6 +78,8 @@ Floats = NDArray[np.float64]
 _WALK_LEVEL = 1e-6
 #: What is less probable than this is not said to be open.
 _SURE = 0.05
+#: Laws of a table that change the scale factor, whatever the temperature.
+_OF_SCALE = (SCALE_DRIFT.id, SCALE_STEP.id, REFERENCE_RATE_ERROR.id)
 #: A file is written from so many rows on. Of 12 files from made-up tables of 12 to 29 rows with one effect 3 made another run
 #: worse, each with a probability of gain of more than 0.99.
 _ENOUGH_ROWS = 30
@@ -242,6 +244,7 @@ def _of_file(
         *_not_logged(found.series, layered),
         *ask_for_times(found.series, [e.effect for e in layered]),
         *edges,
+        *_before_sine(found, layered),
         *_wandering(found.naming.fitted),
     ]
     if why_not:
@@ -264,6 +267,16 @@ def _of_file(
         *_also_written(layered, parts, written),
         *_held(found, layered),
     ]
+
+
+def _before_sine(found: Examination, layered: Sequence[NamedEffect]) -> list[Remark]:
+    """Named laws that change the scale factor before the sine of an open loop."""
+    means = found.model.means
+    effects = [e.effect for e in layered if e.effect in _OF_SCALE]
+    at = int(np.argmax(np.abs(means.rate_dps)))
+    share = float(np.broadcast_to(means.slope, len(means))[at])
+    facts = {"effects": effects, "rate_dps": float(abs(means.rate_dps[at])), "share": share}
+    return [Remark(Said.BEFORE_SINE, facts)] if effects and share != 1.0 else []
 
 
 def _wandering(fitted: Fitted) -> list[Remark]:

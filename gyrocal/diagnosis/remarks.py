@@ -33,6 +33,7 @@ class Said(Enum):
     NOT_WRITTEN = auto()
     LAW_NOT_WRITTEN = auto()
     SINE_WRITTEN = auto()
+    BEFORE_SINE = auto()
     OPEN_SINCE_POWER_ON = auto()
     EDGE = auto()
     ALSO_WRITTEN = auto()

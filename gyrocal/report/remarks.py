@@ -215,6 +215,10 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SINE_WRITTEN: "The improved coefficients have the sine of an open loop, whose phase at {rate_dps:.4g} deg/s is {phase_rad:.3f} "
     "± {std_rad:.2g} rad: its cubic is the one that the rates show, and its higher orders, which errors of single rates hide, cannot be "
     "checked on this table.",
+    Said.BEFORE_SINE: lambda effects, rate_dps, share: (
+        f"What {listed(effects)} {'do' if len(effects) > 1 else 'does'} to the scale factor comes before the sine of the "
+        f"open loop: at {rate_dps:.4g} deg/s it adds {share:.2f} times what the rate would."
+    ),
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",
     Said.EDGE: _edge,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,14 +14,16 @@ from gyrocal.diagnosis import open_loop
 from gyrocal.diagnosis.changes import Change
 from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.correction import correction
-from gyrocal.diagnosis.engine import diagnose
+from gyrocal.diagnosis.engine import _before_sine, diagnose
 from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.layers import OpenLoop, full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Said
+from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.report.remarks import remark_words
 
 _PHASE = 0.008
 
@@ -206,3 +210,8 @@ def test_a_step_of_the_scale_factor_is_told_to_be_before_the_sine_or_behind_it(
     amplitudes = likelier.solve().amplitudes
     (size_ppm,) = (float(x[0]) for name, x in amplitudes.items() if "scale_step" in name)
     assert size_ppm == pytest.approx(size, abs=60.0)
+    found = cast(Examination, SimpleNamespace(model=likelier.model))
+    told = _before_sine(found, [cast(NamedEffect, SimpleNamespace(effect="scale_step"))])
+    said = [remark_words(remark) for remark in told]
+    assert bool(said) is (where == "before")
+    assert all("at 100.8 deg/s it adds 0.6" in text for text in said)
