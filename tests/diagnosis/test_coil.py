@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
 from gyrocal.diagnosis.blocks import idle
-from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged
+from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged, sine_nats
 from gyrocal.diagnosis.changes import Change, Changes
-from gyrocal.diagnosis.coil import TOLL_NATS, replaced, table_search
+from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, replaced, table_search
 from gyrocal.diagnosis.correction import correction
-from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.examine import _beyond_doubt, examine
+from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.locate import located
 from gyrocal.diagnosis.means import means_of
@@ -45,6 +45,27 @@ def test_models_weigh_by_their_evidence_and_far_ones_not_at_all() -> None:
     assert [c.score for _, c in found] == scores[:3]
     expected = np.exp([0.0, -0.5, -3.0])
     assert [w for w, _ in found] == pytest.approx((expected / expected.sum()).tolist())
+
+
+def test_models_with_a_sine_count_together_against_those_without() -> None:
+    """Two as good as the best without are twice as likely, and one that stands for e models counts as e."""
+    with_it = [
+        Candidate(None, (), _blank(object()), score, stands_for)
+        for score, stands_for in ((10.0, 0.0), (10.0, 0.0))
+    ]
+    assert sine_nats([*with_it, Candidate(None, (), _blank(), 10.0)]) == pytest.approx(np.log(2.0))
+    assert sine_nats([*with_it, Candidate(None, (), _blank(), 10.0, 1.0)]) == pytest.approx(np.log(2.0) - 1.0)
+    assert sine_nats(with_it) == sine_nats([Candidate(None, (), _blank(), 10.0)]) == 0.0
+
+
+@pytest.mark.parametrize(("behind", "kept"), [(3.8, False), (4.1, True)])
+def test_a_shape_in_temperature_has_a_name_where_laws_in_its_place_are_200_times_less_likely_by_chance(
+    behind: float, kept: bool
+) -> None:
+    """Half of the square of the normal quantile of 0.5 % on both sides: 3.94 nats, as of any law of the search."""
+    ranked = [Candidate((1.0, 200.0), (), _blank(), 0.0)]
+    plain = [Candidate((1.0, 200.0), (Change("warm_up", 300.0),), _blank(), behind)]
+    assert (SHAPES in _beyond_doubt({SHAPES: 30.0}, ranked, plain, cast(Laws, None))) is kept
 
 
 def test_a_warm_up_is_in_the_file_if_most_of_the_weight_has_one() -> None:
