@@ -57,7 +57,15 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         )
         where = Remark(Said.LARGEST_RATES, {"rates": largest(found.naming.fitted)})
         named.append((gain, replace(found_as, beside=where)))
-    if found.of_the_input:
+    if found.of_a_sine:
+        sine = {"amplitude": Estimate.exact(1.0, "1"), "phase_rad_per_dps": phase_of(found.candidates)}
+        # What has any cubic explains the rates as well, where the sine's is no more than likely.
+        like = [RATE_ORDER.id, *([FIT_DIRECTION.id] if found.of_the_input else [])]
+        rivals = dict.fromkeys(like, max(found.sine_nats - in_favour(), 0.0))
+        p = float(1.0 / (1.0 + np.exp(min(found.sine_nats, 700.0))))
+        gain = max(found.sine_nats, found.naming.input_gain)
+        named.append((gain, _effect(found, SAGNAC_SINE.id, sine, p, rivals)))
+    elif found.of_the_input:
         share = _input_share(found)
         p = by_chance(found.naming.input_gain, 1)
         # What leaves as little of what is odd in the rate explains it as well.
@@ -67,12 +75,6 @@ def named_effects(found: Examination) -> list[NamedEffect]:
         named.append(
             (found.naming.input_gain, _effect(found, FIT_DIRECTION.id, {"amplitude": share}, p, rivals))
         )
-    if found.of_a_sine:
-        sine = {"amplitude": Estimate.exact(1.0, "1"), "phase_rad_per_dps": phase_of(found.candidates)}
-        # What has any cubic explains the rates as well, where the sine's is no more than likely.
-        rivals = {RATE_ORDER.id: max(found.sine_nats - in_favour(), 0.0)}
-        p = float(1.0 / (1.0 + np.exp(min(found.sine_nats, 700.0))))
-        named.append((found.sine_nats, _effect(found, SAGNAC_SINE.id, sine, p, rivals)))
     by_effect: dict[str, list[NamedEffect]] = {}
     for _, effect in sorted(named, key=lambda x: -x[0]):
         by_effect.setdefault(effect.effect, []).append(effect)
@@ -311,7 +313,8 @@ def layers_of(found: Examination, level: float) -> list[Step]:
     if found.of_the_input:
         bend = model.bend_of(found.naming.fitted.solve())
         less = partial(plain, direction="output", bend=bend)
-        steps.append(Step(FIT_DIRECTION.id, found.naming.input_gain, less))
+        of = SAGNAC_SINE if found.of_a_sine else FIT_DIRECTION
+        steps.append(Step(of.id, found.naming.input_gain, less))
     for effect in dict.fromkeys(n.law.effect for n in found.naming.named):
         own = [n for n in found.naming.named if n.law.effect == effect and model.holds(n.law)]
         if own:
@@ -320,8 +323,12 @@ def layers_of(found: Examination, level: float) -> list[Step]:
             steps.append(Step(effect, max(n.gain for n in own), less, beside))
     for block, nats in found.naming.unnamed.items():
         names = model.of_block(block)
+        if block == ODD and found.of_a_sine and found.of_the_input:
+            # What is left of the sine goes with it.
+            continue
         owners = [n.law.effect for n in found.naming.named if n.block == block and not model.holds(n.law)]
-        title = owners[0] if owners else REFERENCE_RATE_ERROR.id if block == EACH_RATE else block
+        titles = {EACH_RATE: REFERENCE_RATE_ERROR.id, **({ODD: SAGNAC_SINE.id} if found.of_a_sine else {})}
+        title = owners[0] if owners else titles.get(block, block)
         told = owners or block_p_value(nats, len(BLOCKS)) <= level
         if names and told and (BLOCKS[block].stays or block == EACH_RATE):
             steps.append(Step(title, nats, partial(Model.without, names=names)))

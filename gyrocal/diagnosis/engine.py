@@ -177,10 +177,10 @@ def diagnose(
 
 
 def _beside(found: Examination, coefficients: Coefficients | None) -> Examination:
-    """What was found beside a file to simulate from: that the error is a cubic of the true rate is none where the file's is already."""
+    """What was found beside a file to simulate from: that the error is a cubic of the true rate, of a sine or not, is none where the file's is already."""
     if coefficients is None or coefficients.surface.direction != "input":
         return found
-    return replace(found, naming=replace(found.naming, input_gain=0.0))
+    return replace(found, naming=replace(found.naming, input_gain=0.0), sine_nats=0.0)
 
 
 def _taken_apart(

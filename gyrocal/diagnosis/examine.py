@@ -37,7 +37,7 @@ from gyrocal.diagnosis.layers import (
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
-from gyrocal.diagnosis.open_loop import slope_of, with_open_loop
+from gyrocal.diagnosis.open_loop import slope_of, told_as_sine, with_open_loop
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, ODD, PASSING, SCALE_IN_TIME, Basis, passing
 from gyrocal.diagnosis.rate_errors import with_tails
 from gyrocal.diagnosis.rivals import paid_by
@@ -136,8 +136,8 @@ class Examination:
 
     @property
     def of_a_sine(self) -> bool:
-        """Whether models with the sine of an open loop are surely likelier, where nothing else that is odd in the rate has a name."""
-        return self.sine_nats > ALIKE_NATS and not self._laws_odd_in_rate and not self.of_the_input
+        """Whether models with the sine of an open loop are surely likelier, where no law that is odd in the rate has a name."""
+        return self.sine_nats > ALIKE_NATS and not self._laws_odd_in_rate
 
     @property
     def _laws_odd_in_rate(self) -> list[Named]:
@@ -307,6 +307,8 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
         by_sine = with_open_loop([c for _, c in averaged(every)])
         every = sorted([*every, *by_sine], key=lambda c: c.score)
         near = averaged(every)
+        if sine_nats(every) > ALIKE_NATS:
+            naming = told_as_sine(naming, laws, near)
     first = ranked[0].fitted
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}

@@ -100,7 +100,7 @@ def located(found: Examination, level: float) -> list[Located]:
 
 def _left(found: Examination, block: str) -> float:
     """What is left of a block, nats: of one that stands in the model for laws which no robot evaluates, what they lack."""
-    if block == EACH_RATE and found.rate_errors_nats:
+    if (block == EACH_RATE and found.rate_errors_nats) or (block == ODD and found.of_a_sine):
         return 0.0
     stood_for = [n for n in found.naming.named if n.block == block and not found.model.holds(n.law)]
     lacking = 1.0 - min(max((n.share for n in stood_for), default=0.0), 1.0)

@@ -14,9 +14,10 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.laws import effects_of
-from gyrocal.diagnosis.layers import NEGLIGIBLE, PHASE, OpenLoop
-from gyrocal.diagnosis.parts import EVENLY, ODD
+from gyrocal.diagnosis.laws import Laws, effects_of
+from gyrocal.diagnosis.layers import NEGLIGIBLE, PHASE, Law, OpenLoop
+from gyrocal.diagnosis.names import Naming
+from gyrocal.diagnosis.parts import EACH_RATE, EVENLY, ODD
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.rate import SAGNAC_SINE
@@ -78,6 +79,23 @@ def phase_of(near: Sequence[tuple[float, Candidate]]) -> Estimate:
     mean = float(weights @ phases / weights.sum())
     variance = float(weights @ (variances + (phases - mean) ** 2) / weights.sum())
     return Estimate.normal(mean, float(np.sqrt(variance)), "rad per deg/s")
+
+
+def told_as_sine(naming: Naming, laws: Laws, near: Sequence[tuple[float, Candidate]]) -> Naming:
+    """What was named of a table whose models have the sine: it stands in the place of laws that are taken for one, as a gain that rises at the end.
+
+    Those were named before errors of single rates had made room for the sine.
+    """
+    odd = [n for n in naming.named if n.block in (ODD, EACH_RATE) and naming.fitted.model.holds(n.law)]
+    taken = [n for n in odd if n.law.effect in SAGNAC_SINE.looks_like]
+    if not taken:
+        return naming
+    shape = {"phase_rad_per_dps": phase_of(near).value}
+    law = Law(SAGNAC_SINE.id, shape, laws.at(SAGNAC_SINE, shape))
+    rest = naming.fitted.model.without_laws([n.law.name for n in taken])
+    sine = replace(taken[0], law=law, rivals={})
+    named = (*(n for n in naming.named if n not in taken), sine)
+    return replace(naming, fitted=naming.fitted.refit(rest.with_laws(law)), named=named)
 
 
 def in_favour() -> float:

@@ -16,12 +16,16 @@ from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.correction import correction
 from gyrocal.diagnosis.engine import _before_sine, diagnose
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.layers import OpenLoop, full_model
+from gyrocal.diagnosis.in_place import Named
+from gyrocal.diagnosis.laws import laws_of
+from gyrocal.diagnosis.layers import Law, OpenLoop, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.names import Naming
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.diagnosis.result import NamedEffect
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
+from gyrocal.physics.rate import SATURATION
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.remarks import remark_words
 
@@ -215,3 +219,24 @@ def test_a_step_of_the_scale_factor_is_told_to_be_before_the_sine_or_behind_it(
     said = [remark_words(remark) for remark in told]
     assert bool(said) is (where == "before")
     assert all("at 100.8 deg/s it adds 0.6" in text for text in said)
+
+
+def test_where_the_models_have_the_sine_no_gain_that_rises_has_its_name() -> None:
+    """A knee at the end of the range follows the fifth order of a sine, with a sign that no saturation has."""
+    table = _sweeps(4, errors_ppm=0.0, own=0.0)
+    search = table_search(full_model(means_of(series_of_table(table)), memory=False))
+    first = search.fit(None, (), None)
+    laws = laws_of(search.base.means, surface_of(first.fitted.model, first.fitted.solve()))
+    shape = {"knee_dps": 80.0, "softness_dps": 4.0}
+    knee = Law("saturation", shape, laws.at(SATURATION, shape))
+    plain = first.fitted.model.without(first.fitted.model.of_block("odd rate"))
+    fitted = first.fitted.refit(plain.with_laws(knee))
+    named = (Named(knee, "odd rate", 30.0, 1.0, {}, 12),)
+    near = [(1.0, c) for c in open_loop.with_open_loop([first])]
+    told = open_loop.told_as_sine(Naming(fitted, named), laws, near)
+    (sine,) = told.named
+    assert sine.law.effect == "sagnac_sine"
+    assert sine.law.shape["phase_rad_per_dps"] == pytest.approx(_PHASE, rel=0.03)
+    assert told.fitted.nll < fitted.nll - 10.0
+    other = (replace(named[0], block="even rate"),)
+    assert open_loop.told_as_sine(Naming(fitted, other), laws, near).named == other
