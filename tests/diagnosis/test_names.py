@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis import blocks
 from gyrocal.diagnosis.blocks import REPLACED, less
 from gyrocal.diagnosis.coil import TOLL_NATS
-from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.contest import ALIKE_NATS, best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
 from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine, fit_anyhow
 from gyrocal.diagnosis.in_place import Alone, Named, _paired
-from gyrocal.diagnosis.laws import GAIN, effects_of, laws_of
+from gyrocal.diagnosis.laws import effects_of, laws_of
 from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.names import Naming, _least_worth, _mechanisms, may_lose, still_there
@@ -352,7 +352,7 @@ def test_what_laws_of_time_and_memory_explain_is_no_shape_in_temperature() -> No
     temp += 0.05 * rng.standard_normal(rate.size)
     found = examine(series_of_table(DataSetTable(Path("soaks.csv"), rate, rate + error, temp, t_s=t_s)), 0.01)
     assert "temperature_order" not in {n.law.effect for n in found.naming.named}
-    assert found.naming.unnamed["temperature"] > GAIN, "it is modelled all the same"
+    assert found.naming.unnamed["temperature"] > ALIKE_NATS, "it is modelled all the same"
 
 
 def test_a_pair_of_laws_leaves_those_of_other_blocks_as_they_are_named() -> None:
