@@ -92,6 +92,7 @@ def test_a_shape_in_rate_is_no_heat(bend_dps: float) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_intervals_of_heat_cover() -> None:
     """Of 40 intervals of 95 %, over 20 draws."""
     inside: list[bool] = []
