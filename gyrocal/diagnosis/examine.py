@@ -307,8 +307,8 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
         by_sine = with_open_loop([c for _, c in averaged(every)])
         every = sorted([*every, *by_sine], key=lambda c: c.score)
         near = averaged(every)
-        if sine_nats(every) > ALIKE_NATS:
-            naming = told_as_sine(naming, laws, near)
+    if (by_sine_nats := sine_nats(every)) > ALIKE_NATS:
+        naming = told_as_sine(naming, laws, near)
     first = ranked[0].fitted
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
@@ -324,7 +324,7 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
         *models,
         frozenset(mending),
         aside,
-        sine_nats(every),
+        by_sine_nats,
     )
 
 
@@ -346,11 +346,11 @@ def _or_before_sine(search: TableSearch, ranked: list[Candidate]) -> tuple[Table
 
     Gears and a coil's length change its phase, an amplifier what comes out of it: at a phase of 1 rad one has half the effect of the other.
     """
-    slope = slope_of(ranked)
+    best = ranked[0]
+    slope = slope_of(best)
     if slope is None:
         return search, ranked
     found = search.before_sine(slope)
-    best = ranked[0]
     if found.fit(best.coil, best.changes, best).score >= best.score:
         return search, ranked
     felt = found.run(ranked)
@@ -425,7 +425,8 @@ def _beyond_doubt(
 ) -> dict[str, float]:
     """The blocks that may have a name: of shapes in temperature beside other laws, what laws alone do not explain as well.
 
-    Laws in their place pay what they always do, so that the difference counts as that of a law of the search. What time did is told by the search, beside the lag of the coil and what remembers; alone anything may look like it.
+    Laws in their place pay what they always do, so that the difference counts as that of a law of the search. What
+    time did is told by the search, beside the lag of the coil and what remembers; alone anything may look like it.
     """
     worth = {block: nats for block, nats in worth.items() if BLOCKS[block].family != BIAS_DRIFT.family}
     if SHAPES not in worth or not (ranked[0].coil or ranked[0].changes):

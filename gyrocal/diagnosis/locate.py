@@ -98,9 +98,15 @@ def located(found: Examination, level: float) -> list[Located]:
     return places
 
 
+def _explained(found: Examination) -> set[str]:
+    """Blocks of which nothing is left by names that stand for no law in the model: errors of each rate, and the sine of an open loop."""
+    each_rate = {EACH_RATE} if found.rate_errors_nats else set()
+    return each_rate | ({ODD} if found.of_a_sine else set())
+
+
 def _left(found: Examination, block: str) -> float:
     """What is left of a block, nats: of one that stands in the model for laws which no robot evaluates, what they lack."""
-    if (block == EACH_RATE and found.rate_errors_nats) or (block == ODD and found.of_a_sine):
+    if block in _explained(found):
         return 0.0
     stood_for = [n for n in found.naming.named if n.block == block and not found.model.holds(n.law)]
     lacking = 1.0 - min(max((n.share for n in stood_for), default=0.0), 1.0)
@@ -200,8 +206,7 @@ def unnamed(found: Examination, level: float, withheld: Sequence[str]) -> tuple[
     passed = {b for n, b in fitted.model.blocks.items() if n in without_clock(fitted.model)}
     passed |= set() if found.comes_again > 0.5 else {SINCE_ON}
     least_dps = NEGLIGIBLE * float(np.std(solution.left))
-    told = {*named, BIAS_IN_TIME, *([EACH_RATE] if found.rate_errors_nats else [])}
-    told |= {ODD} if found.of_a_sine else set()
+    told = {*named, BIAS_IN_TIME, *_explained(found)}
     parts = []
     for block, nats in sorted(found.naming.unnamed.items(), key=lambda item: -item[1]):
         if block in told or block_p_value(nats, len(BLOCKS)) > level:

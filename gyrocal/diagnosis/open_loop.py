@@ -52,9 +52,9 @@ def with_open_loop(near: Sequence[Candidate]) -> list[Candidate]:
     return [] if sine is None else [_beside(c, sine) for c in plain]
 
 
-def slope_of(ranked: Sequence[Candidate]) -> Floats | None:
-    """Slope of the output over the rate at the rows, of the sine that the cubic of the best model is one of; None where it is none's."""
-    sine, rate_dps = _of_cubic(ranked[0]), ranked[0].fitted.model.means.rate_dps
+def slope_of(c: Candidate) -> Floats | None:
+    """Slope of the output over the rate at the rows, of the sine that the cubic of a model is one of; None where it is none's."""
+    sine, rate_dps = _of_cubic(c), c.fitted.model.means.rate_dps
     return None if sine is None else np.cos(sine.phase_rad_per_dps * rate_dps)
 
 

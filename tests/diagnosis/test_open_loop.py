@@ -204,7 +204,7 @@ def test_a_step_of_the_scale_factor_is_told_to_be_before_the_sine_or_behind_it(
     table = _sweeps(3, own=0.0, before=1e-3 * (where == "before"), behind=1e-3 * (where == "behind"))
     search = table_search(full_model(means_of(series_of_table(table)), memory=False))
     first = search.fit(None, (), None)
-    slope = open_loop.slope_of([first])
+    slope = open_loop.slope_of(first)
     assert slope is not None
     assert slope == pytest.approx(np.cos(_PHASE * table.rate_dps), abs=0.05)
     step = (Change("scale_step", float(table.rate_dps.size // 2)),)
