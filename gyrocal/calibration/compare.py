@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -77,21 +77,6 @@ def compare_at_rest(runs: Sequence[StaticFigures]) -> tuple[Change, ...]:
     """
     _refuse_few([run.source for run in runs])
     return changes_between([dict(run.noise.figures) | run.figures for run in runs])
-
-
-def refuse_units(serials: Iterable[str | None]) -> None:
-    """Refuse runs of several units, as far as they say of which they are.
-
-    Raises
-    ------
-    DataError
-        With the serial numbers.
-    """
-    known = sorted({serial for serial in serials if serial})
-    if len(known) > 1:
-        raise DataError(
-            f"The runs are of several units ({', '.join(known)}): a comparison is of one. Use `fleet` for many."
-        )
 
 
 def _refuse_few(sources: Sequence[Path]) -> None:

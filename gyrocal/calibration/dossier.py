@@ -129,20 +129,13 @@ def compile_dossier(
     Raises
     ------
     DataError
-        No run that carries a surface, runs of different units, or one given twice. ProfileError: a limit of a figure that
+        No run that carries a surface, or one given twice. ProfileError: a limit of a figure that
         there is not.
     """
     if not runs:
         raise DataError(
             "No run has rates enough for a surface, and a certificate is of a calibrated gyro: give one that `fit` takes too. What "
             "a gyro at rest says is gyrocal noise."
-        )
-    numbers = {str(run.calibration.recording.sensor.get("serial") or "") for run in runs}
-    serials = sorted(numbers | {r.run.sensor.serial or "" for r in at_rest})
-    if len(serials) > 1:
-        shown = ", ".join(s or "no serial number" for s in serials)
-        raise DataError(
-            f"The runs are of several units ({shown}): a certificate is of one. Use `fleet` for many."
         )
     every: list[UnitRun | RestRun] = [*runs, *at_rest]
     refuse_twice([run.path for run in every])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.calibrate import Calibration, FitConfig, calibrate, configs
-from gyrocal.calibration.provenance import refuse_twice
+from gyrocal.calibration.provenance import UNKNOWN, refuse_twice, sensor_of
 from gyrocal.errors import DataError, DeviceError, GyrocalError, InputError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.multiple import holm
@@ -163,11 +163,12 @@ def measure_fleet(config: FleetConfig, tell: Callable[[float, str], None]) -> Fl
     Raises
     ------
     DataError
-        Nothing to compare, or a recording that is given twice. InputError, DeviceError: no library for Dask, or no cluster answers.
+        Nothing to compare, units of different models, or a recording that is given twice. InputError, DeviceError: no library for Dask, or no cluster answers.
     """
     if len(config.recordings) < 2:
         raise DataError("One recording is given, and a fleet has two at least: give more, or use `fit`.")
     refuse_twice(config.recordings)
+    refuse_models(config.recordings)
     # One set of terms for all: where each unit has those that predict it best, equal units have unlike coefficients.
     each = [replace(one, paper=True) for one in configs(config.recordings, config.counts_per_dps)]
     with _workers(config) as executor:
@@ -215,29 +216,39 @@ def measure_all(
         yield future.result()
 
 
-def compare_units(units: Sequence[Unit]) -> Fleet:
-    """Put units beside each other.
+def refuse_models(paths: Sequence[Path]) -> None:
+    """Refuse units of different models, before any of them is fitted.
 
     Raises
     ------
     DataError
-        None of them could be fitted, or they are of different models.
+        With the models.
     """
-    good = [unit for unit in units if not unit.error]
-    if not good:
-        raise DataError(
-            f"None of the {len(units)} recordings can be fitted; the first says: {units[0].error}"
-        )
     models: dict[str, list[str]] = {}
-    for unit in good:
-        models.setdefault(unit.model, []).append(unit.source)
-    models.pop("", None)
+    for path in paths:
+        models.setdefault(sensor_of(path).model, []).append(str(path))
+    models.pop(UNKNOWN, None)
     if len(models) > 1:
         each = sorted(
             f"{model} ({', '.join(sources[:_FEW])}{', …' if len(sources) > _FEW else ''})"
             for model, sources in models.items()
         )
         raise DataError(f"The recordings are of {', '.join(each)}: compare units of one model.")
+
+
+def compare_units(units: Sequence[Unit]) -> Fleet:
+    """Put units beside each other.
+
+    Raises
+    ------
+    DataError
+        None of them could be fitted.
+    """
+    good = [unit for unit in units if not unit.error]
+    if not good:
+        raise DataError(
+            f"None of the {len(units)} recordings can be fitted; the first says: {units[0].error}"
+        )
     ordered = sorted(units, key=lambda unit: (_natural(unit.serial), unit.created_utc, unit.source))
     table = _table([unit for unit in ordered if not unit.error])
     return Fleet(

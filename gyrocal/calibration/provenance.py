@@ -12,7 +12,7 @@ from typing import Any
 from gyrocal.errors import CoefficientError, DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.records.files import reading, sha256_of_file
-from gyrocal.records.run import Run
+from gyrocal.records.run import Run, Sensor, read_run
 
 #: What a table of data sets, which does not name its sensor, is filed under.
 UNKNOWN = "unknown"
@@ -114,6 +114,36 @@ def refuse_twice(paths: Sequence[Path]) -> None:
         if checksum in seen:
             raise DataError(f"{path} and {seen[checksum]} are the same recording: give each once.")
         seen[checksum] = path
+
+
+def sensor_of(path: Path) -> Sensor:
+    """The sensor that a run directory names, without its data; `UNKNOWN` of a table, and of what cannot be read."""
+    with contextlib.suppress(InputError):  # said where it is read
+        if path.is_dir():
+            return read_run(path).sensor
+    return Sensor(UNKNOWN)
+
+
+def refuse_units(paths: Sequence[Path], purpose: str, *, unnamed: bool) -> None:
+    """Refuse runs of several units, before any of them is fitted.
+
+    Parameters
+    ----------
+    purpose : what is of one unit, for the message
+    unnamed : whether one without a serial number may not be of the same unit as others that have one
+
+    Raises
+    ------
+    DataError
+        With the serial numbers.
+    """
+    serials = {sensor_of(path).serial or "" for path in paths}
+    units = sorted(serial for serial in serials if serial or unnamed)
+    if len(units) > 1:
+        shown = ", ".join(serial or "no serial number" for serial in units)
+        raise DataError(
+            f"The runs are of several units ({shown}): {purpose} is of one. Use `fleet` for many."
+        )
 
 
 def fitted_to(coefficients: Coefficients, path: Path) -> Coefficients:

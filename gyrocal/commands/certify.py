@@ -10,6 +10,7 @@ from gyrocal.calibration.calibrate import configs
 from gyrocal.calibration.dossier import Dossier, RestRun, UnitRun, compile_dossier, rest_run, unit_run
 from gyrocal.calibration.limits import read_limits
 from gyrocal.calibration.material import Material, examine
+from gyrocal.calibration.provenance import refuse_units
 from gyrocal.records.output import check_output, write_directory
 from gyrocal.records.run import runs_in
 from gyrocal.report.certificate import certificate_files
@@ -37,6 +38,7 @@ def write_certificate(config: CertifyConfig, tell: Callable[[float, str], None])
     check_output(config.out)
     limits = read_limits(config.limits) if config.limits else {}
     paths = [run for path in config.runs for run in runs_in(path)]
+    refuse_units(paths, "a certificate", unnamed=True)
     runs, at_rest = list[UnitRun](), list[RestRun]()
     for number, (path, how) in enumerate(zip(paths, configs(paths, config.counts_per_dps), strict=True)):
         tell(0.7 * number / len(paths), path.name)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gyrocal.calibration.calibrate import calibrate, configs
-from gyrocal.calibration.compare import Change, compare_at_rest, compare_runs, refuse_units
+from gyrocal.calibration.compare import Change, compare_at_rest, compare_runs
 from gyrocal.calibration.dossier import rest_run
+from gyrocal.calibration.provenance import refuse_units
 
 
 def compare(
@@ -21,6 +22,7 @@ def compare(
         A bad run, one alone, runs at rest among others, or of several units.
     """
     each = configs(paths, counts_per_dps)
+    refuse_units(paths, "a comparison", unnamed=False)
     at_rest = []
     for number, path in enumerate(paths):
         tell(0.5 * number / len(paths), path.name)
@@ -29,11 +31,9 @@ def compare(
             break
         at_rest.append(resting)
     else:
-        refuse_units(resting.run.sensor.serial for resting in at_rest)
         return compare_at_rest([resting.found for resting in at_rest])
     found = []
     for number, (path, config) in enumerate(zip(paths, each, strict=True)):
         tell(number / len(paths), path.name)
         found.append(calibrate(path, config))
-    refuse_units(run.recording.sensor.get("serial") for run in found)
     return compare_runs(found)

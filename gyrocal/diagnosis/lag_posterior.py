@@ -68,15 +68,18 @@ def _posterior(candidate: Candidate) -> Floats:
         prior = np.array([*prior, *np.full(len(part.columns), 1.0 / variance[part.name])])
     here = _whitened(lower, replace(model.basis, coil=None).surface(), columns, weight)
     log = np.empty((_LAGS_S.size, _SHARES.size))
+    to_there = _SHARES[:, None, None]
+    to_here = 1.0 - to_there
     for i, tau_s in enumerate(_LAGS_S.tolist()):
-        before = THERMAL_LAG.search.nats_before({"tau_s": tau_s})
         there = _whitened(lower, replace(model.basis, coil=(1.0, tau_s)).surface(), columns, weight)
-        for j, share in enumerate(_SHARES.tolist()):
-            x = (1.0 - share) * here + share * there
-            information, b = x.T @ x + np.diag(prior), x.T @ y
-            root = linalg.cholesky(information, lower=True)
-            log[i, j] = 0.5 * float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
-            log[i, j] += before - float(np.sum(np.log(np.diag(root))))
+        across = here.T @ there
+        information = to_here**2 * (here.T @ here) + to_there**2 * (there.T @ there) + np.diag(prior)
+        information += to_here * to_there * (across + across.T)
+        root = np.linalg.cholesky(information)
+        b = to_here * (here.T @ y)[:, None] + to_there * (there.T @ y)[:, None]
+        log[i] = 0.5 * np.sum(np.linalg.solve(root, b) ** 2, axis=(1, 2))
+        log[i] -= np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+        log[i] += THERMAL_LAG.search.nats_before({"tau_s": tau_s})
     found = np.exp(log - log.max())
     return np.asarray(found / found.sum())
 

@@ -19,10 +19,12 @@ from gyrocal.calibration.fleet import (
     measure,
     measure_all,
     measure_fleet,
+    refuse_models,
     rosner,
 )
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import Surface
+from tests.calibration.runs import Part, gyro_row, write_run
 from tests.report.examples import SURFACE
 
 
@@ -69,11 +71,21 @@ def test_a_drift_along_the_serials_is_seen_in_counting_order() -> None:
     assert fleet.drifts[0].low < 0.5 < fleet.drifts[0].high
 
 
-def test_units_of_two_models_are_refused() -> None:
-    two = units({"scale [ppm]": [1.0, 2.0]})
-    other = Unit("run9", "B1", "DSP-3000", "", {})
+def test_units_of_two_models_are_refused_before_any_is_fitted(tmp_path: Path) -> None:
+    """With three rows each, of which no figure can be made; a table names no sensor and goes with all."""
+    models = {"a": "RD2100", "b": "RD2100", "c": "DSP-3000"}
+    runs = [
+        write_run(
+            tmp_path / name,
+            [Part([gyro_row(0.1 * k, f"1.{n}") for k in range(3)], kind="static")],
+            {"sensor": {"model": model}},
+        )
+        for n, (name, model) in enumerate(models.items())
+    ]
+    table = write_table(tmp_path / "table.csv", 1)
     with pytest.raises(DataError, match=r"are of DSP-3000 \(.*\), RD2100 \(.*\): compare units of one model"):
-        compare_units([*two, other])
+        measure_fleet(FleetConfig((*runs, table)), lambda share, what: None)
+    refuse_models([*runs[:2], table])
 
 
 def test_a_recording_that_cannot_be_fitted_does_not_stop_the_others(tmp_path: Path) -> None:

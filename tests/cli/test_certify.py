@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -110,15 +111,29 @@ def test_compare(tmp_path: Path) -> None:
     assert data["figures"]["bias"]["changed"] is False
 
 
-def test_runs_of_two_units_are_not_compared(tmp_path: Path) -> None:
-    rng = np.random.default_rng(8)
-    for name in ("a", "b"):
-        rows = [gyro_row(0.1 * k + 0.05, f"{x:.6f}") for k, x in enumerate(rng.normal(0.0, 4e-3, 12_000))]
-        head = {"sensor": {"model": "RD2100", "serial": name}}
-        write_run(tmp_path / name, [Part(rows, kind="static", averaging_s=None)], head)
-    done = CliRunner().invoke(gyrocal_command, ["compare", str(tmp_path / "a"), str(tmp_path / "b")])
+@pytest.mark.parametrize(
+    ("command", "serials", "said"),
+    [
+        (["compare"], ("a", "b"), r"of several units \(a, b\): a comparison is of one"),
+        (["certify", "--out", "out"], ("a", "b"), r"of several units \(a, b\): a certificate is of one"),
+        (["certify", "--out", "out"], (None, "b"), r"of several units \(no serial number, b\)"),
+    ],
+)
+def test_runs_of_two_units_are_refused_before_any_is_fitted(
+    command: list[str], serials: tuple[str | None, ...], said: str, tmp_path: Path
+) -> None:
+    """Of three samples each, of which nothing can be said."""
+    paths = []
+    for name, serial in zip("xy", serials, strict=True):
+        rows = [gyro_row(0.1 * k, f"{0.1 * k}") for k in range(3)]
+        head = {"sensor": {"model": "RD2100"} | ({"serial": serial} if serial else {})}
+        paths.append(str(write_run(tmp_path / name, [Part(rows, kind="static", averaging_s=None)], head)))
+    first, *options = command
+    done = CliRunner().invoke(
+        gyrocal_command, [first, *paths, *(str(tmp_path / o) if o == "out" else o for o in options)]
+    )
     assert isinstance(done.exception, DataError)
-    assert "of several units (a, b)" in str(done.exception)
+    assert re.search(said, str(done.exception))
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ def test_readings_are_gathered_at_the_rates_that_were_told(scatter_dps: float, s
     assert np.std((nominal - SWEEPS)[turning]) == pytest.approx(scatter_dps / np.sqrt(6.0), rel=0.35)
 
 
-@pytest.mark.parametrize("offset_dps", [0.004, -0.05])
+@pytest.mark.parametrize("offset_dps", [pytest.param(0.004, marks=pytest.mark.slow), -0.05])
 @pytest.mark.parametrize("turned", [True, False], ids=["turned so", "noise of the encoder"])
 def test_what_readings_of_both_ways_are_off_by_is_no_bias(turned: bool, offset_dps: float) -> None:
     """The Earth turns a table that goes both ways alike: it had become a bias where the output did not follow the scatter."""

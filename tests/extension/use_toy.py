@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from gyrocal.bench.profile import load_profile
-from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.calibration.export import export_c_header
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.fusion.compensation import Compensator
@@ -26,7 +25,6 @@ from gyrocal.report.folds import coordinate_of, fold_of
 from gyrocal.report.sentences import document
 from gyrocal.trial.blind import draw_secret, rehearse
 from tests.bench.onwire.stand import WireStand
-from tests.bench.tiny import Silent
 
 #: The period lies in the middle between two points of the grid, 2.5 % from either.
 SIZE_MDPS, PERIOD_DPS = 20.0, 47.8
@@ -77,11 +75,9 @@ def term() -> Term:
     return Term("toy_ripple", entries, True)
 
 
-def drawn(out: Path) -> list[dict[str, float]]:
+def drawn(run: Path) -> list[dict[str, float]]:
     """What blind trials hide of it."""
-    profile = load_profile("quick")
-    acquire(AcquireConfig(Path("quick"), out, simulate=True), Silent())
-    stage = rehearse(out, profile.virtual.table.max_acceleration_dps2)
+    stage = rehearse(run, load_profile("quick").virtual.table.max_acceleration_dps2)
     secrets = [draw_secret(stage, np.random.default_rng([5, k])) for k in range(60)]
     return [dict(s.effects["toy_ripple"]) for s in secrets if "toy_ripple" in s.effects]
 
@@ -100,7 +96,11 @@ def acquired(out: Path) -> dict[str, Any]:
 
 def main(out: Path) -> None:
     """All of it."""
-    found = {"table": found_in_a_table(), "drawn": drawn(out / "quick"), "run": acquired(out / "run")}
+    found = {
+        "table": found_in_a_table(),
+        "run": acquired(out / "run"),
+        "drawn": drawn(Path("sample_data/run")),
+    }
     (out / "found.json").write_text(json.dumps(found), encoding="utf-8")
 
 
