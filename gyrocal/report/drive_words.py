@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown
+from gyrocal.diagnosis.drive.estimates import DriveEstimate
 from gyrocal.diagnosis.drive.findings import undecided
-from gyrocal.diagnosis.drive.improved import DriveEstimate
 from gyrocal.diagnosis.drive.laws import KINDS
 from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.remarks import Remark, Said

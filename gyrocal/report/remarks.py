@@ -104,13 +104,18 @@ def _bias_settles(
     )
 
 
-def _sides_differ(change: float, least: float, most: float, or_moving_dps: tuple[float, float] | None) -> str:
+def _sides_differ(
+    change: float, least: float, most: float, or_moving_dps: tuple[float, float] | None, filed: bool
+) -> str:
     larger = f"{change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to the left than in turns to the right"
     if or_moving_dps is None:
-        return f"By the truth the gyro's scale factor is {larger}; no robot file holds that"
+        held = (
+            "the robot file has it" if filed else "it is not written, since more than that misses the truth"
+        )
+        return f"By the truth the gyro's scale factor is {larger}; {held}"
     value, std = or_moving_dps
     return (
-        f"By the truth either the gyro's scale factor is {larger}, which no robot file holds, or its bias is {value:+.2g} ± {NORMAL_95 * std:.1g} deg/s "
+        f"By the truth either the gyro's scale factor is {larger}, or its bias is {value:+.2g} ± {NORMAL_95 * std:.1g} deg/s "
         "another while the robot moves (95 %): this drive does not tell which. Turn as much to either side, go straight for longer, or "
         "log a better truth"
     )

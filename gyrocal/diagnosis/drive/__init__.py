@@ -8,6 +8,6 @@ makes), ``lasting`` (what speaks against a name), ``alignment`` and ``search`` (
 ``path_problem`` (one linearisation of it), ``path_laid`` (Gauss and Newton over it) and ``truth`` (the path against true positions),
 ``beside_truth`` (laws that it denies or adds),
 ``sides`` (left turns against right), ``findings`` (names) and ``places`` (where), ``heldout`` (their worth on parts left out), ``filed`` and ``improved`` (the given robot
-file and the one that is written),
+file and the one that is written), ``estimates`` (every figure, and what it costs),
 ``visible`` (what the noise of the truth hides of a gain).
 """

@@ -10,6 +10,7 @@ import numpy as np
 
 from gyrocal.diagnosis.drive.beside_truth import beside_truth, told_from_nothing
 from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
+from gyrocal.diagnosis.drive.estimates import DriveEstimate, estimates_of
 from gyrocal.diagnosis.drive.filed import filed
 from gyrocal.diagnosis.drive.findings import (
     OfTruth,
@@ -19,13 +20,7 @@ from gyrocal.diagnosis.drive.findings import (
     verdict,
 )
 from gyrocal.diagnosis.drive.heldout import improvements
-from gyrocal.diagnosis.drive.improved import (
-    DriveEstimate,
-    believed_bias,
-    estimates_of,
-    figures_of,
-    improved_robot,
-)
+from gyrocal.diagnosis.drive.improved import believed_bias, figures_of, improved_robot
 from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw

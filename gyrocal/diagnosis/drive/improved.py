@@ -1,9 +1,8 @@
-"""What a drive tells the next one: every estimate with the metres it costs, and the robot file with what earned it."""
+"""What a drive tells the next one: what should be taken out of its log, and the robot file with what earned it."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,11 @@ from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given
 from gyrocal.diagnosis.drive.findings import (
     OfTruth,
     joint_estimate,
-    left_of_track,
     told_estimate,
-    unexpected_bias,
 )
 from gyrocal.diagnosis.drive.laws import (
     KINDS,
     MOVING,
-    PER_SI,
     SETTLING,
     is_slip,
     reference_temp_c,
@@ -27,20 +23,20 @@ from gyrocal.diagnosis.drive.laws import (
     strangers,
 )
 from gyrocal.diagnosis.drive.motions import of_motion, or_nothing
-from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
+from gyrocal.diagnosis.drive.path_laid import SCALES
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, may_be_tilted
-from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
+from gyrocal.diagnosis.drive.reckoning import Figures
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.sides import ratio_of_turns, uneven_gyro
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.navigation.levels import BIAS_SHARES
 from gyrocal.physics.drive import ROBOT_TILT, START_STOP_SLIP
 from gyrocal.physics.slip import SLIP_LAWS
-from gyrocal.records.files import finite
 from gyrocal.records.robot import Robot
-from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD, NORMAL_95, RAD_TO_DEG
+from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DEG_TO_RAD
 
 #: What a bias changes by at the next switch-on: a share of it, and standard deviations of the 1/f noise. The drive model
 #: has the latter as states of its own; only the paper's filter must be told.
@@ -51,43 +47,6 @@ _TRACK_CHANGES = 2e-3
 _NO_KEYS = {ROBOT_TILT.id, START_STOP_SLIP.id}
 #: Coordinates over which it is the robot's turns that differ, and those over which its way does.
 _OF_TURNS, _OF_THE_WAY = ("place",), ("speed", "heading", "acceleration")
-
-
-@dataclass(frozen=True)
-class DriveEstimate:
-    """One figure of a drive, named or not.
-
-    Attributes
-    ----------
-    value, std : in `unit`
-    metres : rms position error over this log if it is not taken out; NaN where it moves no position
-    path : the path that it moves: ``gyro`` (distance along the gyro's heading), ``encoders`` or ``truth``
-    """
-
-    name: str
-    value: float
-    std: float
-    unit: str
-    metres: float
-    path: str
-    named: bool
-
-    def to_json(self) -> dict[str, Any]:
-        """Entry of ``estimates``."""
-        half = NORMAL_95 * self.std
-        entry: dict[str, Any] = finite(
-            {
-                "name": self.name,
-                "value": float(self.value),
-                "std": float(self.std),
-                "unit": self.unit,
-                "interval_95": [float(self.value - half), float(self.value + half)],
-                "metres": float(self.metres),
-                "path": self.path,
-                "named": self.named,
-            }
-        )
-        return entry
 
 
 def figures_of(
@@ -114,6 +73,7 @@ def figures_of(
         bias_settling_s=SETTLING.get(yaw.settling, np.inf),
         bias_slope_dps_per_c=value("slope"),
         gyro_scale=value("gyro_scale"),
+        gyro_asymmetry=value("gyro_asymmetry"),
         left_scale=(1 + value("wheel_scale")) * (1 - half) - 1,
         right_scale=(1 + value("wheel_scale")) * (1 + half) - 1,
         delay_s=value("delay"),
@@ -125,8 +85,19 @@ def figures_of(
 def _told(
     yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, OfTruth], named: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
-    """Value and standard deviation of laws that the heading difference names, and of what the truth shows."""
-    return {n: told_estimate(yaw, truth, n) for n in named} | {n: (s.value, s.std) for n, s in parts.items()}
+    """Value and standard deviation of laws that the heading difference names, and of what the truth shows.
+
+    Turns to one side tell a scale of all turns together with what the sides differ by, and neither without the other.
+    """
+    of_encoders = {n: told_estimate(yaw, truth, n) for n in named}
+    of_path = {n: (s.value, s.std) for n, s in parts.items()}
+    uneven = uneven_gyro(truth)
+    if truth is not None and uneven is not None:
+        of_path |= {
+            "gyro_scale": (truth.values["gyro_scale"], truth.stds["gyro_scale"]),
+            "gyro_asymmetry": uneven,
+        }
+    return of_encoders | of_path
 
 
 def _foretold_motion(yaw: YawAnswer, name: str, told: tuple[float, float]) -> tuple[float, float]:
@@ -199,113 +170,6 @@ def _settles(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
     return value * float(np.mean(faded)), abs(value) * float(np.std(faded))
 
 
-def estimates_of(
-    series: DriveSeries,
-    yaw: YawAnswer,
-    truth: TruthAnswer | None,
-    parts: Mapping[str, OfTruth],
-    figures: Figures,
-) -> tuple[DriveEstimate, ...]:
-    """Every figure of a drive by the metres that it costs, the dearest first."""
-    rest = rest_mean_dps(series)
-    started = replace(figures, bias_dps=figures.bias_dps if rest is None else rest[0], bias_from_rest=False)
-    found = [*_of_gyro(series, yaw, truth, parts, started), *_of_encoders(series, yaw, truth, parts)]
-    if truth is not None:
-        of_truth = {"lever_ahead": "m", "lever_left": "m", "clock": "s", "course": "s", "mounting": "rad"}
-        for name, unit in of_truth.items():
-            if name in truth.values:
-                value, std, shown = truth.values[name], truth.stds[name], unit
-                if name == "mounting":
-                    value, std, shown = RAD_TO_DEG * value, RAD_TO_DEG * std, "deg"
-                metres = abs(value) if unit == "m" else float("nan")
-                found.append(DriveEstimate(f"truth_{name}", value, std, shown, metres, "truth", named=False))
-    return tuple(sorted(found, key=lambda e: -np.nan_to_num(e.metres, nan=-1.0)))
-
-
-def _of_gyro(
-    series: DriveSeries,
-    yaw: YawAnswer,
-    truth: TruthAnswer | None,
-    parts: Mapping[str, OfTruth],
-    figures: Figures,
-) -> list[DriveEstimate]:
-    """Figures that move the path along the gyro's heading."""
-    found = []
-    for name, kind in KINDS.items():
-        told = None
-        if name == "bias":
-            told = (*joint_estimate(yaw, truth, "bias"), unexpected_bias(series, yaw, truth) is not None)
-        elif kind.figure and name in parts:
-            told = (parts[name].value, parts[name].std, True)
-        elif kind.figure and name in yaw.laws and name == yaw.spokesman(name):
-            if name in yaw.chosen:
-                known = told_estimate(yaw, truth, name)
-            elif name == "jump" or name in SETTLING:
-                # At the best of all instants, or time constants, it is no estimate.
-                continue
-            else:
-                known = _beyond(yaw, truth, name)
-                if known[1] > ALONE.get(name, np.inf):
-                    # No less was known of it before the drive.
-                    continue
-            told = (*known, name in yaw.named)
-        if told is not None:
-            value, std, named = told
-            metres = cost_m(series, figures, kind.figure, value)
-            # A jump is what comes after less what was before it.
-            value = -value if name == "jump" else value
-            found.append(DriveEstimate(kind.shown, value, std, kind.unit, metres, "gyro", named))
-    for name in SCALES:
-        scale = parts.get(name)
-        if scale is None and truth is not None and truth.shows(name):
-            scale = OfTruth(truth.values[name], truth.stds[name])
-        if scale is not None:
-            metres = cost_m(series, figures, name, scale.value)
-            percent = (100 * scale.value, 100 * scale.std, "%")
-            found.append(DriveEstimate(name, *percent, metres, "gyro", name in parts))
-    return found
-
-
-def _beyond(yaw: YawAnswer, truth: TruthAnswer | None, name: str) -> tuple[float, float]:
-    """Value and standard deviation of a law that is not in the fit, by whichever of encoders and truth knows it better."""
-    (value,), ((variance,),) = yaw.beyond([name])
-    by_encoders = float(value), float(np.sqrt(max(variance, 0.0)))
-    if truth is None or truth.mirrored or truth.stds.get(name, np.inf) > by_encoders[1]:
-        return by_encoders
-    return truth.values[name], truth.stds[name]
-
-
-def _of_encoders(
-    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, OfTruth]
-) -> list[DriveEstimate]:
-    """Figures that move the path along the encoders' heading."""
-    found = []
-    path = reckon(series, Figures())
-    rows = yaw.model.frame.nodes.rows
-    for name in yaw.chosen:
-        if KINDS[name].figure or name == "wheel_sin":
-            continue
-        value, std = joint_estimate(yaw, truth, name)
-        if name == "spinning" and START_STOP_SLIP.id in parts:
-            value, std = parts[START_STOP_SLIP.id].value, parts[START_STOP_SLIP.id].std
-        if name == "track":
-            left = left_of_track(value, std, parts)
-            value, std = left.value, left.std
-        turn = value * yaw.laws[name].column
-        if name == "wheel_cos":
-            other, _ = joint_estimate(yaw, truth, "wheel_sin")
-            turn = turn + other * yaw.laws["wheel_sin"].column
-            value = float(np.hypot(value, other))
-        heading = np.interp(np.arange(series.t_s.size), rows, np.concatenate([[0.0], np.cumsum(turn)]))
-        metres = float(np.sqrt(np.mean(np.abs(path.moved_by(heading, np.zeros(heading.size))) ** 2)))
-        # A ratio of turns that may be another's is no track's.
-        named = name in (parts if name == "track" else yaw.named)
-        unit = KINDS[name].unit or "%"
-        value, std = PER_SI[unit] * value, PER_SI[unit] * std
-        found.append(DriveEstimate(KINDS[name].shown, value, std, unit, metres, "encoders", named))
-    return found
-
-
 def improved_robot(
     series: DriveSeries,
     yaw: YawAnswer,
@@ -337,13 +201,15 @@ def improved_robot(
         keys["gyro.temp_c"] = figures.temp_c
     if yaw.window_s > 0:
         keys["encoders.window_s"] = yaw.window_s
-    # No robot file holds what turns to one side are off by, and the filter must not trust the gyro beyond it.
+    # What turns to one side may be off by the filter must not trust the gyro beyond.
     by_side = 0.0 if truth is None else truth.one_size
+    if "gyro_asymmetry" in told:
+        keys["gyro.asymmetry"], keys["gyro.asymmetry_std"] = told["gyro_asymmetry"]
+        by_side = 0.5 * told["gyro_asymmetry"][1]
     # What a tilt lacks of turns is no share of them, and the next drive need not have it.
-    scale = parts.get("gyro_scale")
-    if scale is not None and not (yaw.odd and may_be_tilted(series, scale.value)):
-        keys["gyro.scale"] = scale.value
-        keys["gyro.scale_std"] = float(np.hypot(scale.std, by_side))
+    scale, std = told.get("gyro_scale", (0.0, np.inf))
+    if "gyro_scale" in told and not (yaw.odd and may_be_tilted(series, scale)):
+        keys["gyro.scale"], keys["gyro.scale_std"] = scale, float(np.hypot(std, by_side))
     if slip := _slip(yaw, lasting):
         keys |= {f"slip.{key}": getattr(slip, key) for key in ("law", "amplitude", "amplitude_std", "shape")}
     # A slope stays where it is.
@@ -354,12 +220,12 @@ def improved_robot(
     if series.differential:
         # Turns that slip without a law of it are wider in the mean.
         untold = [n for n in yaw.chosen if is_slip(n) and slip is None]
-        keys |= _geometry_keys(series, yaw.less(untold), truth, parts)
+        keys |= _geometry_keys(series, yaw.less(untold), truth, parts, told)
     elif "wheel_scale" in parts:
         for side in ("left", "right"):
             keys[f"encoders.{side}_scale"] = parts["wheel_scale"].value
             keys[f"encoders.{side}_scale_std"] = parts["wheel_scale"].std
-    if truth is not None and not truth.mirrored and scale is None:
+    if truth is not None and not truth.mirrored and "gyro_scale" not in told:
         # Not sure enough to be taken out, and yet better known than before.
         left = float(np.linalg.norm([truth.values["gyro_scale"], truth.stds["gyro_scale"], by_side]))
         keys["gyro.scale_std"] = min(left, series.robot.initial_std["gyro_scale"])
@@ -410,16 +276,21 @@ def _untold_wheels(series: DriveSeries, truth: TruthAnswer | None) -> OfTruth:
 
 
 def _geometry_keys(
-    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, parts: Mapping[str, OfTruth]
+    series: DriveSeries,
+    yaw: YawAnswer,
+    truth: TruthAnswer | None,
+    parts: Mapping[str, OfTruth],
+    told: Mapping[str, tuple[float, float]],
 ) -> dict[str, float]:
     """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
     bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else joint_estimate(yaw, truth, "bias")[0]
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
-    track, track_std = _beside_bias(yaw, "track", bias)
+    uneven = "gyro_asymmetry" in told
+    track, track_std = ratio_of_turns(yaw, truth) if uneven else _beside_bias(yaw, "track", bias)
     track_std = float(np.hypot(track_std, _unheld(yaw, _OF_TURNS, "track")))
     # What the scales of the truth, or a slope, make of the ratio of the headings is no track.
-    gyro = parts["gyro_scale"].value if "gyro_scale" in parts else 0.0
+    gyro, _ = told.get("gyro_scale", (0.0, 0.0))
     track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
     if "track" not in parts and not {*SCALES, ROBOT_TILT.id}.isdisjoint(parts):
         track = 0.0

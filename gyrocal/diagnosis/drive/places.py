@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import known_before
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
+from gyrocal.diagnosis.drive.sides import uneven_gyro
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located, NamedEffect
@@ -90,7 +91,7 @@ def left_out(yaw: YawAnswer) -> list[OffInterval]:
 
 
 def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
-    """What no robot file holds: how a bias jumps or settles, the gyro's sides differ, a delay grows, track or wheels change."""
+    """What has no name: how a bias jumps or settles, the gyro's sides differ, a delay grows, track or wheels change."""
     begin_s = yaw.model.frame.series.t_s[0]
 
     def told(said: Said, unit: float, before: float, std: float, law: Law) -> Remark:
@@ -111,7 +112,8 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
         # What a path lacks of every turn is read too little to the left and too much to the right.
         change, half = -200.0 * truth.one_size, 200.0 * NORMAL_95 * truth.stds[ONE_SIZE]
         facts = {"change": change, "least": change - half, "most": change + half}
-        found.append(Remark(Said.SIDES_DIFFER, facts | {"or_moving_dps": truth.or_moving_dps}))
+        beside = {"or_moving_dps": truth.or_moving_dps, "filed": uneven_gyro(truth) is not None}
+        found.append(Remark(Said.SIDES_DIFFER, facts | beside))
     if "delay" in yaw.odd:
         (grown,), ((variance,),) = yaw.beyond(["delay:0"])
         half = 1e3 * NORMAL_95 * float(np.sqrt(variance))

@@ -31,6 +31,7 @@ class Figures:
     bias_settling_dps, bias_settling_s : added at the start of the log, from where on it fades with this time constant
     bias_slope_dps_per_c : bias by temperature
     gyro_scale, left_scale, right_scale : measured = (1 + scale) times true
+    gyro_asymmetry : scale of turns to the left less that of those to the right; `gyro_scale` is their mean
     delay_s : the gyro is late; below 0: the encoders are
     track, slip : effective track over the robot file's, less one, and how it widens, for turns that the gyro has not seen
     bias_from_rest : the mean of the rest at the start stands for `bias_dps` where there is one
@@ -47,6 +48,7 @@ class Figures:
     bias_settling_s: float = np.inf
     bias_slope_dps_per_c: float = 0.0
     gyro_scale: float = 0.0
+    gyro_asymmetry: float = 0.0
     left_scale: float = 0.0
     right_scale: float = 0.0
     delay_s: float = 0.0
@@ -146,7 +148,8 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
         )
     left, right = series.left_m / (1.0 + figures.left_scale), series.right_m / (1.0 + figures.right_scale)
     way, rolled = 0.5 * (left + right), 0.5 * (np.abs(left) + np.abs(right))
-    by_gyro = DEG_TO_RAD * rate * series.dt_s / (1.0 + figures.gyro_scale)
+    scale = 1.0 + figures.gyro_scale + 0.5 * figures.gyro_asymmetry * np.sign(rate)
+    by_gyro = DEG_TO_RAD * rate * series.dt_s / scale
     heading = np.cumsum(series.over_gaps(by_gyro, _by_wheels(series, figures, right - left, way)))
     t = series.t_s
     if figures.delay_s > 0:

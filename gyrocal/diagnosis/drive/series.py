@@ -65,8 +65,8 @@ class DriveSeries:
     quiet, moved : whether no wheel moves about this row, and whether one has moved by now
     tick_m : size of a tick of the left and right wheel; 0 where it has none
     differential : whether the wheels differ at all, or one speed stands in both columns
-    calibrated, gyro_scale : whether coefficients made the rate, and the scale of the robot file that is taken out of it; those of
-        the wheels are taken out, too
+    calibrated, gyro_scale, gyro_asymmetry : whether coefficients made the rate, and what of the robot file's scales is taken out of
+        it; those of the wheels are taken out, too
     """
 
     source: str
@@ -88,6 +88,7 @@ class DriveSeries:
     differential: bool
     calibrated: bool
     gyro_scale: float
+    gyro_asymmetry: float
     robot: Robot = field(repr=False)
     notes: tuple[Note, ...] = ()
 
@@ -188,8 +189,9 @@ def drive_series(
         notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS, **facts}))
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
-    scale = robot.parameters.gyro.scale if coefficients is None else 0.0
-    gyro, said = _gyro(source, log, robot, coefficients, scale)
+    of_gyro = robot.parameters.gyro
+    scale, asymmetry = (of_gyro.scale, of_gyro.asymmetry) if coefficients is None else (0.0, 0.0)
+    gyro, said = _gyro(source, log, robot, coefficients, scale, asymmetry)
     (left, right), told = _wheels(log, robot, dt_s)
     notes += told
     bridged = ~np.isfinite(log.left_m + log.right_m)
@@ -208,7 +210,7 @@ def drive_series(
     moving = _moving(dt_s, (left, right), ticks)
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, x_m, y_m, heading_deg,
-        _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, robot,
+        _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, asymmetry, robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
 
@@ -231,9 +233,14 @@ def _wheels(log: DriveBlock, robot: Robot, dt_s: Floats) -> tuple[list[Floats], 
 
 
 def _gyro(
-    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None, scale: float
+    source: str,
+    log: DriveBlock,
+    robot: Robot,
+    coefficients: Coefficients | None,
+    scale: float,
+    asymmetry: float,
 ) -> tuple[Floats, list[Remark]]:
-    """The gyro, calibrated where there are coefficients, without the robot file's scale about its bias, empty rows and spikes bridged by their neighbours."""
+    """The gyro, calibrated where there are coefficients, without the robot file's scales about its bias, empty rows and spikes bridged by their neighbours."""
     gyro_dps, notes = log.gyro_dps, []
     if coefficients is not None:
         if not np.any(np.isfinite(log.gyro_temp_c)):
@@ -243,7 +250,9 @@ def _gyro(
         gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
         notes.append(Remark(Said.CALIBRATED))
     given_dps = robot.parameters.gyro.bias_dps
-    gyro_dps = given_dps + (gyro_dps - given_dps) / (1.0 + scale) if scale else gyro_dps
+    if scale or asymmetry:
+        off_dps = gyro_dps - given_dps
+        gyro_dps = given_dps + off_dps / (1.0 + scale + 0.5 * asymmetry * np.sign(off_dps))
     known = np.isfinite(gyro_dps)
     if np.ptp(gyro_dps[known]) == 0:
         raise DataError(

@@ -58,6 +58,19 @@ def sides_of(yaw: YawAnswer) -> Sides:
     )
 
 
+def uneven_gyro(truth: TruthAnswer | None) -> tuple[float, float] | None:
+    """Scale of the gyro's turns to the left less that of those to the right, and its standard deviation.
+
+    None where the truth is not sure of it, where a bias in motion may have made it, and where it is not all that misses the truth.
+    """
+    if truth is None or not truth.believed(ONE_SIZE) or truth.or_moving_dps is not None:
+        return None
+    if any(p < STRANGER_P for coordinate, p in truth.odd.items() if coordinate != "turn_rate"):
+        return None
+    # What a path lacks of every turn is read too little to the left and too much to the right.
+    return -2.0 * truth.one_size, 2.0 * truth.stds[ONE_SIZE]
+
+
 def ratio_of_turns(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
     """Turns of the encoders over those of the gyro, less one, and its standard deviation; where its sides differ their mean."""
     if "turn_rate" in yaw.odd or (truth is not None and ONE_SIZE in truth.values):

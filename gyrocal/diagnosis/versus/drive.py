@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis
-from gyrocal.diagnosis.drive.improved import DriveEstimate
+from gyrocal.diagnosis.drive.estimates import DriveEstimate
 from gyrocal.diagnosis.drive.path_laid import SCALES
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.versus.answer import LEVEL, SCHEMA

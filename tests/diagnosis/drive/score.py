@@ -22,8 +22,9 @@ import click
 import numpy as np
 
 from gyrocal.diagnosis.drive.engine import examine
+from gyrocal.diagnosis.drive.estimates import DriveEstimate, estimates_of
 from gyrocal.diagnosis.drive.findings import named_effects, verdict
-from gyrocal.diagnosis.drive.improved import DriveEstimate, estimates_of, improved_robot
+from gyrocal.diagnosis.drive.improved import improved_robot
 from gyrocal.diagnosis.drive.laws import candidate_laws, constant_laws, frame_of, wheel_laws
 from gyrocal.diagnosis.drive.places import places
 from gyrocal.diagnosis.drive.prior import known_before

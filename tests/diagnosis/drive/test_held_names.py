@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.beside_truth import _asked, told_from_nothing
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
+from gyrocal.diagnosis.drive.estimates import estimates_of
 from gyrocal.diagnosis.drive.findings import joint_estimate
-from gyrocal.diagnosis.drive.improved import estimates_of
 from gyrocal.diagnosis.drive.jumps import _likeliest, within_motion
 from gyrocal.diagnosis.drive.search import _unlike
 from gyrocal.diagnosis.drive.series import Nodes

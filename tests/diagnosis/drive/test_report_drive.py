@@ -12,7 +12,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis, Shown, diagnose_drive
-from gyrocal.diagnosis.drive.improved import DriveEstimate
+from gyrocal.diagnosis.drive.estimates import DriveEstimate
 from gyrocal.diagnosis.result import Alternative
 from gyrocal.errors import InputError
 from gyrocal.records.drive import DriveBlock, format_drive_log

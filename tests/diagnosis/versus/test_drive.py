@@ -10,7 +10,7 @@ from typing import cast
 import pytest
 
 from gyrocal.diagnosis.drive.engine import DriveDiagnosis
-from gyrocal.diagnosis.drive.improved import DriveEstimate
+from gyrocal.diagnosis.drive.estimates import DriveEstimate
 from gyrocal.diagnosis.result import Estimate, NamedEffect
 from gyrocal.diagnosis.versus.drive import drive_versus
 from gyrocal.report.versus_drive import drive_law_file, drive_told
