@@ -82,6 +82,7 @@ class Said(Enum):
     MISSING_ROWS = auto()
     WAYS_ADDED = auto()
     NO_REST = auto()
+    STANDS = auto()
     WHEEL_TURN = auto()
     ENCODERS_LATE = auto()
     SAMPLES_OF_ROWS = auto()

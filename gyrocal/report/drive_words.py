@@ -116,7 +116,8 @@ def _other(a: Alternative) -> str:
 def _shown_sentence(shown: Shown) -> str:
     part = part_words(shown.log, shown.from_share)
     if shown.apart_m < _SAME_PATH_M:
-        return f"On {part}, nothing is put to the test: what was found does not move the path along the gyro's heading"
+        those = "those do" if shown.from_share else "what was found does"
+        return f"On {part}, nothing is put to the test: {those} not move the path along the gyro's heading"
     if not np.isfinite(shown.before_m):
         return f"On {part} the path along the gyro's heading moves by {shown.apart_m:.2g} m rms; there is no truth to say whether for the better"
     before, after = f"{shown.before_m:.3g}", f"{shown.after_m:.3g} m rms"

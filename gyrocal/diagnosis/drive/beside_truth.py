@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +35,8 @@ _INSTANTS, _CLOSER = 8, 3
 def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthAnswer | None]:
     """Laws of the heading difference with those that the truth, where there is one, denies or adds, and what it says."""
     yaw, truth = _undenied(series, yaw, _asked(series, yaw))
+    if truth is not None and not series.differential:
+        truth = _without_unsure(series, yaw, truth)
     if "spinning" in yaw.chosen and spinning(yaw, truth) is None:
         # No wheel goes less far while it drives, nor spins in turns alone.
         yaw = yaw.without(["spinning"], "acceleration")
@@ -226,22 +228,50 @@ def _loss_with_jump(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, at_
     return np.inf if found is None else found.loss
 
 
+def _without_unsure(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> TruthAnswer:
+    """With what the other figures are without the laws that a truth is asked for beside one speed and is not sure of.
+
+    No robot file gets those, and scales that were told beside one of them would be another gyro's. How well the scales are known
+    counts with them.
+    """
+    asked = [n for n in ALONE if n in truth.values]
+    sure = [n for n in asked if truth.told(n) ** 2 >= GAIN]
+    found = None if sure == asked else _asked(series, yaw, truth, alone=sure)
+    if found is None:
+        return truth
+    stds = {n: max(std, truth.stds.get(n, 0.0)) for n, std in found.stds.items()}
+    return replace(found, stds=stds)
+
+
 def _taken_out(series: DriveSeries, yaw: YawAnswer) -> Figures:
     """What the encoders know, before the truth is asked."""
     return replace(figures_of(series, yaw, {}, None), bias_from_rest=False)
 
 
 def _asked(
-    series: DriveSeries, yaw: YawAnswer, near: TruthAnswer | None = None, *, bias_changes: bool = False
+    series: DriveSeries,
+    yaw: YawAnswer,
+    near: TruthAnswer | None = None,
+    *,
+    bias_changes: bool = False,
+    alone: Sequence[str] | None = None,
 ) -> TruthAnswer | None:
     laws = yaw.bias_laws
     groups = {group_of(n) for n in laws.names}
-    alone = [] if series.differential else [n for n in ALONE if group_of(n) not in groups]
+    free = [] if series.differential else [n for n in ALONE if group_of(n) not in groups]
     figures, noise = _taken_out(series, yaw), yaw.model.noise
     # Be it the gyro's or the wheels'.
     uneven = sides_of(yaw).sure
     return ask_truth(
-        series, figures, laws, noise, alone, near, bias_changes=bias_changes, uneven_turns=uneven
+        series,
+        figures,
+        laws,
+        noise,
+        free if alone is None else alone,
+        near,
+        bias_changes=bias_changes,
+        uneven_turns=uneven,
+        uneven_shown=alone is not None,
     )
 
 

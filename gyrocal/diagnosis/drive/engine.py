@@ -23,6 +23,7 @@ from gyrocal.diagnosis.drive.heldout import improvements
 from gyrocal.diagnosis.drive.improved import believed_bias, figures_of, improved_robot
 from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon
+from gyrocal.diagnosis.drive.rests import refused_rest
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
 from gyrocal.diagnosis.drive.truth import TruthAnswer
@@ -31,7 +32,6 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.fusion.static_bias import static_bias
 from gyrocal.physics.drive import UNIT_OR_SIGN
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.files import finite
@@ -179,7 +179,8 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
         else:
             checks.append(Found(UNIT_OR_SIGN.id, Estimate.exact(-1.0, "1"), seen))
     parts = of_truth(yaw, truth)
-    notes += [*instants(yaw, truth), *_without_rest(log, robot)]
+    refused = refused_rest(log.t_s, log.left_m, log.right_m, log.gyro_dps, robot.static_s)
+    notes += [*instants(yaw, truth), *([Remark(Said.NO_REST, {"why": refused})] if refused else [])]
     clock = uneven_clock(log.t_s)
     return Examined(
         series,
@@ -190,17 +191,6 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
         checks,
         [*notes, *([clock] if clock else [])],
     )
-
-
-def _without_rest(log: DriveBlock, robot: Robot) -> list[Remark]:
-    """That a log lacks the rest that the robot file promises, as `replay` finds."""
-    if robot.static_s == 0.0:
-        return []
-    try:
-        static_bias(log.t_s, log.left_m, log.right_m, log.gyro_dps, robot.static_s)
-    except DataError as error:
-        return [Remark(Said.NO_REST, {"why": str(error)})]
-    return []
 
 
 def _shown(

@@ -15,7 +15,7 @@ from gyrocal.diagnosis.drive.findings import (
     told_estimate,
     unexpected_bias,
 )
-from gyrocal.diagnosis.drive.laws import KINDS, PER_SI, SETTLING
+from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, PER_SI, SETTLING, is_motion
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
@@ -110,7 +110,7 @@ def _of_gyro(
                 continue
             else:
                 known = _beyond(yaw, truth, name)
-                if known[1] > ALONE.get(name, np.inf):
+                if known[1] > ALONE.get(AT_ONCE if is_motion(name) else name, np.inf):
                     # No less was known of it before the drive.
                     continue
             told = (*known, name in yaw.named)

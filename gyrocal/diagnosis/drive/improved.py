@@ -188,7 +188,7 @@ def improved_robot(
     blind = truth is None or truth.mirrored
     lasting = [n for n in yaw.named if n not in yaw.uneven and not (blind and yaw.settles(n))]
     keys: dict[str, Any] = {}
-    if series.robot.static_s == 0:
+    if not series.rested:
         keys |= _bias_keys(yaw, truth, figures.temp_c)
     told = _told(yaw, truth, parts, lasting)
     told |= {n: _foretold_motion(yaw, n, told[n]) for n in of_motion(lasting)}
@@ -201,15 +201,9 @@ def improved_robot(
         keys["gyro.temp_c"] = figures.temp_c
     if yaw.window_s > 0:
         keys["encoders.window_s"] = yaw.window_s
-    # What turns to one side may be off by the filter must not trust the gyro beyond.
-    by_side = 0.0 if truth is None else truth.one_size
-    if "gyro_asymmetry" in told:
-        keys["gyro.asymmetry"], keys["gyro.asymmetry_std"] = told["gyro_asymmetry"]
-        by_side = 0.5 * told["gyro_asymmetry"][1]
     # What a tilt lacks of turns is no share of them, and the next drive need not have it.
-    scale, std = told.get("gyro_scale", (0.0, np.inf))
-    if "gyro_scale" in told and not (yaw.odd and may_be_tilted(series, scale)):
-        keys["gyro.scale"], keys["gyro.scale_std"] = scale, float(np.hypot(std, by_side))
+    if "gyro_scale" in told and not (yaw.odd and may_be_tilted(series, told["gyro_scale"][0])):
+        keys |= _scale_keys(truth, told)
     if slip := _slip(yaw, lasting):
         keys |= {f"slip.{key}": getattr(slip, key) for key in ("law", "amplitude", "amplitude_std", "shape")}
     # A slope stays where it is.
@@ -227,10 +221,20 @@ def improved_robot(
             keys[f"encoders.{side}_scale_std"] = parts["wheel_scale"].std
     if truth is not None and not truth.mirrored and "gyro_scale" not in told:
         # Not sure enough to be taken out, and yet better known than before.
-        left = float(np.linalg.norm([truth.values["gyro_scale"], truth.stds["gyro_scale"], by_side]))
+        left = float(np.linalg.norm([truth.values["gyro_scale"], truth.stds["gyro_scale"], truth.one_size]))
         keys["gyro.scale_std"] = min(left, series.robot.initial_std["gyro_scale"])
     keys |= _noise_keys(yaw)
     return asked_anew(series.robot).with_figures(beyond_given(series, keys))
+
+
+def _scale_keys(truth: TruthAnswer | None, told: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Scales of the gyro, which the filter must not trust beyond what turns to one side may be off by."""
+    (scale, std), by_side = told["gyro_scale"], 0.0 if truth is None else truth.one_size
+    keys = {}
+    if "gyro_asymmetry" in told:
+        keys["gyro.asymmetry"], keys["gyro.asymmetry_std"] = told["gyro_asymmetry"]
+        by_side = 0.5 * told["gyro_asymmetry"][1]
+    return keys | {"gyro.scale": scale, "gyro.scale_std": float(np.hypot(std, by_side))}
 
 
 def _bias_keys(yaw: YawAnswer, truth: TruthAnswer | None, temp_c: float) -> dict[str, float]:

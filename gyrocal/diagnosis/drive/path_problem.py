@@ -129,11 +129,14 @@ def beside_uneven(
     odd: Mapping[str, float],
     logs: Floats,
     usual: float,
+    *,
+    shown: bool,
 ) -> tuple[PathProblem, Mapping[str, float], Mapping[str, float]]:
     """With turns that are off by one share to the left and by another to the right, `oddities` with these, and beside them.
 
     Turns to one side do not tell it from a scale, and a path that it bends is odd over whatever it goes along with. Where the
-    truth shows it the surest of all that has no name it is free, and else within what is `usual` of it.
+    truth shows it the surest of all that has no name it is free, or where it has been `shown` so and is there still, and else within
+    what is `usual` of it.
     """
     size = blocks.get("turn_rate", {}).get(ONE_SIZE)
     if size is None:
@@ -143,7 +146,7 @@ def beside_uneven(
     p = log_chance(gain, 1)
     others = {c: blocks[c] for c in odd if c != "turn_rate"} if is_odd(p) else {}
     chances = [log_chance(g, len(others[c])) for c, g in _gains(problem, others, logs).items()]
-    surest = is_odd(p) and p < min(chances, default=0.0)
+    surest = is_odd(p) and (shown or p < min(chances, default=0.0))
     if not surest and is_odd(odd["turn_rate"]):
         return problem, odd, odd
     del blocks["turn_rate"][ONE_SIZE]

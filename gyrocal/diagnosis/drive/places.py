@@ -12,8 +12,9 @@ from gyrocal.diagnosis.drive.laws import SETTLING, Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import known_before
+from gyrocal.diagnosis.drive.rests import runs_of
 from gyrocal.diagnosis.drive.search import YawAnswer
-from gyrocal.diagnosis.drive.series import DriveSeries, runs_of
+from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import uneven_gyro
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.signal import lfilter
 
+from gyrocal.diagnosis.drive.rests import moving_rows, refused_rest, runs_of, still_rows
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
@@ -30,8 +31,6 @@ Bools = NDArray[np.bool_]
 NODE_S, REST_NODE_S = 0.1, 1.0
 #: Share of the rows whose speed must be one that a vehicle has: single rows may be of a clock that jumped.
 _FAST = 0.95
-#: What counts as motion of a wheel without ticks, m/s.
-STILL_MPS = 1e-3
 #: Rates for the laws are means over this time, s: a law must not carry the noise of what it explains.
 SMOOTH_S = 0.15
 #: Shorter drives, s and m, are refused: they tell neither bias nor track better than a robot file does.
@@ -98,6 +97,13 @@ class DriveSeries:
         return float(self.t_s[-1] - self.t_s[0])
 
     @property
+    def rested(self) -> bool:
+        """Whether the rest that the robot file promises is in the log, as `replay` finds it."""
+        static_s = self.robot.static_s
+        refused = refused_rest(self.t_s, self.left_m, self.right_m, self.gyro_dps, static_s)
+        return static_s > 0.0 and not refused
+
+    @property
     def step_m(self) -> Floats:
         """Distance of the robot's centre in each row (paper eq. 6)."""
         return 0.5 * (self.left_m + self.right_m)
@@ -136,7 +142,7 @@ class DriveSeries:
     def moving(self, lag_s: float) -> Floats:
         """How far whatever follows the motion with a lag has come, 0 at rest to 1, row by row."""
         # From the last tick to the next: a rest leaves out what it is not sure of.
-        awake = _still(self.t_s, self.resting, tick_wait_s(max(self.tick_m)))
+        awake = still_rows(self.t_s, self.resting, tick_wait_s(max(self.tick_m)))
         moving = awake.astype(np.float64)
         if lag_s == 0.0:
             return moving
@@ -207,10 +213,11 @@ def drive_series(
         np.where(wild, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)
     )
     ticks = tick_size(left[~bridged]), tick_size(right[~bridged])
-    moving = _moving(dt_s, (left, right), ticks)
+    moving, said_of_rests = moving_rows(t_s, dt_s, (left, right), ticks, gyro)
+    notes += said_of_rests
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, x_m, y_m, heading_deg,
-        _still(t_s, moving, tick_wait_s(max(ticks))), _still(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, asymmetry, robot,
+        still_rows(t_s, moving, tick_wait_s(max(ticks))), still_rows(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, asymmetry, robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
 
@@ -329,24 +336,6 @@ def tick_size(step_m: Floats) -> float:
     return 0.0
 
 
-def _moving(dt_s: Floats, wheels: tuple[Floats, Floats], ticks: tuple[float, float]) -> Bools:
-    """Rows in which a wheel moves."""
-    moving = np.zeros(dt_s.size, dtype=bool)
-    for step, tick in zip(wheels, ticks, strict=True):
-        moving |= np.abs(step) > (0.5 * tick if tick else STILL_MPS * np.maximum(dt_s, 1e-3))
-    return moving
-
-
-def _still(t_s: Floats, moving: Bools, margin_s: float) -> Bools:
-    """Rows without motion from a margin before to a margin after."""
-    # A row exactly at the margin is within it, however times are rounded.
-    margin_s *= 1.0 + 1e-9
-    count = np.concatenate([[0], np.cumsum(moving)])
-    begin = np.searchsorted(t_s, t_s - margin_s, side="left")
-    end = np.searchsorted(t_s, t_s + margin_s, side="right")
-    return np.asarray(count[end] == count[begin])
-
-
 @dataclass(frozen=True)
 class Nodes:
     """Rows between which encoders and gyro are compared; arrays of shape (m,), one entry an interval.
@@ -370,11 +359,6 @@ class Nodes:
     def between(self, cumulated: Floats) -> Floats:
         """Change of a cumulated channel, one value a row, over each interval."""
         return np.asarray(np.diff(cumulated[self.rows], axis=0))
-
-
-def runs_of(rows: Ints) -> list[Ints]:
-    """Numbers in rising order, split where one is left out."""
-    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
 
 
 def nodes_of(series: DriveSeries, spacing_s: float = NODE_S) -> Nodes:

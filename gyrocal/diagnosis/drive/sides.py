@@ -61,11 +61,9 @@ def sides_of(yaw: YawAnswer) -> Sides:
 def uneven_gyro(truth: TruthAnswer | None) -> tuple[float, float] | None:
     """Scale of the gyro's turns to the left less that of those to the right, and its standard deviation.
 
-    None where the truth is not sure of it, where a bias in motion may have made it, and where it is not all that misses the truth.
+    None where the truth is not sure of it, and where a bias in motion may have made it as well.
     """
     if truth is None or not truth.believed(ONE_SIZE) or truth.or_moving_dps is not None:
-        return None
-    if any(p < STRANGER_P for coordinate, p in truth.odd.items() if coordinate != "turn_rate"):
         return None
     # What a path lacks of every turn is read too little to the left and too much to the right.
     return -2.0 * truth.one_size, 2.0 * truth.stds[ONE_SIZE]

@@ -153,15 +153,14 @@ def ask_truth(
     *,
     bias_changes: bool = False,
     uneven_turns: float = 0.0,
+    uneven_shown: bool = False,
 ) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
     Parameters
     ----------
-    figures : Figures
-        What the heading difference has found, taken out first.
-    laws : BiasLaws
-        How well that knows the laws of the bias.
+    figures, laws
+        What the heading difference has found, taken out first, and how well it knows the laws of the bias.
     alone : sequence of str
         Laws of `ALONE` that are asked for beside them, of which it knows nothing.
     near : TruthAnswer, optional
@@ -170,6 +169,8 @@ def ask_truth(
         Whether the bias of each part of the drive is free.
     uneven_turns : float
         By what share the gyro's turns may be off to the one side and the other way to the other, as far as is known otherwise.
+    uneven_shown : bool
+        Whether that they are has been shown beside more laws.
     """
     levels = None if near is None else near.levels
     base = reckon(series, figures)
@@ -182,7 +183,10 @@ def ask_truth(
     one_size = 0.0 if near is None else near.one_size
     for _ in range(_ROUNDS):
         laid = laid_on_truth(knots, base, laws, noise, levels, one_size)
-        answer = _answer(knots, base, laid, figures, uneven_turns, bias_changes=bias_changes)
+        shown = uneven_shown and one_size != 0.0
+        answer = _answer(
+            knots, base, laid, figures, uneven_turns, bias_changes=bias_changes, uneven_shown=shown
+        )
         if abs(answer.one_size - one_size) <= answer.stds.get(ONE_SIZE, 0.0):
             break
         # About a path that it bends far nothing is as it is about the right one.
@@ -201,7 +205,14 @@ def ask_truth(
 
 
 def _answer(
-    knots: Knots, base: Reckoned, laid: Laid, figures: Figures, uneven_turns: float, *, bias_changes: bool
+    knots: Knots,
+    base: Reckoned,
+    laid: Laid,
+    figures: Figures,
+    uneven_turns: float,
+    *,
+    bias_changes: bool,
+    uneven_shown: bool,
 ) -> TruthAnswer:
     state, problem, logs = laid.state, laid.problem, laid.levels.logs
     blocks = path_strangers(knots, reckoned(knots, base, state))
@@ -215,7 +226,7 @@ def _answer(
         odd = oddities(problem, blocks, logs)
     one_way = _one_way(problem, blocks, laid, figures)
     usual = max(UNEVEN * abs(state.values["gyro_scale"]), uneven_turns, MODEL_STD)
-    problem, odd, left = beside_uneven(problem, blocks, odd, logs, usual)
+    problem, odd, left = beside_uneven(problem, blocks, odd, logs, usual, shown=uneven_shown)
     shown = [ONE_SIZE] if ONE_SIZE in problem.columns and ONE_SIZE not in problem.known else []
     beside: dict[str, Floats] = {}
     for coordinate, more in blocks.items():
@@ -238,11 +249,8 @@ def _answer(
     # Parts that the truth does not show by itself are noise.
     parts = [n for n in names if n in BIAS_PARTS and is_odd(left.get("time", 0.0))]
     moves_dps = RAD_TO_DEG * bias_moves(*_of(parts, names, values, covariance)) if parts else 0.0
-    told = [
-        n
-        for n in (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", *TIMES, "mounting")
-        if n in found
-    ]
+    every = (*knots.laws, *SCALES, SPINNING, *shown, "lever_ahead", "lever_left", *TIMES, "mounting")
+    told = [n for n in every if n in found]
     return TruthAnswer(
         {n: found[n] for n in told},
         {n: stds[n] for n in told},
