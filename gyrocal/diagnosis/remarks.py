@@ -86,6 +86,7 @@ class Said(Enum):
     WHEEL_TURN = auto()
     ENCODERS_LATE = auto()
     SAMPLES_OF_ROWS = auto()
+    MEANS_OF_ROWS = auto()
     TURNS_INWARD = auto()
     BIAS_IN_MOTION = auto()
     BIAS_WHILE_MOVING = auto()

@@ -109,9 +109,7 @@ def _sides_differ(
 ) -> str:
     larger = f"{change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to the left than in turns to the right"
     if or_moving_dps is None:
-        held = (
-            "the robot file has it" if filed else "it is not written, since more than that misses the truth"
-        )
+        held = "the robot file has it" if filed else "that is not sure enough for a robot file"
         return f"By the truth the gyro's scale factor is {larger}; {held}"
     value, std = or_moving_dps
     return (
@@ -298,6 +296,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.SAMPLES_OF_ROWS: "The gyro is early by half a row, within a fifth of one: so it is where a row has its sample and not its "
     "mean (what it turned between rows is lost then: log the mean rate since the row before, or more rows), and where the encoders "
     "average or come late.",
+    Said.MEANS_OF_ROWS: "Where rows hold the mean rate since the row before, as `replay` takes them (samples: {half_row_s:.2g} s more)",
     Said.TURNS_INWARD: "In turns the encoders see less than the gyro: the robot turns as if its wheels stood closer "
     "together than the robot file says.",
     Said.BIAS_IN_MOTION: "In motion the gyro's bias differs from that of the rest at the start.",

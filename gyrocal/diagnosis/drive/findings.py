@@ -330,7 +330,7 @@ def _effect(
 def _of_law(name: str, gain: float, yaw: YawAnswer, truth: TruthAnswer | None) -> NamedEffect:
     law = yaw.laws[name]
     value, std = told_estimate(yaw, truth, name)
-    seen, degrees = _said(name, value), 1
+    seen, beside, degrees = _said(name, value), None, 1
     if name == "wheel_cos":
         other, _ = yaw.estimate("wheel_sin")
         value, degrees = float(np.hypot(value, other)), 2
@@ -340,15 +340,18 @@ def _of_law(name: str, gain: float, yaw: YawAnswer, truth: TruthAnswer | None) -
     parameters = {"amplitude": estimate(law.effect, value, std)}
     units = {p.name: p.unit for p in DRIVE_CATALOGUE[law.effect].parameters}
     parameters |= {n: Estimate.exact(v, units[n]) for n, v in law.shape.items() if n != "phase_rad"}
-    if name == "delay" and _half_a_row(value, yaw.model.frame.series):
+    half_row_s = 0.5 * usual_step_s(yaw.model.frame.series.t_s)
+    if name == "delay" and abs(value + half_row_s) < 2.0 * _HALF_A_ROW * half_row_s:
+        # Early by half a row, as the sample at the end of a row is of the mean over it.
         seen = Remark(Said.SAMPLES_OF_ROWS)
+    elif name == "delay" and value > 0.0 and half_row_s > std:
+        beside = Remark(Said.MEANS_OF_ROWS, {"half_row_s": half_row_s})
     if name == "delay" and yaw.window_s > 0:
         parameters["encoder_window_s"] = Estimate.exact(yaw.window_s, "s")
     if name in MOVING:
         parameters["time_constant_s"] = Estimate.exact(KINDS[name].lag_s, "s")
-    return _effect(
-        law.effect, parameters, float(stats.chi2.sf(gain, degrees)), _rivals(name, yaw, truth), seen
-    )
+    p = float(stats.chi2.sf(gain, degrees))
+    return _effect(law.effect, parameters, p, _rivals(name, yaw, truth), seen, beside)
 
 
 def _said(name: str, value: float) -> Remark | None:
@@ -356,12 +359,6 @@ def _said(name: str, value: float) -> Remark | None:
     kind = KINDS.get(name, Kind(name))
     said = kind.said or (kind.said_below_zero if value < 0 else None)
     return None if said is None else Remark(said)
-
-
-def _half_a_row(delay_s: float, series: DriveSeries) -> bool:
-    """Whether the gyro is early by half a row, as its sample at the end of a row is of the mean over it."""
-    row_s = usual_step_s(series.t_s)
-    return abs(delay_s + 0.5 * row_s) < _HALF_A_ROW * row_s
 
 
 def _rivals(name: str, yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[Alternative, ...]:

@@ -15,6 +15,8 @@ from gyrocal.physics.drive import GYRO_SCALE
 ASYMMETRY_CHANGES = 3e-4
 #: A gyro that reads less by more than the robot file grants, in its standard deviations, may be tilted as well.
 _TILT_STDS = 3.0
+#: And a track that is off by more than these of what is granted and what the drive knows together is another than the file's.
+_OFF_STDS = 3.0
 
 
 def known_before(series: DriveSeries) -> dict[str, tuple[float, float]]:
@@ -39,7 +41,9 @@ def widened(
     """What is known beforehand, each as far off as the drive makes likeliest where that is more than was granted.
 
     Held to what is granted, a bias that is larger would become wheels that differ, and wheels that differ more a bias. What a
-    robot file itself says of the bias holds, but for a rest that it promises, which takes the bias off whatever that is.
+    robot file itself says of the bias holds, but for a rest that it promises, which takes the bias off whatever that is. A track
+    stands for nothing else, and what is granted of it holds unless the drive contradicts it: one that hardly tells it is off by a
+    third at times.
     """
     found = dict(known)
     says = "initial_std.gyro_bias_dps" in series.robot.given and series.robot.static_s == 0
@@ -49,6 +53,8 @@ def widened(
         values, covariance = free.knowing({n: k for n, k in known.items() if n != name}).solve(chosen)
         at = list(chosen).index(name)
         likeliest = (values[at] - mean) ** 2 - covariance[at, at]
+        if name == "track" and likeliest + covariance[at, at] < _OFF_STDS**2 * (std**2 + covariance[at, at]):
+            continue
         found[name] = (mean, float(np.sqrt(max(likeliest, std**2))))
     return found
 
