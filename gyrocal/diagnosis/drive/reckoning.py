@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, settling, temperature_c
-from gyrocal.diagnosis.drive.series import Bools, DriveSeries, between_rows
+from gyrocal.diagnosis.drive.series import Bools, DriveSeries, Ints, between_rows
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.slip import slip_shape
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -90,10 +90,28 @@ class Reckoned:
         """Positions at the end of each row."""
         return np.asarray(np.cumsum(self.steps_m))
 
+    def at_rows(self, rows: Ints) -> Reckoned:
+        """The same at the ends of some rows, each with the way and the turn since the one before."""
+        return replace(
+            self,
+            t_s=self.t_s[rows],
+            dt_s=since_last(self.dt_s, rows),
+            heading_rad=self.heading_rad[rows],
+            way_m=since_last(self.way_m, rows),
+            rolled_m=since_last(self.rolled_m, rows),
+            steps_m=np.diff(self.at_m[rows], prepend=0.0),
+            gap=self.gap[rows],
+        )
+
     def moved_by(self, heading_rad: Floats, way_m: Floats) -> Complexes:
         """Change of the positions by small errors of the headings, and of the ways of the rows, shape (n,)."""
         direction = np.exp(1j * middle(self.heading_rad))
         return np.asarray(np.cumsum(1j * middle(heading_rad) * self.steps_m + way_m * direction))
+
+
+def since_last(steps: Floats, rows: Ints) -> Floats:
+    """Sums of steps over the rows since the one before, in each of some rows."""
+    return np.asarray(np.diff(np.cumsum(steps)[rows], prepend=0.0))
 
 
 def middle(heading: Floats) -> Floats:

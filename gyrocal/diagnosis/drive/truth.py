@@ -37,8 +37,8 @@ from gyrocal.diagnosis.drive.path_noise import (
 )
 from gyrocal.diagnosis.drive.path_problem import PathProblem, beside_uneven, oddities, one_sided, spins
 from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
-from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, reckon
-from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, reckon, since_last
+from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, Ints
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
@@ -122,17 +122,28 @@ class TruthAnswer:
         return abs(self.told(name)) > BELIEVED
 
 
-def _knots(series: DriveSeries, base: Reckoned, laws: Mapping[str, Floats], told: int) -> Knots | None:
-    position, headings = series.truth_x_m + 1j * series.truth_y_m, series.truth_heading_deg
+def _rows(series: DriveSeries) -> Ints:
+    """Rows at which a path is worked out: those of the truth, of gaps, and one each `NODE_S`, however fast the log is."""
+    known = np.isfinite(series.truth_x_m + series.truth_y_m) | np.isfinite(series.truth_heading_deg)
+    kept = known | series.gap | np.append(series.gap[1:], True)
+    cell = np.floor((series.t_s - series.t_s[0]) / NODE_S + 1e-9)
+    kept[0] = True
+    return np.flatnonzero(kept | (np.diff(cell, append=np.inf) > 0))
+
+
+def _knots(
+    series: DriveSeries, kept: Ints, base: Reckoned, laws: Mapping[str, Floats], told: int
+) -> Knots | None:
+    position, headings = (series.truth_x_m + 1j * series.truth_y_m)[kept], series.truth_heading_deg[kept]
     rows = np.flatnonzero(np.isfinite(position if series.has_truth else headings))
-    if rows.size < _LEAST_KNOTS or np.ptp(series.t_s[rows]) < _LEAST_SHARE * series.duration_s:
+    if rows.size < _LEAST_KNOTS or np.ptp(base.t_s[rows]) < _LEAST_SHARE * series.duration_s:
         return None
-    t = series.t_s[rows]
+    t = base.t_s[rows]
     width = np.ptp(t) / min(_MOST_KNOTS, rows.size)
     at = np.unique(np.floor((t - t[0]) / width), return_inverse=True)[1].astype(np.int64)
     count = np.bincount(at).astype(np.float64)
-    edges_s = cell_edges_s(series.t_s, count.size)
-    knots = Knots(rows, at, count, series.t_s, None, None, laws, told, edges_s)
+    edges_s = cell_edges_s(base.t_s, count.size)
+    knots = Knots(rows, at, count, base.t_s, None, None, laws, told, edges_s)
     heading = None
     if np.all(np.isfinite(headings[rows])):
         # As a difference to the gyro's heading, so that nothing wraps within a knot.
@@ -140,7 +151,7 @@ def _knots(series: DriveSeries, base: Reckoned, laws: Mapping[str, Floats], told
         apart[rows] = np.unwrap(apart[rows])
         heading = knots.mean(apart)
     where = knots.mean(position) if series.has_truth else None
-    return replace(knots, t_s=knots.mean(series.t_s), position=where, heading=heading)
+    return replace(knots, t_s=knots.mean(base.t_s), position=where, heading=heading)
 
 
 def ask_truth(
@@ -163,19 +174,20 @@ def ask_truth(
         What the heading difference has found, taken out first, and how well it knows the laws of the bias.
     alone : sequence of str
         Laws of `ALONE` that are asked for beside them, of which it knows nothing.
-    near : TruthAnswer, optional
-        Of nearly the same path: its levels of noise are begun from, and it is as mirrored.
-    bias_changes : bool
-        Whether the bias of each part of the drive is free.
+    near, bias_changes : TruthAnswer, bool, optional
+        Of nearly the same path: its levels of noise are begun from, and it is as mirrored; and whether each part of the drive has a
+        bias of its own.
     uneven_turns : float
         By what share the gyro's turns may be off to the one side and the other way to the other, as far as is known otherwise.
     uneven_shown : bool
         Whether that they are has been shown beside more laws.
     """
     levels = None if near is None else near.levels
-    base = reckon(series, figures)
-    rates = rates_of(series, [*laws.names, *alone], figures.bias_before_s)
-    knots = _knots(series, base, rates, len(laws.names))
+    kept, whole = _rows(series), rates_of(series, [*laws.names, *alone], figures.bias_before_s)
+    base = reckon(series, figures).at_rows(kept)
+    over_s = np.maximum(base.dt_s, 1e-9)
+    rates = {n: since_last(rate * series.dt_s, kept) / over_s for n, rate in whole.items()}
+    knots = _knots(series, kept, base, rates, len(laws.names))
     if knots is None:
         return None
     if knots.position is not None and np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
