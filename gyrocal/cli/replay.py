@@ -9,6 +9,9 @@ import click
 from gyrocal.cli.console import finite_number, json_option
 from gyrocal.cli.log_options import drive_options
 
+#: Of so many rows the errors all along the path are shown on a terminal beside those at the ends.
+_FEW_ROWS = 12
+
 
 @click.command("replay")
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
@@ -84,7 +87,8 @@ def command(
         return
     emit_table(HEADINGS, result.table.lines())
     click.echo("")
-    if result.table.measure == "end":
+    # Of many squares the errors at their ends are the table that is asked for; all along the path they are on the page.
+    if result.table.measure == "end" or 0 < len(result.errors.rows) <= _FEW_ROWS:
         emit_table(result.errors.columns, result.errors.rows, result.errors.title)
         click.echo("")
     click.echo(result.verdict)

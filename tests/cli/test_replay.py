@@ -67,6 +67,8 @@ def test_everything_is_written_and_the_table_printed(
     out = capsys.readouterr().out
     assert "calibration, filter, cm" in out
     assert "Improvement factors: " in out
+    # They end where they began, and are few.
+    assert "Errors against truth, all along the path" in out
     written = {str(p.relative_to(folder / "out")) for p in (folder / "out").rglob("*") if p.is_file()}
     assert {"table.csv", "summary.json", "replay.html", "figures/trajectories.png"} <= written
     assert {"trajectories/cw.csv", "states/ccw_calibrated_filter.csv", "figures/trajectories.svg"} <= written
