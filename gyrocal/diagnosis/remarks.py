@@ -83,6 +83,7 @@ class Said(Enum):
     WAYS_ADDED = auto()
     NO_REST = auto()
     STANDS = auto()
+    CREEPS = auto()
     WHEEL_TURN = auto()
     ENCODERS_LATE = auto()
     SAMPLES_OF_ROWS = auto()

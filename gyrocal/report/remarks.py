@@ -287,6 +287,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.WHEELS_SWAPPED: "Left and right wheel are swapped: the truth turns as the gyro does.",
     Said.WHEEL_SIGN: "The {side} wheel counts backwards: its sign is inverted.",
     Said.MISSING_ROWS: "About {count} [row is|rows are] missing ({percent:.2g} % of the log, the longest gap {longest_s:.3g} s).",
+    Said.CREEPS: "where the speed is least the gyro is still, at another rate than its bias while it drives: it creeps there in an even bend, and "
+    "no rest is taken of it",
     Said.STANDS: "the speed reads up to {most_mps:.2g} m/s where the gyro is as still as its own noise: {total_s:.0f} s are taken as rests",
     Said.NO_REST: "The rest at the start that the robot file promises with static_s is not in this log, and `replay` refuses it: {why}",
     Said.WAYS_ADDED: "The way of the wheels is missing with rows, since the row after holds that of one row: {way_m:.3g} m are added at its speed.",
@@ -338,6 +340,7 @@ _OF_THE_DATA = frozenset(
         Said.GAPS,
         Said.WAYS_ADDED,
         Said.STANDS,
+        Said.CREEPS,
         Said.NO_REST,
         Said.EMPTY_WHEEL,
         Said.CALIBRATED,

@@ -60,6 +60,7 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (Said.NO_INVERSE, {"count": 1, "rate_dps": 90.0, "temp_c": 20.0}, "what was found 1 data set has an output that no rate gives (the first at +90 deg/s, 20.0 °C)"),
         (Said.MEANS_OF_ROWS, {"half_row_s": 0.05}, "Where rows hold the mean rate since the row before, as `replay` takes them (samples: 0.05 s more)"),
         (Said.STANDS, {"total_s": 20.6, "most_mps": 0.028}, "the speed reads up to 0.028 m/s where the gyro is as still as its own noise: 21 s are taken as rests"),
+        (Said.CREEPS, {}, "it creeps there in an even bend, and no rest is taken of it"),
         (Said.TRUTH_MIRRORED, {}, "the truth follows the path in a mirror only"),
     ],
 )  # fmt: skip

@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.estimates import DriveEstimate, estimates_of
 from gyrocal.diagnosis.drive.filed import filed
 from gyrocal.diagnosis.drive.findings import (
     OfTruth,
+    joint_estimate,
     named_effects,
     not_testable,
     of_truth,
@@ -21,12 +22,13 @@ from gyrocal.diagnosis.drive.findings import (
 )
 from gyrocal.diagnosis.drive.heldout import improvements
 from gyrocal.diagnosis.drive.improved import believed_bias, figures_of, improved_robot
+from gyrocal.diagnosis.drive.laws import KINDS, is_motion
 from gyrocal.diagnosis.drive.places import instants, left_out, places
 from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_on, reckon
 from gyrocal.diagnosis.drive.rests import refused_rest
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
-from gyrocal.diagnosis.drive.series import DriveSeries, drive_series
-from gyrocal.diagnosis.drive.truth import TruthAnswer
+from gyrocal.diagnosis.drive.series import DriveSeries, drive_series, rough_bias_dps
+from gyrocal.diagnosis.drive.truth import BELIEVED, TruthAnswer
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate
@@ -167,7 +169,24 @@ def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficien
     DataError
         As `diagnose_drive`.
     """
-    series, unit = wrong_gyro(drive_series(source, log, robot, coefficients))
+    found = _examined(source, log, robot, coefficients, noisy_rests=True)
+    noisy = any(isinstance(n, Remark) and n.said is Said.STANDS for n in found.series.notes)
+    in_motion = any(n in KINDS and is_motion(n) for n in (*found.yaw.named, *found.parts))
+    if not noisy or found.truth is None or not (in_motion or found.truth.one_size):
+        return found
+    # Where the gyro is not as such rests have it the vehicle may creep there, in even bends.
+    without = _examined(source, log, robot, coefficients, noisy_rests=False)
+    bias, std = joint_estimate(without.yaw, without.truth, "bias")
+    if abs(bias - rough_bias_dps(found.series)) < BELIEVED * std:
+        return found
+    return replace(without, notes=[*without.notes, Remark(Said.CREEPS)])
+
+
+def _examined(
+    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None, *, noisy_rests: bool
+) -> Examined:
+    prepared = drive_series(source, log, robot, coefficients, noisy_rests=noisy_rests)
+    series, unit = wrong_gyro(prepared)
     series, notes = wrong_truth(series)
     yaw, truth = told_from_nothing(series, *beside_truth(series, examine_yaw(series)))
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]

@@ -28,7 +28,13 @@ _SHAKEN = 3.0
 
 
 def moving_rows(
-    t_s: Floats, dt_s: Floats, wheels: tuple[Floats, Floats], ticks: tuple[float, float], gyro_dps: Floats
+    t_s: Floats,
+    dt_s: Floats,
+    wheels: tuple[Floats, Floats],
+    ticks: tuple[float, float],
+    gyro_dps: Floats,
+    *,
+    noisy_rests: bool = True,
 ) -> tuple[Bools, list[Remark]]:
     """Rows in which a wheel moves, but for rests in which a speed reads its own noise, which are said.
 
@@ -39,11 +45,13 @@ def moving_rows(
         Distances since the row before, m.
     ticks : pair of float
         Size of a tick of each; 0 where it has none.
+    noisy_rests : bool
+        Whether there are such rests: of an answer that they contradict there are none.
     """
     moving = np.zeros(dt_s.size, dtype=bool)
     for step, tick in zip(wheels, ticks, strict=True):
         moving |= np.abs(step) > (0.5 * tick if tick else STILL_MPS * np.maximum(dt_s, 1e-3))
-    if any(ticks):
+    if any(ticks) or not noisy_rests:
         return moving, []
     step_m = np.maximum(*np.abs(wheels))
     stands = _standing(t_s, step_m, gyro_dps, moving)

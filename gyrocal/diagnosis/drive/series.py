@@ -164,9 +164,14 @@ class DriveSeries:
 
 
 def drive_series(
-    source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None
+    source: str,
+    log: DriveBlock,
+    robot: Robot,
+    coefficients: Coefficients | None,
+    *,
+    noisy_rests: bool = True,
 ) -> DriveSeries:
-    """Prepare a log; the gyro is calibrated first where coefficients are given.
+    """Prepare a log; the gyro is calibrated first where coefficients are given. `noisy_rests` as in `rests.moving_rows`.
 
     Raises
     ------
@@ -189,10 +194,7 @@ def drive_series(
     check_cells(source, t_s.size, no_gyro, no_wheel, gyro_dps, temp_c)
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * usual_step_s(t_s)
-    if gap.any():
-        longest = int(np.argmax(dt_s))
-        facts = {"longest_s": float(dt_s[longest]), "at_s": float(t_s[longest] - dt_s[longest])}
-        notes.append(Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS, **facts}))
+    notes += _gaps_said(t_s, dt_s, gap)
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
     of_gyro = robot.parameters.gyro
@@ -213,13 +215,21 @@ def drive_series(
         np.where(wild, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)
     )
     ticks = tick_size(left[~bridged]), tick_size(right[~bridged])
-    moving, said_of_rests = moving_rows(t_s, dt_s, (left, right), ticks, gyro)
-    notes += said_of_rests
+    moving, rests = moving_rows(t_s, dt_s, (left, right), ticks, gyro, noisy_rests=noisy_rests)
+    notes += rests
     return DriveSeries(
         source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, x_m, y_m, heading_deg,
         still_rows(t_s, moving, tick_wait_s(max(ticks))), still_rows(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, asymmetry, robot,
         (*log.notes, *notes, *said),
     )  # fmt: skip
+
+
+def _gaps_said(t_s: Floats, dt_s: Floats, gap: Bools) -> list[Remark]:
+    if not gap.any():
+        return []
+    longest = int(np.argmax(dt_s))
+    facts = {"longest_s": float(dt_s[longest]), "at_s": float(t_s[longest] - dt_s[longest])}
+    return [Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS, **facts})]
 
 
 def _wheels(log: DriveBlock, robot: Robot, dt_s: Floats) -> tuple[list[Floats], list[Remark]]:

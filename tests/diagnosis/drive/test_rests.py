@@ -101,3 +101,28 @@ def test_the_bias_of_such_a_rest_is_told_and_written_though_replay_refuses_it() 
     written = improved_robot(found.series, found.yaw, found.truth, found.parts, found.figures)
     assert written is not None
     assert written.parameters.gyro.bias_dps == pytest.approx(-0.4, abs=0.01)
+
+
+def test_where_it_creeps_in_an_even_bend_there_is_no_rest() -> None:
+    """Of a new user: 0.25 deg/s in each of its slow stretches became the bias, and a second drive went from 10.8 to 16.3 m."""
+    rng = np.random.default_rng(4)
+    t_s = ROW_S * np.arange(1, 4001, dtype=np.float64)
+    slow = t_s % 50.0 < 14.0
+    speed = np.where(slow, 0.015, 2.5)
+    turn_dps = np.where(slow, 0.25, 20.0 * np.sin(t_s / 5.0))
+    heading = np.deg2rad(np.cumsum(turn_dps) * ROW_S)
+    at = np.cumsum(speed * np.exp(1j * heading)) * ROW_S
+    way = np.abs(speed + 0.003 * rng.standard_normal(t_s.size)) * ROW_S
+    gyro = turn_dps + 0.05 + 0.02 * rng.standard_normal(t_s.size)
+    east, north = (
+        np.where(np.arange(t_s.size) % 5 == 0, x + 0.05 * rng.standard_normal(t_s.size), np.nan)
+        for x in (at.real, at.imag)
+    )
+    nothing, segment = np.full(t_s.size, np.nan), np.zeros(t_s.size, np.int64)
+    log = DriveBlock(2, t_s, way, way, gyro, nothing, east, north, nothing, nothing, segment)
+    robot = robot_of({"static_s": 0.0}, Path("robot.toml"))
+    found = examine("log", replace(log, speed_only=True), robot, None)
+    said = {n.said for n in (*found.notes, *found.series.notes) if isinstance(n, Remark)}
+    assert Said.CREEPS in said
+    assert Said.STANDS not in said
+    assert found.figures.bias_dps == pytest.approx(0.05, abs=0.02)
