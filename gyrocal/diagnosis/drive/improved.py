@@ -126,6 +126,9 @@ def believed_bias(yaw: YawAnswer, truth: TruthAnswer | None) -> float:
     likelihood: an estimate that is off from the file's by no more than its own error would make half of all drives worse.
     """
     bias, std = joint_estimate(yaw, truth, "bias")
+    if "bias" not in yaw.known:
+        # Nothing is known beforehand of one that jumps.
+        return bias
     given, granted = yaw.known["bias"]
     # What the drive says by itself, without what was granted.
     own = std**-2 - granted**-2
@@ -296,7 +299,7 @@ def _geometry_keys(
     # What the scales of the truth, or a slope, make of the ratio of the headings is no track.
     gyro, _ = told.get("gyro_scale", (0.0, 0.0))
     track = (1 + track) * (1 + gyro) / (1 + wheels.value) - 1
-    if "track" not in parts and not {*SCALES, ROBOT_TILT.id}.isdisjoint(parts):
+    if "track" not in parts and not uneven and not {*SCALES, ROBOT_TILT.id}.isdisjoint(parts):
         track = 0.0
     separation = series.robot.wheel_separation_m * (1 + track)
     changes = float(np.hypot(ASYMMETRY_CHANGES, _unheld(yaw, _OF_THE_WAY, "asymmetry")))

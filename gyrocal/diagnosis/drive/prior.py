@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from gyrocal.diagnosis.drive.laws import is_slip
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.weighing import Gram
 from gyrocal.fusion.robot import BIAS_STD_DPS
@@ -50,8 +51,10 @@ def widened(
     for name, (mean, std) in known.items():
         if name not in chosen or (name == "bias" and says):
             continue
-        values, covariance = free.knowing({n: k for n, k in known.items() if n != name}).solve(chosen)
-        at = list(chosen).index(name)
+        # Held to a track that is not its own, a robot seems to slip.
+        beside = [n for n in chosen if name != "track" or not is_slip(n)]
+        values, covariance = free.knowing({n: k for n, k in known.items() if n != name}).solve(beside)
+        at = beside.index(name)
         likeliest = (values[at] - mean) ** 2 - covariance[at, at]
         if name == "track" and likeliest + covariance[at, at] < _OFF_STDS**2 * (std**2 + covariance[at, at]):
             continue

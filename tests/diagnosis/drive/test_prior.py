@@ -8,8 +8,11 @@ from typing import cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from gyrocal.diagnosis.drive import improved
 from gyrocal.diagnosis.drive.prior import widened
+from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.weighing import Gram
 from gyrocal.records.robot import robot_of
@@ -45,3 +48,27 @@ def test_a_bias_widens_as_the_drive_makes_likeliest() -> None:
     )
     found = widened(series, {"bias": (0.0, 0.2)}, told("bias", 0.5, 0.3), ["bias"])
     assert found["bias"][1] == pytest.approx(0.4)
+
+
+def test_what_a_track_is_off_by_is_asked_without_the_slip_that_stands_for_it() -> None:
+    """A track of 2 % granted to 0.4 % had become a slip law, beside which nothing of it was left."""
+    asked: list[list[str]] = []
+
+    def solve(names: list[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        asked.append(list(names))
+        return np.array([0.02]), np.array([[1e-6]])
+
+    gram = SimpleNamespace(solve=solve)
+    gram.knowing = lambda known: gram
+    series = cast(
+        DriveSeries, SimpleNamespace(robot=robot_of({"wheel_separation_m": 0.5}, Path("robot.toml")))
+    )
+    found = widened(series, {"track": (0.0, 0.004)}, cast(Gram, gram), ["track", "slip_curvature"])
+    assert asked == [["track"]]
+    assert found["track"][1] > 0.019
+
+
+def test_a_bias_of_which_nothing_is_known_beforehand_is_the_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that jumps: `diagnose` had ended with "a bug, KeyError"."""
+    monkeypatch.setattr(improved, "joint_estimate", lambda yaw, truth, name: (0.1, 0.01))
+    assert improved.believed_bias(cast(YawAnswer, SimpleNamespace(known={})), None) == 0.1
