@@ -14,6 +14,7 @@ from gyrocal.diagnosis.drive.estimates import DriveEstimate
 from gyrocal.diagnosis.drive.findings import undecided
 from gyrocal.diagnosis.drive.laws import KINDS
 from gyrocal.diagnosis.drive.places import left_out
+from gyrocal.diagnosis.drive.sides import ASYMMETRY
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS, GYRO_SCALE
@@ -137,7 +138,7 @@ def _estimate_sentences(
 ) -> list[str]:
     """What the log says of every figure that matters: those that stand out with what they cost, then those that may be nothing."""
     said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
-    jumps = any(e.name == KINDS["jump"].shown for e in estimates)
+    jumps, uneven = (any(e.name == n for e in estimates) for n in (KINDS["jump"].shown, ASYMMETRY))
     lines, nothing = [], []
     for e in said:
         figure = f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit}"
@@ -146,6 +147,10 @@ def _estimate_sentences(
             remark = "; no robot file holds it"
         elif e.name == GYRO_SCALE.id and e.named and scale_withheld:
             remark = "; not in the robot file, for what is left over the turns may be a tilt's, which the next drive need not have"
+        elif e.name == ASYMMETRY:
+            remark = "; the robot file has it, and the catalogue no name for it"
+        elif e.name == GYRO_SCALE.id and not e.named and uneven:
+            remark = "; the robot file has it beside the asymmetry"
         elif e.name == GYRO_BIAS.id and not e.named:
             remark = f"; {taken_off}"
             remark = "; that after its jump" if jumps else remark

@@ -20,7 +20,7 @@ from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.reckoning import Figures, cost_m, reckon, rest_mean_dps
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.sides import uneven_gyro
+from gyrocal.diagnosis.drive.sides import ASYMMETRY, uneven_gyro
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.physics.drive import START_STOP_SLIP
 from gyrocal.records.files import finite
@@ -130,8 +130,8 @@ def _of_gyro(
             found.append(DriveEstimate(name, *percent, metres, "gyro", name in parts))
     if (uneven := uneven_gyro(truth)) is not None:
         percent = (100 * uneven[0], 100 * uneven[1], "%")
-        metres = cost_m(series, figures, "gyro_asymmetry", uneven[0])
-        found.append(DriveEstimate("gyro_asymmetry", *percent, metres, "gyro", named=False))
+        metres = cost_m(series, figures, ASYMMETRY, uneven[0])
+        found.append(DriveEstimate(ASYMMETRY, *percent, metres, "gyro", named=False))
     return found
 
 

@@ -28,7 +28,7 @@ from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, may_be_tilted
 from gyrocal.diagnosis.drive.reckoning import Figures
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
-from gyrocal.diagnosis.drive.sides import ratio_of_turns, uneven_gyro
+from gyrocal.diagnosis.drive.sides import ASYMMETRY, ratio_of_turns, uneven_gyro
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.errors import ProfileError
 from gyrocal.fusion.robot import SlipFigures
@@ -73,7 +73,7 @@ def figures_of(
         bias_settling_s=SETTLING.get(yaw.settling, np.inf),
         bias_slope_dps_per_c=value("slope"),
         gyro_scale=value("gyro_scale"),
-        gyro_asymmetry=value("gyro_asymmetry"),
+        gyro_asymmetry=value(ASYMMETRY),
         left_scale=(1 + value("wheel_scale")) * (1 - half) - 1,
         right_scale=(1 + value("wheel_scale")) * (1 + half) - 1,
         delay_s=value("delay"),
@@ -95,7 +95,7 @@ def _told(
     if truth is not None and uneven is not None:
         of_path |= {
             "gyro_scale": (truth.values["gyro_scale"], truth.stds["gyro_scale"]),
-            "gyro_asymmetry": uneven,
+            ASYMMETRY: uneven,
         }
     return of_encoders | of_path
 
@@ -234,9 +234,9 @@ def _scale_keys(truth: TruthAnswer | None, told: Mapping[str, tuple[float, float
     """Scales of the gyro, which the filter must not trust beyond what turns to one side may be off by."""
     (scale, std), by_side = told["gyro_scale"], 0.0 if truth is None else truth.one_size
     keys = {}
-    if "gyro_asymmetry" in told:
-        keys["gyro.asymmetry"], keys["gyro.asymmetry_std"] = told["gyro_asymmetry"]
-        by_side = 0.5 * told["gyro_asymmetry"][1]
+    if ASYMMETRY in told:
+        keys["gyro.asymmetry"], keys["gyro.asymmetry_std"] = told[ASYMMETRY]
+        by_side = 0.5 * told[ASYMMETRY][1]
     return keys | {"gyro.scale": scale, "gyro.scale_std": float(np.hypot(std, by_side))}
 
 
@@ -293,7 +293,7 @@ def _geometry_keys(
     bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else joint_estimate(yaw, truth, "bias")[0]
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
-    uneven = "gyro_asymmetry" in told
+    uneven = ASYMMETRY in told
     track, track_std = ratio_of_turns(yaw, truth) if uneven else _beside_bias(yaw, "track", bias)
     track_std = float(np.hypot(track_std, _unheld(yaw, _OF_TURNS, "track")))
     # What the scales of the truth, or a slope, make of the ratio of the headings is no track.

@@ -14,6 +14,9 @@ from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.drive.weighing import gram_of
 
+#: Name of what a gyro's sides differ by: of figures and estimates, and below ``gyro`` in the robot file.
+ASYMMETRY = "gyro_asymmetry"
+
 
 @dataclass(frozen=True)
 class Sides:

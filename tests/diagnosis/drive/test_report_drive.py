@@ -135,6 +135,16 @@ def test_a_scale_that_is_named_and_not_written_is_said_to_be() -> None:
         assert ("not in the robot file" in said) == withheld
 
 
+def test_what_a_file_has_without_a_name_is_said_to_be_there() -> None:
+    figures = (
+        DriveEstimate("gyro_asymmetry", 3.05, 0.03, "%", 5.9, "gyro", named=False),
+        DriveEstimate("gyro_scale", -0.54, 0.02, "%", 4.0, "gyro", named=False),
+    )
+    sides, scale = _estimate_sentences(figures, taken_off="", nameless=True, scale_withheld=False)
+    assert sides.endswith("by 5.9 m rms; the robot file has it, and the catalogue no name for it")
+    assert scale.endswith("by 4 m rms; the robot file has it beside the asymmetry")
+
+
 def _write(path: Path, log: DriveBlock) -> Path:
     path.write_text(format_drive_log(log))
     return path
