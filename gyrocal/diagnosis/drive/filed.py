@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.reckoning import Figures, Floats
-from gyrocal.diagnosis.drive.series import DriveSeries
+from gyrocal.diagnosis.drive.series import DriveSeries, measured_over_true
 from gyrocal.fusion.robot import EncoderFigures, GyroFigures, RobotParameters, SlipFigures
 from gyrocal.records.robot import Robot
 
@@ -31,7 +31,7 @@ _STAYS = frozenset(
 
 def _sides(scale: float, asymmetry: float) -> Floats:
     """Measured over true turns, to the left and to the right."""
-    return 1.0 + scale + 0.5 * asymmetry * np.array([1.0, -1.0])
+    return measured_over_true(scale, asymmetry, np.array([1.0, -1.0]))
 
 
 def filed(series: DriveSeries, robot: RobotParameters) -> Figures:

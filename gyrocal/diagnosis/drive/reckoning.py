@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.drive.laws import reference_temp_c, settling, temperature_c
-from gyrocal.diagnosis.drive.series import Bools, DriveSeries, Ints, between_rows
+from gyrocal.diagnosis.drive.series import Bools, DriveSeries, Ints, between_rows, measured_over_true
 from gyrocal.fusion.robot import SlipFigures
 from gyrocal.physics.slip import slip_shape
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
@@ -166,7 +166,7 @@ def reckon(series: DriveSeries, figures: Figures) -> Reckoned:
         )
     left, right = series.left_m / (1.0 + figures.left_scale), series.right_m / (1.0 + figures.right_scale)
     way, rolled = 0.5 * (left + right), 0.5 * (np.abs(left) + np.abs(right))
-    scale = 1.0 + figures.gyro_scale + 0.5 * figures.gyro_asymmetry * np.sign(rate)
+    scale = measured_over_true(figures.gyro_scale, figures.gyro_asymmetry, rate)
     by_gyro = DEG_TO_RAD * rate * series.dt_s / scale
     heading = np.cumsum(series.over_gaps(by_gyro, _by_wheels(series, figures, right - left, way)))
     t = series.t_s

@@ -269,7 +269,7 @@ def _gyro(
     given_dps = robot.parameters.gyro.bias_dps
     if scale or asymmetry:
         off_dps = gyro_dps - given_dps
-        gyro_dps = given_dps + off_dps / (1.0 + scale + 0.5 * asymmetry * np.sign(off_dps))
+        gyro_dps = given_dps + off_dps / measured_over_true(scale, asymmetry, off_dps)
     known = np.isfinite(gyro_dps)
     if np.ptp(gyro_dps[known]) == 0:
         raise DataError(
@@ -307,6 +307,11 @@ def _bridged(t_s: Floats, gyro_dps: Floats) -> tuple[Floats, list[Remark]]:
         return gyro_dps, []
     bridged = Remark(Said.GYRO_BRIDGED, {"count": int(np.count_nonzero(~known))})
     return np.interp(t_s, t_s[known], gyro_dps[known]), [bridged]
+
+
+def measured_over_true(scale: float, asymmetry: float, rate_dps: Floats) -> Floats:
+    """Measured over true turns of a gyro whose sides differ, by the sign of each rate."""
+    return np.asarray(1.0 + scale + 0.5 * asymmetry * np.sign(rate_dps))
 
 
 def usual_step_s(t_s: Floats) -> float:

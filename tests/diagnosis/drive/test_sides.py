@@ -94,8 +94,7 @@ def test_another_drive_is_laid_by_a_file_with_what_the_sides_differ_by(to_left: 
 def test_what_a_file_has_of_the_sides_stays_where_a_drive_shows_no_more() -> None:
     given = ROBOT.with_figures({"gyro.scale": 0.01, "gyro.asymmetry": 0.02})
     log = driven(0.5, 0.0, 0.0, 0.02, 3)
-    left, right = log.gyro_dps > 0.0, log.gyro_dps < 0.0
-    output = log.gyro_dps * np.where(left, 1.02, np.where(right, 1.0, 1.0))
+    output = log.gyro_dps * np.where(log.gyro_dps > 0.0, 1.02, 1.0)
     series = drive_series("log", replace(log, gyro_dps=output), given, None)
     np.testing.assert_allclose(series.gyro_dps, log.gyro_dps, atol=1e-9)
     keys = beyond_given(series, {"gyro.scale": 0.001, "gyro.asymmetry": -0.004})
