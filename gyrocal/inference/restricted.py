@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 #: Rate of the exponential prior of each component's standard deviation, relative to that of the record: large parts
 #: that cancel each other are not believed where small ones do as well (Simpson et al., Stat. Sci. 32, 2017).
 _PRIOR_RATE = 1.0
-#: Steps of the climb before Newton's.
-_CLIMBS = 8
+#: Leaps of the climb before Newton's steps, and how many times as far as its two steps one goes at the most.
+_LEAPS, _FARTHEST = 2, 4.0
 #: Added to the diagonal, relative to the mean of the diagonal, so that rounding cannot make a matrix indefinite.
 JITTER = 1e-10
 
@@ -94,22 +94,19 @@ class Likelihood:
         self.stacked = np.concatenate([*factors, left[:, None]], axis=1)
         self.columns = self.stacked[:, :-1]
         self.owner = np.repeat(self.with_columns, [f.shape[1] for f in factors]).astype(np.int64)
-        # Of symmetric matrices the upper half with half the diagonal: M = H + H'.
-        self.halves = np.empty((len(self.dense), left.size**2))
-        for half, matrix in zip(self.halves, [p.matrix for p in parts if p.matrix is not None], strict=True):
-            half[:] = np.triu(matrix).ravel()
-            half[:: left.size + 1] *= 0.5
+        # Each as a row.
+        self.matrices = np.array([p.matrix.ravel() for p in parts if p.matrix is not None])
+        self.matrices.shape = len(self.dense), left.size**2
 
     def _lower(self, logs: Floats) -> Floats:
         """Lower factor of the covariance of the contrasts, zero above the diagonal, shape (m, m)."""
         size = np.exp(logs)
-        a = (size[self.dense] @ self.halves).reshape(self.left.size, self.left.size)
-        a.ravel()[:: len(a) + 1] *= 2.0
+        a = (size[self.dense] @ self.matrices).reshape(self.left.size, self.left.size)
         # BLAS takes no matrix without columns: the record is one of no variance.
         scaled = self.stacked * np.append(np.sqrt(size[self.owner]), 0.0)
         lower = linalg.blas.dsyrk(1.0, scaled.T, 1.0, a.T, trans=1, lower=1, overwrite_c=1)
         lower[np.diag_indices_from(lower)] += JITTER * np.trace(lower) / len(lower)
-        factor, info = linalg.lapack.dpotrf(lower, lower=1, clean=0, overwrite_a=1)
+        factor, info = linalg.lapack.dpotrf(lower, lower=1, clean=1, overwrite_a=1)
         if info:
             raise linalg.LinAlgError("the covariance of the contrasts is not positive definite")
         return np.asarray(factor)
@@ -134,23 +131,36 @@ class Likelihood:
             square[owners] = np.add.reduceat(along**2, begins)
             pulled[owners] = np.add.reduceat(white[:-1] * along[:, None], begins, axis=0)
         if self.dense:
-            halves = self.halves.reshape(len(self.dense), self.left.size, self.left.size)
-            forced = halves @ weighted + weighted @ halves
+            forced = self.matrices.reshape(-1, self.left.size, self.left.size) @ weighted
             square[self.dense] = forced @ weighted
             pulled[self.dense] = linalg.blas.dtrsm(1.0, lower, forced, side=1, lower=1, trans_a=1)
         # Below the diagonal the inverse, above it zeros.
         below = linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0]
-        trace[self.dense] = 2.0 * (self.halves @ below.T.ravel())
+        twice = 2.0 * (self.matrices @ below.T.ravel())
+        trace[self.dense] = twice - self.matrices[:, :: len(below) + 1] @ np.diag(below)
         size = np.exp(logs)
         doubt = self.rate * np.sqrt(size)
         return Point(value + float(np.sum(doubt)), size, trace, square, doubt, pulled)
 
 
 def climb(likelihood: Likelihood, logs: Floats, bounds: Floats) -> Floats:
-    """Some steps that cannot lose likelihood, from anywhere (Zhou et al., J. Comput. Graph. Stat. 28, 2019)."""
+    """Some leaps towards more likelihood, from anywhere.
+
+    Two steps that cannot lose any (Zhou et al., J. Comput. Graph. Stat. 28, 2019) tell how far their path goes on (scheme S3 of
+    Varadhan and Roland, Scand. J. Stat. 35, 2008).
+    """
     logs = np.clip(logs, *bounds.T)
-    for _ in range(_CLIMBS):
-        here = likelihood.at(logs)
-        ratio = np.maximum(here.square, 1e-30) / np.maximum(here.trace, 1e-30)
-        logs = np.clip(logs + 0.5 * np.log(ratio), *bounds.T)
+    for _ in range(_LEAPS):
+        once = _stepped(likelihood, logs, bounds)
+        twice = _stepped(likelihood, once, bounds)
+        first, bent = once - logs, twice - 2.0 * once + logs
+        straight = linalg.norm(first) / max(linalg.norm(bent), np.finfo(float).tiny)
+        length = float(np.clip(straight, 1.0, _FARTHEST))
+        logs = np.clip(logs + 2.0 * length * first + length**2 * bent, *bounds.T)
     return logs
+
+
+def _stepped(likelihood: Likelihood, logs: Floats, bounds: Floats) -> Floats:
+    here = likelihood.at(logs)
+    ratio = np.maximum(here.square, 1e-30) / np.maximum(here.trace, 1e-30)
+    return np.clip(logs + 0.5 * np.log(ratio), *bounds.T)

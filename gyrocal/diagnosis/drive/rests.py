@@ -57,7 +57,9 @@ def moving_rows(
     stands = _standing(t_s, step_m, gyro_dps, moving)
     if not stands.any():
         return moving, []
-    most_mps = float(np.max(step_m[stands] / np.maximum(dt_s[stands], 1e-9)))
+    # The first row has no time before it.
+    lasting = stands & (dt_s > 0.0)
+    most_mps = float(np.max(step_m[lasting] / dt_s[lasting]))
     facts = {"total_s": float(np.sum(dt_s[stands])), "most_mps": most_mps}
     return moving & ~stands, [Remark(Said.STANDS, facts)]
 

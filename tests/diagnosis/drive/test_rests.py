@@ -55,6 +55,14 @@ def test_a_speed_that_reads_its_noise_at_rest_has_rests(seed: int) -> None:
     assert remark.facts["total_s"] == pytest.approx(REST_S, abs=1.0)
 
 
+def test_the_speed_that_is_said_is_of_rows_that_last() -> None:
+    """The first row of a log has no time before it."""
+    way_m, gyro_dps = logged()
+    dt_s = np.where(np.arange(T_S.size) == 0, 0.0, ROW_S)
+    _, (remark,) = moving_rows(T_S, dt_s, (way_m, way_m), (0.0, 0.0), gyro_dps)
+    assert 0.02 < remark.facts["most_mps"] < 0.06
+
+
 @pytest.mark.parametrize(("creeps_mps", "turns_dps"), [(0.0, 0.1), (0.1, 0.0)])
 def test_one_that_creeps_does_not_rest(creeps_mps: float, turns_dps: float) -> None:
     """Slow bends of a tenth of a degree a second, which would have been a bias; and a speed of 6 % of the usual one."""
