@@ -28,6 +28,7 @@ from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, laid_o
 from gyrocal.diagnosis.drive.rests import refused_rest
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series, rough_bias_dps
+from gyrocal.diagnosis.drive.sides import evened, uneven_gyro
 from gyrocal.diagnosis.drive.truth import BELIEVED, TruthAnswer
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -189,6 +190,9 @@ def _examined(
     series, unit = wrong_gyro(prepared)
     series, notes = wrong_truth(series)
     yaw, truth = told_from_nothing(series, *beside_truth(series, examine_yaw(series)))
+    uneven = uneven_gyro(truth)
+    if uneven is not None and series.differential:
+        yaw, truth = _beside_even(series, yaw, truth, uneven[0])
     checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
     if truth is not None and truth.mirrored:
         seen = Remark(Said.TRUTH_MIRRORED)
@@ -210,6 +214,15 @@ def _examined(
         checks,
         [*notes, *([clock] if clock else [])],
     )
+
+
+def _beside_even(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, asymmetry: float
+) -> tuple[YawAnswer, TruthAnswer | None]:
+    """With the wheels as they are beside a gyro of even sides, where the truth shows those of its own beside them, too."""
+    of_wheels = examine_yaw(evened(series, yaw, asymmetry))
+    found = told_from_nothing(series, *beside_truth(series, of_wheels))
+    return (yaw, truth) if uneven_gyro(found[1]) is None else found
 
 
 def _shown(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -11,8 +11,10 @@ from gyrocal.diagnosis.drive.laws import strangers
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.search import YawAnswer
+from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.drive.weighing import gram_of
+from gyrocal.units import RAD_TO_DEG
 
 #: Name of what a gyro's sides differ by: of figures and estimates, and below ``gyro`` in the robot file.
 ASYMMETRY = "gyro_asymmetry"
@@ -70,6 +72,16 @@ def uneven_gyro(truth: TruthAnswer | None) -> tuple[float, float] | None:
         return None
     # What a path lacks of every turn is read too little to the left and too much to the right.
     return -2.0 * truth.one_size, 2.0 * truth.stds[ONE_SIZE]
+
+
+def evened(series: DriveSeries, yaw: YawAnswer, asymmetry: float) -> DriveSeries:
+    """A log whose gyro has the same scale on both sides, for its wheels to be compared with.
+
+    By smooth turns, for noise that is taken for turns would be a bias.
+    """
+    turned_rad = np.abs(yaw.model.frame.conditions.gyro_yaw_rad)
+    over_s = np.where(series.dt_s > 0.0, series.dt_s, np.inf)
+    return replace(series, gyro_dps=series.gyro_dps - 0.5 * asymmetry * RAD_TO_DEG * turned_rad / over_s)
 
 
 def ratio_of_turns(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:

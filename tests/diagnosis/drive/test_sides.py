@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.drive.engine import Examined, examine
 from gyrocal.diagnosis.drive.estimates import DriveEstimate, estimates_of
 from gyrocal.diagnosis.drive.filed import beyond_given, filed
-from gyrocal.diagnosis.drive.findings import _turns_and_way
+from gyrocal.diagnosis.drive.findings import _turns_and_way, joint_estimate
 from gyrocal.diagnosis.drive.improved import improved_robot
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
@@ -89,6 +89,21 @@ def test_another_drive_is_laid_by_a_file_with_what_the_sides_differ_by(to_left: 
             path = navigator.run(log.t_s, log.left_m, log.right_m, log.gyro_dps)
             by_robot_m.append(laid_on(path.x_m + 1j * path.y_m, true_m)[1])
         assert by_robot_m == pytest.approx([before_m, after_m], rel=0.1, abs=0.03)
+
+
+def test_wheels_and_track_are_told_beside_a_gyro_of_uneven_sides() -> None:
+    """What the gyro adds to one side had been half the wheels': 0.17 to 0.54 % were told of 0.3."""
+    log = driven(0.5, -0.02, 0.0, 0.01, 1)
+    narrow = ROBOT.with_figures({"wheel_separation_m": 0.49, "initial_std.wheel_separation_m": 0.02})
+    found = examine("log", replace(log, right_m=1.003 * log.right_m), narrow, None)
+    assert {"track", "asymmetry"} <= found.yaw.named.keys()
+    assert found.truth is not None
+    assert found.truth.one_size == pytest.approx(0.02, abs=3.0 * found.truth.stds[ONE_SIZE])
+    # The mean of both wheels is 0.15 % too long, and turns with it.
+    for name, true in {"asymmetry": 0.003, "track": TRACK_M / 0.49 * 1.0015 - 1.0}.items():
+        value, std = joint_estimate(found.yaw, found.truth, name)
+        assert value == pytest.approx(true, abs=3.0 * std)
+        assert std < 0.1 * true
 
 
 def test_what_a_file_has_of_the_sides_stays_where_a_drive_shows_no_more() -> None:
