@@ -107,7 +107,7 @@ def _beside_wander(found: Examination, blocks: Sequence[str]) -> dict[str, float
 def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     """The coefficient file of what was found, averaged over the models that are near.
 
-    The surface has the state at the end of the record: what passes is held where it was last, but for a drift of a
+    The surface has the state at the end of the record: what passes is held where it was last, but for a walk and a drift of a
     table, whose mean it has. Where it is open whether a change since power-on comes again, the file has the mean of both,
     which errs least.
 

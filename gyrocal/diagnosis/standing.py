@@ -36,7 +36,9 @@ def state_of_laws(model: Model) -> dict[str, tuple[float, float]]:
 
 
 def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) -> tuple[Floats, float]:
-    """Terms of the surface from where bias and scale factor have walked to, shape (12,), and the variance that they leave, deg/s squared.
+    """Terms of the surface from where bias and scale factor have walked about, shape (12,), and the variance that the fallen leave, deg/s squared.
+
+    In the mean: how far a walk goes on until another run nobody knows, and what is taken for one may be what a gyro does again.
 
     Parameters
     ----------
@@ -52,17 +54,18 @@ def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) ->
     free = list(model.flat)
     onto = np.zeros(len(SURFACE))
     onto[free] = np.linalg.lstsq(model.design[:, free], whole, rcond=None)[0]
-    ends = {name: values for name, values in walked.items() if name not in fallen}
     left_dps2 = float(np.mean((whole - model.design @ onto) ** 2))
-    return legendre_to_powers() @ onto + _at_end(model, ends), left_dps2
+    mean = np.zeros(len(SURFACE))
+    mean[0], mean[SHAPE[1]] = map(np.mean, _walks(model, solution, fallen))
+    return legendre_to_powers() @ onto + mean, left_dps2
 
 
 def left_by_drifts(model: Model, solution: Solution) -> tuple[float, float]:
-    """Variances that the drifts of a table leave about the mean that the surface has of them, deg/s squared: of the constant, and of the share of the rate.
+    """Variances that walks and the drifts of a table leave about the mean that the surface has of them, deg/s squared: of the constant, and of the share of the rate.
 
-    They go on, and where they stand in another run nobody knows.
+    All of these go on, and where they stand in another run nobody knows.
     """
-    constant, share = 0.0, 0.0
+    constant, share = (float(np.var(walk)) for walk in _walks(model, solution))
     drifts = {law.name: law.columns for law in model.laws if law.from_end and law.effect in DRIFTS}
     smooth = {n: c.columns for n, c in model.components.items() if n in (DRIFTING_BIAS, DRIFTING_SCALE)}
     with_rate = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
@@ -79,13 +82,13 @@ def left_by_drifts(model: Model, solution: Solution) -> tuple[float, float]:
     return constant, share
 
 
-def _at_end(model: Model, walks: dict[str, Floats]) -> Floats:
-    """A constant and a share of the rate at the end of the record, as terms of the surface, shape (12,)."""
-    means, scale = model.means, model.basis.frame.rate_scale_dps
-    found = np.zeros(len(SURFACE))
-    if "bias walk" in walks:
-        found[0] = walks["bias walk"][-1]
-    if (walk := walks.get("scale walk")) is not None:
-        last = np.flatnonzero(means.rate_dps != 0.0)[-1]
-        found[SHAPE[1]] = walk[last] / means.rate_dps[last] * scale
-    return found
+def _walks(model: Model, solution: Solution, fallen: Collection[str] = ()) -> tuple[Floats, Floats]:
+    """Where the constant has walked to in each row, and in each row that turns the scale factor, as a share of the largest rate."""
+    turning = model.means.rate_dps != 0.0
+    bias, scale = (
+        np.zeros(turning.size) if name in fallen else solution.random.get(name, np.zeros(turning.size))
+        for name in ("bias walk", "scale walk")
+    )
+    if not turning.any():
+        return bias, np.zeros(1)
+    return bias, scale[turning] / model.means.rate_dps[turning] * model.basis.frame.rate_scale_dps

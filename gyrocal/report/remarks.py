@@ -105,7 +105,12 @@ def _bias_settles(
 
 
 def _sides_differ(
-    change: float, least: float, most: float, or_moving_dps: tuple[float, float] | None, filed: bool
+    change: float,
+    least: float,
+    most: float,
+    or_moving_dps: tuple[float, float] | None,
+    filed: bool,
+    told: bool,
 ) -> str:
     larger = f"{change:.3g} % (95 %: {least:.3g} to {most:.3g}) larger in turns to the left than in turns to the right"
     if or_moving_dps is None:
@@ -114,8 +119,8 @@ def _sides_differ(
     value, std = or_moving_dps
     return (
         f"By the truth either the gyro's scale factor is {larger}, or its bias is {value:+.2g} ± {NORMAL_95 * std:.1g} deg/s "
-        "another while the robot moves (95 %): this drive does not tell which. Turn as much to either side, go straight for longer, or "
-        "log a better truth"
+        f"another while the robot moves (95 %): this drive does not tell which{', and the latter, which more gyros have, is what is told' if told else ''}. "
+        "Turn as much to either side, go straight for longer, or log a better truth"
     )
 
 

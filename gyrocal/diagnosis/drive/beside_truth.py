@@ -15,11 +15,12 @@ from gyrocal.diagnosis.drive.motions import AS_LIKELY, likeliest_settling, settl
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, is_odd
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_problem import log_chance
+from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.reckoning import Figures
 from gyrocal.diagnosis.drive.search import GAIN, MOST, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import sides_of
-from gyrocal.diagnosis.drive.truth import TruthAnswer, ask_truth
+from gyrocal.diagnosis.drive.truth import BELIEVED, TruthAnswer, Uneven, ask_truth
 from gyrocal.diagnosis.intervals import RISE_INSTANT_95
 from gyrocal.physics.drive import GYRO_SCALE
 from gyrocal.units import NORMAL_95
@@ -54,7 +55,7 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
     if held.chosen != yaw.chosen:
         truth = _asked(series, held, truth) or truth
     yaw = held
-    truth = replace(truth, or_moving_dps=_or_in_motion(series, yaw, truth))
+    yaw, truth = _or_in_motion(series, yaw, truth)
     return _wheels_beside_structure(_wheels_beside(yaw, truth), truth), truth
 
 
@@ -128,16 +129,26 @@ def _slope_or_time(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | Non
     return replace(yaw, time_odds=odds) if odds < OUT else yaw.without(["slope"], "time")
 
 
-def _or_in_motion(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[float, float] | None:
-    """A bias in motion that fits a path as well as turns do that are off to one side, where those are what is told."""
+def _or_in_motion(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tuple[YawAnswer, TruthAnswer]:
+    """With a bias in motion that fits a path as well as turns do that are off to one side, where those are what is told.
+
+    More gyros have that bias than such sides, so where it is sure it is told, and those beside it.
+    """
     told = [n for n in yaw.chosen if is_motion(n)]
     if not truth.one_size or told or AT_ONCE not in yaw.laws:
-        return None
+        return yaw, truth
     moving = yaw.with_law(AT_ONCE, 0.0)
-    found = _asked(series, moving, truth)
-    if found is None or found.one_size or found.loss > truth.loss + AS_LIKELY or not _explained(found, truth):
-        return None
-    return joint_estimate(moving, found, AT_ONCE)
+    found, uneven = _asked(series, moving, truth), _asked(series, moving, truth, uneven="held")
+    if found is None or uneven is None or found.one_size or found.loss > uneven.loss + AS_LIKELY:
+        return yaw, truth
+    if not _explained(found, truth):
+        return yaw, truth
+    value, std = joint_estimate(moving, found, AT_ONCE)
+    if abs(value) < BELIEVED * std:
+        return yaw, replace(truth, or_moving_dps=(value, std))
+    return yaw.with_law(AT_ONCE, (value / std) ** 2), replace(
+        found, or_uneven=(truth.one_size, truth.stds[ONE_SIZE])
+    )
 
 
 def _wheels_beside(yaw: YawAnswer, truth: TruthAnswer) -> YawAnswer:
@@ -255,13 +266,14 @@ def _asked(
     *,
     bias_changes: bool = False,
     alone: Sequence[str] | None = None,
+    uneven: Uneven = "asked",
 ) -> TruthAnswer | None:
     laws = yaw.bias_laws
     groups = {group_of(n) for n in laws.names}
     free = [] if series.differential else [n for n in ALONE if group_of(n) not in groups]
     figures, noise = _taken_out(series, yaw), yaw.model.noise
     # Be it the gyro's or the wheels'.
-    uneven = sides_of(yaw).sure
+    turns = sides_of(yaw).sure
     return ask_truth(
         series,
         figures,
@@ -270,8 +282,8 @@ def _asked(
         free if alone is None else alone,
         near,
         bias_changes=bias_changes,
-        uneven_turns=uneven,
-        uneven_shown=alone is not None,
+        uneven_turns=turns,
+        uneven=uneven if alone is None else "shown",
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.findings import OUT, effect_of, joint_estimate, undecided
-from gyrocal.diagnosis.drive.laws import SETTLING, Law
+from gyrocal.diagnosis.drive.laws import AT_ONCE, SETTLING, Law
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import known_before
@@ -109,12 +109,14 @@ def instants(yaw: YawAnswer, truth: TruthAnswer | None) -> list[Remark]:
     if "slope" in yaw.named and yaw.time_odds * OUT > 1.0:
         facts = {"odds": yaw.time_odds, "share": 1.0 / (1.0 + yaw.time_odds)}
         found.append(Remark(Said.TEMPERATURE_OR_TIME, facts))
-    if truth is not None and truth.one_size:
+    if truth is not None and (truth.one_size or truth.or_uneven is not None):
+        one_size, std = truth.or_uneven or (truth.one_size, truth.stds[ONE_SIZE])
         # What a path lacks of every turn is read too little to the left and too much to the right.
-        change, half = -200.0 * truth.one_size, 200.0 * NORMAL_95 * truth.stds[ONE_SIZE]
+        change, half = -200.0 * one_size, 200.0 * NORMAL_95 * std
         facts = {"change": change, "least": change - half, "most": change + half}
-        beside = {"or_moving_dps": truth.or_moving_dps, "filed": uneven_gyro(truth) is not None}
-        found.append(Remark(Said.SIDES_DIFFER, facts | beside))
+        moving = None if truth.or_uneven is None else joint_estimate(yaw, truth, AT_ONCE)
+        beside = {"or_moving_dps": moving or truth.or_moving_dps, "filed": uneven_gyro(truth) is not None}
+        found.append(Remark(Said.SIDES_DIFFER, facts | beside | {"told": moving is not None}))
     if "delay" in yaw.odd:
         (grown,), ((variance,),) = yaw.beyond(["delay:0"])
         half = 1e3 * NORMAL_95 * float(np.sqrt(variance))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -53,6 +54,7 @@ _ROUNDS = 4
 #: A path that misses the truth by more than this share of its size is laid on its mirror image too; that it is mirrored
 #: takes this gain, twice the log likelihood, and a miss so many times smaller.
 _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
+Uneven = Literal["asked", "shown", "held"]
 #: What a gyro's turns to the one side are usually off by more than those to the other, of its scale's error: half the difference.
 UNEVEN = 0.2
 
@@ -89,6 +91,8 @@ class TruthAnswer:
         Twice the log of how much likelier a scale of the turns one way is than one of all, and than that and a law of the motion.
     or_moving_dps : (float, float), optional
         A bias in motion, and its standard deviation, that may have made what `ONE_SIZE` stands for.
+    or_uneven : (float, float), optional
+        `ONE_SIZE`, and its standard deviation, that may have made what a bias in motion stands for.
     """
 
     values: Mapping[str, float]
@@ -103,6 +107,7 @@ class TruthAnswer:
     bias_moves_dps: float = 0.0
     one_way: Mapping[str, float] = field(default_factory=dict)
     or_moving_dps: tuple[float, float] | None = None
+    or_uneven: tuple[float, float] | None = None
 
     @property
     def one_size(self) -> float:
@@ -167,7 +172,7 @@ def ask_truth(
     *,
     bias_changes: bool = False,
     uneven_turns: float = 0.0,
-    uneven_shown: bool = False,
+    uneven: Uneven = "asked",
 ) -> TruthAnswer | None:
     """Lay the path on the truth; None where there is none, or too little of it.
 
@@ -182,8 +187,8 @@ def ask_truth(
         bias of its own.
     uneven_turns : float
         By what share the gyro's turns may be off to the one side and the other way to the other, as far as is known otherwise.
-    uneven_shown : bool
-        Whether that they are has been shown beside more laws.
+    uneven : str
+        Whether that they are has to be shown, has been beside more laws, or they are held where `near` has them.
     """
     levels = None if near is None else near.levels
     kept, whole = _rows(series), rates_of(series, [*laws.names, *alone], figures.bias_before_s)
@@ -196,9 +201,9 @@ def ask_truth(
     if knots.position is not None and np.std(knots.position) < _LEAST_SIZE * np.std(base.at_m):
         return None
     one_size = 0.0 if near is None else near.one_size
-    for _ in range(_ROUNDS):
+    for _ in range(1 if uneven == "held" else _ROUNDS):
         laid = laid_on_truth(knots, base, laws, noise, levels, one_size)
-        shown = uneven_shown and one_size != 0.0
+        shown = uneven == "shown" and one_size != 0.0
         answer = _answer(
             knots, base, laid, figures, uneven_turns, bias_changes=bias_changes, uneven_shown=shown
         )
