@@ -46,7 +46,7 @@ def named_effects(found: Examination) -> list[NamedEffect]:
     named += [(s.nats, _of_table(found, s)) for s in _searched(found) if s.p_value <= NAMED_LEVEL]
     gain = found.rate_errors_nats
     if gain > 0.0:
-        size = estimates.of_draws(found.naming.fitted, EACH_RATE, found.model.basis.frame.rate_scale_dps)
+        size = estimates.of_draws(found.naming.fitted)
         p = block_p_value(gain, len(BLOCKS))
         found_as = _effect(
             found,

@@ -26,11 +26,13 @@ from gyrocal.diagnosis.intervals import (
 )
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
+from gyrocal.diagnosis.parts import EACH_RATE
+from gyrocal.diagnosis.rate_errors import size_ppm
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.scan import Scan, free_of, rarity, scan_of, shapes_of_others
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM, Effect
+from gyrocal.physics.effect import MDPS, Effect
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -369,18 +371,17 @@ def of_pattern(pattern: Pattern) -> dict[str, Estimate]:
     return found | _shapes(effect, pattern.shape, pattern.intervals)
 
 
-def of_draws(fitted: Fitted, component: str, rate_scale_dps: float) -> Estimate:
+def of_draws(fitted: Fitted) -> Estimate:
     """Size of the independent errors of the rates, ppm, with the interval of its likelihood."""
     logs = dict(fitted.fit.log_variance)
     steps = np.linspace(-4.0, 4.0, 33)
     nll = [
-        fitted.contrasts.nll(fitted.model.all, {**logs, component: logs[component] + float(s)}) for s in steps
+        fitted.contrasts.nll(fitted.model.all, {**logs, EACH_RATE: logs[EACH_RATE] + float(s)}) for s in steps
     ]
     between = np.linspace(steps[0], steps[-1], 1001)
     likely = np.interp(between, steps, nll)
     inside = between[likely < min(nll) + 0.5 * RISE_95]
     # The variance was fitted before the last laws were there; beside them another may be likelier.
     shifts = np.array([between[np.argmin(likely)], inside[0], inside[-1]])
-    fitted_ppm = float(np.sqrt(fitted.fit.variance[component])) / rate_scale_dps / PPM
-    best, low, high = (fitted_ppm * np.exp(0.5 * shifts)).tolist()
+    best, low, high = (size_ppm(fitted) * np.exp(0.5 * shifts)).tolist()
     return Estimate.spanning(best, (low, high), "ppm")

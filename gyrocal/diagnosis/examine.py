@@ -39,7 +39,7 @@ from gyrocal.diagnosis.misfit import without_mending
 from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
 from gyrocal.diagnosis.open_loop import slope_of, told_as_sine, with_open_loop
 from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, ODD, PASSING, SCALE_IN_TIME, Basis, passing
-from gyrocal.diagnosis.rate_errors import with_tails
+from gyrocal.diagnosis.rate_errors import of_a_table, with_tails
 from gyrocal.diagnosis.rivals import paid_by
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.settling import settling
@@ -127,7 +127,7 @@ class Examination:
         """
         nats = self.naming.unnamed.get(EACH_RATE, 0.0)
         taken = any(n.block == EACH_RATE for n in self.naming.named)
-        return nats if nats > GAIN and not taken else 0.0
+        return nats if nats > GAIN and not taken and of_a_table(self.naming.fitted) else 0.0
 
     @property
     def of_the_input(self) -> bool:

@@ -20,6 +20,7 @@ from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import EACH_RATE
 from gyrocal.inference.additive import Component, Solution
 from gyrocal.physics.effect import PPM
+from gyrocal.physics.rate import REFERENCE_RATE_ERROR
 
 Floats = NDArray[np.float64]
 
@@ -56,6 +57,18 @@ def with_tails(full: Model, fitted: Fitted) -> tuple[Model, Fitted]:
             break
         before = here.nll
     return full.with_components(best.model.components[EACH_RATE]), best
+
+
+def size_ppm(fitted: Fitted) -> float:
+    """Standard deviation of the errors of single rates, relative to each."""
+    scale_dps = fitted.model.basis.frame.rate_scale_dps
+    return float(np.sqrt(fitted.fit.variance[EACH_RATE])) / scale_dps / PPM
+
+
+def of_a_table(fitted: Fitted) -> bool:
+    """Whether a table errs by as little: what is more, as about the edges of a dead zone, is the gyro's."""
+    (size, *_) = REFERENCE_RATE_ERROR.parameters
+    return size_ppm(fitted) < size.high
 
 
 def largest(fitted: Fitted) -> list[tuple[float, float, float]]:

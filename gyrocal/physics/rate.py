@@ -434,7 +434,7 @@ REFERENCE_RATE_ERROR = Effect(
     family="rate shape",
     equation="e = k n(|w_c|) w, n a normal draw for each commanded rate",
     statement="The table's true rates differ from the reported ones by a fixed share for each rate (rounding of stepper or clock).",
-    parameters=(amplitude("ppm", 100000.0, 50.0, "standard deviation of the relative error"), _SEED),
+    parameters=(amplitude("ppm", 10000.0, 50.0, "standard deviation of the relative error"), _SEED),
     needs=("rate_dps",),
     seen_in="rate",
     looks_like=("rate_order",),

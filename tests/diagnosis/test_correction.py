@@ -139,6 +139,26 @@ def test_what_a_drift_of_a_table_leaves_about_its_mean_is_in_the_uncertainty(
         assert np.sqrt(constant) == pytest.approx(8.0 * MDPS * np.std(grown), rel=0.05)
 
 
+def test_a_walk_stands_in_its_mean_and_is_in_the_uncertainty() -> None:
+    """Where it ended had been in the file: 20 mdeg/s from its mean here, as a gyro with hysteresis never was again."""
+    rate_dps, t_s = np.tile([-50.0, 0.0, 50.0, 80.0], 30), 90.0 * np.arange(120.0)
+    rng = np.random.default_rng(3)
+    walk_dps = 0.04 * np.sqrt(t_s / t_s[-1]) + np.cumsum(1e-3 * rng.standard_normal(120))
+    gyro_dps, temp_c = rate_dps + walk_dps + 2e-4 * rng.standard_normal(120), rng.uniform(20.0, 22.0, 120)
+    table = DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c, t_s=t_s)
+    model = full_model(means_of(series_of_table(table)), memory=False)
+    kept = {"white", "bias walk", *(p.name for p in model.parts if p.block == "surface")}
+    fitted = fit_model(model.without([n for n in model.components if n not in kept]))
+    naming = SimpleNamespace(fitted=fitted, named=(), unnamed={})
+    found = cast(Examination, SimpleNamespace(candidates=(), naming=naming, laws=None, comes_again=0.0))
+    left_dps = Compensator(correction(found)).correct(t_s, gyro_dps, temp_c, t_s, None) - rate_dps
+    assert abs(np.mean(left_dps)) < 2e-3
+    assert walk_dps[-1] - walk_dps.mean() > 0.01
+    constant, share = left_by_drifts(fitted.model, fitted.solve())
+    assert np.sqrt(constant) == pytest.approx(np.std(walk_dps), rel=0.1)
+    assert share == 0.0
+
+
 @pytest.mark.slow
 def test_where_a_drift_has_come_to_is_known_no_better_than_the_drift() -> None:
     """Over drawn noise the bias of the file lies about the truth as it says."""

@@ -23,6 +23,7 @@ from gyrocal.diagnosis.intervals import (
 from gyrocal.diagnosis.laws import Laws
 from gyrocal.diagnosis.layers import Fitted, Law
 from gyrocal.diagnosis.locate import block_p_value
+from gyrocal.diagnosis.rate_errors import of_a_table
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.scan import Scan
 from gyrocal.physics.catalogue import find_effect
@@ -98,10 +99,22 @@ def test_the_size_of_draws_is_within_its_likelihood() -> None:
         return float(0.5 * ((logs["each rate"] - np.log(4e-8)) / 0.5) ** 2)
 
     fit = SimpleNamespace(log_variance={"each rate": np.log(4e-8)}, variance={"each rate": 4e-8})
-    fitted = SimpleNamespace(fit=fit, contrasts=SimpleNamespace(nll=nll), model=SimpleNamespace(all=[]))
-    found = of_draws(cast(Fitted, fitted), "each rate", 100.0)
+    basis = SimpleNamespace(frame=SimpleNamespace(rate_scale_dps=100.0))
+    model = SimpleNamespace(all=[], basis=basis)
+    fitted = cast(Fitted, SimpleNamespace(fit=fit, contrasts=SimpleNamespace(nll=nll), model=model))
+    found = of_draws(fitted)
+    assert of_a_table(fitted)
     assert found.value == pytest.approx(2.0)
     assert found.interval_95 == pytest.approx((2.0 * np.exp(-0.49), 2.0 * np.exp(0.49)), rel=0.02)
+
+
+def test_no_table_errs_by_a_percent_from_rate_to_rate() -> None:
+    """About the edges of a dead zone 30 % were told as the table's."""
+    basis = SimpleNamespace(frame=SimpleNamespace(rate_scale_dps=100.0))
+    for share, expected in ((0.0099, True), (0.0101, False)):
+        fit = SimpleNamespace(variance={"each rate": (100.0 * share) ** 2})
+        fitted = SimpleNamespace(fit=fit, model=SimpleNamespace(basis=basis))
+        assert of_a_table(cast(Fitted, fitted)) is expected
 
 
 def test_a_variance_that_may_be_zero_is_tested_at_the_edge_of_its_range() -> None:

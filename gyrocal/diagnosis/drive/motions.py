@@ -62,8 +62,8 @@ def temperature_for_motion(
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
 
 
-def motion_beats_wheels(told: Evidence, chosen: Sequence[str], motions: Sequence[str], least: float) -> bool:
-    """Whether a bias that comes with the motion is there, and explains surely more than wheels that differ, each without the other.
+def rather_than_wheels(told: Evidence, chosen: Sequence[str], laws: Iterable[str], least: float) -> list[str]:
+    """Laws of a bias that comes with the motion, and of one over the temperature, where one of a kind is there and explains surely more than wheels that differ, each without the other.
 
     Either makes the two headings part on a straight, and beside wheels that may differ by anything no bias is seen.
 
@@ -71,11 +71,19 @@ def motion_beats_wheels(told: Evidence, chosen: Sequence[str], motions: Sequence
     ----------
     least : gain from which on it is there
     """
-    if "asymmetry" not in chosen or not motions or any(n in motions for n in chosen):
-        return False
+    if "asymmetry" not in chosen:
+        return []
+    looked_at = [*laws]
+    kinds = [of_motion(looked_at), [n for n in looked_at if n == "slope"]]
     beside = [n for n in chosen if n != "asymmetry"]
-    moves = max(told.added(beside, [n]) for n in motions)
-    return moves > max(least, told.added(beside, ["asymmetry"]) + AS_LIKELY)
+    much = max(least, told.added(beside, ["asymmetry"]) + AS_LIKELY)
+    return [
+        n
+        for kind in kinds
+        if kind and not any(n in kind for n in chosen)
+        if max(told.added(beside, [n]) for n in kind) > much
+        for n in kind
+    ]
 
 
 def settling_beats(told: Evidence, beside: Sequence[str], name: str, least: float = 0.0) -> bool:

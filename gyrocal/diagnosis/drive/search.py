@@ -31,8 +31,8 @@ from gyrocal.diagnosis.drive.laws import (
 from gyrocal.diagnosis.drive.motions import (
     likely_motions,
     may_be_another,
-    motion_beats_wheels,
     of_motion,
+    rather_than_wheels,
     temperature_for_motion,
     with_central_lag,
     with_settling,
@@ -289,12 +289,12 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
     again = not answer.changed and bool(answer.nameless or answer.passing)
     before = answer if again else None
     answer = answer if before is None else _examine(series, ahead_s, window_s, before)
-    if "asymmetry" not in answer.named:
-        return answer
-    if not motion_beats_wheels(answer.told, answer.fitted, of_motion(answer.laws), GAIN):
+    named = "asymmetry" in answer.named
+    rather = rather_than_wheels(answer.told, answer.fitted, answer.laws, GAIN) if named else []
+    if not rather:
         return answer
     moving = _examine(series, ahead_s, window_s, before, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
-    return moving if of_motion(moving.named) else answer
+    return moving if any(n in rather for n in moving.named) else answer
 
 
 def _examine(

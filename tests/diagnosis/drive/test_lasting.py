@@ -15,7 +15,7 @@ from gyrocal.diagnosis.drive.beside_truth import _wheels_beside_structure
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
-from gyrocal.diagnosis.drive.motions import motion_beats_wheels, settling_beats, with_settling
+from gyrocal.diagnosis.drive.motions import rather_than_wheels, settling_beats, with_settling
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest
 from gyrocal.diagnosis.drive.places import left_out
 from gyrocal.diagnosis.drive.search import GAIN
@@ -204,22 +204,23 @@ def test_a_bias_that_settles_has_to_be_there_and_to_be_likelier_at_any_time_cons
 @pytest.mark.parametrize(
     ("moving", "wheels", "rather"), [(216.0, 205.0, True), (210.0, 205.0, False), (150.0, 205.0, False)]
 )
-def test_a_bias_in_motion_stands_for_wheels_that_differ_where_it_is_20_times_as_likely(
+def test_a_bias_stands_for_wheels_that_differ_where_it_is_20_times_as_likely(
     moving: float, wheels: float, *, rather: bool
 ) -> None:
-    """The two columns are nearly one, as on a drive of one speed: each by itself explains nearly all."""
-    names = ("bias", "asymmetry", "step", "moving_0")
-    both = 0.99 * np.sqrt(moving * wheels)
-    precision = np.eye(4)
-    precision[1, 3] = precision[3, 1] = both / np.sqrt(moving * wheels)
-    gram = Gram(names, precision, np.array([0.0, np.sqrt(wheels), 1.0, np.sqrt(moving)]))
-    told = at_any_level(gram)
-    motions = ["step", "moving_0"]
-    assert motion_beats_wheels(told, ["bias", "asymmetry"], motions, 15.0) is rather
-    assert not motion_beats_wheels(told, ["bias"], motions, 15.0)
-    assert not motion_beats_wheels(told, ["bias", "asymmetry", "step"], motions, 15.0)
-    assert not motion_beats_wheels(told, ["bias", "asymmetry"], [], 15.0)
-    assert not motion_beats_wheels(told, ["bias", "asymmetry"], motions, 300.0)
+    """The two columns are nearly one, as on a drive of one speed or as a robot warms up: each by itself explains nearly all."""
+    for law, others in (("moving_0", ["step"]), ("slope", [])):
+        names = ("bias", "asymmetry", *others, law)
+        alike = 0.99
+        precision = np.eye(len(names))
+        precision[1, -1] = precision[-1, 1] = alike
+        score = np.array([0.0, np.sqrt(wheels), *(1.0 for _ in others), np.sqrt(moving)])
+        told = at_any_level(Gram(names, precision, score))
+        kind = [*others, law]
+        assert rather_than_wheels(told, ["bias", "asymmetry"], names, 15.0) == (kind if rather else [])
+        assert not rather_than_wheels(told, ["bias"], names, 15.0)
+        assert not rather_than_wheels(told, ["bias", "asymmetry", kind[0]], names, 15.0)
+        assert not rather_than_wheels(told, ["bias", "asymmetry"], [], 15.0)
+        assert not rather_than_wheels(told, ["bias", "asymmetry"], names, 300.0)
 
 
 def slipping(log: DriveBlock, at_s: list[float], more_m: list[float]) -> DriveBlock:
