@@ -95,8 +95,8 @@ class Likelihood:
         self.columns = self.stacked[:, :-1]
         self.owner = np.repeat(self.with_columns, [f.shape[1] for f in factors]).astype(np.int64)
         # Each as a row.
-        self.matrices = np.array([p.matrix.ravel() for p in parts if p.matrix is not None])
-        self.matrices.shape = len(self.dense), left.size**2
+        matrices = [p.matrix.ravel() for p in parts if p.matrix is not None]
+        self.matrices = np.reshape(matrices, (len(self.dense), left.size**2))
 
     def _lower(self, logs: Floats) -> Floats:
         """Lower factor of the covariance of the contrasts, zero above the diagonal, shape (m, m)."""

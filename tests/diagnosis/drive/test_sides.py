@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.drive import beside_truth
 from gyrocal.diagnosis.drive.engine import Examined, examine
 from gyrocal.diagnosis.drive.estimates import DriveEstimate, estimates_of
 from gyrocal.diagnosis.drive.filed import beyond_given, filed
 from gyrocal.diagnosis.drive.findings import _turns_and_way, joint_estimate
 from gyrocal.diagnosis.drive.improved import improved_robot
+from gyrocal.diagnosis.drive.laws import AT_ONCE
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.reckoning import laid_on, reckon
+from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
+from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.fusion import Navigator
 from gyrocal.records.drive import DriveBlock
@@ -183,3 +189,35 @@ def test_a_path_that_uneven_turns_bend_far_has_no_scale() -> None:
     assert next(e for e in estimates_of_all(found) if e.name == "gyro_asymmetry").metres > 1.0
     (said,) = [note for note in found.notes if note.said is Said.SIDES_DIFFER]
     assert said.facts["least"] < 6.0 < said.facts["most"]
+
+
+@pytest.mark.parametrize(
+    ("loss", "value_dps", "told"),
+    [(3.0, 0.05, "motion"), (3.0, 0.03, "either"), (9.0, 0.05, "sides"), (-20.0, 0.05, "motion")],
+)
+def test_of_a_bias_in_motion_and_uneven_sides_that_both_fit_the_bias_is_told_where_it_is_sure(
+    monkeypatch: pytest.MonkeyPatch, loss: float, value_dps: float, told: str
+) -> None:
+    """In one design, whose likelihoods compare: that of the sides alone is another one's, and had never been the likelier."""
+    sides = TruthAnswer(
+        {ONE_SIZE: 0.004}, {ONE_SIZE: 0.0004}, np.eye(2), np.zeros((0, 0)), {}, surest=-40.0, loss=0.0
+    )
+    of_motion = TruthAnswer({}, {}, np.eye(2), np.zeros((0, 0)), {}, surest=-1.0, loss=loss - 15.0)
+    held = replace(sides, loss=-15.0)
+
+    def asked(series: object, yaw: object, truth: object, uneven: str = "asked") -> TruthAnswer:
+        return held if uneven == "held" else of_motion
+
+    monkeypatch.setattr(beside_truth, "_asked", asked)
+    monkeypatch.setattr(beside_truth, "joint_estimate", lambda *_: (value_dps, 0.01))
+    moving = SimpleNamespace(chosen=("bias", AT_ONCE))
+    yaw = SimpleNamespace(chosen=("bias",), laws={AT_ONCE: None}, with_law=lambda name, gain: moving)
+    found, truth = beside_truth._or_in_motion(cast(Any, None), cast(YawAnswer, yaw), sides)
+    if told == "motion":
+        assert cast(object, found) is moving
+        assert truth.one_size == 0.0
+        assert truth.or_uneven == (0.004, 0.0004)
+    else:
+        assert cast(object, found) is yaw
+        assert truth.one_size == 0.004
+        assert truth.or_moving_dps == ((value_dps, 0.01) if told == "either" else None)
