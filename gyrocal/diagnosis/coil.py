@@ -459,10 +459,10 @@ class TableSearch:
                     yield coil, replaced(changes, change, near)
 
     def _reached(self, coil: tuple[float, float]) -> bool:
-        """Whether the coil has been through most of the temperatures that its sensor has."""
+        """Whether the coil has been through most of the temperatures that its sensor has, and visits to these tell of a lag."""
         m, (share, tau_s) = self.base.means, coil
         coil_c = m.temp_c + share * (m.series.history.lagged_at(tau_s, m.t_s) - m.temp_c)
-        return bool(np.ptp(coil_c) >= _REACHED * np.ptp(m.temp_c))
+        return bool(np.ptp(coil_c) >= _REACHED * np.ptp(m.temp_c)) and self.changes.tells_of_scale
 
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         """What the laws of a model pay, nats: for their priors, too, as a coil's time constant does.

@@ -17,6 +17,7 @@ from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged, sin
 from gyrocal.diagnosis.changes import Change, Changes
 from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, replaced, table_search
 from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import _beyond_doubt, examine
 from gyrocal.diagnosis.laws import Laws, laws_of
 from gyrocal.diagnosis.layers import full_model
@@ -658,3 +659,17 @@ def test_a_model_in_which_shapes_had_died_is_known_without_them() -> None:
     anew = first.fitted.refit(known.fitted.model)
     assert anew.nll == pytest.approx(first.fitted.nll, abs=0.01)
     assert not search.without([p.name for p in search.shapes]).known
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_three_soaks_visited_once_tell_of_no_lag(seed: int) -> None:
+    """A lag moves three temperatures to where the surface bends least; it had its name on six of six such tables."""
+    rng = np.random.default_rng(seed)
+    temp_c, rates_dps = np.repeat([-28.3, 74.1, 23.8], 5), np.array([-225.0, -111.6, 0.0, 111.6, 225.0])
+    rate_dps = np.concatenate([rng.permutation(rates_dps) for _ in range(3)])
+    t_s = np.concatenate([begin_s + 16.0 * np.arange(5) for begin_s in (2950.0, 6440.0, 9860.0)])
+    v, u = (temp_c - 22.0) / 50.0, rate_dps / 225.0
+    error_dps = -0.45 * v + 0.1 * v**2 + u * (-0.9 - 1.8 * v + 0.35 * v**2) + 0.1 * u**2 * v + 0.05 * u**3
+    gyro_dps = rate_dps + error_dps + 0.03 * rng.standard_normal(15)
+    table = DataSetTable(Path("soaks.csv"), rate_dps, gyro_dps, np.round(2.0 * temp_c) / 2.0, t_s=t_s)
+    assert diagnose(table, options=Options(heldout=False)).effects == ()
