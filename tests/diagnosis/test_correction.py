@@ -267,13 +267,13 @@ def test_a_peak_over_the_rate_is_in_the_file_as_far_as_it_is_known(
     warm = np.full(unseen.size, 20.0)
     out = Compensator(found.improved).evaluate(np.arange(unseen.size) * 1.0, gyro(unseen, warm), warm)
     off = out.rate_dps - unseen
-    peaks = [t for t in found.improved.terms if t.name == "mechanical_resonance"]
+    assert np.sqrt(np.mean((off / out.sigma_dps) ** 2)) < 2.5
     if len(sizes) > 8:
-        assert len(peaks) == 1
-        assert np.sqrt(np.mean(off**2)) < 5e-4
+        # Be it one peak or the mean of many that are alike.
+        assert np.sqrt(np.mean(off**2)) < 1.5e-4
+        assert np.sqrt(np.mean(out.sigma_dps**2)) < 5e-4
     else:
-        assert len(peaks) > 1
-        assert np.sqrt(np.mean((off / out.sigma_dps) ** 2)) < 2.5
+        assert [t.name for t in found.improved.terms].count("mechanical_resonance") > 1
         # A wide low peak between the rates is nearly as likely as the narrow high one that is there.
         own = found.effects[0].parameters
         for name, true in (("amplitude", 20.0), ("center_dps", center_dps), ("width_dps", 8.0)):
