@@ -45,12 +45,11 @@ def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) ->
     fallen : components that stand for what the gyro has and the file lacks
         Their end is no state of the gyro: the surface takes what it can of them over the whole record.
     """
-    walked = dict(solution.random)
     columns_of = {c.name: c.columns for c in model.all}
+    whole = np.zeros(len(model.means))
     for name in fallen:
-        if (columns := columns_of[name]) is not None:
-            walked[name] = columns @ solution.amplitudes[name]
-    whole = sum((walked[name] for name in fallen), np.zeros(len(model.means)))
+        columns = columns_of[name]
+        whole += solution.random[name] if columns is None else columns @ solution.amplitudes[name]
     free = list(model.flat)
     onto = np.zeros(len(SURFACE))
     onto[free] = np.linalg.lstsq(model.design[:, free], whole, rcond=None)[0]
@@ -69,26 +68,29 @@ def left_by_drifts(model: Model, solution: Solution) -> tuple[float, float]:
     drifts = {law.name: law.columns for law in model.laws if law.from_end and law.effect in DRIFTS}
     smooth = {n: c.columns for n, c in model.components.items() if n in (DRIFTING_BIAS, DRIFTING_SCALE)}
     with_rate = {law.name for law in model.laws if "rate_dps" in CATALOGUE[law.effect].needs}
-    turning = model.means.rate_dps != 0.0
     for name, columns in (drifts | smooth).items():
         if columns is None or name not in solution.amplitudes:
             continue
         added = columns @ solution.amplitudes[name]
         if name in with_rate or name == DRIFTING_SCALE:
-            of_scale = added[turning] / model.means.rate_dps[turning] * model.basis.frame.rate_scale_dps
-            share += float(np.mean(of_scale**2))
+            share += float(np.mean(_of_scale(model, added) ** 2))
         else:
             constant += float(np.mean(added**2))
     return constant, share
 
 
 def _walks(model: Model, solution: Solution, fallen: Collection[str] = ()) -> tuple[Floats, Floats]:
-    """Where the constant has walked to in each row, and in each row that turns the scale factor, as a share of the largest rate."""
-    turning = model.means.rate_dps != 0.0
+    """Where the constant has walked to in each row, and the scale factor as `_of_scale` has it."""
+    still = np.zeros(len(model.means))
     bias, scale = (
-        np.zeros(turning.size) if name in fallen else solution.random.get(name, np.zeros(turning.size))
-        for name in ("bias walk", "scale walk")
+        still if name in fallen else solution.random.get(name, still) for name in ("bias walk", "scale walk")
     )
+    return bias, _of_scale(model, scale)
+
+
+def _of_scale(model: Model, added: Floats) -> Floats:
+    """What goes with the rate, for the largest one: in each row that turns; zero where none does."""
+    turning = model.means.rate_dps != 0.0
     if not turning.any():
-        return bias, np.zeros(1)
-    return bias, scale[turning] / model.means.rate_dps[turning] * model.basis.frame.rate_scale_dps
+        return np.zeros(1)
+    return np.asarray(added[turning] / model.means.rate_dps[turning] * model.basis.frame.rate_scale_dps)

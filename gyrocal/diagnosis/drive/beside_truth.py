@@ -54,8 +54,7 @@ def beside_truth(series: DriveSeries, yaw: YawAnswer) -> tuple[YawAnswer, TruthA
     held = _slope_or_time(series, yaw, truth)
     if held.chosen != yaw.chosen:
         truth = _asked(series, held, truth) or truth
-    yaw = held
-    yaw, truth = _or_in_motion(series, yaw, truth)
+    yaw, truth = _or_in_motion(series, held, truth)
     return _wheels_beside_structure(_wheels_beside(yaw, truth), truth), truth
 
 
@@ -138,10 +137,11 @@ def _or_in_motion(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer) -> tu
     if not truth.one_size or told or AT_ONCE not in yaw.laws:
         return yaw, truth
     moving = yaw.with_law(AT_ONCE, 0.0)
-    found, uneven = _asked(series, moving, truth), _asked(series, moving, truth, uneven="held")
-    if found is None or uneven is None or found.one_size or found.loss > uneven.loss + AS_LIKELY:
+    found = _asked(series, moving, truth)
+    if found is None or found.one_size or not _explained(found, truth):
         return yaw, truth
-    if not _explained(found, truth):
+    uneven = _asked(series, moving, truth, uneven="held")
+    if uneven is None or found.loss > uneven.loss + AS_LIKELY:
         return yaw, truth
     value, std = joint_estimate(moving, found, AT_ONCE)
     if abs(value) < BELIEVED * std:

@@ -14,7 +14,6 @@ from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.drive.weighing import gram_of
-from gyrocal.units import RAD_TO_DEG
 
 #: Name of what a gyro's sides differ by: of figures and estimates, and below ``gyro`` in the robot file.
 ASYMMETRY = "gyro_asymmetry"
@@ -79,9 +78,8 @@ def evened(series: DriveSeries, yaw: YawAnswer, asymmetry: float) -> DriveSeries
 
     By smooth turns, for noise that is taken for turns would be a bias.
     """
-    turned_rad = np.abs(yaw.model.frame.conditions.gyro_yaw_rad)
-    over_s = np.where(series.dt_s > 0.0, series.dt_s, np.inf)
-    return replace(series, gyro_dps=series.gyro_dps - 0.5 * asymmetry * RAD_TO_DEG * turned_rad / over_s)
+    smooth_dps = yaw.model.frame.conditions.gyro_dps
+    return replace(series, gyro_dps=series.gyro_dps - 0.5 * asymmetry * np.abs(smooth_dps))
 
 
 def ratio_of_turns(yaw: YawAnswer, truth: TruthAnswer | None) -> tuple[float, float]:
