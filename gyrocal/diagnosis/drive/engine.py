@@ -247,7 +247,7 @@ def _shown(
         return shown
     by_part = improved_robot(part.series, part.yaw, part.truth, part.parts, part.figures) or robot
     before, after = (filed(found.series, one.parameters) for one in (robot, by_part))
-    if robot.static_s == 0 and not found.series.calibrated:
+    if not found.series.rested and not found.series.calibrated:
         # One switch-on: the bias is that of the first part.
         after = replace(after, bias_dps=believed_bias(part.yaw, part.truth))
     rest_of_it = _compared(found.series, before, after, from_row=split)

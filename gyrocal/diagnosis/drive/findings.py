@@ -14,7 +14,7 @@ from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLIN
 from gyrocal.diagnosis.drive.nameless import STRANGER_P
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
-from gyrocal.diagnosis.drive.prior import may_be_tilted
+from gyrocal.diagnosis.drive.prior import known_before, may_be_tilted
 from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, other_slips
 from gyrocal.diagnosis.drive.series import DriveSeries, usual_step_s
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
@@ -428,14 +428,14 @@ def _of_scale(
 def unexpected_bias(
     series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None
 ) -> tuple[float, NamedEffect] | None:
-    """A constant bias, where no rest takes it off, that is off from the robot file's by more than it grants."""
-    if series.robot.static_s > 0:
+    """A constant bias, where no rest takes it off, that is off from what is known of it by more than that grants."""
+    if series.rested:
         return None
     value, std = joint_estimate(yaw, truth, "bias")
-    expected = series.robot.initial_std["gyro_bias_dps"]
-    away = value - series.robot.parameters.gyro.bias_dps
+    expected, granted = known_before(series)["bias"]
+    away = value - expected
     gain = (away / std) ** 2
-    if gain < GAIN or abs(away) < BELIEVED * float(np.hypot(expected, std)):
+    if gain < GAIN or abs(away) < BELIEVED * float(np.hypot(granted, std)):
         return None
     parameters = {"amplitude": estimate(GYRO_BIAS.id, value, std)}
     others = (Alternative(EARTH_RATE.id, 1.0),) if abs(value) < EARTH_RATE_DPH * DPH_TO_DPS else ()

@@ -290,7 +290,7 @@ def _geometry_keys(
     told: Mapping[str, tuple[float, float]],
 ) -> dict[str, float]:
     """Track and wheels as estimated, with what they are known to: the filter begins where this drive ended."""
-    bias = believed_bias(yaw, truth) if series.robot.static_s == 0 else joint_estimate(yaw, truth, "bias")[0]
+    bias = joint_estimate(yaw, truth, "bias")[0] if series.rested else believed_bias(yaw, truth)
     asymmetry, std = _beside_bias(yaw, "asymmetry", bias)
     wheels = parts["wheel_scale"] if "wheel_scale" in parts else _untold_wheels(series, truth)
     uneven = ASYMMETRY in told

@@ -33,9 +33,11 @@ def truth(gyro: float, wheels: float, std: float) -> TruthAnswer:
     )
 
 
-def series(**robot: Any) -> DriveSeries:
-    """A log of which only the robot file is asked for."""
-    return cast(DriveSeries, SimpleNamespace(robot=SimpleNamespace(**robot), differential=True))
+def series(rested: bool = False, **robot: Any) -> DriveSeries:
+    """A log of which only the robot file is asked for, and whether it has the rest that this promises."""
+    return cast(
+        DriveSeries, SimpleNamespace(robot=SimpleNamespace(**robot), differential=True, rested=rested)
+    )
 
 
 def yaw(**fields: Any) -> YawAnswer:
@@ -94,15 +96,22 @@ def test_noise_far_above_that_of_the_robot_file_is_a_place(
 
 
 @pytest.mark.parametrize(
-    ("away_stds", "static_s", "found"), [(6.0, 0.0, True), (3.0, 0.0, False), (6.0, 8.0, False)]
+    ("away_stds", "rested", "found"), [(6.0, False, True), (3.0, False, False), (6.0, True, False)]
 )
 def test_a_bias_beyond_what_the_robot_file_grants_is_named_where_no_rest_takes_it_off(
-    away_stds: float, static_s: float, found: bool
+    away_stds: float, rested: bool, found: bool
 ) -> None:
     granted = 0.01
     robot = series(
-        static_s=static_s,
-        initial_std={"gyro_bias_dps": granted},
+        rested=rested,
+        static_s=0.0,
+        wheel_separation_m=0.5,
+        initial_std={
+            "gyro_bias_dps": granted,
+            "wheel_separation_m": 0.01,
+            "left_scale": 0.01,
+            "right_scale": 0.01,
+        },
         parameters=SimpleNamespace(gyro=SimpleNamespace(bias_dps=0.5)),
     )
     answer = findings.unexpected_bias(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.drive.engine import examine
-from gyrocal.diagnosis.drive.findings import named_effects
+from gyrocal.diagnosis.drive.findings import named_effects, unexpected_bias
 from gyrocal.diagnosis.drive.path_gaps import after_gaps, first_turns
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
@@ -149,3 +149,22 @@ def test_a_rest_that_the_file_promises_and_the_log_lacks_is_said(resting: Robot)
         if isinstance(n, Remark) and n.said is Said.NO_REST
     )
     assert "the robot moves in its first 7 s" in said.facts["why"]
+
+
+@pytest.mark.parametrize(("bias_dps", "is_named"), [(2.0, True), (0.1, False)])
+def test_a_bias_that_a_promised_rest_does_not_take_off_is_named(
+    bias_dps: float, is_named: bool, resting: Robot
+) -> None:
+    """A gyro may have a fifth of a degree per second: what the file grants is of what a rest leaves."""
+    log = drive(PLAN, 4)
+    moved = np.flatnonzero(np.abs(log.left_m) > 0.0)[0]
+    driven = without(log, -1.0, float(log.t_s[moved]))
+    biased = replace(driven, gyro_dps=driven.gyro_dps + bias_dps)
+    found = examine("log", biased, resting, None)
+    named = unexpected_bias(found.series, found.yaw, None)
+    assert (named is not None) == is_named
+    if named is not None:
+        (bias,) = named[1].parameters.values()
+        low, high = bias.interval_95
+        assert bias.unit == "mdeg/s"
+        assert low < 1e3 * bias_dps < high
