@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.alignment import align
+from gyrocal.diagnosis.drive.asked import Asked
 from gyrocal.diagnosis.drive.jumps import Instant, chance, jump_of, law_at, less
 from gyrocal.diagnosis.drive.lasting import events, outlasting, undenied
 from gyrocal.diagnosis.drive.laws import (
@@ -18,9 +19,6 @@ from gyrocal.diagnosis.drive.laws import (
     SETTLING,
     BiasLaws,
     Law,
-    candidate_laws,
-    constant_laws,
-    frame_of,
     group_of,
     is_motion,
     is_slip,
@@ -39,7 +37,7 @@ from gyrocal.diagnosis.drive.motions import (
 )
 from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest, beside_means, nameless, odder, unhidden
 from gyrocal.diagnosis.drive.prior import ASYMMETRY_CHANGES, known_before, widened
-from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, nodes_of, rough_bias_dps
+from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, gram_of
 from gyrocal.diagnosis.drive.wheels import wheel_out_of_true
 from gyrocal.diagnosis.drive.yaw import YawModel, yaw_model
@@ -277,42 +275,38 @@ def examine_yaw(series: DriveSeries) -> YawAnswer:
     """Fit noise and laws to a log, delays first."""
     ahead_s, window_s = align(series) if series.differential else (0.0, 0.0)
     for _ in range(_ROUNDS):
-        answer = _examine(series, ahead_s, window_s)
+        asked = Asked.of(series, ahead_s, window_s)
+        answer = _examine(asked)
         if "delay" not in answer.chosen:
             break
         rest_s = answer.values[answer.chosen.index("delay")]
         if abs(rest_s) < _SHIFT * max(NODE_S, window_s):
             break
         ahead_s += float(rest_s)
+    else:
+        asked = Asked.of(series, ahead_s, window_s)
     # What has no name would swell the noise, the gyro's as well as the wheels', as a law would that is not in the mean; but
     # for wheels that change at an instant, which are no columns of a coordinate.
-    again = not answer.changed and bool(answer.nameless or answer.passing)
-    before = answer if again else None
-    answer = answer if before is None else _examine(series, ahead_s, window_s, before)
+    if not answer.changed and (answer.nameless or answer.passing):
+        # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
+        candidates = _of_groups(asked.laws, answer.named if answer.nameless else asked.laws)
+        asked = asked.beside(answer.beyond_candidates(asked.blocks), candidates)
+        answer = _examine(asked)
     named = "asymmetry" in answer.named
     rather = rather_than_wheels(answer.told, answer.fitted, answer.laws, GAIN) if named else []
     if not rather:
         return answer
-    moving = _examine(series, ahead_s, window_s, before, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
+    moving = _examine(asked, {"asymmetry": (0.0, ASYMMETRY_CHANGES)})
     return moving if any(n in rather for n in moving.named) else answer
 
 
 def _examine(
-    series: DriveSeries,
-    ahead_s: float,
-    window_s: float,
-    before: YawAnswer | None = None,
-    held: Mapping[str, tuple[float, float]] | None = None,
-    aside: Ints = _NO_INTERVALS,
+    asked: Asked, held: Mapping[str, tuple[float, float]] | None = None, aside: Ints = _NO_INTERVALS
 ) -> YawAnswer:
-    nodes = nodes_of(series, max(NODE_S, window_s))
-    frame = frame_of(series, nodes, ahead_s, window_s, rough_bias_dps(series))
-    constant, laws, blocks = constant_laws(frame), candidate_laws(frame), strangers(frame)
-    odd_before = [] if before is None else before.beyond_candidates(blocks)
-    model = yaw_model(frame, [*(x.column for x in (constant | laws).values()), *odd_before], aside)
-    # Columns without a name are never quite what lives there: what gains beside them alone is their misfit.
-    candidates = _of_groups(laws, laws if before is None or not before.nameless else before.named)
-    everything = constant | laws | settling_laws(frame)
+    series, frame, ahead_s = asked.series, asked.frame, asked.ahead_s
+    constant, blocks, candidates = asked.constant, asked.blocks, asked.candidates
+    model = yaw_model(asked.noise, aside)
+    everything = {**constant, **asked.laws, **settling_laws(frame)}
     free = evidence(model, columns := _columns_of(everything, blocks))
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
@@ -334,7 +328,7 @@ def _examine(
     named, changing = outlasting(model, everything, chosen, named)
     at_once = events(model, {n: columns[n] for n in (*chosen, *beside)}, known, named, GAIN)
     if at_once.size:
-        return _examine(series, ahead_s, window_s, before, held, np.union1d(aside, at_once))
+        return _examine(asked, held, np.union1d(aside, at_once))
     chosen = [n for n in chosen if _pair_of(n) in {*constant, "delay", "jump", *named, *SETTLING}]
     free, unnamed = beside_means(free, columns, chosen, beside, jumping)
     told = free.knowing(known)
@@ -350,7 +344,7 @@ def _examine(
         odd,
         tuple(c for c, test in odd.items() if test.p_value < STRANGER_P),
         ahead_s,
-        window_s,
+        asked.window_s,
         told,
         known,
         _unlike(changing, ahead_s, jumping).union(settled, earned.keys() - named.keys()),

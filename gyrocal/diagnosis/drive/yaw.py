@@ -13,7 +13,7 @@ are rows like all others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -258,15 +258,39 @@ class YawModel:
         return self._sources.field(noise, self.left_out).given(columns)
 
 
-def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
-    """Estimate the noise with columns free in the mean, then again without the intervals that stand out.
+@dataclass(frozen=True)
+class NoiseSearch:
+    """The noise of a log with columns free in the mean, looked for once for each choice of intervals that are left out.
 
-    Parameters
+    Attributes
     ----------
-    events : ndarray, shape (e,)
-        Intervals that are known to, beside those that are found.
+    y : ndarray, shape (m,)
+        Encoder turn minus gyro turn, rad.
+    columns : ndarray, shape (m, k)
+        Free in the mean, independent of each other under the noise that is usual.
+    left_out : ndarray, shape (m,)
+        Variance added to gaps and wherever else nothing is known of the robot, rad^2.
     """
-    y = difference(frame)
+
+    frame: Frame
+    y: Floats
+    usual: YawNoise
+    columns: Floats
+    left_out: Floats
+    _sources: _Sources
+    _known: dict[bytes, tuple[YawNoise, dict[str, float]]] = field(default_factory=dict)
+
+    def without(self, left_out: Floats, outliers: Ints) -> YawModel:
+        """The noise where some intervals are left out."""
+        key = left_out.tobytes()
+        if key not in self._known:
+            self._known[key] = _levels(self.frame, self._sources, self.y, self.columns, self.usual, left_out)
+        noise, log_std = self._known[key]
+        return YawModel(self.frame, self.y, noise, self.usual, left_out, outliers, log_std)
+
+
+def noise_search(frame: Frame, means: Sequence[Floats]) -> NoiseSearch:
+    """The search for the noise of a log with columns, and slow changes, free in the mean."""
     usual = usual_noise(frame.series)
     # Between the rest at the start and the first tick nobody knows whether the robot moves, and with it its bias.
     starting = ~frame.nodes.resting & ~frame.series.moved[frame.nodes.rows[:-1]]
@@ -276,20 +300,31 @@ def yaw_model(frame: Frame, means: Sequence[Floats], events: Ints) -> YawModel:
         left_out = np.where(frame.nodes.resting, left_out, LEFT_OUT)
     sources = _Sources.of(frame)
     columns = _independent(np.column_stack([*means, *slow_changes(frame)]), sources.field(usual, left_out))
-    noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
-    model = YawModel(frame, y, noise, usual, left_out, np.zeros(0, dtype=np.int64), log_std)
-    score = _scores(model, columns)
+    return NoiseSearch(frame, difference(frame), usual, columns, left_out, sources)
+
+
+def yaw_model(search: NoiseSearch, events: Ints) -> YawModel:
+    """Estimate the noise, then again without the intervals that stand out.
+
+    Parameters
+    ----------
+    events : ndarray, shape (e,)
+        Intervals that are known to, beside those that are found.
+    """
+    left_out = search.left_out
+    model = search.without(left_out, np.zeros(0, dtype=np.int64))
+    score = _scores(model, search.columns)
     found = [events, _outliers(model, score), _turned_by_hand(model, score)]
     for _ in range(_CLEARED):
         outliers = np.unique(np.concatenate([model.outliers, *found]))
         if outliers.size == model.outliers.size:
             break
-        near = np.clip(outliers[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, y.size - 1)
+        near = np.clip(outliers[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, left_out.size - 1)
+        left_out = left_out.copy()
         left_out[near.ravel()] = LEFT_OUT
         # From the start again: with the outliers the fit may have gone astray for good.
-        noise, log_std = _levels(frame, sources, y, columns, usual, left_out)
-        model = YawModel(frame, y, noise, usual, left_out, outliers, log_std)
-        found = [_turned_by_hand(model, _scores(model, columns))]
+        model = search.without(left_out, outliers)
+        found = [_turned_by_hand(model, _scores(model, search.columns))]
     return _with_usual_flicker(model)
 
 

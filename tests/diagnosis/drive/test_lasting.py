@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from gyrocal.diagnosis.drive import yaw
 from gyrocal.diagnosis.drive.beside_truth import _wheels_beside_structure
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
@@ -270,6 +272,22 @@ def test_what_happened_once_is_no_law(slip_deg: float, resting: Robot) -> None:
     assert not found.yaw.named
     assert not found.parts
     assert any(468.0 < x.from_s < x.to_s < 476.0 for x in left_out(found.yaw)) == bool(slip_deg)
+
+
+def test_the_noise_is_looked_for_once_for_each_choice_of_intervals(
+    monkeypatch: pytest.MonkeyPatch, resting: Robot
+) -> None:
+    """The search begins again for each interval that is left out: each time all levels had been, too."""
+    looked, levels = list[bytes](), yaw._levels
+
+    def noted(*given: Any) -> Any:
+        *_, columns, _, left_out = given
+        looked.append(columns.tobytes() + left_out.tobytes())
+        return levels(*given)
+
+    monkeypatch.setattr(yaw, "_levels", noted)
+    assert left_out(examine("log", circle(2.0), resting, None).yaw)
+    assert len(set(looked)) == len(looked) > 1
 
 
 @pytest.mark.slow
