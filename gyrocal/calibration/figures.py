@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.calibration.figure import Figure
-from gyrocal.calibration.fit import SurfaceFit, gls_gain
+from gyrocal.calibration.fit import SurfaceFit, gls_gain, half_width
 from gyrocal.calibration.groups import determined_order, distinct, temperature_groups
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE
@@ -320,7 +319,8 @@ def _curves(fit: SurfaceFit, left_out_dps: Floats | None, span: Span) -> Curves:
     covariance = gain @ fit.scatter.matrix @ gain.T
     rng = np.random.default_rng(_SEED)
     dof = float(np.median(fit.dof[fit.terms]))
-    scale = np.sqrt(dof / rng.chisquare(dof, _DRAWS))
+    # Of Student's law, whose standard deviation the covariance has, as in `half_width`.
+    scale = np.sqrt((dof - 2.0) / rng.chisquare(dof, _DRAWS))
     factor = np.linalg.cholesky(covariance + 1e-15 * np.trace(covariance) * np.eye(len(covariance)))
     draws = (factor @ rng.standard_normal((len(covariance), _DRAWS))) * scale
     grid_rate, grid_temp = (g.ravel() for g in np.meshgrid(rates, temps, indexing="ij"))
@@ -447,5 +447,5 @@ def _beside(fit: SurfaceFit, rest_dps: Floats, column: Floats, blank: Figure, un
     gain = gls_gain(fit.scatter.matrix, design)[-1]
     value = float(gain @ rest_dps)
     dof = float(np.median(fit.dof[fit.terms]))
-    half = float(stats.t.ppf(0.975, dof) * np.sqrt(gain @ fit.scatter.matrix @ gain))
+    half = float(half_width(0.95, dof) * np.sqrt(gain @ fit.scatter.matrix @ gain))
     return replace(blank, value=unit * value, low=unit * (value - half), high=unit * (value + half))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, stats
 
 from gyrocal.calibration.covariance import estimate_scatter
@@ -80,14 +80,25 @@ class SurfaceFit:
 
     def half_width_dps(self, level: float = 0.95) -> Floats:
         """Half widths of the coefficients' confidence intervals, shape (4, 3), deg/s."""
-        # `std_dps` is the standard deviation of Student's law, not its scale.
-        factor = stats.t.ppf(0.5 + 0.5 * level, self.dof) * np.sqrt((self.dof - 2.0) / self.dof)
-        return np.asarray(self.std_dps * np.asarray(factor).reshape(SHAPE))
+        return np.asarray(self.std_dps * half_width(level, self.dof).reshape(SHAPE))
 
     @property
     def condition(self) -> float:
         """Condition number of the scaled design."""
         return float(np.linalg.cond(self.design))
+
+
+def half_width(level: float, dof: ArrayLike) -> Floats:
+    """Half the width of an interval, in standard deviations of Student's law: the scatter's covariance has these, not its scale.
+
+    Parameters
+    ----------
+    level : float
+    dof : array_like
+        Degrees of freedom, above two.
+    """
+    dof = np.asarray(dof, dtype=np.float64)
+    return np.asarray(stats.t.ppf(0.5 + 0.5 * level, dof) * np.sqrt((dof - 2.0) / dof))
 
 
 def scaled_surface(

@@ -203,11 +203,11 @@ class Basis:
     def _averaged(self, values: Floats) -> Floats:
         m, h = self.means, self.means.series.history
         points = np.interp(m.t_s, h.t_s, values)
-        length = m.to_s - m.from_s
+        from_s, to_s = (np.clip(t, h.t_s[0], h.t_s[-1]) for t in (m.from_s, m.to_s))
         total = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1])) * h.step_s])
-        ends = [np.interp(np.clip(t, h.t_s[0], h.t_s[-1]), h.t_s, total) for t in (m.from_s, m.to_s)]
-        wide = length > 2.0 * h.step_s
-        return np.where(wide, (ends[1] - ends[0]) / np.where(wide, length, 1.0), points)
+        whole = np.interp(to_s, h.t_s, total) - np.interp(from_s, h.t_s, total)
+        wide = to_s - from_s > 2.0 * h.step_s
+        return np.where(wide, whole / np.where(wide, to_s - from_s, 1.0), points)
 
     def at(self, columns: tuple[Column, ...]) -> Floats:
         """Columns, shape (n, p)."""

@@ -168,18 +168,19 @@ def series_of_run(run: Run) -> Series:
     parts: list[dict[str, Floats]] = []
     taken: list[_Samples] = []
     notes: list[Note] = list(run.notes)
-    failed, previous_rate, unusable = 0, 0.0, 0
+    failed, rate_dps, unusable = 0, 0.0, 0
     for number, record in enumerate(run.segments):
+        # The table turns where nothing of it is used, too.
+        before_dps, rate_dps = rate_dps, record.rate_dps
         if record.outcome == "failed":
             failed += 1
             continue
         segment = run.segment(record)
-        good = segment.good
-        unusable += int((~good).sum())
-        if good.sum() < 3:
+        unusable += int((~segment.good).sum())
+        if segment.good.sum() < 3:
             continue
-        rows, samples = _segment_rows(segment, number, previous_rate)
-        previous_rate = float(rows["rate_dps"][0])
+        rows, samples = _segment_rows(segment, number, before_dps)
+        rate_dps = float(rows["rate_dps"][0])
         parts.append(rows)
         taken.append(samples)
     if not parts:
@@ -191,8 +192,7 @@ def series_of_run(run: Run) -> Series:
         notes.append(Remark(Said.SET_ASIDE_AFTER_STEPS, {"count": aside}))
     if unusable:
         notes.append(Remark(Said.UNUSABLE_SAMPLES, {"count": unusable}))
-    missing = sum(s.missing for s in taken)
-    if missing > _FEW_MISSING * sum(s.n for s in taken):
+    if (missing := sum(s.missing for s in taken)) > _FEW_MISSING * sum(s.n for s in taken):
         notes.append(Remark(Said.MISSING_SAMPLES, {"count": missing}))
     notes += sample_notes(sum(s.outliers_t_s.size for s in taken), np.concatenate([s.temp_c for s in taken]))
     notes += [s.odd for s in taken if s.odd]
@@ -239,7 +239,7 @@ class _Samples:
     noise_dps: float  # scatter of neighbouring samples
 
 
-def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[dict[str, Floats], _Samples]:
+def _segment_rows(segment: Segment, number: int, before_dps: float) -> tuple[dict[str, Floats], _Samples]:
     good = segment.good
     t, gyro = segment.t_s[good], segment.gyro_dps[good]
     rate, _, odd = reference_rate(segment.record, reduce_segment([segment]))
@@ -248,7 +248,7 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
     averaging_s = segment.record.averaging_s or step_s
     outlier = outliers(gyro)
     # Right after a step, ringing that samples are too few to follow stands out like a burst and is none.
-    settling = (t - segment.record.t_start_s < max(_HEAD_S, 10.0 * averaging_s)) & (rate != previous_rate)
+    settling = (t - segment.record.t_start_s < max(_HEAD_S, 10.0 * averaging_s)) & (rate != before_dps)
     bins = _bin_numbers(t, rate, step_s, float(segment.record.t_end_s - segment.record.t_start_s))
     keep = ~outlier
     count = np.bincount(bins[keep], minlength=bins[-1] + 1).astype(np.float64)
@@ -272,7 +272,7 @@ def _segment_rows(segment: Segment, number: int, previous_rate: float) -> tuple[
         "is_set": np.full(size, float(segment.record.kind == "rate")),
         # The step is over when a data set begins, though a sample's time may be rounded to before that.
         "since_set_s": np.maximum(mean(t) - segment.record.t_start_s, 0.0),
-        "step_dps": np.full(size, rate - previous_rate),
+        "step_dps": np.full(size, rate - before_dps),
         "angle_deg": mean(_at(segment.bench_t_s, segment.table_angle_deg, t, rate)),
         "supply_v": mean(_at(segment.bench_t_s, _smooth(segment.supply_v, segment.bench_t_s), t, 0.0)),
         "chamber_c": mean(_at(segment.bench_t_s, segment.chamber_temp_c, t, 0.0)),

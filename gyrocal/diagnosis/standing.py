@@ -47,7 +47,7 @@ def state_of_walks(model: Model, solution: Solution, fallen: Collection[str]) ->
     """
     columns_of = {c.name: c.columns for c in model.all}
     whole = np.zeros(len(model.means))
-    for name in fallen:
+    for name in sorted(fallen):
         columns = columns_of[name]
         whole += solution.random[name] if columns is None else columns @ solution.amplitudes[name]
     free = list(model.flat)

@@ -34,8 +34,7 @@ def by_data_set(series: Series, parameters: Mapping[str, Estimate]) -> dict[str,
     for name, e in parameters.items():
         if name in _INSTANTS:
             low, high = map(series.data_set_at, e.interval_95)
-            std = e.std / SURROGATE_PERIOD_S
-            found[_INSTANTS[name]] = Estimate(series.data_set_at(e.value), std, "1", (low, high))
+            found[_INSTANTS[name]] = Estimate.spanning(series.data_set_at(e.value), (low, high), "1")
         elif name in _SPANS:
             found[_SPANS[name]] = _scaled(e, 1.0 / SURROGATE_PERIOD_S, "data sets")
         else:

@@ -20,6 +20,7 @@ from gyrocal.diagnosis.names import _at_rest
 from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers, polynomials, staying
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
+from gyrocal.diagnosis.series import series_of_run
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.within import patterns
 from gyrocal.errors import CoefficientError
@@ -28,6 +29,7 @@ from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.records.run import read_run
 from gyrocal.report.folds import fold_of
 from tests.diagnosis.concealed_bench import make_recording, write_run
 from tests.diagnosis.test_lag_posterior import SHARE, TAU_S, lagging
@@ -119,6 +121,15 @@ def test_smooth_parts_are_free_of_the_surface() -> None:
     taken = polynomials(SURFACE, model.basis.frame)
     np.testing.assert_allclose(taken, np.eye(len(SURFACE)), atol=1e-9)
     assert {p.block for p in staying(means, model.basis.frame, np.arange(12))} >= {"memory", "odd rate"}
+
+
+def test_what_is_constant_has_its_value_as_mean_of_every_row() -> None:
+    """The history of the temperature begins with the second sample of a row at times: half of what it had been was its mean."""
+    means = means_of(series_of_run(read_run(Path(__file__).parents[2] / "sample_data" / "run")))
+    basis = full_model(means).basis
+    assert means.from_s[0] < means.series.history.t_s[0]
+    ones = np.ones(means.series.history.t_s.size)
+    np.testing.assert_allclose(basis._averaged(ones), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

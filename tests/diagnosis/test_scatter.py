@@ -155,6 +155,7 @@ def test_without_time_jumps_and_drifts_are_stated_by_data_set_and_back() -> None
     stated = by_data_set(untimed, jump)
     assert stated["at_data_set"].value == 34.5
     assert between_sets(stated) == Remark(Said.BETWEEN_SETS, {"first": 34, "last": 35})
+    assert stated["at_data_set"].std == pytest.approx(0.5 / 3.92, rel=0.01)
     assert between_sets(jump) is None
     drift = {
         "amplitude": Estimate(180.0, 18.0, "mdeg/s/h", (150.0, 210.0)),

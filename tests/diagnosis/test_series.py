@@ -75,6 +75,15 @@ def test_a_failed_segment_is_counted_and_moves_no_other(tmp_path: Path) -> None:
     assert sum("failed" in remark_words(note) for note in series.notes) == 1
 
 
+def test_a_step_is_from_the_rate_that_the_table_had_before(tmp_path: Path) -> None:
+    """Where nothing is used of a segment the table turned all the same: 15 deg/s had been the step after a failed one of 85."""
+    parts = [part(50.0, 50.0), replace(part(85.0, 85.0), outcome="failed"), part(-20.0, -20.0)]
+    series = series_of_run(read_run(write_run(tmp_path / "run", parts)))
+    assert series.step_dps is not None
+    steps = [series.step_dps[series.set_index == n][0] for n in (0, 2)]
+    assert steps == pytest.approx([50.0, -105.0], abs=0.01)
+
+
 def test_set_points_of_a_plan_are_the_temperatures_as_they_are_written() -> None:
     """Seven of them, ten degrees apart, are no thermometer of steps of ten degrees."""
     rate, temp = (x.ravel() for x in np.meshgrid(np.linspace(-100.0, 100.0, 21), np.linspace(-10.0, 50.0, 7)))

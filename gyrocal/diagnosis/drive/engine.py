@@ -145,7 +145,7 @@ def diagnose_drive(
         verdict=verdict(effects, located),
         located=tuple(located),
         effects=tuple(effects),
-        not_testable=not_testable(series, yaw, truth),
+        not_testable=not_testable(series, yaw, truth, [e.effect for e in effects]),
         sentences=(),
         noise=None,
         improvement=total,

@@ -466,8 +466,10 @@ def _may_be_another(effect: NamedEffect) -> bool:
     return any(effect.effect in alike and not others.isdisjoint(alike) for alike in _ALIKE)
 
 
-def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None) -> dict[str, Reason]:
-    """Effects that the log may hold and cannot show, with the reason."""
+def not_testable(
+    series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None, named: Collection[str] = ()
+) -> dict[str, Reason]:
+    """Effects that the log may hold and cannot show, with the reason; not of what was `named` all the same."""
     reasons: dict[str, Reason] = {
         ROBOT_TILT.id: Lack(Why.NO_INCLINATION),
         EARTH_RATE.id: Lack(Why.LIKE_GYRO_BIAS),
@@ -490,4 +492,4 @@ def not_testable(series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer | None)
             reasons[name] = Lack(like)
         elif truth.stds[name] > _KNOWN:
             reasons[name] = Lack(Why.POOR_TRUTH, {"percent": 100.0 * truth.stds[name]})
-    return reasons
+    return {effect: why for effect, why in reasons.items() if effect not in named}

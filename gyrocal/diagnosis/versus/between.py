@@ -302,12 +302,15 @@ def _shape_of(answer: Versus, effect_id: str, answers: Sequence[Versus]) -> dict
             continue
         if not estimates:
             return None
-        stds = np.array([max(e.std, 1e-9) for e in estimates])
-        all_of_them = spread_between(np.array([e.value for e in estimates]), stds) if stds.size > 1 else None
-        apart = all_of_them is not None and all_of_them.p_value < LEVEL
-        shape[p.name] = (
-            own.parameters[p.name].value
-            if apart and own is not None
-            else float(np.average([e.value for e in estimates], weights=stds**-2))
-        )
+        shape[p.name] = _pooled(estimates, None if own is None else own.parameters[p.name])
     return shape
+
+
+def _pooled(estimates: Sequence[Estimate], own: Estimate | None) -> float:
+    """A parameter of all recordings; a recording's own where they differ, or where it was chosen from a few."""
+    known = [e for e in estimates if np.isfinite(e.std)]
+    if len(known) < len(estimates):
+        return (own or estimates[0]).value
+    values, stds = np.array([e.value for e in known]), np.array([max(e.std, 1e-9) for e in known])
+    apart = stds.size > 1 and spread_between(values, stds).p_value < LEVEL
+    return own.value if apart and own is not None else float(np.average(values, weights=stds**-2))

@@ -156,7 +156,7 @@ def match(
         expected = a.start_s + clock.offset_s + 1e-6 * clock.drift_ppm * a.start_s
         apart = (b.start_s[None, :] - expected[:, None]) / scale
         left, right, in_order = _partners(likeness / (1.0 + apart**2))
-        clock = _clock(a.start_s[left], b.start_s[right])
+        clock = _clock(a.start_s[left], b.start_s[right]) if in_order else None
     surface = surface_of(simulated)
     pairs = _alike(a, b, dict(zip(left.tolist(), right.tolist(), strict=True)))
     between = _between(real, simulated, a, pairs)

@@ -102,6 +102,18 @@ def test_a_drive_without_a_rest_may_tell_the_white_noise_of_its_gyro(tmp_path: P
     assert noise.arw_dps_per_rt_hz == pytest.approx(0.03, rel=0.3)
 
 
+def test_what_is_named_is_not_said_to_be_untestable(tmp_path: Path) -> None:
+    """A bias of 2 deg/s had been named, and not testable "because the log does not begin with a rest"."""
+    path = tmp_path / "robot.toml"
+    path.write_text("wheel_separation_m = 0.5\nstatic_s = 0.0\n")
+    log = drive(Plan(minutes=3, rest_s=0.0, bias_dps=2.0, tick_m=4e-4), 3)
+    told = diagnose_drive("drive.csv", log, read_robot(path)).diagnosis
+    named = {e.effect for e in told.effects}
+    assert "gyro_bias" in named
+    assert named.isdisjoint(told.not_testable)
+    assert "wheel_scale" in told.not_testable
+
+
 def names(result: DriveDiagnosis) -> list[str]:
     return [e.effect for e in result.diagnosis.effects]
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import Options
+from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import Versus, versus
-from gyrocal.diagnosis.versus.between import Between, between
+from gyrocal.diagnosis.versus.between import Between, _pooled, between
 from gyrocal.report.between import between_file, between_table, between_told
 from tests.diagnosis.versus.tables import SURFACE, plan, table
 
@@ -46,6 +47,17 @@ def test_what_differs_is_told_from_what_does_not(units: tuple[list[Versus], list
     assert not shared.differs
     low, high = shared.spread.mean_interval_95
     assert low < 500.0 < high
+
+
+def test_a_parameter_is_pooled_where_its_uncertainty_is_known() -> None:
+    """Of a parameter that is chosen from a few values nobody knows one: its mean had been no number."""
+    near, other, far = (Estimate.normal(v, 0.1, "1") for v in (2.0, 2.1, 5.0))
+    assert _pooled([near, other], near) == pytest.approx(2.05)
+    assert _pooled([near, far], far) == 5.0
+    assert _pooled([near], None) == 2.0
+    three, four = Estimate.exact(3.0, "1"), Estimate.exact(4.0, "1")
+    assert _pooled([three, four], four) == 4.0
+    assert _pooled([three, four], None) == 3.0
 
 
 @pytest.mark.slow
