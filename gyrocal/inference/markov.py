@@ -11,9 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import optimize
+
+from gyrocal.inference.compiled import njit
 
 Floats = NDArray[np.float64]
 

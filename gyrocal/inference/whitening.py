@@ -9,13 +9,15 @@ one pass; the restricted likelihood of its innovations gives the levels.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.stats import chi2
+
+from gyrocal.inference.compiled import njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -48,17 +50,6 @@ class Rows(Protocol):
     def set_index(self) -> Ints:
         """Data set that the row belongs to."""
         ...
-
-
-try:
-    from numba import njit
-
-    HAVE_NUMBA = True
-except ImportError:  # the same functions run as plain Python, on blocks of columns
-    HAVE_NUMBA = False
-
-    def njit(*_: Any, **__: Any) -> Any:  # type: ignore[no-redef]
-        return lambda function: function
 
 
 #: Correlation times of the bias noise, s; a record that is longer than the last has more, a decade apart.
@@ -184,23 +175,6 @@ def _colour_loops(decay, read, drive, flicker):  # type: ignore[no-untyped-def] 
     return out
 
 
-def _whiten_numpy(
-    decay: Floats, read: Floats, fresh: NDArray[np.bool_], gains: Floats, std: Floats, X: Floats
-) -> Floats:
-    """The same recursion with all columns at once, for where numba is not installed."""
-    k = decay.shape[1]
-    state = np.zeros((k + 1, X.shape[1]))
-    out = np.empty_like(X)
-    for i in range(X.shape[0]):
-        if fresh[i]:
-            state[k] = 0.0
-        state[:k] *= decay[i][:, None]
-        innovation = X[i] - read[i] @ state[:k] - state[k]
-        state += gains[i][:, None] * innovation
-        out[i] = innovation / std[i]
-    return out
-
-
 class NoiseModel:
     """Covariance of the rows of a record, but for its levels.
 
@@ -228,8 +202,7 @@ class NoiseModel:
     def whiten(self, levels: NoiseLevels, X: Floats) -> tuple[Floats, Floats]:
         """Whitened columns, shape (n, m), and the standard deviations of the innovations, shape (n,)."""
         decay, read, gains, std = self._filter(levels)
-        run = _whiten_loops if HAVE_NUMBA else _whiten_numpy
-        return run(decay, read, self.fresh, gains, std, np.ascontiguousarray(X)), std
+        return _whiten_loops(decay, read, self.fresh, gains, std, np.ascontiguousarray(X)), std
 
     def _filter(self, levels: NoiseLevels) -> tuple[Floats, Floats, Floats, Floats]:
         decay, read, drive = self.states(levels)

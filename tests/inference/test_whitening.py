@@ -1,4 +1,4 @@
-"""The noise model: its filter against the dense covariance, its levels, and the fallback without numba."""
+"""The noise model: its filter against the dense covariance, and its levels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from scipy.stats import chi2, kstest
 from gyrocal.diagnosis.history import temperature_history
 from gyrocal.diagnosis.series import Raw, Series
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.inference import whitening
 from gyrocal.inference.whitening import (
     TAUS_S,
     Likelihood,
@@ -93,17 +92,6 @@ def test_the_processes_of_a_longer_record_stay_a_decade_apart() -> None:
     later = model.gap_s > 0.0
     taus = -model.gap_s[later][:, None] / np.log(model.decay[later][:, 1:])
     np.testing.assert_allclose(taus[0], [20.0, 200.0, 2e3, 2e4, 2e5], rtol=1e-6)
-
-
-def test_fallback_without_numba_is_the_same() -> None:
-    model = NoiseModel(make_series(10))
-    X = np.random.default_rng(2).standard_normal((model.fresh.size, 3))
-    fast, std = model.whiten(LEVELS, X)
-    decay, read, drive = model.states(LEVELS)
-    white_var, offset_var = LEVELS.white**2 * model.white_var, LEVELS.jitter**2 * model.rate_var
-    gains, _ = whitening._gains(decay, read, drive, model.fresh, white_var, offset_var)
-    slow = whitening._whiten_numpy(decay, read, model.fresh, gains, std, X)
-    np.testing.assert_allclose(slow, fast, rtol=1e-10, atol=1e-12)
 
 
 def test_levels_are_found_again() -> None:
