@@ -1,12 +1,14 @@
 """What each layer is worth on data left out, from the surface alone down to the noise.
 
 Whole data sets, and whole temperatures or sweeps, are left out in turn. Under a Gaussian model the prediction of
-what is left out, and its covariance, follow from the precision matrix at once (`P_oo^-1 P y`), surface included.
+what is left out, and its covariance, follow from the precision matrix at once (`P_oo^-1 P y`), surface included. How
+probable it is counts all of that; the error is one without what its neighbours tell of the noise, which no robot has: a walk
+of the bias would follow whatever the layers lack.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +18,7 @@ from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement, Layer
-from gyrocal.inference.additive import precision
+from gyrocal.inference.additive import Component, adds, precision
 from gyrocal.inference.resampling import block_means
 
 Floats = NDArray[np.float64]
@@ -89,26 +91,49 @@ def _stretches(means: Means) -> Ints:
     return np.asarray(unit * _BLOCKS // max(_BLOCKS, int(unit.max()) + 1))
 
 
-def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints]) -> LeftOut:
-    """Predict what is left out under some of the components of a fitted model, at its variances."""
+def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints], passing: Collection[str] = ()) -> LeftOut:
+    """Predict what is left out under some of the components of a fitted model, at its variances.
+
+    Parameters
+    ----------
+    passing : components of which an error is one of the mean over the record, whatever the neighbours tell of them
+    """
     flat = model.design[:, model.flat]
     score, p = precision(model.error_dps, flat, model.all, fitted.fit.variance)
+    told = _beyond_mean(flat, [c for c in model.all if c.name in passing], fitted.fit.variance)
+    told_p = told @ p
     squares, logloss, variance = [], [], []
     for rows in folds:
         block = p[np.ix_(rows, rows)]
         block = block + 1e-12 * np.trace(block) / len(block) * np.eye(len(block))
         covariance = np.linalg.inv(block)
         error = covariance @ score[rows]
-        squares.append(error**2)
-        variance.append(np.diag(covariance))
         each = 0.5 * (error * score[rows] - np.linalg.slogdet(block)[1] / len(rows) + np.log(2.0 * np.pi))
         logloss.append(each)
+        # What the others tell of the passing here: it is by what they are beside the prediction of the whole.
+        own = told[np.ix_(rows, rows)]
+        of_others = told_p[np.ix_(rows, rows)] - own @ p[np.ix_(rows, rows)]
+        followed = told[rows] @ score - own @ score[rows] - of_others @ error
+        known = np.einsum("ij,ij->i", told_p[rows] - own @ p[rows], told[rows])
+        known -= np.einsum("ij,ij->i", of_others, own) + np.einsum(
+            "ij,jk,ik->i", of_others, covariance, of_others
+        )
+        squares.append((error + followed) ** 2)
+        variance.append(np.diag(covariance) + np.maximum(known, 0.0))
     return LeftOut(
         np.concatenate(squares),
         np.concatenate(logloss),
         np.concatenate(variance),
         _stretches(model.means)[np.concatenate(folds)],
     )
+
+
+def _beyond_mean(flat: Floats, passing: Sequence[Component], variance: Mapping[str, float]) -> Floats:
+    """Covariance of what passes beyond what free columns take of it over the record, with all of it, shape (n, n)."""
+    whole = np.zeros((len(flat), len(flat)))
+    for c in passing:
+        whole += variance[c.name] * adds(c)
+    return whole - flat @ np.linalg.lstsq(flat, whole, rcond=None)[0]
 
 
 def improvement(
@@ -184,13 +209,17 @@ def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
     sets = np.concatenate([means.is_set[rows] for rows in folds])
     sets = sets if sets.any() else ~sets
     rng = np.random.default_rng([seed, 7])
-    whole = leave_out(fitted, fitted.model, folds)
+    surface = fitted.model
+    for step in reversed(steps):
+        surface = step.less(surface)
+    passing = surface.components.keys() - {part.name for part in surface.parts}
+    whole = leave_out(fitted, fitted.model, folds, passing)
     # What noise alone moves this much is extrapolated from what is left: no model is judged by it.
     sure = sets & (whole.variance < _EXTRAPOLATED**2 * np.median(whole.variance[sets]))
     on_the_way, model = [whole], fitted.model
     for step in reversed(steps):
         model = step.less(model)
-        on_the_way.append(leave_out(fitted, model, folds))
+        on_the_way.append(leave_out(fitted, model, folds, passing))
     names = ["", *(step.name for step in steps)]
     layers = [_layer(n, f, sure) for n, f in zip(names, reversed(on_the_way), strict=True)]
     each = {}
@@ -198,8 +227,8 @@ def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
         judged, by_itself = fitted, whole
         if step.instead:
             judged = _without(fitted, step.instead)
-            by_itself = leave_out(judged, judged.model, folds)
-        without = leave_out(judged, step.less(judged.model), folds)
+            by_itself = leave_out(judged, judged.model, folds, passing)
+        without = leave_out(judged, step.less(judged.model), folds, passing)
         each[step.name] = improvement(without, by_itself, sure, rng)
     return Staircase(tuple(layers), improvement(on_the_way[-1], whole, sure, rng), each)
 

@@ -393,7 +393,7 @@ def _freed(
     """``P = V^-1 (1 - X G)`` and ``G = (X' V^-1 X)^-1 X' V^-1``, shapes (n, n) and (p, n)."""
     v = np.zeros((len(flat), len(flat)))
     for c in components:
-        v += variance[c.name] * _adds(c)
+        v += variance[c.name] * adds(c)
     v[np.diag_indices_from(v)] += JITTER * np.trace(v) / len(v)
     inverse = linalg.inv(v)
     vx = inverse @ flat
@@ -401,7 +401,7 @@ def _freed(
     return inverse - vx @ gain, gain
 
 
-def _adds(component: Component) -> Floats:
+def adds(component: Component) -> Floats:
     """What a component of unit variance adds to the covariance of the rows."""
     if component.columns is not None:
         return np.asarray(component.columns @ component.columns.T)
@@ -426,7 +426,7 @@ def widened(
     information, pulls = np.zeros((size, size)), np.zeros((y.size, size))
     weighted: list[Floats] = []
     for k, c in enumerate(components):
-        added = variance[c.name] * _adds(c)
+        added = variance[c.name] * adds(c)
         pulls[:, k] = added @ score
         weighted.append(p @ added)
         information[k, : k + 1] = [0.5 * np.sum(w * weighted[k].T) for w in weighted]

@@ -95,6 +95,12 @@ class Given:
         seen = np.einsum("ks,ksm->km", f.after, means[1:]) + np.einsum("ks,ksm->km", f.before, means[:-1])
         return np.asarray((self.columns - seen) / f.noise[:, None])
 
+    def inverse_diagonal(self) -> Floats:
+        """Diagonal of ``V^-1``, shape (n,)."""
+        f = self.field
+        *_, of_seen = _spread(self.lower, self.below, f.keep, f.before, f.after)
+        return np.asarray((1.0 - of_seen / f.noise) / f.noise)
+
     def _means(self, mixed: Floats | None = None) -> Floats:
         """Means of the states given each of the columns, or each mixture of them (shape (m, q)): shape (n + 1, s, q)."""
         states = self.states if mixed is None else self.states @ mixed

@@ -59,6 +59,38 @@ def test_log_loss_on_rows_left_out_is_that_of_their_prediction() -> None:
     np.testing.assert_allclose(found.variance, np.diag(law.cov), rtol=1e-3)
 
 
+def test_an_error_is_one_without_what_neighbours_tell_of_the_noise() -> None:
+    """By the conditional normal law of what passes, less what the free columns take of it over the whole record."""
+    rng = np.random.default_rng(5)
+    n, out = 14, np.array([4, 5, 11])
+    flat = np.column_stack([np.ones(n), np.arange(n) / n])
+    columns, y = rng.standard_normal((n, 2)), np.cumsum(rng.standard_normal(n))
+    walk = np.minimum.outer(np.arange(1.0, n + 1), np.arange(1.0, n + 1))
+    parts = [
+        Component("part", columns),
+        Component("walk", covariance=walk),
+        Component("white", covariance=np.eye(n)),
+    ]
+    variance = {"part": 0.7, "walk": 0.5, "white": 0.4}
+    means = SimpleNamespace(set_index=np.arange(n), t_s=np.arange(n))
+    model = SimpleNamespace(design=flat, flat=(0, 1), error_dps=y, all=parts, means=means)
+    fitted = SimpleNamespace(fit=SimpleNamespace(variance=variance))
+    found = leave_out(cast(Fitted, fitted), cast(Model, model), [out], {"walk", "white"})
+    stays = 0.7 * columns @ columns.T + 1e5 * flat @ flat.T
+    passes = 0.5 * walk + 0.4 * np.eye(n)
+    rest = np.setdiff1d(np.arange(n), out)
+    gain = np.linalg.inv((stays + passes)[np.ix_(rest, rest)])
+    taken = flat @ np.linalg.pinv(flat)
+    mean = passes[:, rest] @ gain @ y[rest]
+    predicted = stays[np.ix_(out, rest)] @ gain @ y[rest] + (taken @ mean)[out]
+    np.testing.assert_allclose(found.squares, (y[out] - predicted) ** 2, rtol=1e-3, atol=1e-6)
+    # As it scatters over records that are made of the model.
+    drawn = rng.multivariate_normal(np.zeros(n), 0.7 * columns @ columns.T + passes, 40_000)
+    of_rest = stays[np.ix_(out, rest)] @ gain + (taken @ passes[:, rest])[out] @ gain
+    errors = drawn[:, out] - drawn[:, rest] @ of_rest.T
+    np.testing.assert_allclose(found.variance, errors.var(axis=0), rtol=0.05)
+
+
 @pytest.mark.slow
 def test_a_hidden_step_of_the_scale_factor_is_a_step_of_the_staircase(stepped: Diagnosis) -> None:
     assert [layer.name for layer in stepped.layers][:2] == ["", "scale_step"]

@@ -44,6 +44,7 @@ def test_likelihood_and_inverse_are_those_of_the_dense_matrix() -> None:
     assert given.log_det == pytest.approx(np.linalg.slogdet(v)[1], rel=1e-12)
     np.testing.assert_allclose(given.gram, columns.T @ np.linalg.solve(v, columns), rtol=1e-9)
     np.testing.assert_allclose(given.inverse(), np.linalg.solve(v, columns), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(given.inverse_diagonal(), np.diag(np.linalg.inv(v)), rtol=1e-8)
 
 
 def test_variances_that_make_no_matrix_are_refused() -> None:

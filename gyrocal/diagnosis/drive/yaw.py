@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import Frame, difference, slow_changes
 from gyrocal.diagnosis.drive.series import DriveSeries
@@ -60,6 +61,9 @@ LEFT_OUT = 1.0
 _CREEPING = 0.1
 #: Robust standard deviations from which on a wheel spins or the gyro spikes, and neighbours that go with it.
 _FAR, NEIGHBOURS = 5.0, 2
+#: Share of the rows that a median is worth of a scale (its efficiency under a normal law), and of what an interval says that
+#: columns leave it at the least.
+_MEDIAN_TELLS, _FOLLOWED = 0.37, 1e-6
 #: Intervals at rest that tell how widely they scatter, and how often those that stand out are looked for anew.
 _FEWEST, _CLEARED = 10, 4
 
@@ -422,13 +426,20 @@ def _turned_by_hand(model: YawModel, score: Floats) -> Ints:
     if np.count_nonzero(resting) < _FEWEST:
         return np.zeros(0, dtype=np.int64)
     score = np.where(resting, score, 0.0)
-    least = max(_FAR * STDS_PER_MAD * float(np.median(score[resting])), 0.5 * float(score.max()))
+    scale = STDS_PER_MAD * float(np.median(score[resting]))
+    # So few intervals tell their own scale to a few degrees of freedom.
+    far = float(stats.t.isf(stats.norm.sf(_FAR), _MEDIAN_TELLS * np.count_nonzero(resting)))
+    least = max(far * scale, 0.5 * float(score.max()))
     return np.flatnonzero(score > least)
 
 
 def _scores(model: YawModel, columns: Floats) -> Floats:
-    """How far each interval is from what all others say of it, in its white noise."""
+    """How far each interval is from what all others say of it, in standard deviations under the noise; 0 where they say nothing."""
     given = model.given(np.column_stack([columns, model.y]))
-    weighed, gram = given.inverse(), given.gram[:-1]
-    values = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
-    return np.asarray(np.abs(weighed[:, -1] - weighed[:, :-1] @ values) * np.sqrt(model.white))
+    weighed, gram, alone = given.inverse(), given.gram[:-1], given.inverse_diagonal()
+    inverse = np.linalg.pinv(gram[:, :-1], hermitian=True)
+    off = np.abs(weighed[:, -1] - weighed[:, :-1] @ inverse @ gram[:, -1])
+    # Of an interval that columns follow wherever it lies nothing is left to be looked at.
+    left = alone - np.einsum("ij,jk,ik->i", weighed[:, :-1], inverse, weighed[:, :-1])
+    told = left > _FOLLOWED * alone
+    return np.where(told, off / np.sqrt(np.where(told, left, 1.0)), 0.0)

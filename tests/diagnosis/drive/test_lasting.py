@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -246,6 +247,19 @@ def test_slips_of_a_wheel_are_left_out_and_said(resting: Robot) -> None:
     assert [x["turn_deg"] for x in told] == pytest.approx(turned_deg, abs=0.2)
     (said,) = [line for line in drive_sentences(found) if "are left out of all fits" in line]
     assert said.count("deg at") == 3
+
+
+@pytest.mark.parametrize("intervals", [10, 14, 60])
+def test_few_intervals_at_rest_do_not_stand_out_by_chance(intervals: int) -> None:
+    """Of ten, one in seven logs had a hand that turned the robot, by thousandths of a degree: their median is no scale."""
+    rng = np.random.default_rng(intervals)
+    nodes = SimpleNamespace(resting=np.ones(intervals, dtype=bool))
+    model = cast(Any, SimpleNamespace(frame=SimpleNamespace(nodes=nodes), left_out=np.zeros(intervals)))
+    drawn = np.abs(rng.standard_normal((2000, intervals)))
+    assert sum(yaw._turned_by_hand(model, score).size > 0 for score in drawn) <= 4
+    turned = drawn[0].copy()
+    turned[3] = 1000.0
+    assert yaw._turned_by_hand(model, turned).tolist() == [3]
 
 
 def circle(slip_deg: float) -> DriveBlock:
