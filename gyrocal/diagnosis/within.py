@@ -143,10 +143,10 @@ def patterns(series: Series, level: float) -> list[Pattern]:
     return sorted(_with_intervals(laws, series, rows, sets, result), key=lambda p: p.p_value)
 
 
-def tested_alone(series: Series, coordinate: str) -> list[Pattern]:
-    """Every law that runs with a coordinate within data sets, by itself, as the sets show it."""
+def tested_alone(series: Series) -> list[Pattern]:
+    """Every law that runs with the table angle within data sets, by itself, as the sets show it."""
     rows = _usable(series)
-    tried = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == coordinate]
+    tried = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == "table_angle"]
     if not (tried and rows.any()):
         return []
     laws, sets = _Laws(series), np.unique(series.set_index[rows], return_inverse=True)[1]

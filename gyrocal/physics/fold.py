@@ -127,13 +127,9 @@ def on_own(label: str) -> Fold:
     return fold
 
 
-def on_model(label: str) -> Fold:
-    """Folded on what the effect adds, as modelled, in mdeg/s."""
-
-    def fold(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
-        return plain(label, error_dps * _MDPS)
-
-    return fold
+def on_lag(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
+    """Folded on what a lag adds, as modelled, in mdeg/s."""
+    return plain("Error by the lag as modelled, mdeg/s", error_dps * _MDPS)
 
 
 def near_zero_rate(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:

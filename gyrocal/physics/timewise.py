@@ -128,9 +128,7 @@ WARM_UP = Effect(
     reference="IEEE Std 952, warm-up time",
     runtime=True,
     error_dps=memoryless(_warm_up),
-    search=Search(
-        grid=scales("tau_s", 120.0, 7200.0, 12), refined=("tau_s",), requires=(begins_warm,), adds_up=True
-    ),
+    search=Search(grid=scales(120.0, 7200.0, 12), refined=("tau_s",), requires=(begins_warm,), adds_up=True),
     c_text=CText(_warm_up_c),
 )
 
