@@ -69,7 +69,7 @@ from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SMOOTHING_S
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
-from gyrocal.units import S_PER_MIN
+from gyrocal.units import DPS_TO_DPH, S_PER_H, S_PER_MIN
 
 Floats = NDArray[np.float64]
 
@@ -434,8 +434,8 @@ def _noise_figures(series: Series, model: NoiseModel, levels: NoiseLevels) -> No
     walk = angle_random_walk(series)
     # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
     # IEEE 952 gives for both signs of the frequency, over a decade.
-    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
-    wander = levels.walk * 3600.0 * 60.0 if levels.walk and series.has_time else None
+    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * DPS_TO_DPH
+    wander = levels.walk * DPS_TO_DPH * S_PER_H**0.5 if levels.walk and series.has_time else None
     return NoiseFigures(
         levels.white * model.typical_white, walk and walk[0], float(flicker), 1e6 * levels.jitter, wander
     )
