@@ -156,7 +156,7 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [*places_of_table(found), *(f.place for f in findings)]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
-    told = _of_file(found, withheld, (layered, parts), written, why_not)
+    of_file = _of_file(found, withheld, (layered, parts), written, why_not)
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -170,7 +170,7 @@ def diagnose(
         surface=coefficients or surface,
         improved=None if written is None else with_terms(written, coefficients),
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *lost, *far, *told),
+        notes=(*notes, *series.notes, *lost, *far, *of_file),
         layers=stairs.layers,
         unnamed=parts,
     )
@@ -384,8 +384,8 @@ def _sines(written: Coefficients) -> list[Remark]:
     phases = [law.parameters["phase_rad_per_dps"] for law in laws]
     # Of a law at a share of its own the phase was not fitted with the cubic.
     phases = [phase for phase in phases if phase["std"] > 0.0]
-    facts = [{"phase_rad": scale_dps * p["value"], "std_rad": scale_dps * p["std"]} for p in phases]
-    return [Remark(Said.SINE_WRITTEN, {"rate_dps": scale_dps, **told}) for told in facts]
+    sines = [{"phase_rad": scale_dps * p["value"], "std_rad": scale_dps * p["std"]} for p in phases]
+    return [Remark(Said.SINE_WRITTEN, {"rate_dps": scale_dps, **sine}) for sine in sines]
 
 
 def _sampling(series: Series, names: Sequence[NamedEffect]) -> list[Finding]:

@@ -11,15 +11,13 @@ from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.report import style
 from gyrocal.report.diagnosis_marks import PALE, bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import Floats, Fold, bin_rows, fold_of
-from gyrocal.report.levels import cell_edges, levels
+from gyrocal.report.levels import cell_edges, map_levels
 from gyrocal.report.sentences import counted, has_times
 from gyrocal.report.words import fixed
 from gyrocal.units import NORMAL_95, S_PER_H, decimals
 
 _MDPS = 1e3
 _BIN_TIME_S = 60.0
-_MOST_RATES = 64
-_MOST_TEMPERATURES = 12
 #: Before and after are drawn beside each other, so that neither hides the other; share of a bin.
 _APART = 0.14
 #: Length of the linear part of a logarithmic axis to either side of zero, in decades.
@@ -125,8 +123,7 @@ def _cells(rows: Rows, values: Floats, chosen: NDArray[np.bool_]) -> tuple[Float
         np.asarray(np.bincount(number, v[chosen] * weight) / total)
         for v in (rows.rate_dps, rows.temp_c, values)
     )
-    rates, _ = levels(rate, most=_MOST_RATES, bins=24)
-    temps, _ = levels(temp, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    rates, temps = map_levels(rate, temp)
     table = np.full((len(temps), len(rates)), np.nan)
     for i, level in enumerate(temps):
         for j, column in enumerate(rates):
