@@ -221,9 +221,8 @@ def _read_again(
     course = reading.course.course()
     spans = jumps_of(course, reading.stepped.step)
     bias = None if spans else _over_temperature(course)
-    trend = Trend()
 
-    def again() -> Reading:
+    def again(spans: Sequence[tuple[float, float]], trend: Trend) -> Reading:
         blocks = without_glitches(log_blocks(config.path, config.choice, []), [])
         blocks = without(blocks, spans)
         if bias is not None:
@@ -231,7 +230,7 @@ def _read_again(
         return read_rest(less(blocks, lambda block: trend.smooth_dps(block.t_s)))
 
     if spans or bias is not None:
-        reading = again()
+        reading = again(spans, Trend())
     if bias is not None:
         low_c, high_c = np.min(course.temp_c), np.max(course.temp_c)
         notes.append(
@@ -240,8 +239,8 @@ def _read_again(
         )
     found = trend_of(reading.course.course(), spans, off_dps)
     if found != Trend():
-        trend, spans = found, sorted([*spans, *found.steps])
-        reading = again()
+        spans = sorted([*spans, *found.steps])
+        reading = again(spans, found)
         notes += [f"{what} is taken off before noise is told" for what in _said(found)]
     return reading, replace(found, steps=tuple(spans))
 
