@@ -41,7 +41,7 @@ from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice
 from gyrocal.records.run import Run, read_run
 from gyrocal.records.scale import STUCK
-from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H, plural
+from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, PPM, S_PER_H, plural
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,6 @@ _LEAST_RAMP_C, _TEMPERATURE_ORDER = 10.0, 3
 _TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
 #: An output that changes by less than this share of itself is one number, but for rounding.
 _SAME = 1e-12
-_PPM = 1e6
 #: Figures of an hour are not told to better than this, so that rounding may do as much unsaid.
 _ROUNDED = 0.01
 
@@ -492,4 +491,4 @@ def _clock(reading: Reading, rate_hz: float | None) -> Figure:
         return replace(blank, reason="no two time stamps follow each other")
     error = reading.steps / rate_hz / reading.elapsed_s - 1.0
     half = NORMAL_95 * reading.jitter_s / reading.elapsed_s
-    return _with_interval(blank, error, half, _PPM)
+    return _with_interval(blank, error, half, 1.0 / PPM)

@@ -59,7 +59,6 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS
 from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.lacking import Reason
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, REFERENCE_RATE_ERROR, SAGNAC_SINE, TRUNCATION
@@ -69,7 +68,7 @@ from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SMOOTHING_S
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
-from gyrocal.units import DPS_TO_DPH, S_PER_H, S_PER_MIN
+from gyrocal.units import DPS_TO_DPH, MDPS, S_PER_H, S_PER_MIN
 
 Floats = NDArray[np.float64]
 

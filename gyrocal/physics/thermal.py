@@ -15,7 +15,6 @@ import numpy as np
 from gyrocal.physics.c_text import POWER, CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions, Memory
 from gyrocal.physics.effect import (
-    MDPS,
     Effect,
     Floats,
     amplitude,
@@ -40,7 +39,7 @@ from gyrocal.physics.offer import (
 )
 from gyrocal.physics.search import Search, Shape, Unit, scales
 from gyrocal.physics.surface import Surface
-from gyrocal.units import S_PER_MIN
+from gyrocal.units import MDPS, S_PER_MIN
 
 #: Time constant of the low-pass in the causal temperature rate, s.
 SMOOTHING_S = 30.0
