@@ -21,6 +21,10 @@ DEG_PER_RT_H_TO_DPS_PER_RT_HZ = 1.0 / 60.0
 DEG_TO_RAD = 0.017453292519943295
 RAD_TO_DEG = 57.29577951308232
 
+#: mdeg/s to deg/s, parts per million to a share.
+MDPS = 1e-3
+PPM = 1e-6
+
 #: Arc-seconds to degrees.
 ARCSEC_TO_DEG = 1.0 / 3600.0
 

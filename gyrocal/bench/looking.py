@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -51,7 +52,6 @@ class Lookout:
         self.gyro_temp_c = float("nan")
         self.chamber_c = float("nan")
         self.turns_ccw = self.turns_cw = 0.0
-        self.asked_again = 0
         #: How often, and by how much at last, the angle went where the rate does not lead.
         self.jumps = 0
         self.jumped_deg = 0.0
@@ -166,8 +166,6 @@ class Lookout:
     def _ask(self, question: Callable[[], T]) -> T:
         """Ask a device, again when its answer is missing or damaged; commands are never repeated like this."""
         for _ in range(_ASKED - 1):
-            try:
+            with contextlib.suppress(DeviceError):
                 return question()
-            except DeviceError:
-                self.asked_again += 1
         return question()

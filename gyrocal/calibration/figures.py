@@ -23,11 +23,10 @@ from gyrocal.calibration.fit import SurfaceFit, gls_gain, half_width
 from gyrocal.calibration.groups import determined_order, distinct, temperature_groups
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE
-from gyrocal.units import DPS_TO_DPH
+from gyrocal.units import DPS_TO_DPH, PPM
 
 Floats = NDArray[np.float64]
 
-_PPM = 1e6
 _RATES, _TEMPS = 161, 9
 _DRAWS = 1500
 _SEED = 952
@@ -136,43 +135,43 @@ LAWS: Mapping[str, Law] = {
         "ppm",
         "least-squares slope of the error over the rate, all rates alike, middle temperature",
         "rate",
-        lambda c: _PPM * _mid(c.slope()),
+        lambda c: _mid(c.slope()) / PPM,
     ),
     "scale_factor_temperature_sensitivity": _law(
         "ppm/°C",
         "slope of that slope over the temperature",
         "rate temperature",
-        lambda c: _PPM * c.temperature_slope(c.slope()),
+        lambda c: c.temperature_slope(c.slope()) / PPM,
     ),
     "scale_factor_over_temperature": _law(
         "ppm peak to peak",
         "range of that slope over the temperatures",
         "rate temperature",
-        lambda c: _PPM * np.ptp(c.slope(), axis=0),
+        lambda c: np.ptp(c.slope(), axis=0) / PPM,
     ),
     "scale_factor_nonlinearity_rms": _law(
         "ppm of full scale",
         "rms of the error less its straight line, middle temperature",
         "rate",
-        lambda c: _PPM * c.rms(c.off_line()) / c.full_dps,
+        lambda c: c.rms(c.off_line()) / c.full_dps / PPM,
     ),
     "scale_factor_nonlinearity_max": _law(
         "ppm of full scale",
         "largest error less its straight line, middle temperature",
         "rate",
-        lambda c: _PPM * np.max(np.abs(c.off_line()), axis=0) / c.full_dps,
+        lambda c: np.max(np.abs(c.off_line()), axis=0) / c.full_dps / PPM,
     ),
     "scale_factor_nonlinearity_of_rate": _law(
         "ppm of the rate",
         f"largest error less its line, over the rate, above {_LEAST_RATE:.0%} of full scale",
         "rate",
-        lambda c: _PPM * _largest_share(c),
+        lambda c: _largest_share(c) / PPM,
     ),
     "scale_factor_asymmetry": _law(
         "ppm",
         "slope for positive less that for negative rates, middle temperature",
         "rate signs",
-        lambda c: _PPM * (_mid(c.slope(c.rate_dps >= 0)) - _mid(c.slope(c.rate_dps <= 0))),
+        lambda c: (_mid(c.slope(c.rate_dps >= 0)) - _mid(c.slope(c.rate_dps <= 0))) / PPM,
     ),
     "bias": _law(
         "deg/h",
@@ -389,7 +388,7 @@ def history_figures(fit: SurfaceFit, sample: str, span: Span) -> list[Figure]:
                 "error at a rate that was reached from below, less when from above",
                 sample=sample,
             ),
-            _PPM / full,
+            1.0 / (PPM * full),
         ),
         _beside(
             fit,

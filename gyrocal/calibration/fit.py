@@ -173,7 +173,7 @@ def fit_surface(
 def predicted_output(sets: DataSets, terms: NDArray[np.bool_] = ALL_TERMS) -> Floats:
     """Output of each data set as the surface predicts it at the true rate, shape (n,), deg/s: free of its noise.
 
-    Two rounds of equal weights: the noise of the outputs is far below what moves the surface's columns.
+    A few rounds of equal weights: the noise of the outputs is far below what moves the surface's columns.
     """
     output = sets.gyro_dps
     for _ in range(_ROUNDS):

@@ -41,7 +41,7 @@ from gyrocal.records.bags import is_bag
 from gyrocal.records.gyro_log import ALL_EMPTY, GyroChoice
 from gyrocal.records.run import Run, read_run
 from gyrocal.records.scale import STUCK
-from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, S_PER_H, plural
+from gyrocal.units import DEG_TO_RAD, DPS_TO_DPH, EARTH_RATE_DPH, NORMAL_95, PPM, S_PER_H, plural
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,6 @@ _LEAST_RAMP_C, _TEMPERATURE_ORDER = 10.0, 3
 _TURNING_DPS, _TURNING_SHARE, _LARGEST_BIAS_DPS = 5.0, 0.02, 30.0
 #: An output that changes by less than this share of itself is one number, but for rounding.
 _SAME = 1e-12
-_PPM = 1e6
 #: Figures of an hour are not told to better than this, so that rounding may do as much unsaid.
 _ROUNDED = 0.01
 
@@ -221,9 +220,8 @@ def _read_again(
     course = reading.course.course()
     spans = jumps_of(course, reading.stepped.step)
     bias = None if spans else _over_temperature(course)
-    trend = Trend()
 
-    def again() -> Reading:
+    def again(spans: Sequence[tuple[float, float]], trend: Trend) -> Reading:
         blocks = without_glitches(log_blocks(config.path, config.choice, []), [])
         blocks = without(blocks, spans)
         if bias is not None:
@@ -231,7 +229,7 @@ def _read_again(
         return read_rest(less(blocks, lambda block: trend.smooth_dps(block.t_s)))
 
     if spans or bias is not None:
-        reading = again()
+        reading = again(spans, Trend())
     if bias is not None:
         low_c, high_c = np.min(course.temp_c), np.max(course.temp_c)
         notes.append(
@@ -240,8 +238,8 @@ def _read_again(
         )
     found = trend_of(reading.course.course(), spans, off_dps)
     if found != Trend():
-        trend, spans = found, sorted([*spans, *found.steps])
-        reading = again()
+        spans = sorted([*spans, *found.steps])
+        reading = again(spans, found)
         notes += [f"{what} is taken off before noise is told" for what in _said(found)]
     return reading, replace(found, steps=tuple(spans))
 
@@ -493,4 +491,4 @@ def _clock(reading: Reading, rate_hz: float | None) -> Figure:
         return replace(blank, reason="no two time stamps follow each other")
     error = reading.steps / rate_hz / reading.elapsed_s - 1.0
     half = NORMAL_95 * reading.jitter_s / reading.elapsed_s
-    return _with_interval(blank, error, half, _PPM)
+    return _with_interval(blank, error, half, 1.0 / PPM)

@@ -14,14 +14,13 @@ from gyrocal.calibration.figure import Figure, bound_said, number, value_said
 from gyrocal.calibration.fit import rms
 from gyrocal.physics.surface import SHAPE
 from gyrocal.records.scale import stray_rows
-from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H, decimals, dph, p_equals, plural
+from gyrocal.units import DPS_TO_DPH, MDPS, NORMAL_95, PPM, S_PER_H, decimals, dph, p_equals, plural
 
 #: A |rate| whose scatter differs from the trend at this level is worth a line.
 _ODD = 0.01
 _LISTED = 12
 #: A surface that makes the error smaller by less does not follow what is wrong; then up to this share of the data sets may be off.
 _NO_HELP, _MOST_STRAY = 2.0, 0.4
-_PPM, _MDPS = 1e6, 1e3
 
 #: What the residual is tested for structure over, in words.
 STRUCTURE_WORDS = {
@@ -171,7 +170,7 @@ def _scatter_line(c: Calibration) -> str:
     whats = (
         ("deg/h independent", DPS_TO_DPH),
         (f"deg/h of bias drift a decade of {'time' if s.timed else 'data sets'}", DPS_TO_DPH),
-        ("ppm of the rate", _PPM),
+        ("ppm of the rate", 1.0 / PPM),
         ("deg/h/√h of random walk of the bias", DPS_TO_DPH * np.sqrt(S_PER_H))
         if s.timed
         else ("deg/h of random walk of the bias from one data set to the next", DPS_TO_DPH),
@@ -249,13 +248,13 @@ def _coefficient_table(c: Calibration) -> Table:
     s = c.fit.surface
     half = c.fit.half_width_dps()
     shown = c.fit.terms
-    places = {ij: max(decimals(float(half[ij]) * _MDPS), 0) for ij in np.ndindex(SHAPE)}
+    places = {ij: max(decimals(float(half[ij]) / MDPS), 0) for ij in np.ndindex(SHAPE)}
     rows = tuple(
         (
             f"u^{i} v^{j}",
-            f"{s.coefficients_dps[i, j] * _MDPS:+.{places[i, j]}f}",
-            f"{c.fit.std_dps[i, j] * _MDPS:.{places[i, j]}f}",
-            f"{half[i, j] * _MDPS:.{places[i, j]}f}",
+            f"{s.coefficients_dps[i, j] / MDPS:+.{places[i, j]}f}",
+            f"{c.fit.std_dps[i, j] / MDPS:.{places[i, j]}f}",
+            f"{half[i, j] / MDPS:.{places[i, j]}f}",
         )
         for i, j in np.ndindex(SHAPE)
         if shown[i * SHAPE[1] + j]

@@ -16,9 +16,6 @@ from gyrocal.errors import IncompleteError
 if TYPE_CHECKING:
     from gyrocal.bench.watching import Progress
 
-_H_S = 3600.0
-_MIN_S = 60.0
-
 
 @click.command("acquire")
 @click.argument("profile")

@@ -9,8 +9,6 @@ import click
 from gyrocal.cli.console import emit_json, json_option, progress
 from gyrocal.cli.filling import filling
 
-_S_PER_H = 3600.0
-
 
 @click.command("demo")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for everything.")
@@ -27,6 +25,7 @@ def command(out: Path, seed: int, as_json: bool) -> None:
     Example: gyrocal demo --out demo
     """
     from gyrocal.commands.demo import DemoConfig, run_demo
+    from gyrocal.units import DPS_TO_DPH, S_PER_H
 
     with filling(out), progress("demo", quiet=as_json) as tell:
         result = run_demo(DemoConfig(out, seed), tell)
@@ -35,7 +34,7 @@ def command(out: Path, seed: int, as_json: bool) -> None:
         return
     truth = result.truth
     click.echo(
-        f"Acquired {result.segments} segments, {result.bench_time_s / _S_PER_H:.1f} h of bench time (seed {seed})."
+        f"Acquired {result.segments} segments, {result.bench_time_s / S_PER_H:.1f} h of bench time (seed {seed})."
     )
     click.echo(f"Calibrated. {result.report.verdict}")
     for remark in result.report.remarks:
@@ -43,6 +42,6 @@ def command(out: Path, seed: int, as_json: bool) -> None:
     click.echo(f"Driven. {result.drives}")
     click.echo(f"Pictures: {out / 'report' / 'report.html'} and {out / 'replay' / 'replay.html'}")
     click.echo(
-        f"Proved: this gyro is simulated, so its true error is known. The fitted error is {truth.rms_dps * _S_PER_H:.2f} "
-        f"deg/h rms off it, and its own stated uncertainty says {truth.expected_rms_dps * _S_PER_H:.2f}."
+        f"Proved: this gyro is simulated, so its true error is known. The fitted error is {truth.rms_dps * DPS_TO_DPH:.2f} "
+        f"deg/h rms off it, and its own stated uncertainty says {truth.expected_rms_dps * DPS_TO_DPH:.2f}."
     )

@@ -10,7 +10,6 @@ import click
 from gyrocal.cli.acquired import brought_back
 from gyrocal.cli.console import emit_json, emit_table, json_option
 
-_H_S, _MIN_S = 3600.0, 60.0
 _SEEN = {
     "running": "is running",
     "complete": "is complete",
@@ -62,11 +61,13 @@ def _why(reason: str | None) -> str:
 
 
 def _duration(seconds: float) -> str:
-    if seconds < 2 * _MIN_S:
+    from gyrocal.units import S_PER_H, S_PER_MIN
+
+    if seconds < 2 * S_PER_MIN:
         return f"{seconds:.0f} s"
-    if seconds < 2 * _H_S:
-        return f"{seconds / _MIN_S:.0f} min"
-    return f"{seconds / _H_S:.1f} h"
+    if seconds < 2 * S_PER_H:
+        return f"{seconds / S_PER_MIN:.0f} min"
+    return f"{seconds / S_PER_H:.1f} h"
 
 
 def _row(event: dict[str, Any]) -> list[str]:

@@ -39,7 +39,7 @@ def between_sets(fitted: Fitted, known: Sequence[Pattern], level: float) -> Patt
     """
     means = fitted.model.means
     found = {kind_of(p) for p in known}
-    candidates = [p for p in tested_alone(means.series, "table_angle") if kind_of(p) not in found]
+    candidates = [p for p in tested_alone(means.series) if kind_of(p) not in found]
     if not candidates:
         return None
     score, precision = fitted.contrasts.precision(fitted.model.all, fitted.fit.log_variance)

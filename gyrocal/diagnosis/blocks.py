@@ -27,7 +27,7 @@ _OWN = 3.0
 #: What acts on the scale factor beside the bias is there where it is worth this by itself, nats, 20 to 1: away from the
 #: rates and the temperatures of the record it grows with both.
 _OF_SCALE = 3.0
-#: Block of what is odd in the rate, and all that a wrong direction of the surface looks like.
+#: Blocks of all that a wrong direction of the surface looks like.
 BENT = (ODD, EVEN, EACH_RATE)
 #: Where the variance of the surface's own terms starts a second time (logarithm of the share of the record's).
 _AWAKE = 0.0

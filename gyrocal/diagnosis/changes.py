@@ -23,7 +23,7 @@ from gyrocal.diagnosis.parts import since_on
 from gyrocal.diagnosis.visited import steps_of_scale, tells_of_scale
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, PPM, where_it_acts
+from gyrocal.physics.effect import where_it_acts
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SHUPE_GRADIENT, THERMAL_HYSTERESIS
@@ -39,6 +39,7 @@ from gyrocal.physics.timewise import (
     growth,
     power_shape,
 )
+from gyrocal.units import MDPS, PPM
 
 Floats = NDArray[np.float64]
 #: An effect, and whether it acts on the scale factor instead of the bias.

@@ -21,7 +21,7 @@ from gyrocal.diagnosis.edges import targets, with_edges
 from gyrocal.diagnosis.estimates import reshaped
 from gyrocal.diagnosis.finer import halved, neighbours
 from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of
+from gyrocal.diagnosis.layers import WANDERING_SCALE, Fitted, Law, Model, contrasts_of, lagging
 from gyrocal.diagnosis.parts import (
     AT_FEW,
     DRIFTING_BIAS,
@@ -380,20 +380,20 @@ class TableSearch:
             )
         return self._at_coil[coil].with_laws(*(self.changes.law(change) for change in changes))
 
-    def best(self, candidate: Candidate, effect: str, of_scale: bool = False) -> list[Change]:
+    def best(self, candidate: Candidate, effect: str, on_scale: bool = False) -> list[Change]:
         """The shape of an effect that gains most beside a candidate; none where the record cannot show any."""
-        tried = self.changes.shapes(effect, of_scale)
+        tried = self.changes.shapes(effect, on_scale)
         if not tried:
             return []
-        found = 0.5 * gains(self.changes.columns(effect, of_scale), *self._precision(candidate))
-        found += self.changes.priors_nats(effect, of_scale)
+        found = 0.5 * gains(self.changes.columns(effect, on_scale), *self._precision(candidate))
+        found += self.changes.priors_nats(effect, on_scale)
         return [tried[int(np.argmax(found))]]
 
     def best_coil(self, candidate: Candidate) -> Coil:
         """The lag of the coil that gains most beside a candidate without one, to first order; None where there is none."""
         score, p = self._precision(candidate)
         surface = candidate.fitted.model.legendre(candidate.fitted.solve())
-        x = np.column_stack([lagging @ surface for lagging in self._lagging.values()])
+        x = np.column_stack([gained @ surface for gained in self._lagging.values()])
         along, information = x.T @ score, np.maximum(np.einsum("ij,ij->j", x, p @ x), 1e-300)
         gain = along**2 / information
         k = int(np.argmax(gain))
@@ -404,8 +404,7 @@ class TableSearch:
     @cached_property
     def _lagging(self) -> dict[float, Floats]:
         """What the terms of the surface gain where the coil lags wholly, by its time constant, shape (n, 12) each."""
-        base = self.base
-        return {tau: replace(base.basis, coil=(1.0, tau)).surface() - base.design for tau in _LAGS_S}
+        return {tau: lagging(replace(self.base.basis, coil=(1.0, tau))) for tau in _LAGS_S}
 
     def best_lasting(self, candidate: Candidate) -> list[Change]:
         """Of each kind that stays, that the record may show and that the candidate lacks, the one that gains most.

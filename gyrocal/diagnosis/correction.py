@@ -38,13 +38,13 @@ from gyrocal.diagnosis.unclocked import leaps, without_clock
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE, SATURATION
 from gyrocal.physics.smooth import SmoothTerm, seen_of
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
 from gyrocal.physics.thermal import THERMAL_LAG
 from gyrocal.physics.timewise import WARM_UP
+from gyrocal.units import MDPS
 
 Floats = NDArray[np.float64]
 

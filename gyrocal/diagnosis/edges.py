@@ -18,10 +18,10 @@ from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import Part
 from gyrocal.diagnosis.visited import tells_of_scale, temperatures_apart, temperatures_turned
 from gyrocal.inference.additive import gains
-from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.smooth import Column, Factor
 from gyrocal.physics.surface import SHAPE
 from gyrocal.physics.timewise import BIAS_STEP
+from gyrocal.units import MDPS, PPM
 
 Floats = NDArray[np.float64]
 

@@ -59,7 +59,6 @@ from gyrocal.diagnosis.within import strange_turns
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS
 from gyrocal.physics.kernels import PAUSE_S, PAUSE_STEPS
 from gyrocal.physics.lacking import Reason
 from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, REFERENCE_RATE_ERROR, SAGNAC_SINE, TRUNCATION
@@ -69,7 +68,7 @@ from gyrocal.physics.thermal import RATE_HEATING, SHUPE, SMOOTHING_S
 from gyrocal.physics.timewise import SCALE_DRIFT, SCALE_STEP, WARM_UP
 from gyrocal.records.datasets import DataSetTable, read_data_sets
 from gyrocal.records.run import Run, is_run_directory, read_run
-from gyrocal.units import S_PER_MIN
+from gyrocal.units import DPS_TO_DPH, MDPS, S_PER_H, S_PER_MIN
 
 Floats = NDArray[np.float64]
 
@@ -156,7 +155,7 @@ def diagnose(
     names = [replace(e, improvement=stairs.each.get(e.effect, e.improvement)) for e in names]
     places = [*places_of_table(found), *(f.place for f in findings)]
     everywhere = [*filter(None, [change]), *located(found, level), *strange, *places, *scatter]
-    told = _of_file(found, withheld, (layered, parts), written, why_not)
+    of_file = _of_file(found, withheld, (layered, parts), written, why_not)
     lacking = bool(parts or strange or scatter or change or far) or any(e.share < 1.0 for e in names)
     return Diagnosis(
         recording=whole.name,
@@ -170,7 +169,7 @@ def diagnose(
         surface=coefficients or surface,
         improved=None if written is None else with_terms(written, coefficients),
         rows=_rows(series, left, coefficients, levels),
-        notes=(*notes, *series.notes, *lost, *far, *told),
+        notes=(*notes, *series.notes, *lost, *far, *of_file),
         layers=stairs.layers,
         unnamed=parts,
     )
@@ -384,8 +383,8 @@ def _sines(written: Coefficients) -> list[Remark]:
     phases = [law.parameters["phase_rad_per_dps"] for law in laws]
     # Of a law at a share of its own the phase was not fitted with the cubic.
     phases = [phase for phase in phases if phase["std"] > 0.0]
-    facts = [{"phase_rad": scale_dps * p["value"], "std_rad": scale_dps * p["std"]} for p in phases]
-    return [Remark(Said.SINE_WRITTEN, {"rate_dps": scale_dps, **told}) for told in facts]
+    sines = [{"phase_rad": scale_dps * p["value"], "std_rad": scale_dps * p["std"]} for p in phases]
+    return [Remark(Said.SINE_WRITTEN, {"rate_dps": scale_dps, **sine}) for sine in sines]
 
 
 def _sampling(series: Series, names: Sequence[NamedEffect]) -> list[Finding]:
@@ -434,8 +433,8 @@ def _noise_figures(series: Series, model: NoiseModel, levels: NoiseLevels) -> No
     walk = angle_random_walk(series)
     # The processes are a decade apart, so that one takes the share of B^2/(2 pi f), which
     # IEEE 952 gives for both signs of the frequency, over a decade.
-    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * 3600.0
-    wander = levels.walk * 3600.0 * 60.0 if levels.walk and series.has_time else None
+    flicker = levels.flicker_dps / np.sqrt(np.log(10.0) / np.pi) * DPS_TO_DPH
+    wander = levels.walk * DPS_TO_DPH * S_PER_H**0.5 if levels.walk and series.has_time else None
     return NoiseFigures(
         levels.white * model.typical_white, walk and walk[0], float(flicker), 1e6 * levels.jitter, wander
     )

@@ -32,8 +32,8 @@ from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.scan import Scan, free_of, rarity, scan_of, shapes_of_others
 from gyrocal.diagnosis.within import Pattern
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, Effect
-from gyrocal.units import NORMAL_95
+from gyrocal.physics.effect import Effect
+from gyrocal.units import MDPS, NORMAL_95
 
 Floats = NDArray[np.float64]
 

@@ -312,19 +312,21 @@ def _table(series: Series, found: tuple[Pattern, ...], aside: Strays = NO_STRAYS
     first = ranked[0].fitted
     own = {law.name: () for law in first.model.laws if not search.base.holds(law)}
     mending = own.keys() - {law.name for law in without_mending(first, own, laws).model.laws}
-    models = tuple(near), tuple(ranked), tuple(smooth), tuple(of_rate)
     return Examination(
-        series,
-        found,
-        last.best,
-        last.settled,
-        last.worth,
-        naming,
-        laws,
-        *models,
-        frozenset(mending),
-        aside,
-        by_sine_nats,
+        series=series,
+        patterns=found,
+        whole=last.best,
+        settled=last.settled,
+        worth=last.worth,
+        naming=naming,
+        laws=laws,
+        candidates=tuple(near),
+        ranked=tuple(ranked),
+        smooth=tuple(smooth),
+        of_rate=tuple(of_rate),
+        mending=frozenset(mending),
+        strays=aside,
+        sine_nats=by_sine_nats,
     )
 
 

@@ -107,4 +107,4 @@ def temperature_history(
     step = max(1.0, span / _MOST_POINTS)
     grid = t_s[0] + step * np.arange(int(np.ceil(span / step)) + 1)
     temp, slope = course.at(grid)
-    return TemperatureHistory(grid, temp, 60.0 * slope, course)
+    return TemperatureHistory(grid, temp, S_PER_MIN * slope, course)

@@ -31,6 +31,7 @@ from gyrocal.units import plural
 
 #: A scale error beyond this is said: data sheets are within a few per cent.
 _SAID = 0.1
+_OTHER = "Give the coefficients of this gyro, or leave them out to fit a surface first."
 
 
 def check_inputs(
@@ -138,9 +139,6 @@ def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | N
     if odd is not None:
         raise DataError(f"{series.name}: {odd.what}. {odd.remedy}.")
     raise DataError(f"{_not_of(series, coefficients)}: corrected with it, {still.what}. {_OTHER}")
-
-
-_OTHER = "Give the coefficients of this gyro, or leave them out to fit a surface first."
 
 
 def _not_of(series: Series, coefficients: Coefficients) -> str:

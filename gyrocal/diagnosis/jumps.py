@@ -19,8 +19,8 @@ from gyrocal.diagnosis.means import Means
 from gyrocal.diagnosis.visited import steps_of_scale
 from gyrocal.inference.additive import Component, gains
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS, PPM
 from gyrocal.physics.timewise import BIAS_DRIFT, BIAS_STEP, SCALE_DRIFT, SCALE_STEP
+from gyrocal.units import MDPS, PPM
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

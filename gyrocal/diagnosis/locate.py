@@ -38,7 +38,6 @@ _UNITS = {
 _QUANTILES = 25
 #: Values nearer than this share of their range are one.
 _SAME = 1e-6
-#: The bias in time beyond its laws.
 
 
 def block_p_value(nats: float, blocks: int) -> float:

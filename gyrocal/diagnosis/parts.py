@@ -97,6 +97,11 @@ def _legendre(order: int) -> Factor:
     return Factor("legendre", (float(order),)) if order else Factor()
 
 
+def term(i: int, j: int) -> int:
+    """Where the term of these orders in rate and temperature stands in `SURFACE`."""
+    return SHAPE[1] * i + j
+
+
 #: The twelve terms of the surface as products of Legendre polynomials, row-major as in `physics.surface`.
 SURFACE = tuple(
     Column(_LINEAR if i == 1 else _legendre(i), _legendre(j))
@@ -104,9 +109,16 @@ SURFACE = tuple(
     for j in range(SHAPE[1])
 )
 #: Of these: cubic in the rate and linear in temperature for bias and scale factor are always free ...
-FLAT = (0, 3, 6, 9, 1, 4)
+FLAT = (*(term(i, 0) for i in range(SHAPE[0])), term(0, 1), term(1, 1))
 #: ... and the others are expected to be small, with one variance.
-SHRUNK = {2: 1.0, 5: 1.0, 7: 0.5, 10: 0.5, 8: 0.25, 11: 0.25}
+SHRUNK = {
+    term(0, 2): 1.0,
+    term(1, 2): 1.0,
+    term(2, 1): 0.5,
+    term(3, 1): 0.5,
+    term(2, 2): 0.25,
+    term(3, 2): 0.25,
+}
 
 
 @dataclass(frozen=True)
@@ -270,8 +282,10 @@ def polynomials(columns: tuple[Column, ...], frame: Frame) -> Floats:
     temps = frame.temp_center_c + frame.temp_scale_c * v
     rates = rate_factors(u * frame.rate_scale_dps, frame, (c.rate for c in (*columns, *SURFACE)))
     temperatures = temperature_factors(temps, frame, (c.temperature for c in (*columns, *SURFACE)))
-    of_rate = np.linalg.pinv(np.column_stack([rates[SURFACE[3 * i].rate] for i in range(SHAPE[0])]))
-    of_temp = np.linalg.pinv(np.column_stack([temperatures[SURFACE[j].temperature] for j in range(SHAPE[1])]))
+    of_rate = np.linalg.pinv(np.column_stack([rates[SURFACE[term(i, 0)].rate] for i in range(SHAPE[0])]))
+    of_temp = np.linalg.pinv(
+        np.column_stack([temperatures[SURFACE[term(0, j)].temperature] for j in range(SHAPE[1])])
+    )
     found = np.zeros((len(SURFACE), len(columns)))
     for k, c in enumerate(columns):
         if c.driver == Factor():

@@ -19,8 +19,8 @@ from scipy.special import digamma, gammaln
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.parts import EACH_RATE
 from gyrocal.inference.additive import Component, Solution
-from gyrocal.physics.effect import PPM
 from gyrocal.physics.rate import REFERENCE_RATE_ERROR
+from gyrocal.units import PPM
 
 Floats = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ from gyrocal.diagnosis.layers import Fitted, Law, Model
 from gyrocal.diagnosis.parts import Part
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.effect import MDPS
 from gyrocal.physics.rate import DEAD_ZONE, TRUNCATION
 from gyrocal.physics.shapes import ASINH_SHARE
 from gyrocal.physics.smooth import Frame, rate_factors
 from gyrocal.physics.timewise import BIAS_DRIFT
+from gyrocal.units import MDPS
 
 Floats = NDArray[np.float64]
 

@@ -308,7 +308,7 @@ def reach_of(bins: Ints, gyro_dps: Floats, temp_c: Floats) -> Floats:
 
 
 def missing_samples(t_s: Floats) -> int:
-    """Samples that are not there: of an even clock the intervals are whole multiples of the shortest common one."""
+    """Samples that are not there: of an even clock the intervals are whole multiples of the usual one, their median."""
     interval_s = np.diff(t_s)
     usual_s = float(np.median(interval_s))
     if usual_s <= 0.0:

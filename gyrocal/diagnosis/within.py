@@ -143,10 +143,10 @@ def patterns(series: Series, level: float) -> list[Pattern]:
     return sorted(_with_intervals(laws, series, rows, sets, result), key=lambda p: p.p_value)
 
 
-def tested_alone(series: Series, coordinate: str) -> list[Pattern]:
-    """Every law that runs with a coordinate within data sets, by itself, as the sets show it."""
+def tested_alone(series: Series) -> list[Pattern]:
+    """Every law that runs with the table angle within data sets, by itself, as the sets show it."""
     rows = _usable(series)
-    tried = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == coordinate]
+    tried = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == "table_angle"]
     if not (tried and rows.any()):
         return []
     laws, sets = _Laws(series), np.unique(series.set_index[rows], return_inverse=True)[1]
@@ -170,7 +170,7 @@ def _with_intervals(
     for pattern in found:
         own = slice(first, first + pattern.amplitudes.size)
         first = own.stop
-        pattern = replace(pattern, covariance=covariance[own, own])
+        known = replace(pattern, covariance=covariance[own, own])
         effect = CATALOGUE[pattern.effect]
         if effect.search.refined:
             basis = np.linalg.qr(np.delete(z, np.arange(own.start, own.stop), axis=1))[0]
@@ -179,11 +179,9 @@ def _with_intervals(
                 return _centred(series, rows, sets, [laws.at(effect, shape)])[1]
 
             beside = _ShapeWithin(effect, columns, y - basis @ (basis.T @ y), basis)
-            own_intervals, size = beside.intervals(
-                pattern.shape, pattern.amplitudes, pattern.covariance, pattern.dof
-            )
-            pattern = replace(pattern, intervals=own_intervals, size=size)
-        result.append(pattern)
+            own_intervals, size = beside.intervals(known.shape, known.amplitudes, known.covariance, known.dof)
+            known = replace(known, intervals=own_intervals, size=size)
+        result.append(known)
     return result
 
 

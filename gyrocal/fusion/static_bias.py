@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gyrocal.errors import DataError
+from gyrocal.units import STDS_PER_MAD
 
 LEAST_STATIC_S = 5.0  # the paper stands still for 5 to 10 s
-MOVED_M = 0.002  # a robot whose wheels go further in all does not rest,
+REST_MOVED_M = 0.002  # a robot whose wheels go further in all does not rest,
 TURNED_DPS = 0.5  # nor one whose gyro departs further for a second
 _HUBER, _FEWEST = 2.5, 6  # samples beyond so many deviations weigh less; of 6, 95 % cover 91 %, of 8 95 %
 
@@ -47,7 +48,7 @@ def static_bias(
     moved = max(float(np.nansum(np.abs(distance[rest]))) for distance in (left, right))
     t, rate = t[good], rate[good]
     turned = _largest_departure(t, rate)
-    if moved > MOVED_M or turned > TURNED_DPS:
+    if moved > REST_MOVED_M or turned > TURNED_DPS:
         msg = f"the robot moves in its first {static_s:g} s (wheels {moved * 1e3:.3g} mm, gyro off its median by {max(turned, 0.0):.2g} deg/s): let it stand, or shorten static_s."
         raise DataError(msg)
     mean, influence = _huber(rate)
@@ -66,7 +67,7 @@ def _largest_departure(t: NDArray[np.float64], rate: NDArray[np.float64]) -> flo
 def _huber(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
     """Huber mean, and the influence of each sample on it."""
     mean = float(np.median(x))
-    limit = _HUBER * (1.4826 * float(np.median(np.abs(x - mean))) or float(np.std(x)))
+    limit = _HUBER * (STDS_PER_MAD * float(np.median(np.abs(x - mean))) or float(np.std(x)))
     for _ in range(50):
         mean += float(np.mean(np.clip(x - mean, -limit, limit)))
     inside = float(np.mean(np.abs(x - mean) <= limit))

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
+from gyrocal.units import NORMAL_95
+
 Floats = NDArray[np.float64]
 
 #: The spread is looked for up to this many times the range of the estimates.
@@ -54,7 +56,7 @@ def spread_between(values: Floats, stds: Floats) -> Spread:
     mean = float(weight @ values / weight.sum())
     # Never less than what the errors of the estimates alone leave of the mean.
     inflation = max(_q(tau, values, stds) / free, 1.0)
-    quantile = float(t.ppf(0.975, free)) if tau > 0 else 1.96
+    quantile = float(t.ppf(0.975, free)) if tau > 0 else NORMAL_95
     half = quantile * float(np.sqrt(inflation / weight.sum()))
     return Spread(mean, (mean - half, mean + half), tau, (low, high), float(chi2.sf(q, free)))
 

@@ -123,11 +123,11 @@ def sensitivities(
     """Return error by physical input: gyro, temperature, noise, wheels."""
     drives = _Drives(spread, parameters)
 
-    def after_rest(path: TruePath, size: float) -> Floats:
-        return np.where(path.t_s > _STATIC_S, size, 0.0)
+    def after_rest(path: TruePath, rate_dps: Floats) -> Floats:
+        return np.where(path.t_s > _STATIC_S, 1e-3, 0.0)
 
     gyro: list[tuple[str, str, GyroError, float]] = [
-        ("gyro bias that the static mean misses", "1 mdeg/s", lambda p, r: after_rest(p, 1e-3), np.nan),
+        ("gyro bias that the static mean misses", "1 mdeg/s", after_rest, np.nan),
         ("gyro bias drift", "1 mdeg/s per min", lambda p, r: 1e-3 * p.t_s / S_PER_MIN, np.nan),
         ("gyro scale factor", "0.1 %", lambda p, r: 1e-3 * r, np.nan),
         ("term of 2nd order in rate", "1 mdeg/s at 30 deg/s", lambda p, r: 1e-3 * (r / 30.0) ** 2, np.nan),

@@ -132,14 +132,14 @@ def simulate_experiment(
     for direction in directions:
         for k in range(runs):
             rng = np.random.default_rng([seed, _STREAM_RUN, direction + 1, k])
-            log = simulate_log(paths[direction], model, robot, day, rng, _STEP_S)
+            log = simulate_log(paths[direction], model, robot, day, rng)
             name = f"{'ccw' if direction == CCW else 'cw'}{k + 1}"
             result.append(SimulatedRun(name, direction, log, robot.spread.metres_per_tick))
     return result
 
 
 def simulate_log(
-    path: TruePath, model: GyroModel, robot: SimulatedRobot, day: Day, rng: np.random.Generator, dt_s: float
+    path: TruePath, model: GyroModel, robot: SimulatedRobot, day: Day, rng: np.random.Generator
 ) -> DriveBlock:
     """What the robot's encoders and gyro write while it drives `path`."""
     left_m, right_m = encoder_steps(path, robot, rng)
@@ -147,7 +147,7 @@ def simulate_log(
     temp_c = day.temp_c + rng.normal(0.0, day.temp_run_std_c) + drift_c_per_s * path.t_s
     earth_dps = EARTH_RATE_DPH * DPH_TO_DPS * np.sin(day.latitude_deg * DEG_TO_RAD)
     gyro = GyroStream(model, rng)
-    gyro_dps = gyro.samples(dt_s, path.turn_deg / dt_s + earth_dps, temp_c)
+    gyro_dps = gyro.samples(_STEP_S, path.turn_deg / _STEP_S + earth_dps, temp_c)
     reported_c = gyro.temperatures(temp_c)
     return DriveBlock(
         2, path.t_s, left_m, right_m, gyro_dps, reported_c, path.x_m, path.y_m, path.heading_deg

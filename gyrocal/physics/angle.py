@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, count, memoryless
+from gyrocal.physics.effect import Effect, Floats, amplitude, choice, count, memoryless
 from gyrocal.physics.fold import on_turn_with_rate
 from gyrocal.physics.offer import table_turns
 from gyrocal.physics.search import Search, with_phase
 from gyrocal.physics.surface import Surface
-from gyrocal.units import ARCSEC_TO_DEG, DEG_TO_RAD
+from gyrocal.units import ARCSEC_TO_DEG, DEG_TO_RAD, MDPS
 
 _PHASE = choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "table angle of the maximum")
 

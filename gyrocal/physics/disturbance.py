@@ -8,11 +8,12 @@ import numpy as np
 
 from gyrocal.physics.c_text import ABOVE, CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, choice, memoryless, shape
+from gyrocal.physics.effect import Effect, Floats, amplitude, choice, memoryless, shape
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.offer import Offer, steps_of_rate
 from gyrocal.physics.search import Search, Shape, Unit, one_column, with_phase
 from gyrocal.physics.surface import Surface
+from gyrocal.units import MDPS
 
 #: The customary step of rate in the amplitude of `step_response`, deg/s.
 _STEP_DPS = 10.0

@@ -10,10 +10,10 @@ import numpy as np
 
 from gyrocal.errors import DataError
 from gyrocal.physics.conditions import Memory
-from gyrocal.physics.effect import MDPS, PPM, Described, Floats, Parameter, amplitude, shape
+from gyrocal.physics.effect import Described, Floats, Parameter, amplitude, shape
 from gyrocal.physics.kernels import normal, uniform
 from gyrocal.physics.slip import SLIP_LAWS, slip_shape
-from gyrocal.units import DEG_TO_RAD
+from gyrocal.units import DEG_TO_RAD, MDPS, PPM
 
 _PERCENT = 1e-2
 _SAME_TIME_S = 1e-6

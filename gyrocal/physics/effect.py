@@ -42,9 +42,6 @@ FAMILIES = (
 
 #: Step of a coefficient of the surface by which a law is seen to go with it: of a thousandth of what a surface has.
 _COEFFICIENT_STEP_DPS = 1e-5
-#: mdeg/s to deg/s, parts per million to a share.
-MDPS = 1e-3
-PPM = 1e-6
 
 
 #: Channels of `Conditions` that a robot has.

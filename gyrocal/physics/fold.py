@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.physics.conditions import Conditions
-from gyrocal.units import S_PER_H, S_PER_MIN
+from gyrocal.units import MDPS, PPM, S_PER_H, S_PER_MIN
 
 Floats = NDArray[np.float64]
 
-_MDPS = 1e3
-_PPM = 1e6
 _TURN_DEG = 360.0
 #: The customary rate, and step of rate, to which an ordinate in proportion to it refers, deg/s.
 _RATE_DPS, _STEP_DPS = 100.0, 10.0
@@ -59,7 +57,7 @@ Fold = Callable[[Conditions, Mapping[str, float], Floats], FoldAxis]
 
 def plain(label: str, x: Floats, *, within_set: bool = False, of_time: bool = False) -> FoldAxis:
     """An axis whose ordinate is the residual in mdeg/s."""
-    return FoldAxis(label, x, np.full(x.size, 1.0 / _MDPS), "mdeg/s", within_set, of_time)
+    return FoldAxis(label, x, np.full(x.size, MDPS), "mdeg/s", within_set, of_time)
 
 
 def on_channel(label: str, channel: str, factor: float = 1.0) -> Fold:
@@ -81,9 +79,7 @@ def on_turn(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxi
 def on_turn_with_rate(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
     """The same, for an effect in proportion to the rate."""
     turn = on_turn(c, p, error_dps)
-    return FoldAxis(
-        turn.label, turn.x, c.rate_dps / _RATE_DPS / _MDPS, f"mdeg/s at {_RATE_DPS:g} deg/s", True
-    )
+    return FoldAxis(turn.label, turn.x, MDPS * c.rate_dps / _RATE_DPS, f"mdeg/s at {_RATE_DPS:g} deg/s", True)
 
 
 def on_time(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
@@ -95,7 +91,7 @@ def scale_on_time(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> F
     """The same, for a change of the scale factor."""
     time = on_time(c, p, error_dps)
     turning = np.where(c.rate_dps != 0, time.x, np.nan)
-    return FoldAxis(time.label, turning, c.rate_dps / _PPM, "ppm of rate", of_time=True)
+    return FoldAxis(time.label, turning, PPM * c.rate_dps, "ppm of rate", of_time=True)
 
 
 def temperature_or_scale(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
@@ -106,7 +102,7 @@ def temperature_or_scale(c: Conditions, p: Mapping[str, float], error_dps: Float
     if own >= _HARDLY**2 * whole:
         return plain("Gyro temperature, °C", c.temp_c)
     turning = np.where(slow, np.nan, c.temp_c)
-    return FoldAxis("Gyro temperature, °C", turning, c.rate_dps / _PPM, "ppm of rate")
+    return FoldAxis("Gyro temperature, °C", turning, PPM * c.rate_dps, "ppm of rate")
 
 
 def since_step(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
@@ -115,25 +111,21 @@ def since_step(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> Fold
     near = (since_s <= max(_DECAYS * p.get("tau_s", _USUAL_TAU_S), _LEAST_S)) & (step_dps != 0)
     x = np.where(near, since_s, np.nan)
     unit = f"mdeg/s per {_STEP_DPS:g} deg/s of step"
-    return FoldAxis("Time since the data set began, s", x, step_dps / _STEP_DPS / _MDPS, unit, True)
+    return FoldAxis("Time since the data set began, s", x, MDPS * step_dps / _STEP_DPS, unit, True)
 
 
 def on_own(label: str) -> Fold:
     """Folded on what the effect is in proportion to: what it adds, over its amplitude in mdeg/s."""
 
     def fold(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
-        return plain(label, error_dps / (p["amplitude"] / _MDPS))
+        return plain(label, error_dps / (MDPS * p["amplitude"]))
 
     return fold
 
 
-def on_model(label: str) -> Fold:
-    """Folded on what the effect adds, as modelled, in mdeg/s."""
-
-    def fold(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
-        return plain(label, error_dps * _MDPS)
-
-    return fold
+def on_lag(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:
+    """Folded on what a lag adds, as modelled, in mdeg/s."""
+    return plain("Error by the lag as modelled, mdeg/s", error_dps / MDPS)
 
 
 def near_zero_rate(c: Conditions, p: Mapping[str, float], error_dps: Floats) -> FoldAxis:

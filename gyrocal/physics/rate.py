@@ -9,8 +9,6 @@ import numpy as np
 from gyrocal.physics.c_text import POWER, SINE_LOSS, CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import (
-    MDPS,
-    PPM,
     Effect,
     Floats,
     amplitude,
@@ -54,6 +52,7 @@ from gyrocal.physics.rate_shapes import (
 )
 from gyrocal.physics.search import Search
 from gyrocal.physics.surface import Surface
+from gyrocal.units import MDPS, PPM
 
 #: Two samples nearer than this are the same sample.
 _SAME_TIME_S = 1e-6

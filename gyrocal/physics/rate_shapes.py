@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import PPM, Floats
+from gyrocal.physics.effect import Floats
 from gyrocal.physics.offer import SMALL_DPS, Offer
 from gyrocal.physics.search import Shape, Unit
 from gyrocal.physics.surface import Surface
+from gyrocal.units import PPM
 
 #: Two commanded rates nearer than this are the same rate.
 SAME_RATE_DPS = 1e-3

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, PPM, Effect, Floats, Parameter, amplitude, choice, memoryless, shape
+from gyrocal.physics.effect import Effect, Floats, Parameter, amplitude, choice, memoryless, shape
 from gyrocal.physics.hiding import Hiding
 from gyrocal.physics.kernels import normal, uniform
 from gyrocal.physics.search import Search
 from gyrocal.physics.surface import Surface
+from gyrocal.units import MDPS, PPM
 
 #: Two samples nearer than this are the same sample, s.
 _SAME_TIME_S = 1e-6

@@ -54,11 +54,11 @@ def of_either_sign(shape: Shape) -> bool:
     return False
 
 
-def scales(name: str, low: float, high: float, count: int) -> Grid:
-    """Time constants `name` from `low` to `high` seconds, evenly in the logarithm, below the length of the record."""
+def scales(low: float, high: float, count: int) -> Grid:
+    """Time constants from `low` to `high` seconds, evenly in the logarithm, below the length of the record."""
 
     def grid(offer: Offer) -> list[dict[str, float]]:
-        return [{name: float(x)} for x in np.geomspace(low, high, count) if x < offer.span_s]
+        return [{"tau_s": float(x)} for x in np.geomspace(low, high, count) if x < offer.span_s]
 
     return grid
 

@@ -15,7 +15,6 @@ import numpy as np
 from gyrocal.physics.c_text import POWER, CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions, Memory
 from gyrocal.physics.effect import (
-    MDPS,
     Effect,
     Floats,
     amplitude,
@@ -28,7 +27,7 @@ from gyrocal.physics.effect import (
     where_it_acts,
     where_it_acts_c,
 )
-from gyrocal.physics.fold import on_model, on_own, temperature_or_scale
+from gyrocal.physics.fold import on_lag, on_own, temperature_or_scale
 from gyrocal.physics.hiding import Hiding, usual_draw
 from gyrocal.physics.kernels import heat, lag, play
 from gyrocal.physics.offer import (
@@ -40,7 +39,7 @@ from gyrocal.physics.offer import (
 )
 from gyrocal.physics.search import Search, Shape, Unit, scales
 from gyrocal.physics.surface import Surface
-from gyrocal.units import S_PER_MIN
+from gyrocal.units import MDPS, S_PER_MIN
 
 #: Time constant of the low-pass in the causal temperature rate, s.
 SMOOTHING_S = 30.0
@@ -213,7 +212,7 @@ SHUPE_GRADIENT = Effect(
     runtime=True,
     error_dps=_shupe_gradient,
     has_memory=True,
-    search=Search(grid=scales("tau_s", 60.0, 3600.0, 12), refined=("tau_s",), requires=(_SOME_CHANGE,)),
+    search=Search(grid=scales(60.0, 3600.0, 12), refined=("tau_s",), requires=(_SOME_CHANGE,)),
     fold=on_own("T - T_in, °C"),
     c_text=CText(_shupe_gradient_c),
 )
@@ -236,13 +235,13 @@ THERMAL_LAG = Effect(
     error_dps=_thermal_lag,
     has_memory=True,
     search=Search(
-        grid=scales("tau_s", 30.0, 1800.0, 10),
+        grid=scales(30.0, 1800.0, 10),
         refined=("tau_s",),
         requires=(_SOME_CHANGE, either(temperature_changes(10.0), table_turns)),
         # Physics report, G4: 1 to 10 min. A shorter one may be the smoothing of a noisy thermometer.
         usual={"tau_s": (60.0, 600.0)},
     ),
-    fold=on_model("Error by the lag as modelled, mdeg/s"),
+    fold=on_lag,
     c_text=CText(_thermal_lag_c, (_LAGGED,)),
     by_surface=_lag_by_surface,
 )
@@ -296,7 +295,7 @@ RATE_HEATING = Effect(
     error_dps=_rate_heating,
     has_memory=True,
     search=Search(
-        grid=scales("tau_s", 120.0, 3600.0, 12),
+        grid=scales(120.0, 3600.0, 12),
         refined=("tau_s",),
         requires=(table_turns,),
         # It grows as a warm-up does, which more gyros have.

@@ -9,8 +9,6 @@ import numpy as np
 from gyrocal.physics.c_text import CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import (
-    MDPS,
-    PPM,
     Effect,
     Floats,
     amplitude,
@@ -25,7 +23,7 @@ from gyrocal.physics.fold import scale_on_time
 from gyrocal.physics.offer import Offer, begins_warm, table_turns
 from gyrocal.physics.search import Search, scales
 from gyrocal.physics.surface import Surface
-from gyrocal.units import S_PER_H
+from gyrocal.units import MDPS, PPM, S_PER_H
 
 #: Instants of a jump of the bias that are tried from the first; a scan of all of them adds the likely ones.
 _JUMP_NET = 48
@@ -128,9 +126,7 @@ WARM_UP = Effect(
     reference="IEEE Std 952, warm-up time",
     runtime=True,
     error_dps=memoryless(_warm_up),
-    search=Search(
-        grid=scales("tau_s", 120.0, 7200.0, 12), refined=("tau_s",), requires=(begins_warm,), adds_up=True
-    ),
+    search=Search(grid=scales(120.0, 7200.0, 12), refined=("tau_s",), requires=(begins_warm,), adds_up=True),
     c_text=CText(_warm_up_c),
 )
 

@@ -32,7 +32,7 @@ import numpy as np
 from gyrocal.errors import InputError
 from gyrocal.records.csvio import Floats, read_header
 from gyrocal.records.files import parse_toml, read_text
-from gyrocal.units import RAD_TO_DEG
+from gyrocal.units import DPH_TO_DPS, MDPS, RAD_TO_DEG
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ _DISTANCE = {
     "m/s": Unit(1.0, speed=True),
     "km/h": Unit(1.0 / 3.6, speed=True),
 }
-_RATE = {"deg/s": Unit(1.0), "rad/s": Unit(RAD_TO_DEG), "mdeg/s": Unit(1e-3), "deg/h": Unit(1.0 / 3600.0)}
+_RATE = {"deg/s": Unit(1.0), "rad/s": Unit(RAD_TO_DEG), "mdeg/s": Unit(MDPS), "deg/h": Unit(DPH_TO_DPS)}
 _TEMPERATURE = {"C": Unit(1.0), "K": Unit(1.0, shift=-273.15), "F": Unit(5.0 / 9.0, shift=-160.0 / 9.0)}
 _POSITION = {"m": Unit(1.0), "mm": Unit(1e-3)}
 _ANGLE = {"deg": Unit(1.0), "rad": Unit(RAD_TO_DEG)}

@@ -11,15 +11,12 @@ from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
 from gyrocal.report import style
 from gyrocal.report.diagnosis_marks import PALE, bars, legend_above, limit_around_zero, zero_line
 from gyrocal.report.folds import Floats, Fold, bin_rows, fold_of
-from gyrocal.report.levels import cell_edges, levels
+from gyrocal.report.levels import cell_edges, map_levels
 from gyrocal.report.sentences import counted, has_times
 from gyrocal.report.words import fixed
-from gyrocal.units import NORMAL_95, S_PER_H, decimals
+from gyrocal.units import MDPS, NORMAL_95, S_PER_H, decimals
 
-_MDPS = 1e3
 _BIN_TIME_S = 60.0
-_MOST_RATES = 64
-_MOST_TEMPERATURES = 12
 #: Before and after are drawn beside each other, so that neither hides the other; share of a bin.
 _APART = 0.14
 #: Length of the linear part of a logarithmic axis to either side of zero, in decades.
@@ -47,10 +44,10 @@ def recorded_and_simulated(diagnosis: Diagnosis, rows: Rows) -> Figure:
     set_x, set_y = _per_set(x, rows.before_dps, rows)
     zero_line(middle)
     if set_x.size < x.size:
-        middle.plot(x, rows.before_dps * _MDPS, ".", markersize=0.8, color=PALE, label="row", rasterized=True)
-    middle.plot(set_x, set_y * _MDPS, ".", markersize=2.5, color=style.ORANGE, label=counted(diagnosis).means)
+        middle.plot(x, rows.before_dps / MDPS, ".", markersize=0.8, color=PALE, label="row", rasterized=True)
+    middle.plot(set_x, set_y / MDPS, ".", markersize=2.5, color=style.ORANGE, label=counted(diagnosis).means)
     # Ramps are segments too; within them the minute means show what lives there.
-    limit_around_zero(middle, np.concatenate([set_y, _smoothed(rows.before_dps, rows)]) * _MDPS)
+    limit_around_zero(middle, np.concatenate([set_y, _smoothed(rows.before_dps, rows)]) / MDPS)
     middle.set_ylabel("Recorded -\nsimulated, mdeg/s")
     legend_above(middle, 2)
     lower.plot(x, rows.temp_c, ".", markersize=0.8, color=style.INK)
@@ -101,14 +98,14 @@ def residual_maps(diagnosis: Diagnosis, rows: Rows) -> Figure:
     if diagnosis.effects:
         panels.append(("Surface and named physics", rows.after_dps))
     maps = [_cells(rows, values, chosen) for _, values in panels]
-    limit = style.symmetric_limit(maps[0][2]) * _MDPS
+    limit = style.symmetric_limit(maps[0][2]) / MDPS
     figure = style.new_figure(style.TWO_COLUMNS_IN if len(panels) > 1 else 4.5, 2.9)
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for panel, (title, _), (rates, temps, mean) in zip(axes, panels, maps, strict=True):
         drawn = panel.pcolormesh(
-            rates, temps, mean * _MDPS, cmap=style.DIVERGING, vmin=-limit, vmax=limit, rasterized=True
+            rates, temps, mean / MDPS, cmap=style.DIVERGING, vmin=-limit, vmax=limit, rasterized=True
         )
-        panel.set_title(f"{title}: {np.sqrt(np.nanmean(mean**2)) * _MDPS:.2f} mdeg/s rms")
+        panel.set_title(f"{title}: {np.sqrt(np.nanmean(mean**2)) / MDPS:.2f} mdeg/s rms")
         panel.set_xlabel("Table rate, deg/s")
         panel.set_facecolor("#EFEFEF")
         panel.grid(visible=False)
@@ -125,8 +122,7 @@ def _cells(rows: Rows, values: Floats, chosen: NDArray[np.bool_]) -> tuple[Float
         np.asarray(np.bincount(number, v[chosen] * weight) / total)
         for v in (rows.rate_dps, rows.temp_c, values)
     )
-    rates, _ = levels(rate, most=_MOST_RATES, bins=24)
-    temps, _ = levels(temp, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    rates, temps = map_levels(rate, temp)
     table = np.full((len(temps), len(rates)), np.nan)
     for i, level in enumerate(temps):
         for j, column in enumerate(rates):
@@ -149,7 +145,7 @@ def residual_over_time(diagnosis: Diagnosis, rows: Rows) -> Figure:
     held = _smoothed(rows.is_set.astype(np.float64), rows) > 0.5
     means = counted(diagnosis).means if minutes.size == x.size else "minute means"
     for panel, (title, values, colour) in zip(axes, panels, strict=True):
-        y = _smoothed(values, rows) * _MDPS
+        y = _smoothed(values, rows) / MDPS
         zero_line(panel)
         if not held.all():
             panel.plot(
@@ -162,7 +158,7 @@ def residual_over_time(diagnosis: Diagnosis, rows: Rows) -> Figure:
         panel.set_ylabel("Residual, mdeg/s")
         if not held.all():
             legend_above(panel, 2)
-    limit_around_zero(axes[0], _smoothed(rows.before_dps, rows) * _MDPS, 0.998)
+    limit_around_zero(axes[0], _smoothed(rows.before_dps, rows) / MDPS, 0.998)
     axes[-1].set_xlabel(label)
     return figure
 
@@ -181,8 +177,8 @@ def residual_over_angle(diagnosis: Diagnosis, rows: Rows) -> Figure:
     if diagnosis.effects:
         models.append(("surface and named physics", rows.after_dps, style.BLUE, apart))
     for panel, gain, unit in (
-        (constant, np.full(use.sum(), 1 / _MDPS), "Residual, mdeg/s"),
-        (with_rate, rows.rate_dps[use] / 100.0 / _MDPS, "Residual ÷ rate,\nmdeg/s at 100 deg/s"),
+        (constant, np.full(use.sum(), MDPS), "Residual, mdeg/s"),
+        (with_rate, MDPS * rows.rate_dps[use] / 100.0, "Residual ÷ rate,\nmdeg/s at 100 deg/s"),
     ):
         zero_line(panel)
         information = np.bincount(bins, gain**2 * weight)

@@ -7,9 +7,8 @@ from matplotlib.figure import Figure
 from gyrocal.diagnosis.result import Diagnosis, Layer, Located, UnnamedPart
 from gyrocal.report import style
 from gyrocal.report.words import coordinate_words, fixed, listed, place_words, times_text
-from gyrocal.units import decimals
+from gyrocal.units import MDPS, decimals
 
-_MDPS = 1e3
 _LARGE_DPS = 0.3
 #: Above the highest step there is room for its number.
 _HEADROOM = 1.15
@@ -128,4 +127,4 @@ def _broken(words: str) -> str:
 
 def _scale(d: Diagnosis) -> tuple[float, str]:
     large = max(layer.heldout_rms_dps for layer in d.layers) > _LARGE_DPS
-    return (1.0, "deg/s") if large else (_MDPS, "mdeg/s")
+    return (1.0, "deg/s") if large else (1.0 / MDPS, "mdeg/s")

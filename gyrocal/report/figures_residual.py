@@ -10,12 +10,10 @@ from matplotlib.figure import Figure
 from gyrocal.calibration.corrected import Examined
 from gyrocal.calibration.residuals import ScatterByRate
 from gyrocal.report import style
-from gyrocal.report.levels import Floats, Level, cell_edges, levels
+from gyrocal.report.levels import Floats, Level, cell_edges, map_levels
 from gyrocal.report.scatter import TREND_RATES, SignedScatter, odd_rates, usual_trend
 from gyrocal.units import DPS_TO_DPH, NORMAL_95, S_PER_H
 
-_MOST_RATES = 64
-_MOST_TEMPERATURES = 12
 _RUNNING = 15
 #: Data sets beyond which single bars no longer show.
 _MANY = 300
@@ -38,8 +36,7 @@ def residual_cells(data: Examined) -> tuple[Floats, Floats, Floats, Floats]:
     rate_edges, temp_edges : ndarray, shape (r + 1,), (t + 1,)
     mean_dps, count : ndarray, shape (t, r); NaN where a cell is empty
     """
-    rates, _ = levels(data.sets.rate_dps, most=_MOST_RATES, bins=24)
-    temps, _ = levels(data.sets.temp_c, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    rates, temps = map_levels(data.sets.rate_dps, data.sets.temp_c)
     row, column = np.empty(len(data.sets), dtype=int), np.empty(len(data.sets), dtype=int)
     for i, level in enumerate(temps):
         row[level.rows] = i
@@ -76,8 +73,7 @@ def residual_map(data: Examined) -> Figure:
         aspect=50,
         pad=0.02,
     )
-    rates, _ = levels(data.sets.rate_dps, most=_MOST_RATES, bins=24)
-    temps, _ = levels(data.sets.temp_c, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    rates, temps = map_levels(data.sets.rate_dps, data.sets.temp_c)
     above.errorbar(*level_means(data, rates), **_MEANS)
     above.axhline(0.0, color=style.GREY, linewidth=0.6)
     above.set_ylabel("deg/h")

@@ -17,6 +17,9 @@ _NOISE = 1e-4
 #: The narrowest gap between levels is this many times the widest gap inside one.
 _STEEP = 5.0
 _ROUND_STEPS = (1.0, 2.0, 5.0)
+#: Rates and temperatures of a map, on levels and else in bins.
+_MOST_RATES, _RATE_BINS = 64, 24
+_MOST_TEMPERATURES = 12
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,13 @@ def levels(values: Floats, most: int, bins: int) -> tuple[list[Level], bool]:
         if g.size
     ]
     return found, tight
+
+
+def map_levels(rate_dps: Floats, temp_c: Floats) -> tuple[list[Level], list[Level]]:
+    """Levels of the rates and of the temperatures of data sets, for the columns and the rows of a map."""
+    rates, _ = levels(rate_dps, most=_MOST_RATES, bins=_RATE_BINS)
+    temps, _ = levels(temp_c, most=_MOST_TEMPERATURES, bins=_MOST_TEMPERATURES)
+    return rates, temps
 
 
 def _tight_cuts(ordered: Floats, most: int) -> NDArray[np.int64] | None:

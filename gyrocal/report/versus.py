@@ -19,7 +19,7 @@ from gyrocal.physics.effect import Effect
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.terms import Term
 from gyrocal.report.words import estimate_text, fixed, listed, parameter_words, range_text
-from gyrocal.units import NORMAL_95, S_PER_H, decimals, plural
+from gyrocal.units import MDPS, NORMAL_95, S_PER_H, decimals, plural
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,6 @@ LAW_JSON, LAW_PYTHON = "law.json", "law.py"
 _MOST_RATES = 6
 #: From so many terms on it is said why there are as many, and which share of the law is little.
 _SEVERAL, _LITTLE = 6, 1e-3
-_MDPS = 1e3
 #: Temperatures that differ by less are one, degC.
 _ONE_C = 1.0
 
@@ -138,8 +137,8 @@ def _plus_minus(value: float, std: float) -> str:
 
 
 def _gain(c: Comparison) -> str:
-    before, after = _MDPS * c.before_dps, _MDPS * c.after_dps
-    low, high = (_MDPS * x for x in c.interval_95)
+    before, after = c.before_dps / MDPS, c.after_dps / MDPS
+    low, high = (x / MDPS for x in c.interval_95)
     what = (
         f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
         f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
@@ -194,7 +193,7 @@ def _formula(found: Versus, adds_dps: Sequence[Floats]) -> list[str]:
             )
         sums[key] = sums.get(key, 0.0) + adds
     largest = sorted(lines, key=lambda key: -rms(sums[key]))
-    said = [f"{lines[key]}; {_MDPS * rms(sums[key]):.2g} mdeg/s rms" for key in largest]
+    said = [f"{lines[key]}; {rms(sums[key]) / MDPS:.2g} mdeg/s rms" for key in largest]
     return said or ["- none: the surfaces differ, and nothing else"]
 
 

@@ -9,8 +9,8 @@ from gyrocal.diagnosis.versus.answer import Compared, Versus
 from gyrocal.report import style
 from gyrocal.report.diagnosis_marks import PALE, legend_above, limit_around_zero, zero_line
 from gyrocal.report.page import Picture
+from gyrocal.units import MDPS
 
-_MDPS = 1e3
 _PICTURE = Picture(
     "recorded_simulated",
     "Recording less simulation",
@@ -30,9 +30,9 @@ def _figure(sets: Compared) -> Figure:
     upper, lower = figure.subplots(2, 1)
     for axes, x in ((upper, sets.rate_dps), (lower, sets.when)):
         zero_line(axes)
-        axes.plot(x, _MDPS * sets.apart_dps, ".", markersize=5, color=PALE, label="recording less simulation")
-        axes.plot(x, _MDPS * sets.left_dps, ".", markersize=2.5, color=style.ORANGE, label="and less the law")
-        limit_around_zero(axes, _MDPS * np.concatenate([sets.apart_dps, sets.left_dps]))
+        axes.plot(x, sets.apart_dps / MDPS, ".", markersize=5, color=PALE, label="recording less simulation")
+        axes.plot(x, sets.left_dps / MDPS, ".", markersize=2.5, color=style.ORANGE, label="and less the law")
+        limit_around_zero(axes, np.concatenate([sets.apart_dps, sets.left_dps]) / MDPS)
         axes.set_ylabel("Difference, mdeg/s")
     upper.set_xlabel("Rate, deg/s")
     lower.set_xlabel("Time, h" if sets.has_time else "Data set, in the order recorded")

@@ -18,7 +18,6 @@ from gyrocal.calibration.residuals import (
     scatter_by_rate,
     structure_tests,
 )
-from gyrocal.inference.multiple import holm
 from tests.calibration.nulls import KINDS, null_table
 from tests.calibration.simulation import Floats, simulate
 
@@ -36,10 +35,6 @@ def alarms_of(sets: DataSets) -> tuple[set[str], int]:
     outliers, kept, scatter = find_outliers(sets, fit.scatter)
     tests = structure_tests(sets.select(kept), scatter)
     return {t.coordinate for t in tests if t.structured}, len(outliers)
-
-
-def test_holm_by_hand() -> None:
-    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03])), [0.03, 0.06, 0.06])
 
 
 def test_mislabelled_data_sets_are_listed_with_reason_and_not_dropped() -> None:

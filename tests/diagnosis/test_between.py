@@ -16,7 +16,7 @@ from gyrocal.diagnosis.layers import full_model
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.series import Series
 from gyrocal.diagnosis.within import Pattern, patterns
-from gyrocal.physics.effect import MDPS
+from gyrocal.units import MDPS
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 _LEVEL = 0.01

@@ -25,12 +25,13 @@ from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import left_by
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.fusion.compensation import Compensator
-from gyrocal.physics.effect import MDPS, PPM, Effect
+from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER, SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.physics.thermal import SHUPE
 from gyrocal.physics.timewise import BIAS_DRIFT, SCALE_DRIFT
 from gyrocal.records.datasets import DataSetTable
+from gyrocal.units import MDPS, PPM
 
 Floats = NDArray[np.float64]
 

@@ -23,12 +23,13 @@ from gyrocal.bench.responder import LineResponder
 from gyrocal.bench.transport import Transport
 from gyrocal.physics.c_text import CMemory, CText, Number
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import MDPS, Effect, Floats, amplitude, memoryless, shape
+from gyrocal.physics.effect import Effect, Floats, amplitude, memoryless, shape
 from gyrocal.physics.fold import FoldAxis, plain
 from gyrocal.physics.hiding import Hiding
 from gyrocal.physics.offer import Offer, many_rates
 from gyrocal.physics.search import Search
 from gyrocal.physics.surface import Surface
+from gyrocal.units import MDPS
 
 
 def _ripple(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:

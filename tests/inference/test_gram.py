@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gyrocal.inference.gram import project
-from gyrocal.inference.multiple import holm
 
 
 def make_gram(rng: np.random.Generator, n: int = 400, p: int = 9) -> tuple[np.ndarray, np.ndarray]:
@@ -42,9 +41,3 @@ def test_a_captured_column_gains_nothing_and_a_double_counts_once() -> None:
     assert given.block(np.array([3])) == (0.0, 0)
     assert given.block(np.array([4, 5]))[1] == 1
     assert given.block(np.array([4, 5]))[0] == pytest.approx(given.block(np.array([4]))[0], rel=1e-5)
-
-
-def test_holm_by_hand() -> None:
-    p = np.array([0.001, 0.02, 0.012, 0.5])
-    np.testing.assert_array_equal(holm(p) <= 0.05, [True, True, True, False])
-    np.testing.assert_array_equal(holm(p) <= 0.02, [True, False, False, False])

@@ -72,7 +72,7 @@ def test_the_gyro_is_the_units_true_surface_at_the_days_temperature() -> None:
     model = replace(rd2100_unit(3), bias_instability_deg_per_h=0.0, lsb_deg=0.0)
     day = Day(25.0, temp_run_std_c=0.0, drift_std_c_per_min=0.0, latitude_deg=42.3)
     robot = SimulatedRobot(STILL, 0.0, 0.0, 0.6)
-    log = simulate_log(PATH, model, robot, day, np.random.default_rng(2), 0.1)
+    log = simulate_log(PATH, model, robot, day, np.random.default_rng(2))
     earth_dps = EARTH_RATE_DPH * DPH_TO_DPS * np.sin(np.radians(42.3))
     expected = model.surface.output_dps(PATH.turn_deg / 0.1 + earth_dps, 25.0)
     # Angle random walk of 5 deg/h/sqrt(Hz) in 0.1 s samples; the bandwidth shifts turns by 1.6 ms.

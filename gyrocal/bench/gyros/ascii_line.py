@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from gyrocal.bench.gyros.codec import GOOD, Frame, LineDecoder
 from gyrocal.bench.schema import choice, number
 from gyrocal.errors import ProfileError
-from gyrocal.units import RAD_TO_DEG
+from gyrocal.units import DPH_TO_DPS, MDPS, RAD_TO_DEG
 
 #: Factors to deg/s by the unit's name in the profile.
-RATE_UNITS = {"deg/s": 1.0, "rad/s": RAD_TO_DEG, "mdeg/s": 1e-3, "deg/h": 1.0 / 3600.0, "counts": 1.0}
+RATE_UNITS = {"deg/s": 1.0, "rad/s": RAD_TO_DEG, "mdeg/s": MDPS, "deg/h": DPH_TO_DPS, "counts": 1.0}
 GROUPS = ("rate", "temp", "status", "sequence")
 
 

@@ -70,10 +70,6 @@ class GyroPort:
     _heard: bytes = b""
     _in_mode: bool = False
 
-    def restart(self) -> None:
-        """Be as after power-up: mode and counter lost."""
-        self.count, self._heard, self._in_mode = 0, b"", False
-
     def serve(self, now_s: float, samples: GyroSamples) -> None:
         """Send samples as messages."""
         self._heard = (self._heard + self.endpoint.read())[-256:]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import threading
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from gyrocal.bench.clock import Clock
-from gyrocal.bench.profile import Profile, profile_from_dict
+from gyrocal.bench.profile import Profile
 from gyrocal.bench.registry import CHAMBERS
 from gyrocal.bench.schema import read_table, refuse
 from gyrocal.bench.virtual.devices import virtual_bench
@@ -98,12 +97,6 @@ def snippet_of(profile: Profile, served: ServedKinds, addresses: Mapping[str, st
         options = _plain_options(profile, role, kind)
         sections[role] = section | ({"options": options} if options else {})
     return sections
-
-
-def wired(profile: Profile, served: Served) -> Profile:
-    """The profile with the served ports in the place of its devices."""
-    devices = tomllib.loads(served.snippet)
-    return profile_from_dict({**profile.raw, **devices}, profile.source)
 
 
 def _kind(profile: Profile, role: str, asked: str | None) -> str:

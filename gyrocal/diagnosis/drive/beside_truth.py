@@ -11,13 +11,14 @@ from gyrocal.diagnosis.drive.findings import OUT, joint_estimate, spinning, told
 from gyrocal.diagnosis.drive.improved import figures_of
 from gyrocal.diagnosis.drive.jumps import chance, instant_of_p
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, group_of, is_motion, is_slip
+from gyrocal.diagnosis.drive.levels import GAIN, STRANGER_P
 from gyrocal.diagnosis.drive.motions import AS_LIKELY, likeliest_settling, settling_beats, settling_gain
-from gyrocal.diagnosis.drive.nameless import STRANGER_P, is_odd
+from gyrocal.diagnosis.drive.nameless import is_odd
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_problem import log_chance
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.reckoning import Figures
-from gyrocal.diagnosis.drive.search import GAIN, MOST, YawAnswer
+from gyrocal.diagnosis.drive.search import MOST, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import sides_of
 from gyrocal.diagnosis.drive.truth import BELIEVED, TruthAnswer, Uneven, ask_truth

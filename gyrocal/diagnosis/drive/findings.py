@@ -11,11 +11,11 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.checks import Found
 from gyrocal.diagnosis.drive.laws import AT_ONCE, KINDS, MOVING, PER_SI, SETTLING, Kind, is_motion
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.levels import GAIN, STRANGER_P
 from gyrocal.diagnosis.drive.path_laid import ALONE, SCALES
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE, SPINNING
 from gyrocal.diagnosis.drive.prior import known_before, may_be_tilted
-from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, other_slips
+from gyrocal.diagnosis.drive.search import YawAnswer, other_slips
 from gyrocal.diagnosis.drive.series import DriveSeries, usual_step_s
 from gyrocal.diagnosis.drive.sides import ratio_of_turns, sides_of
 from gyrocal.diagnosis.drive.truth import BELIEVED, UNEVEN, TruthAnswer

@@ -76,9 +76,11 @@ def _left_out(yaw: YawAnswer, grams: Sequence[Gram], less: Sequence[str]) -> tup
     if again_s:
         error += again_s * yaw.laws["delay"].column
     for k, gram in enumerate(grams):
+        whole = gram
         if again_s:
-            gram = replace(gram, right=gram.right + again_s * gram.matrix[:, gram.names.index("delay")])
-        for name, value in zip(kept, gram.solve(kept)[0], strict=True):
+            delayed = gram.matrix[:, gram.names.index("delay")]
+            whole = replace(gram, right=gram.right + again_s * delayed)
+        for name, value in zip(kept, whole.solve(kept)[0], strict=True):
             error[fold == k] -= value * yaw.laws[name].column[fold == k]
     return _by_second(yaw, error)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import Frame, Law, jump
+from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.series import Nodes
 from gyrocal.diagnosis.drive.weighing import Evidence, evidence
 from gyrocal.diagnosis.drive.yaw import YawModel
@@ -63,14 +64,12 @@ def within_motion(nodes: Nodes) -> tuple[float, float]:
     return float(nodes.t_s[begin]), float(nodes.t_s[end])
 
 
-def _likeliest(
-    begin_s: float, end_s: float, gains: Callable[[Floats], Floats], least: float
-) -> Instant | None:
+def _likeliest(begin_s: float, end_s: float, gains: Callable[[Floats], Floats]) -> Instant | None:
     """The likeliest instant of a jump by what each gains; None where it may be chance."""
     apart_s = (end_s - begin_s) / _INSTANTS
     instants_s = np.asarray(begin_s + apart_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
     gained = gains(instants_s)
-    if chance(float(gained.max())) >= least:
+    if chance(float(gained.max())) >= STRANGER_P:
         return None
     closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
     closer_s = closer_s[(closer_s > begin_s) & (closer_s < end_s)]
@@ -88,9 +87,8 @@ def jump_of(
     laws: Mapping[str, Law],
     chosen: Sequence[str],
     known: Mapping[str, tuple[float, float]],
-    least: float,
 ) -> dict[str, Law]:
-    """A bias that jumps and stays, at the likeliest instant, if it is less likely to be chance than `least`.
+    """A bias that jumps and stays, at the likeliest instant, if that is hardly chance.
 
     Where track or wheels that are others from some instant on are likelier, these instead, at theirs: a law of no name, for
     no robot file holds it, beside which whatever might have stood for it is to be weighed. They are asked where the bias may
@@ -114,10 +112,10 @@ def jump_of(
             told = evidence(model, columns | of).knowing(less(known, name))
             return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
 
-        return _likeliest(*within_motion(model.frame.nodes), gains, least)
+        return _likeliest(*within_motion(model.frame.nodes), gains)
 
     with_time = [n for n in free.own.names if n.startswith("time:")]
-    changing = bool(stats.chi2.sf(free.added(chosen, with_time), len(with_time)) < least)
+    changing = bool(stats.chi2.sf(free.added(chosen, with_time), len(with_time)) < STRANGER_P)
     found = {"bias": likeliest("bias")}
     if found["bias"] is not None or changing:
         found |= {n: likeliest(n) for n in _OF_WHEELS if n in laws}
@@ -133,7 +131,7 @@ def jump_of(
     more = [
         n
         for n in both
-        if n != name and stats.chi2.sf(told.added([*chosen, f"time:{name}"], [f"time:{n}"]), 1) < least
+        if n != name and stats.chi2.sf(told.added([*chosen, f"time:{name}"], [f"time:{n}"]), 1) < STRANGER_P
     ]
     return {f"time:{n}": replace(laws[n], shape=instant.shape, column=both[n]) for n in (name, *more)}
 

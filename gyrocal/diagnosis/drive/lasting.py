@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import SETTLING, Law, is_motion
-from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest, odder
+from gyrocal.diagnosis.drive.levels import GAIN, STRANGER_P
+from gyrocal.diagnosis.drive.nameless import GainTest, odder
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram, evidence, weighed_of
 from gyrocal.diagnosis.drive.yaw import NEIGHBOURS, YawModel
 
@@ -72,7 +73,6 @@ def events(
     columns: Mapping[str, Floats],
     known: Mapping[str, tuple[float, float]],
     named: Mapping[str, float],
-    least_gain: float,
 ) -> Ints:
     """Intervals without which a named law loses its name, and most of what it gains: one event is no law.
 
@@ -83,7 +83,6 @@ def events(
     ----------
     columns : of all laws that are fitted and of what has no name
     known : what is known of coefficients beforehand
-    least_gain : what a law has to gain for a name
     """
     tried = [n for n in named if n in columns and not n.startswith("wheel_")]
     if not tried:
@@ -108,7 +107,7 @@ def events(
         whole = beside.added(others, [name])
         for k in intervals:
             left = beside.added([*others, *(f"at:{j}" for j in single[k])], [name])
-            if left < min(least_gain, 0.5 * whole):
+            if left < min(GAIN, 0.5 * whole):
                 found.append(k)
     return np.unique(np.array(found, dtype=np.int64))
 

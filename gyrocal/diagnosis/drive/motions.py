@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from gyrocal.diagnosis.drive.laws import AT_ONCE, SETTLING, is_motion
+from gyrocal.diagnosis.drive.levels import GAIN
 from gyrocal.diagnosis.drive.weighing import Evidence
 
 Floats = NDArray[np.float64]
@@ -44,9 +45,7 @@ def with_central_lag(told: Evidence, chosen: Sequence[str], motions: Sequence[st
     return [motions[int(np.argmin(away))] if n == taken else n for n in chosen]
 
 
-def temperature_for_motion(
-    told: Evidence, chosen: Sequence[str], laws: Iterable[str], least: float
-) -> list[str]:
+def temperature_for_motion(told: Evidence, chosen: Sequence[str], laws: Iterable[str]) -> list[str]:
     """With a bias that goes by the temperature in place of one that came with the motion and did not go with it.
 
     Later rests at which a bias stays as it is in motion deny that the motion made it; what then changed between the rest at
@@ -58,7 +57,7 @@ def temperature_for_motion(
         return list(chosen)
     beside = [n for n in chosen if n != taken]
     gain, warmed, at_once = (told.added(beside, [n]) for n in (taken, "slope", AT_ONCE))
-    denied, as_likely = at_once < gain - AS_LIKELY, warmed >= max(least, gain - AS_LIKELY)
+    denied, as_likely = at_once < gain - AS_LIKELY, warmed >= max(GAIN, gain - AS_LIKELY)
     return ["slope" if n == taken else n for n in chosen] if denied and as_likely else list(chosen)
 
 
@@ -105,30 +104,26 @@ def settling_gain(told: Evidence, beside: Sequence[str]) -> float:
     return 2.0 * float(logsumexp(0.5 * gains, b=1.0 / gains.size)) if gains.size else -np.inf
 
 
-def with_settling(told: Evidence, chosen: Sequence[str], least: float) -> list[str]:
+def with_settling(told: Evidence, chosen: Sequence[str]) -> list[str]:
     """Laws with one of a bias that settles by itself in place of what it denies, or beside what came with the motion.
 
     It denies what it explains surely more than, unless that is there beside it, too: gyros warm up by themselves, on drives
     that go with no temperature and begin with no motion.
-
-    Parameters
-    ----------
-    least : gain from which on a law is there
     """
     if "jump" in chosen:
         # A jump beside a slope over temperature may be what the slope lacks of it.
-        settled = with_settling(told, [n for n in chosen if n != "jump"], least)
-        if any(n in SETTLING for n in settled) and told.added(settled, ["jump"]) < least:
+        settled = with_settling(told, [n for n in chosen if n != "jump"])
+        if any(n in SETTLING for n in settled) and told.added(settled, ["jump"]) < GAIN:
             return settled
     found = list(chosen)
     for name in (n for n in chosen if is_motion(n) or n == "slope"):
         beside = [n for n in found if n != name]
-        settling = likeliest_settling(told, found, least)
-        stays = bool(settling) and told.added([*beside, *settling], [name]) >= least
+        settling = likeliest_settling(told, found, GAIN)
+        stays = bool(settling) and told.added([*beside, *settling], [name]) >= GAIN
         if settling_beats(told, beside, name) and not stays:
             found = beside
     if len(found) < len(chosen) or of_motion(found):
-        found += likeliest_settling(told, found, least)
+        found += likeliest_settling(told, found, GAIN)
     return found
 
 

@@ -9,7 +9,7 @@ from scipy import stats
 
 from gyrocal.diagnosis.drive.findings import OUT, effect_of, joint_estimate, undecided
 from gyrocal.diagnosis.drive.laws import AT_ONCE, SETTLING, Law
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import known_before
 from gyrocal.diagnosis.drive.rests import runs_of

@@ -179,19 +179,11 @@ def drive_series(
         Too short or without motion, or coefficients without a temperature in the log.
     """
     t_s, notes = log.t_s, list[Note]()
-    if t_s.size < 100 or t_s[-1] - t_s[0] < _LEAST_S:
-        long = float(t_s[-1] - t_s[0]) if t_s.size else 0.0
-        raise DataError(
-            f"{source}: {long:.0f} s are too short to compare encoders and gyro; log at least {_LEAST_S:g} s."
-        )
+    _check_length(source, t_s)
     if (lost := lost_ways([log], usual_step_s(t_s))) is not None:
         (log,) = lost.completed([log])
         notes.append(Remark(Said.WAYS_ADDED, {"way_m": lost.way_m}))
-    no_gyro, no_wheel = (
-        int(np.count_nonzero(~np.isfinite(v))) for v in (log.gyro_dps, log.left_m + log.right_m)
-    )
-    gyro_dps, temp_c = (v[np.isfinite(v)] for v in (log.gyro_dps, log.gyro_temp_c))
-    check_cells(source, t_s.size, no_gyro, no_wheel, gyro_dps, temp_c)
+    _check_channels(source, log)
     dt_s = np.diff(t_s, prepend=t_s[0])
     gap = dt_s > GAP_STEPS * usual_step_s(t_s)
     notes += _gaps_said(t_s, dt_s, gap)
@@ -201,27 +193,59 @@ def drive_series(
     scale, asymmetry = (of_gyro.scale, of_gyro.asymmetry) if coefficients is None else (0.0, 0.0)
     gyro, said = _gyro(source, log, robot, coefficients, scale, asymmetry)
     (left, right), told = _wheels(log, robot, dt_s)
-    notes += told
     bridged = ~np.isfinite(log.left_m + log.right_m)
-    if max(np.abs(left).sum(), np.abs(right).sum()) < _LEAST_M:
-        raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
-    # Of each side: of a robot on the spot both together go nowhere.
-    speed_mps = 0.5 * (np.abs(left) + np.abs(right))[dt_s > 0] / dt_s[dt_s > 0]
-    check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
-    wild = wild_fixes(log.truth_x_m, log.truth_y_m, np.cumsum(0.5 * np.abs(left + right)))
-    if wild.any():
-        notes.append(wild_said(wild, t_s))
-    x_m, y_m, heading_deg = (
-        np.where(wild, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)
-    )
+    _check_way(source, log, left, right, dt_s)
+    (x_m, y_m, heading_deg), wild = _truth(log, left, right)
     ticks = tick_size(left[~bridged]), tick_size(right[~bridged])
     moving, rests = moving_rows(t_s, dt_s, (left, right), ticks, gyro, noisy_rests=noisy_rests)
-    notes += rests
     return DriveSeries(
-        source, t_s, dt_s, left, right, gyro, log.gyro_temp_c, x_m, y_m, heading_deg,
-        still_rows(t_s, moving, tick_wait_s(max(ticks))), still_rows(t_s, moving, SMOOTH_S), np.cumsum(moving) > 0, gap, bridged, ticks, not (log.speed_only or one_speed(log.left_m, log.right_m)), coefficients is not None, scale, asymmetry, robot,
-        (*log.notes, *notes, *said),
-    )  # fmt: skip
+        source=source,
+        t_s=t_s,
+        dt_s=dt_s,
+        left_m=left,
+        right_m=right,
+        gyro_dps=gyro,
+        temp_c=log.gyro_temp_c,
+        truth_x_m=x_m,
+        truth_y_m=y_m,
+        truth_heading_deg=heading_deg,
+        resting=still_rows(t_s, moving, tick_wait_s(max(ticks))),
+        quiet=still_rows(t_s, moving, SMOOTH_S),
+        moved=np.cumsum(moving) > 0,
+        gap=gap,
+        bridged=bridged,
+        tick_m=ticks,
+        differential=not (log.speed_only or one_speed(log.left_m, log.right_m)),
+        calibrated=coefficients is not None,
+        gyro_scale=scale,
+        gyro_asymmetry=asymmetry,
+        robot=robot,
+        notes=(*log.notes, *notes, *told, *wild, *rests, *said),
+    )
+
+
+def _check_length(source: str, t_s: Floats) -> None:
+    if t_s.size < 100 or t_s[-1] - t_s[0] < _LEAST_S:
+        long = float(t_s[-1] - t_s[0]) if t_s.size else 0.0
+        raise DataError(
+            f"{source}: {long:.0f} s are too short to compare encoders and gyro; log at least {_LEAST_S:g} s."
+        )
+
+
+def _check_channels(source: str, log: DriveBlock) -> None:
+    no_gyro, no_wheel = (
+        int(np.count_nonzero(~np.isfinite(v))) for v in (log.gyro_dps, log.left_m + log.right_m)
+    )
+    gyro_dps, temp_c = (v[np.isfinite(v)] for v in (log.gyro_dps, log.gyro_temp_c))
+    check_cells(source, log.t_s.size, no_gyro, no_wheel, gyro_dps, temp_c)
+
+
+def _check_way(source: str, log: DriveBlock, left_m: Floats, right_m: Floats, dt_s: Floats) -> None:
+    if max(np.abs(left_m).sum(), np.abs(right_m).sum()) < _LEAST_M:
+        raise DataError(f"{source}: the wheels move less than 1 m; there is nothing to compare.")
+    # Of each side: of a robot on the spot both together go nowhere.
+    speed_mps = 0.5 * (np.abs(left_m) + np.abs(right_m))[dt_s > 0] / dt_s[dt_s > 0]
+    check_speed(source, float(np.quantile(speed_mps, _FAST)), speed_only=log.speed_only)
 
 
 def _gaps_said(t_s: Floats, dt_s: Floats, gap: Bools) -> list[Remark]:
@@ -247,6 +271,13 @@ def _wheels(log: DriveBlock, robot: Robot, dt_s: Floats) -> tuple[list[Floats], 
             step_m = np.where(known, step_m, speed_mps * dt_s)
         found.append(np.nan_to_num(step_m))
     return found, notes
+
+
+def _truth(log: DriveBlock, left_m: Floats, right_m: Floats) -> tuple[list[Floats], list[Note]]:
+    """True positions and headings, none where a fix is wild."""
+    wild = wild_fixes(log.truth_x_m, log.truth_y_m, np.cumsum(0.5 * np.abs(left_m + right_m)))
+    known = [np.where(wild, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)]
+    return known, [wild_said(wild, log.t_s)] if wild.any() else []
 
 
 def _gyro(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from gyrocal.diagnosis.drive.laws import strangers
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries

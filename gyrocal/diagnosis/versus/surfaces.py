@@ -12,10 +12,9 @@ from gyrocal.diagnosis.series import Series
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
-from gyrocal.physics.effect import PPM
 from gyrocal.physics.surface import Surface
 from gyrocal.physics.terms import Term
-from gyrocal.units import NORMAL_95
+from gyrocal.units import NORMAL_95, PPM
 
 Floats = NDArray[np.float64]
 

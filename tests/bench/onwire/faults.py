@@ -12,7 +12,7 @@ import numpy as np
 
 from gyrocal.bench.devices import ChamberReading, GyroSamples, TableReading
 from gyrocal.bench.tables import zaber
-from gyrocal.bench.virtual.server import Line
+from gyrocal.bench.virtual.server import GyroPort, Line
 from gyrocal.errors import DeviceError, GyrocalError, InterlockError, StopNotVerifiedError
 from tests.bench.onwire.faulty import (
     ChangedLine,
@@ -128,7 +128,8 @@ def vanishing(role: str, span: Span) -> Callable[[WireStand, float], None]:
 def restarting(stand: WireStand, now_s: float) -> None:
     """The gyro loses its supply for a second and a half, and with it its mode."""
     if 28.5 <= now_s < 28.55:
-        stand.server.gyro.restart()
+        before = stand.server.gyro
+        stand.server.gyro = GyroPort(before.endpoint, before.kind, before.options)
         stand.line("gyro", CutLine(Span(0.0, 30.5)))
 
 

@@ -22,11 +22,10 @@ from gyrocal.bench.safety import StopRequests
 from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.bench.transport import SerialTransport
 from gyrocal.bench.virtual.endpoints import PtyEndpoint, TcpEndpoint
-from gyrocal.bench.virtual.serving import wired
 from gyrocal.errors import DeviceError, InterruptedRunError, StopNotVerifiedError, exit_code
 from tests.bench.onwire.faulty import Span
 from tests.bench.onwire.stand import WireStand
-from tests.bench.onwire.test_sim import SHORT, profile_file, serving
+from tests.bench.onwire.test_sim import SHORT, profile_file, serving, wired
 from tests.bench.pulse import Pulse
 from tests.bench.test_runner import events
 from tests.bench.tiny import Silent, tiny

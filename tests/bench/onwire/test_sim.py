@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,7 +28,7 @@ from gyrocal.bench.session import AcquireConfig, acquire
 from gyrocal.bench.status import read_status
 from gyrocal.bench.transport import SerialTransport
 from gyrocal.bench.virtual.endpoints import Endpoint, PtyEndpoint, TcpEndpoint
-from gyrocal.bench.virtual.serving import Served, serve_profile, wired
+from gyrocal.bench.virtual.serving import Served, serve_profile
 from gyrocal.bench.watching import Progress
 from gyrocal.calibration.calibrate import FitConfig, calibrate
 from gyrocal.errors import DeviceError, InterruptedRunError, OutputError
@@ -87,6 +88,12 @@ def sim(*arguments: str) -> Iterator[list[str]]:
         finally:
             process.send_signal(signal.SIGINT)
             assert process.wait(30.0) == 0
+
+
+def wired(profile: Profile, served: Served) -> Profile:
+    """The profile with the served ports in the place of its devices."""
+    devices = tomllib.loads(served.snippet)
+    return profile_from_dict({**profile.raw, **devices}, profile.source)
 
 
 def profile_file(profile: Profile, path: Path) -> Path:

@@ -15,9 +15,10 @@ from gyrocal.diagnosis.drive import beside_truth, improved
 from gyrocal.diagnosis.drive.beside_truth import _loss_with_jump
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
+from gyrocal.diagnosis.drive.levels import GAIN
 from gyrocal.diagnosis.drive.motions import or_nothing
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
-from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _gain, examine_yaw
+from gyrocal.diagnosis.drive.search import YawAnswer, _gain, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.weighing import evidence
 from gyrocal.diagnosis.remarks import Remark, Said

@@ -36,7 +36,7 @@ def test_instants_of_a_jump_are_within_the_drive() -> None:
     def rising(instants_s: Floats) -> Floats:
         return np.asarray(instants_s, dtype=np.float64)
 
-    found = _likeliest(0.0, 300.0, rising, 1e-3)
+    found = _likeliest(0.0, 300.0, rising)
     assert found is not None
     assert 0.0 < found.at_s < 300.0
     assert found.latest_s <= 300.0

@@ -18,10 +18,10 @@ from gyrocal.diagnosis.drive.beside_truth import _wheels_beside_structure
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.lasting import outlasts
 from gyrocal.diagnosis.drive.laws import SETTLING
+from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.motions import rather_than_wheels, settling_beats, with_settling
-from gyrocal.diagnosis.drive.nameless import STRANGER_P, GainTest
+from gyrocal.diagnosis.drive.nameless import GainTest
 from gyrocal.diagnosis.drive.places import left_out
-from gyrocal.diagnosis.drive.search import GAIN
 from gyrocal.diagnosis.drive.weighing import Evidence, Gram
 from gyrocal.diagnosis.drive.yaw import usual_flicker_dps
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -178,7 +178,7 @@ def test_a_slope_and_a_jump_are_no_bias_that_settles_unless_that_does_as_well(*,
     columns |= {"bias": np.ones(t_s.size), "slope": 1.0 - np.exp(-t_s / 700.0), "jump": 1.0 * (t_s < 600.0)}
     y = 1.5 * columns["settling_200"] if settles else 3.0 * columns["slope"] + 3.0 * columns["jump"]
     y = y + np.random.default_rng(1).normal(size=t_s.size)
-    found = with_settling(told_of(columns, y), ["bias", "slope", "jump"], GAIN)
+    found = with_settling(told_of(columns, y), ["bias", "slope", "jump"])
     assert ("jump" in found) != settles
     assert any(n in SETTLING for n in found) == settles
 

@@ -18,7 +18,7 @@ from gyrocal.diagnosis.drive.filed import beyond_given, filed
 from gyrocal.diagnosis.drive.findings import _turns_and_way, joint_estimate
 from gyrocal.diagnosis.drive.improved import improved_robot
 from gyrocal.diagnosis.drive.laws import AT_ONCE
-from gyrocal.diagnosis.drive.nameless import STRANGER_P
+from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.reckoning import laid_on, reckon
 from gyrocal.diagnosis.drive.search import YawAnswer

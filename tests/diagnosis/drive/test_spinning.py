@@ -9,8 +9,9 @@ import pytest
 
 from gyrocal.diagnosis.drive import findings
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
+from gyrocal.diagnosis.drive.levels import GAIN
 from gyrocal.diagnosis.drive.path_strangers import SPINNING
-from gyrocal.diagnosis.drive.search import GAIN, YawAnswer, _named
+from gyrocal.diagnosis.drive.search import YawAnswer, _named
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot
 from tests.diagnosis.drive.fleet import Plan, drive
